@@ -1,0 +1,34 @@
+# Every target works in a fresh clone that has only make and python3 (3.11 or newer): the first
+# one to run fills .venv with the versions of requirements.lock.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+OUT := out
+
+.PHONY: demo test lint clean
+
+demo: $(READY)
+	$(BIN)/warp-rigid run bunny_pile -o $(OUT)/bunny_pile.usdc --picture $(OUT)/bunny_pile.png
+	$(BIN)/warp-rigid run box_stack --compare -o $(OUT)/box_stack.usdc \
+		--picture $(OUT)/box_stack.png
+
+test: $(READY)
+	$(BIN)/python -m pytest -q
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .ruff_cache .mypy_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "python3 must be 3.11 or newer")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps --no-build-isolation --editable .
+	@touch $@

@@ -1,0 +1,131 @@
+"""Second stage: which pairs of bodies can meet in this step.
+
+A body lists the pairs in which it comes first. Small bodies find each other through a hash grid, or, in small
+environments, by trying all (faster up to hundreds of bodies). Wide bodies (statics, planes, kinematic ones, and those
+much larger than the rest) never enter the grid: each is tried against every body of its environment.
+Pairs are counted, the counts are summed, and the same search writes them: their order depends on nothing but the scene.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Environments, Motions, Pairs
+
+wp.set_module_options({"enable_backward": False})
+
+DYNAMIC = wp.constant(MOTION_DYNAMIC)
+
+
+@wp.func
+def boxes_overlap(motions: Motions, i: int, j: int):
+    """Whether the swept boxes of two bodies overlap."""
+    a = motions.lower[i]
+    b = motions.upper[i]
+    c = motions.lower[j]
+    d = motions.upper[j]
+    return (
+        a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
+    )
+
+
+@wp.func
+def visit_pair(i: int, j: int, found: int, write: int, motions: Motions, pairs: Pairs):
+    """Count the pair if its boxes overlap, and write it in the second round. Returns the new count."""
+    if not boxes_overlap(motions, i, j):
+        return found
+    if write == 1:
+        slot = pairs.start[i] + found
+        pairs.body_a[slot] = i
+        pairs.body_b[slot] = j
+    return found + 1
+
+
+@wp.func
+def visit_wide(
+    i: int, first: int, found: int, write: int, wide: wp.array[int], bodies: Bodies, motions: Motions, pairs: Pairs
+):
+    """Visit the pairs of body i with the wide bodies of its environment, each pair of wide ones once."""
+    total = int(found)
+    for w in range(wide.shape[0]):
+        j = first + wide[w]
+        both_wide = bodies.wide[i] == 1
+        moving = bodies.motion[i] == DYNAMIC or bodies.motion[j] == DYNAMIC
+        if moving and i != j and not (both_wide and j < i):
+            total = visit_pair(i, j, total, write, motions, pairs)
+    return total
+
+
+@wp.kernel
+def pairs_by_trying_all(
+    write: int,
+    bodies_per_env: int,
+    small: wp.array[int],
+    wide: wp.array[int],
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    pairs: Pairs,
+):
+    """One thread a body: try all later small bodies of the environment, then the wide ones."""
+    i = wp.tid()
+    env = i / bodies_per_env
+    first = env * bodies_per_env
+    found = int(0)
+    if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
+        if bodies.wide[i] == 0:
+            for s in range(small.shape[0]):
+                j = first + small[s]
+                if j > i:
+                    found = visit_pair(i, j, found, write, motions, pairs)
+        found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
+    if write == 0:
+        pairs.count[i] = found
+
+
+@wp.kernel
+def grid_points(
+    bodies_per_env: int,
+    small: wp.array[int],
+    motions: Motions,
+    points: wp.array[wp.vec3],
+    groups: wp.array[int],
+    reach: wp.array[float],
+):
+    """Centres of the small bodies' swept boxes, their environment as the grid's group, the largest half-diagonal."""
+    k = wp.tid()
+    env = k / small.shape[0]
+    b = env * bodies_per_env + small[k - env * small.shape[0]]
+    points[k] = 0.5 * (motions.lower[b] + motions.upper[b])
+    groups[k] = env
+    wp.atomic_max(reach, 0, 0.5 * wp.length(motions.upper[b] - motions.lower[b]))
+
+
+@wp.kernel
+def pairs_by_grid(
+    write: int,
+    bodies_per_env: int,
+    grid: wp.uint64,
+    reach: wp.array[float],
+    small: wp.array[int],
+    wide: wp.array[int],
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    pairs: Pairs,
+):
+    """One thread a body: small bodies look around in the hash grid, then try the wide ones."""
+    i = wp.tid()
+    env = i / bodies_per_env
+    first = env * bodies_per_env
+    found = int(0)
+    if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
+        if bodies.wide[i] == 0:
+            middle = 0.5 * (motions.lower[i] + motions.upper[i])
+            around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + reach[0]
+            neighbour = int(0)
+            for neighbour in wp.hash_grid_query(grid, middle, around, env):
+                j = first + small[neighbour - env * small.shape[0]]
+                if j > i:
+                    found = visit_pair(i, j, found, write, motions, pairs)
+        found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
+    if write == 0:
+        pairs.count[i] = found

@@ -1,0 +1,160 @@
+"""Fourth stage: the contact records that the solver works on, and the impulses that they start from."""
+
+import warp as wp
+
+from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Contacts, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.narrowphase import SLOTS, Touch, place_sample, tangent_of, touch_of
+
+wp.set_module_options({"enable_backward": False})
+
+DYNAMIC = wp.constant(MOTION_DYNAMIC)
+COMBINE_MIN = wp.constant(0)
+COMBINE_AVERAGE = wp.constant(1)
+COMBINE_MULTIPLY = wp.constant(2)
+COMBINE_MAX = wp.constant(3)
+
+
+@wp.func
+def combine(x: float, y: float, rule: int):
+    """Combine the coefficients of two bodies."""
+    if rule == COMBINE_AVERAGE:
+        return 0.5 * (x + y)
+    if rule == COMBINE_MULTIPLY:
+        return x * y
+    if rule == COMBINE_MAX:
+        return wp.max(x, y)
+    return wp.min(x, y)
+
+
+@wp.func
+def seen_along(arm: wp.vec3, d: wp.vec3, e: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
+    """Entry d . K e of the collision matrix K = 1/m + [r]^T I^-1 [r] of one body (Guendelman et al. 2003, section 7)."""
+    return inverse_mass * wp.dot(d, e) + wp.dot(wp.cross(arm, d), inverse_inertia * wp.cross(arm, e))
+
+
+@wp.func
+def tangential(arm: wp.vec3, n: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
+    """The tangential block of K: entries 11, 12, 22."""
+    u = tangent_of(n)
+    v = wp.cross(n, u)
+    return wp.vec3(
+        seen_along(arm, u, u, inverse_mass, inverse_inertia),
+        seen_along(arm, u, v, inverse_mass, inverse_inertia),
+        seen_along(arm, v, v, inverse_mass, inverse_inertia),
+    )
+
+
+@wp.func
+def last_impulse(a: int, b: int, key: int, history: History):
+    """World impulse of the same contact in the last step, or zero."""
+    for pair in range(history.pair_start[a], history.pair_start[a + 1]):
+        if history.body_b[pair] == b:
+            for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
+                if history.key[c] == key:
+                    return history.impulse[c]
+    return wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
+def write_masses(c: int, a: int, b: int, bodies: Bodies, motions: Motions, contacts: Contacts):
+    """Inverse masses that the contact sees along its normal and in its tangent plane."""
+    n = contacts.normal[c]
+    r = contacts.arm_a[c]
+    contacts.normal_a[c] = seen_along(r, n, n, bodies.inverse_mass[a], motions.inverse_inertia[a])
+    contacts.tangent_a[c] = tangential(r, n, bodies.inverse_mass[a], motions.inverse_inertia[a])
+    r = contacts.arm_b[c]
+    contacts.normal_b[c] = seen_along(r, n, n, bodies.inverse_mass[b], motions.inverse_inertia[b])
+    contacts.tangent_b[c] = tangential(r, n, bodies.inverse_mass[b], motions.inverse_inertia[b])
+
+
+@wp.func
+def write_contact(c: int, a: int, b: int, key: int, touch: Touch, motions: Motions, contacts: Contacts):
+    """Geometry of a contact record."""
+    contacts.body_a[c] = a
+    contacts.body_b[c] = b
+    contacts.key[c] = key
+    contacts.position[c] = touch.position
+    contacts.normal[c] = touch.normal
+    contacts.arm_a[c] = touch.position - motions.center[a]
+    contacts.arm_b[c] = touch.position - motions.center[b]
+    contacts.gap[c] = touch.gap
+
+
+@wp.func
+def start_impulse(c: int, warm: int, contacts: Contacts, history: History):
+    """The impulse to start from: the last step's, its friction turned into today's tangent plane."""
+    if warm == 0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    n = contacts.normal[c]
+    u = tangent_of(n)
+    impulse = last_impulse(contacts.body_a[c], contacts.body_b[c], contacts.key[c], history)
+    return wp.vec3(wp.max(wp.dot(impulse, n), 0.0), wp.dot(impulse, u), wp.dot(impulse, wp.cross(n, u)))
+
+
+@wp.func
+def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State):
+    """Evaluate the sample of a contact's identity once more."""
+    side = key % 2
+    own = wp.where(side == 0, a, b)
+    other = wp.where(side == 0, b, a)
+    back = wp.quat_inverse(state.orientation[other])
+    shift = wp.quat_rotate(back, state.position[own] - state.position[other])
+    placed = place_sample(shapes, key / 2, bodies.shape[other], back * state.orientation[own], shift)
+    return touch_of(placed, side, other, state)
+
+
+@wp.kernel
+def build_contacts(
+    bodies_per_env: int,
+    rules: wp.vec2i,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    envs: Environments,
+    pairs: Pairs,
+    history: History,
+    contacts: Contacts,
+):
+    """One thread a pair: turn the samples in its slots into contact records. rules: how friction, restitution combine."""
+    pair = wp.tid()
+    c = pairs.contact_start[pair]
+    if pairs.contact_start[pair + 1] == c:
+        return
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    for slot in range(pairs.patch_count[pair] * SLOTS):
+        key = pairs.slot_key[pair, slot]
+        if key >= 0:
+            write_contact(c, a, b, key, touch_again(key, a, b, shapes, bodies, state), motions, contacts)
+            write_masses(c, a, b, bodies, motions, contacts)
+            contacts.friction[c] = combine(bodies.friction[a], bodies.friction[b], rules[0])
+            contacts.restitution[c] = combine(bodies.restitution[a], bodies.restitution[b], rules[1])
+            contacts.impulse[c] = start_impulse(c, envs.warm_starting[a / bodies_per_env], contacts, history)
+            contacts.reaction[c] = wp.vec3(0.0, 0.0, 0.0)
+            c += 1
+
+
+@wp.kernel
+def keep_pairs(pairs: Pairs, history: History):
+    """Last stage, first half: remember which pairs touched."""
+    i = wp.tid()
+    if i < history.pair_start.shape[0]:
+        history.pair_start[i] = pairs.start[i]
+    if i < history.body_b.shape[0]:
+        history.body_b[i] = pairs.body_b[i]
+    if i < history.contact_start.shape[0]:
+        history.contact_start[i] = pairs.contact_start[i]
+
+
+@wp.kernel
+def keep_impulses(contacts: Contacts, pairs: Pairs, history: History):
+    """Last stage, second half: remember the impulses in the world frame."""
+    c = wp.tid()
+    if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
+        return
+    n = contacts.normal[c]
+    u = tangent_of(n)
+    impulse = contacts.impulse[c]
+    history.key[c] = contacts.key[c]
+    history.impulse[c] = impulse[0] * n + impulse[1] * u + impulse[2] * wp.cross(n, u)

@@ -1,0 +1,253 @@
+"""The data layout: every device array of the simulator, declared once.
+
+A declaration gives a field's element type, its symbolic shape, its unit and its meaning. From it come the Warp struct
+that kernels take as an argument, and the arrays that `allocate` makes. All environments lie one after another in
+the same arrays: body `b` of environment `e` is row `e * bodies_per_env + b`.
+"""
+
+from typing import Any, NamedTuple
+
+import warp as wp
+
+EXTREME_DIRECTIONS = 8
+"""Directions in a patch's tangent plane whose furthest sample is kept."""
+
+PATCHES = 4
+"""Differently oriented touching regions that a pair of bodies can have at once."""
+
+PATCH_SLOTS = EXTREME_DIRECTIONS + 1
+"""Samples remembered a patch: the furthest each way, and the deepest."""
+
+PAIR_SLOTS = PATCHES * PATCH_SLOTS
+"""Samples remembered a pair before doubles are taken out."""
+
+MOTION_STATIC = 0
+MOTION_KINEMATIC = 1
+MOTION_DYNAMIC = 2
+
+SHOCK_OFF = 0
+SHOCK_ONE_PASS = 1
+SHOCK_TWO_PASS = 2
+
+
+class Field(NamedTuple):
+    """One device array: element type, symbolic shape such as "bodies + 1" or "pairs, 36", unit, and meaning."""
+
+    dtype: Any
+    shape: str
+    unit: str
+    meaning: str
+
+
+def layout(name: str, doc: str, **fields: Field) -> Any:
+    """Declare a Warp struct whose members are the arrays `fields`."""
+    annotations = {key: wp.array(dtype=f.dtype, ndim=f.shape.count(",") + 1) for key, f in fields.items()}
+    cls = type(name, (), {"__annotations__": annotations, "__module__": __name__, "__doc__": doc})
+    struct = wp.struct(cls)
+    LAYOUTS[name] = fields
+    return struct
+
+
+def allocate(struct: Any, sizes: dict[str, int], device: Any) -> Any:
+    """Return an instance of `struct` with all its arrays zero and sized by the symbols in `sizes`."""
+    instance = struct()
+    for key, field in LAYOUTS[struct.key].items():
+        shape = tuple(_extent(term, sizes) for term in field.shape.split(","))
+        setattr(instance, key, wp.zeros(shape, dtype=field.dtype, device=device))
+    return instance
+
+
+def byte_size(struct: Any, sizes: dict[str, int]) -> int:
+    """Return how many bytes `allocate` would take."""
+    total = 0
+    for field in LAYOUTS[struct.key].values():
+        count = 1
+        for term in field.shape.split(","):
+            count *= _extent(term, sizes)
+        total += count * wp.types.type_size_in_bytes(field.dtype)
+    return total
+
+
+def field_names(struct: Any) -> list[str]:
+    """Return the names of the arrays of `struct`, in the order of their declaration."""
+    return list(LAYOUTS[struct.key])
+
+
+def _extent(term: str, sizes: dict[str, int]) -> int:
+    """Evaluate a sum of symbols and numbers such as "bodies + 1"; at least 1, since Warp wants no empty arrays."""
+    parts = (part.strip() for part in term.split("+"))
+    return max(1, sum(int(part) if part.isdigit() else sizes[part] for part in parts))
+
+
+LAYOUTS: dict[str, dict[str, Field]] = {}
+
+Shapes = layout(
+    "Shapes",
+    "The pool of shapes, shared by all environments.",
+    part_start=Field(int, "shapes + 1", "", "first part of a shape"),
+    part_kind=Field(int, "parts", "", "kind of a part (distance.py)"),
+    part_size=Field(wp.vec4, "parts", "m", "dimensions of a part, by its kind"),
+    part_pose=Field(wp.transform, "parts", "m", "pose of a part in its shape's frame"),
+    grid_start=Field(int, "parts", "", "first node of the part's grid"),
+    grid_dims=Field(wp.vec3i, "parts", "", "nodes of the part's grid along x, y, z"),
+    grid_origin=Field(wp.vec3, "parts", "m", "first node, in the part's frame"),
+    grid_spacing=Field(float, "parts", "m", "distance between neighbouring nodes"),
+    grid_value=Field(float, "nodes", "m", "signed distance, or height, at a node"),
+    cluster_start=Field(int, "shapes + 1", "", "first sample cluster of a shape"),
+    cluster_center=Field(wp.vec3, "clusters", "m", "centre of a cluster's sphere, in the shape's frame"),
+    cluster_radius=Field(float, "clusters", "m", "radius of the sphere that holds the cluster's reach"),
+    cluster_sample_start=Field(int, "clusters + 1", "", "first sample of a cluster"),
+    sample_point=Field(wp.vec3, "samples", "m", "surface sample, in the shape's frame"),
+    sample_normal=Field(wp.vec3, "samples", "", "its outward unit normal; zero for the centre of a ball"),
+    sample_slide=Field(wp.vec3, "samples", "m", "an edge sample may slide this far either way"),
+    sample_radius=Field(float, "samples", "m", "radius of a ball around the sample, or of a rim"),
+    sample_kind=Field(int, "samples", "", "point, edge or rim (narrowphase.py)"),
+    lower=Field(wp.vec3, "shapes", "m", "lower corner of the shape's box"),
+    upper=Field(wp.vec3, "shapes", "m", "upper corner of the shape's box"),
+    size=Field(float, "shapes", "m", "smallest extent of the box: contact tolerances scale with it"),
+)
+
+Bodies = layout(
+    "Bodies",
+    "What a body is. Users may change masses and coefficients per environment.",
+    shape=Field(int, "bodies", "", "index into the pool of shapes"),
+    motion=Field(int, "bodies", "", "static, kinematic or dynamic"),
+    wide=Field(int, "bodies", "", "1: never in the hash grid, tested against every body of its environment"),
+    mass=Field(float, "bodies", "kg", "mass; 0 unless dynamic"),
+    inverse_mass=Field(float, "bodies", "1/kg", "0 unless dynamic"),
+    inertia=Field(wp.mat33, "bodies", "kg m^2", "about the centre of mass, in the shape's frame"),
+    inverse_inertia=Field(wp.mat33, "bodies", "1/(kg m^2)", "its inverse; 0 unless dynamic"),
+    center_of_mass=Field(wp.vec3, "bodies", "m", "in the shape's frame"),
+    friction=Field(float, "bodies", "", "Coulomb coefficient"),
+    restitution=Field(float, "bodies", "", "coefficient of restitution"),
+    rolling_friction=Field(float, "bodies", "m", "rolling torque limit divided by the normal force"),
+    spinning_friction=Field(float, "bodies", "m", "spinning torque limit divided by the normal force"),
+)
+
+State = layout(
+    "State",
+    "What a step changes and a user sees.",
+    position=Field(wp.vec3, "bodies", "m", "origin of the shape's frame"),
+    orientation=Field(wp.quat, "bodies", "", "of the shape's frame, (x, y, z, w)"),
+    linear_velocity=Field(wp.vec3, "bodies", "m/s", "of the centre of mass"),
+    angular_velocity=Field(wp.vec3, "bodies", "rad/s", "in the world frame"),
+    force=Field(wp.vec3, "bodies", "N", "held by the user until changed, at the centre of mass"),
+    torque=Field(wp.vec3, "bodies", "N m", "held by the user until changed"),
+)
+
+Motions = layout(
+    "Motions",
+    "What the first stage derives from the state for the rest of the step.",
+    center=Field(wp.vec3, "bodies", "m", "centre of mass in the world"),
+    inverse_inertia=Field(wp.mat33, "bodies", "1/(kg m^2)", "in the world frame"),
+    acceleration=Field(wp.vec3, "bodies", "m/s^2", "by gravity, fields and the held force"),
+    spin_acceleration=Field(wp.vec3, "bodies", "rad/s^2", "by the held torque"),
+    lower=Field(wp.vec3, "bodies", "m", "lower corner of the box swept in this step"),
+    upper=Field(wp.vec3, "bodies", "m", "upper corner of the box swept in this step"),
+    radius=Field(float, "bodies", "m", "of the sphere about the centre of mass that holds the body"),
+    push_linear=Field(wp.vec3, "bodies", "m/s", "pseudo-velocity of the push-out"),
+    push_angular=Field(wp.vec3, "bodies", "rad/s", "pseudo-velocity of the push-out"),
+    start_linear=Field(wp.vec3, "bodies", "m/s", "velocity before shock propagation"),
+    start_angular=Field(wp.vec3, "bodies", "rad/s", "velocity before shock propagation"),
+)
+
+Environments = layout(
+    "Environments",
+    "Settings and status of each environment.",
+    gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),
+    collision_iterations=Field(int, "envs", "", "sweeps of the collision stage"),
+    contact_iterations=Field(int, "envs", "", "sweeps of the contact stage"),
+    shock_iterations=Field(int, "envs", "", "repetitions of shock propagation"),
+    shock_propagation=Field(int, "envs", "", "off, one_pass or two_pass"),
+    collision_first=Field(int, "envs", "", "1: collisions before the velocity update"),
+    warm_starting=Field(int, "envs", "", "1: start from the last step's impulses"),
+    edge_samples=Field(int, "envs", "", "1: edges take part in contact"),
+    sleeping=Field(int, "envs", "", "1: bodies at rest fall asleep"),
+    failed=Field(int, "envs", "", "1: a non-finite state was met, the environment is halted"),
+    failed_step=Field(int, "envs", "", "step in which it was met"),
+    failed_body=Field(int, "envs", "", "body in which it was met"),
+    step=Field(int, "envs", "", "steps done"),
+)
+
+FieldForces = layout(
+    "FieldForces",
+    "Force fields besides gravity, the same in all environments.",
+    kind=Field(int, "fields", "", "0 uniform, 1 point"),
+    vector=Field(wp.vec3, "fields", "m/s^2 or m", "acceleration of a uniform field, centre of a point field"),
+    strength=Field(float, "fields", "m^3/s^2", "of a point field: acceleration strength / distance^2"),
+)
+
+Pairs = layout(
+    "Pairs",
+    "Pairs of bodies whose swept boxes overlap, listed by their first body, and the samples that touch.",
+    count=Field(int, "bodies + 1", "", "pairs wanted by each first body"),
+    start=Field(int, "bodies + 1", "", "first pair of each first body (exclusive sums of count)"),
+    body_a=Field(int, "pairs", "", "first body"),
+    body_b=Field(int, "pairs", "", "second body"),
+    contact_count=Field(int, "pairs + 1", "", "contacts wanted by each pair"),
+    contact_start=Field(int, "pairs + 1", "", "first contact of each pair (exclusive sums of contact_count)"),
+    patch_count=Field(int, "pairs", "", "patches in use"),
+    patch_normal=Field(wp.vec3, "pairs, 4", "", "normal of a patch in the second body's frame"),
+    slot_score=Field(float, "pairs, 36", "m", "how far out the remembered sample lies in its direction"),
+    slot_gap=Field(float, "pairs, 36", "m", "its predicted gap"),
+    slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
+)
+
+Contacts = layout(
+    "Contacts",
+    "Contact points. The normal points from the second body to the first.",
+    body_a=Field(int, "contacts", "", "first body"),
+    body_b=Field(int, "contacts", "", "second body"),
+    key=Field(int, "contacts", "", "identity within the pair: 2 * sample + side"),
+    position=Field(wp.vec3, "contacts", "m", "in the world"),
+    normal=Field(wp.vec3, "contacts", "", "unit normal in the world"),
+    arm_a=Field(wp.vec3, "contacts", "m", "from the first body's centre of mass"),
+    arm_b=Field(wp.vec3, "contacts", "m", "from the second body's centre of mass"),
+    gap=Field(float, "contacts", "m", "distance at the start of the step, negative inside"),
+    friction=Field(float, "contacts", "", "of the pair"),
+    restitution=Field(float, "contacts", "", "of the pair"),
+    normal_a=Field(float, "contacts", "1/kg", "the first body's part of the inverse mass seen along the normal"),
+    normal_b=Field(float, "contacts", "1/kg", "the second body's part"),
+    tangent_a=Field(wp.vec3, "contacts", "1/kg", "the first body's tangential inverse mass: 11, 12, 22"),
+    tangent_b=Field(wp.vec3, "contacts", "1/kg", "the second body's"),
+    impulse=Field(wp.vec3, "contacts", "N s", "accumulated along the normal and the two tangents"),
+    start_impulse=Field(wp.vec3, "contacts", "N s", "impulse before shock propagation"),
+    reaction=Field(wp.vec3, "contacts", "N s", "world impulse that a frozen body has not taken yet"),
+    target=Field(float, "contacts", "m/s", "normal velocity that a collision aims at"),
+)
+
+History = layout(
+    "History",
+    "Contacts of the last step, by identity, for warm starting.",
+    pair_start=Field(int, "bodies + 1", "", "first pair of each first body"),
+    body_b=Field(int, "pairs", "", "second body"),
+    contact_start=Field(int, "pairs + 1", "", "first contact of each pair"),
+    key=Field(int, "contacts", "", "identity within the pair"),
+    impulse=Field(wp.vec3, "contacts", "N s", "in the world frame"),
+)
+
+Graph = layout(
+    "Graph",
+    "The contact graph: who rests on whom, levels, islands, and the order in which contacts are solved.",
+    rests=Field(int, "pairs", "", "1: the first body rests on the second, 2: the other way, 3: both"),
+    incident_start=Field(int, "bodies + envs", "", "first incident pair of a body; one row more an environment"),
+    incident_pair=Field(int, "pairs + pairs", "", "touching pairs of a body"),
+    level=Field(int, "bodies", "", "0 for statics, else 1 + the highest support (cycles share a level)"),
+    component=Field(int, "bodies", "", "strongly connected component, by its root"),
+    visit=Field(int, "bodies", "", "order of discovery, from 1"),
+    low=Field(int, "bodies", "", "earliest body that can be reached"),
+    stack=Field(int, "bodies", "", "bodies whose component is open"),
+    path=Field(int, "bodies", "", "bodies on the current path"),
+    cursor=Field(int, "bodies", "", "next incident pair to follow"),
+    island=Field(int, "bodies", "", "lowest body among those connected through dynamic bodies"),
+    numerator=Field(float, "bodies", "J", "of an island's line search"),
+    denominator=Field(float, "bodies", "J", "of an island's line search"),
+    colors=Field(int, "bodies", "", "colours taken at a body in the level at hand"),
+    pair_color=Field(int, "pairs", "", "colour within the level"),
+    pair_level=Field(int, "pairs", "", "level of the upper body; -1 for a pair that does not touch"),
+    order=Field(int, "pairs", "", "touching pairs by level and colour"),
+    group_start=Field(int, "pairs + envs", "", "first entry of `order` of a group: one level, one colour"),
+    level_start=Field(int, "levels", "", "first group of a level; bodies + 2 rows an environment"),
+    level_count=Field(int, "envs", "", "levels in use, statics not counted"),
+    residual=Field(float, "envs, 3", "m/s", "largest velocity change of an iteration, in turn"),
+)

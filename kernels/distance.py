@@ -1,0 +1,248 @@
+"""Signed distance of every kind of shape part, with its direction.
+
+Every function takes a point in the part's frame and returns `vec4(direction, distance)`: the distance is negative
+inside, and the direction is the unit outward normal of the nearest surface, that is, the distance's gradient.
+
+Near the border of a box's face the gradient jumps from one face to the next, and two boxes of equal size that lie
+flush touch exactly there. `contact_distance` therefore takes the sample's own outward normal too and measures to a
+face that opposes it, as long as the sample has not really left that face sideways.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.data import Shapes
+
+wp.set_module_options({"enable_backward": False})
+
+SPHERE = wp.constant(0)
+BOX = wp.constant(1)
+CAPSULE = wp.constant(2)
+CYLINDER = wp.constant(3)
+PLANE = wp.constant(4)
+GRID = wp.constant(5)
+HEIGHTFIELD = wp.constant(6)
+
+FAR = wp.constant(1.0e10)
+"""Distance told where there is nothing to touch [m]."""
+
+OPPOSING = wp.constant(-0.1)
+"""Two outward normals with a scalar product below this face each other."""
+
+BORDER = wp.constant(0.005)
+"""A sample counts as above a face until it has left it sideways by this part of the smallest half-extent."""
+
+DEEP = wp.constant(0.8)
+"""How far below a face, as a part of the smallest half-extent, a sample can still be held to touch it."""
+
+
+@wp.func
+def direction_or_up(v: wp.vec3):
+    """Return v normalised, or +z for the zero vector."""
+    length = wp.length(v)
+    if length > 0.0:
+        return v / length
+    return wp.vec3(0.0, 0.0, 1.0)
+
+
+@wp.func
+def ball_distance(offset: wp.vec3, radius: float):
+    """Distance to a ball from an offset from its centre."""
+    n = direction_or_up(offset)
+    return wp.vec4(n[0], n[1], n[2], wp.length(offset) - radius)
+
+
+@wp.func
+def capsule_distance(p: wp.vec3, size: wp.vec4):
+    """Distance to a capsule of radius size[0] around the segment |z| <= size[1]."""
+    return ball_distance(wp.vec3(p[0], p[1], p[2] - wp.clamp(p[2], -size[1], size[1])), size[0])
+
+
+@wp.func
+def plane_distance(p: wp.vec3, size: wp.vec4):
+    """Distance to the half space n . x <= offset, size = (n, offset)."""
+    return wp.vec4(size[0], size[1], size[2], wp.dot(wp.vec3(size[0], size[1], size[2]), p) - size[3])
+
+
+@wp.func
+def slab_distance(separation: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3):
+    """Distance to the intersection of three slabs with orthogonal normals, given the separation from each."""
+    outside = wp.vec3(wp.max(separation[0], 0.0), wp.max(separation[1], 0.0), wp.max(separation[2], 0.0))
+    length = wp.length(outside)
+    n = n0
+    distance = separation[0]
+    if length > 0.0:
+        n = (outside[0] * n0 + outside[1] * n1 + outside[2] * n2) / length
+        distance = length
+    else:
+        if separation[1] > distance:
+            n = n1
+            distance = separation[1]
+        if separation[2] > distance:
+            n = n2
+            distance = separation[2]
+    return wp.vec4(n[0], n[1], n[2], distance)
+
+
+@wp.func
+def facing_slab_distance(
+    separation: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, sample_normal: wp.vec3, half: float
+):
+    """`slab_distance`, but within the border measured to the nearest face that opposes the sample's normal.
+
+    `half` is the smallest half-extent; a sample deeper than DEEP of it below all such faces touches none of them.
+    """
+    border = BORDER * half
+    beyond = int(0)
+    for i in range(3):
+        if separation[i] > border:
+            beyond += 1
+    if beyond > 1 or wp.length_sq(sample_normal) == 0.0:
+        return slab_distance(separation, n0, n1, n2)
+    result = wp.vec4(n0[0], n0[1], n0[2], FAR)
+    nearest = -DEEP * half
+    for i in range(3):
+        n = n0
+        if i == 1:
+            n = n1
+        if i == 2:
+            n = n2
+        if separation[i] > nearest and (separation[i] > border or wp.dot(n, sample_normal) < OPPOSING):
+            nearest = separation[i]
+            result = wp.vec4(n[0], n[1], n[2], nearest)
+    return result
+
+
+@wp.func
+def outward(coordinate: float, axis: wp.vec3):
+    """The axis, turned to the side on which the coordinate lies."""
+    return wp.where(coordinate < 0.0, -1.0, 1.0) * axis
+
+
+@wp.func
+def box_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
+    """Distance to a box with half-extents size[0:3]."""
+    half = wp.vec3(size[0], size[1], size[2])
+    nx = outward(p[0], wp.vec3(1.0, 0.0, 0.0))
+    ny = outward(p[1], wp.vec3(0.0, 1.0, 0.0))
+    nz = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
+    separation = wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2])) - half
+    return facing_slab_distance(separation, nx, ny, nz, sample_normal, wp.min(half))
+
+
+@wp.func
+def cylinder_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
+    """Distance to a cylinder of radius size[0] and half height size[1] along z."""
+    radial = wp.vec3(p[0], p[1], 0.0)
+    side = direction_or_up(radial)
+    if side[2] > 0.5:
+        side = wp.vec3(1.0, 0.0, 0.0)
+    cap = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
+    separation = wp.vec3(wp.length(radial) - size[0], -FAR, wp.abs(p[2]) - size[1])
+    return facing_slab_distance(separation, side, wp.cross(cap, side), cap, sample_normal, wp.min(size[0], size[1]))
+
+
+@wp.func
+def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
+    """Trilinear interpolation in a part's grid, and its gradient; outside, the distance to the grid is added."""
+    dims = shapes.grid_dims[part]
+    top = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
+    q = (p - shapes.grid_origin[part]) / shapes.grid_spacing[part]
+    inside = wp.vec3(wp.clamp(q[0], 0.0, top[0]), wp.clamp(q[1], 0.0, top[1]), wp.clamp(q[2], 0.0, top[2]))
+    i = wp.min(int(inside[0]), dims[0] - 2)
+    j = wp.min(int(inside[1]), dims[1] - 2)
+    k = wp.min(int(inside[2]), dims[2] - 2)
+    x = inside[0] - float(i)
+    y = inside[1] - float(j)
+    z = inside[2] - float(k)
+    row = dims[2]
+    slab = dims[1] * dims[2]
+    at = shapes.grid_start[part] + i * slab + j * row + k
+    v = shapes.grid_value
+    z00 = v[at + 1] - v[at]
+    z01 = v[at + row + 1] - v[at + row]
+    z10 = v[at + slab + 1] - v[at + slab]
+    z11 = v[at + slab + row + 1] - v[at + slab + row]
+    v00 = v[at] + z * z00
+    v01 = v[at + row] + z * z01
+    v10 = v[at + slab] + z * z10
+    v11 = v[at + slab + row] + z * z11
+    v0 = v00 + y * (v01 - v00)
+    v1 = v10 + y * (v11 - v10)
+    gx = v1 - v0
+    gy = (1.0 - x) * (v01 - v00) + x * (v11 - v10)
+    gz = (1.0 - x) * ((1.0 - y) * z00 + y * z01) + x * ((1.0 - y) * z10 + y * z11)
+    n = direction_or_up(wp.vec3(gx, gy, gz))
+    distance = v0 + x * gx
+    away = (q - inside) * shapes.grid_spacing[part]
+    if wp.length_sq(away) > 0.0:
+        n = direction_or_up(wp.max(distance, 0.0) * n + away)
+        distance = distance + wp.length(away)
+    return wp.vec4(n[0], n[1], n[2], distance)
+
+
+@wp.func
+def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
+    """Height above a bilinear height field, measured along the local normal (exact for a slope, first order else)."""
+    dims = shapes.grid_dims[part]
+    size = shapes.part_size[part]
+    cell_x = size[0] / float(dims[0] - 1)
+    cell_y = size[1] / float(dims[1] - 1)
+    qx = (p[0] + 0.5 * size[0]) / cell_x
+    qy = (p[1] + 0.5 * size[1]) / cell_y
+    if qx < 0.0 or qy < 0.0 or qx > float(dims[0] - 1) or qy > float(dims[1] - 1):
+        return wp.vec4(0.0, 0.0, 1.0, FAR)
+    i = wp.min(int(qx), dims[0] - 2)
+    j = wp.min(int(qy), dims[1] - 2)
+    x = qx - float(i)
+    y = qy - float(j)
+    at = shapes.grid_start[part] + i * dims[1] + j
+    h00 = shapes.grid_value[at]
+    h01 = shapes.grid_value[at + 1]
+    h10 = shapes.grid_value[at + dims[1]]
+    h11 = shapes.grid_value[at + dims[1] + 1]
+    slope_x = ((1.0 - y) * (h10 - h00) + y * (h11 - h01)) / cell_x
+    slope_y = ((1.0 - x) * (h01 - h00) + x * (h11 - h10)) / cell_y
+    height = (1.0 - x) * ((1.0 - y) * h00 + y * h01) + x * ((1.0 - y) * h10 + y * h11)
+    n = wp.normalize(wp.vec3(-slope_x, -slope_y, 1.0))
+    return wp.vec4(n[0], n[1], n[2], (p[2] - height) * n[2])
+
+
+@wp.func
+def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3):
+    """Distance to one part, in the part's own frame."""
+    kind = shapes.part_kind[part]
+    size = shapes.part_size[part]
+    if kind == GRID:
+        return grid_distance(shapes, part, p)
+    if kind == BOX:
+        return box_distance(p, size, sample_normal)
+    if kind == PLANE:
+        return plane_distance(p, size)
+    if kind == SPHERE:
+        return ball_distance(p, size[0])
+    if kind == CYLINDER:
+        return cylinder_distance(p, size, sample_normal)
+    if kind == CAPSULE:
+        return capsule_distance(p, size)
+    return heightfield_distance(shapes, part, p)
+
+
+@wp.func
+def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.vec3):
+    """Distance from a sample with its outward normal to a shape (the union of its parts), in the shape's frame."""
+    nearest = wp.vec4(0.0, 0.0, 1.0, FAR)
+    for part in range(shapes.part_start[shape], shapes.part_start[shape + 1]):
+        pose = shapes.part_pose[part]
+        turn = wp.transform_get_rotation(pose)
+        local = wp.quat_rotate_inv(turn, p - wp.transform_get_translation(pose))
+        d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal))
+        if d[3] < nearest[3]:
+            n = wp.quat_rotate(turn, wp.vec3(d[0], d[1], d[2]))
+            nearest = wp.vec4(n[0], n[1], n[2], d[3])
+    return nearest
+
+
+@wp.func
+def signed_distance(shapes: Shapes, shape: int, p: wp.vec3):
+    """Distance from a point to a shape, in the shape's frame."""
+    return contact_distance(shapes, shape, p, wp.vec3(0.0, 0.0, 0.0))

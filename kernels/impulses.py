@@ -1,0 +1,161 @@
+"""Contact impulses: projected Gauss-Seidel with the exact Coulomb cone.
+
+A contact keeps its accumulated impulse (normal, two tangents). A visit first lets the normal part take away what
+approach remains beyond the gap, never pulling; then the tangential part takes away the slip, inside the disk of radius
+friction times normal part. Sticking is tried with the full tangential matrix, as in Guendelman et al. 2003, section 7;
+if it leaves the disk, a projected step of the smallest safe length is taken, whose fixed point opposes the slip.
+
+A solver kernel runs with one block an environment. A block's lanes share the pairs of a group, which no body has in
+common, and meet before the next group. On the CPU a block has one lane and the same code is a plain loop.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, Pairs, State
+from warp_rigid.kernels.narrowphase import tangent_of
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func_native("WP_TILE_SYNC();")
+def meet():
+    """Let all lanes of a block arrive before any goes on."""
+    ...
+
+
+@wp.func
+def slip_velocity(c: int, contacts: Contacts, state: State):
+    """Velocity of the first body relative to the second at the contact."""
+    a = contacts.body_a[c]
+    b = contacts.body_b[c]
+    va = state.linear_velocity[a] + wp.cross(state.angular_velocity[a], contacts.arm_a[c])
+    vb = state.linear_velocity[b] + wp.cross(state.angular_velocity[b], contacts.arm_b[c])
+    return va - vb
+
+
+@wp.func
+def push(body: int, arm: wp.vec3, impulse: wp.vec3, bodies: Bodies, motions: Motions, state: State):
+    """Apply a world impulse at an arm from the centre of mass. Static and kinematic bodies do not answer."""
+    if bodies.inverse_mass[body] > 0.0:
+        state.linear_velocity[body] = state.linear_velocity[body] + bodies.inverse_mass[body] * impulse
+        spin = motions.inverse_inertia[body] * wp.cross(arm, impulse)
+        state.angular_velocity[body] = state.angular_velocity[body] + spin
+
+
+@wp.func
+def push_both(
+    c: int, impulse: wp.vec3, share_a: float, share_b: float, bodies: Bodies, motions: Motions, contacts: Contacts, state: State
+):
+    """Apply an impulse to the first body and its opposite to the second; a frozen body (share 0) takes nothing."""
+    if share_a > 0.0:
+        push(contacts.body_a[c], contacts.arm_a[c], impulse, bodies, motions, state)
+    if share_b > 0.0:
+        push(contacts.body_b[c], contacts.arm_b[c], -impulse, bodies, motions, state)
+
+
+@wp.func
+def friction_impulse(old: wp.vec2, slip: wp.vec2, k: wp.vec3, limit: float):
+    """New tangential impulse from the old one, the slip, the tangential matrix (11, 12, 22) and the disk's radius."""
+    determinant = wp.max(k[0] * k[2] - k[1] * k[1], 1.0e-30)
+    stick = old - wp.vec2(k[2] * slip[0] - k[1] * slip[1], k[0] * slip[1] - k[1] * slip[0]) / determinant
+    if wp.length_sq(stick) <= limit * limit:
+        return stick
+    mean = 0.5 * (k[0] + k[2])
+    deviation = 0.5 * (k[0] - k[2])
+    largest = mean + wp.sqrt(deviation * deviation + k[1] * k[1])
+    slide = old - slip / largest
+    length = wp.length(slide)
+    if length > limit:
+        slide = slide * (limit / length)
+    return slide
+
+
+@wp.func
+def visit_contact(
+    c: int,
+    share_a: float,
+    share_b: float,
+    dt: float,
+    bodies: Bodies,
+    motions: Motions,
+    contacts: Contacts,
+    state: State,
+):
+    """Solve one contact against the velocities at hand. Returns the change in its normal velocity [m/s].
+
+    A share of 0 freezes that body: it weighs nothing in the contact, and the impulse it did not take goes to `reaction`.
+    """
+    k_normal = share_a * contacts.normal_a[c] + share_b * contacts.normal_b[c]
+    if k_normal < 1.0e-12:
+        return 0.0
+    n = contacts.normal[c]
+    u = tangent_of(n)
+    v = wp.cross(n, u)
+    old = contacts.impulse[c]
+    approach = wp.dot(slip_velocity(c, contacts, state), n) + wp.max(contacts.gap[c], 0.0) / dt
+    normal = wp.max(old[0] - approach / k_normal, 0.0)
+    push_both(c, (normal - old[0]) * n, share_a, share_b, bodies, motions, contacts, state)
+    slip = slip_velocity(c, contacts, state)
+    k = share_a * contacts.tangent_a[c] + share_b * contacts.tangent_b[c]
+    before = wp.vec2(old[1], old[2])
+    after = friction_impulse(before, wp.vec2(wp.dot(slip, u), wp.dot(slip, v)), k, contacts.friction[c] * normal)
+    tangential = (after[0] - old[1]) * u + (after[1] - old[2]) * v
+    push_both(c, tangential, share_a, share_b, bodies, motions, contacts, state)
+    contacts.impulse[c] = wp.vec3(normal, after[0], after[1])
+    if share_a * share_b == 0.0:
+        contacts.reaction[c] = contacts.reaction[c] + (normal - old[0]) * n + tangential
+    return k_normal * wp.abs(normal - old[0]) + wp.sqrt(k[0] + k[2]) * wp.sqrt(k_normal) * wp.length(after - before)
+
+
+@wp.kernel
+def warm_start(
+    bodies_per_env: int,
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    graph: Graph,
+    pairs: Pairs,
+    contacts: Contacts,
+    state: State,
+):
+    """One block an environment: apply the impulses that the contacts start from."""
+    env, lane = wp.tid()
+    if envs.warm_starting[env] == 0:
+        return
+    rows = env * (bodies_per_env + 2)
+    for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
+        for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
+            pair = graph.order[k]
+            for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+                n = contacts.normal[c]
+                u = tangent_of(n)
+                impulse = contacts.impulse[c]
+                world = impulse[0] * n + impulse[1] * u + impulse[2] * wp.cross(n, u)
+                push_both(c, world, 1.0, 1.0, bodies, motions, contacts, state)
+        meet()
+
+
+@wp.kernel
+def sweep_contacts(
+    after_shock: int,
+    dt: float,
+    bodies_per_env: int,
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    graph: Graph,
+    pairs: Pairs,
+    contacts: Contacts,
+    state: State,
+):
+    """One block an environment: half of the contact iterations, before or after shock propagation, levels from the ground up."""
+    env, lane = wp.tid()
+    rows = env * (bodies_per_env + 2)
+    sweeps = (envs.contact_iterations[env] + 1 - after_shock) / 2
+    for _sweep in range(sweeps):
+        for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
+            for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
+                pair = graph.order[k]
+                for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+                    visit_contact(c, 1.0, 1.0, dt, bodies, motions, contacts, state)
+            meet()

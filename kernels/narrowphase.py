@@ -1,0 +1,361 @@
+"""Third stage: which surface samples of one body touch the other, and which few of them represent the contact.
+
+Both directions are tried: samples of A in the distance of B and samples of B in that of A. A cluster of samples is
+passed over when the distance at its centre exceeds its reach. A sample touches if its gap, less what its velocity
+closes within the step, is below the contact distance, and if its own outward normal opposes the distance's gradient.
+
+Contacts are thinned while they are found. Touching samples are sorted into patches of like normal; a patch keeps the
+furthest sample in each of eight fixed directions of its tangent plane, and the deepest. What carries a load at all
+carries it with its convex hull, so nothing is lost; ties go to the first sample, so identities persist.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.data import (
+    EXTREME_DIRECTIONS,
+    PAIR_SLOTS,
+    PATCH_SLOTS,
+    PATCHES,
+    Bodies,
+    Environments,
+    Motions,
+    Pairs,
+    Shapes,
+    State,
+)
+from warp_rigid.kernels.distance import FAR, PLANE, contact_distance, direction_or_up, signed_distance
+from warp_rigid.kernels.predict import CONTACT_DISTANCE
+
+wp.set_module_options({"enable_backward": False})
+
+POINT = wp.constant(0)
+EDGE = wp.constant(1)
+RIM = wp.constant(2)
+
+DIRECTIONS = wp.constant(EXTREME_DIRECTIONS)
+SLOTS = wp.constant(PATCH_SLOTS)
+MOST_PATCHES = wp.constant(PATCHES)
+MOST_SLOTS = wp.constant(PAIR_SLOTS)
+
+OPPOSED = wp.constant(0.3)
+"""A sample counts only if its normal's component along the contact normal is below this (vertices have wide cones).
+
+What is below a plane touches it in any case: a plane has no far side."""
+
+SAME_PATCH = wp.constant(0.94)
+"""Cosine (20 degrees) above which two contact normals belong to one patch."""
+
+GAP_WEIGHT = wp.constant(20.0)
+"""How much nearer in the tangent plane a sample counts for each metre of gap: those that touch come first."""
+
+TIE = wp.constant(1.0e-5)
+"""A later sample must be better by this part of the size to replace an earlier one."""
+
+EIGHTH_TURN = wp.constant(0.70710678)
+"""Sine and cosine of the angle between neighbouring directions of a patch."""
+
+OVERLAP = wp.constant(1.05)
+"""Edge segments are searched this much longer than they are."""
+
+FLAT = wp.constant(0.01)
+"""Slope of the distance along an edge below which the edge lies flat."""
+
+
+@wp.struct
+class Sample:
+    """A sample brought to its touching place, in the frame of the other body's shape."""
+
+    point: wp.vec3
+    normal: wp.vec3
+    direction: wp.vec3
+    gap: float
+
+
+@wp.struct
+class Touch:
+    """A touching place in the world. The normal points from the pair's second body to the first."""
+
+    position: wp.vec3
+    normal: wp.vec3
+    gap: float
+
+
+@wp.func
+def slope_along(shapes: Shapes, shape: int, p: wp.vec3, direction: wp.vec3):
+    """Distance at p and its slope along a direction: vec2(slope, distance)."""
+    d = signed_distance(shapes, shape, p)
+    return wp.vec2(wp.dot(wp.vec3(d[0], d[1], d[2]), direction), d[3])
+
+
+@wp.func
+def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3):
+    """Where on the segment p +- slide the distance has an inner minimum: vec4(point, 1), or w = 0 if it has none.
+
+    The tangents at both ends meet below the curve; their meeting point replaces the end on its side. This is exact
+    at once for two crossing straight edges, where the distance is a V. Neighbouring segments overlap a little, so that
+    no minimum falls between them.
+    """
+    half = wp.length(slide)
+    along = slide / half
+    left = -OVERLAP * half
+    right = OVERLAP * half
+    low = slope_along(shapes, shape, p + left * along, along)
+    high = slope_along(shapes, shape, p + right * along, along)
+    if low[0] > -FLAT or high[0] < FLAT:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    t = float(0.0)
+    for _ in range(5):
+        t = (low[1] - high[1] + high[0] * right - low[0] * left) / wp.max(high[0] - low[0], 1.0e-6)
+        t = wp.clamp(t, left, right)
+        middle = slope_along(shapes, shape, p + t * along, along)
+        if middle[0] < 0.0:
+            left = t
+            low = middle
+        else:
+            right = t
+            high = middle
+    q = p + wp.clamp(t, -half, half) * along
+    return wp.vec4(q[0], q[1], q[2], 1.0)
+
+
+@wp.func
+def lowest_on_rim(shapes: Shapes, shape: int, center: wp.vec3, axis: wp.vec3, radius: float):
+    """The deepest point of a circle: vec4(point, 1), or w = 0 where the circle lies flat on the surface."""
+    p = center
+    for _ in range(3):
+        d = signed_distance(shapes, shape, p)
+        n = wp.vec3(d[0], d[1], d[2])
+        down = wp.dot(n, axis) * axis - n
+        if wp.length(down) < 0.05:
+            return wp.vec4(0.0, 0.0, 0.0, 0.0)
+        p = center + radius * wp.normalize(down)
+    return wp.vec4(p[0], p[1], p[2], 1.0)
+
+
+@wp.func
+def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3):
+    """Bring sample s to its touching place; turn and shift map its shape's frame to that of the other `shape`."""
+    result = Sample()
+    result.gap = FAR
+    p = wp.quat_rotate(turn, shapes.sample_point[s]) + shift
+    normal = wp.quat_rotate(turn, shapes.sample_normal[s])
+    radius = shapes.sample_radius[s]
+    kind = shapes.sample_kind[s]
+    found = wp.vec4(p[0], p[1], p[2], 1.0)
+    if kind == EDGE:
+        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.sample_slide[s]))
+    if kind == RIM:
+        found = lowest_on_rim(shapes, shape, p, normal, radius)
+        normal = direction_or_up(wp.vec3(found[0], found[1], found[2]) - p)
+        radius = 0.0
+    if found[3] == 0.0:
+        return result
+    p = wp.vec3(found[0], found[1], found[2])
+    d = contact_distance(shapes, shape, p, normal)
+    n = wp.vec3(d[0], d[1], d[2])
+    if wp.dot(n, normal) > OPPOSED and shapes.part_kind[shapes.part_start[shape]] != PLANE:
+        return result
+    result.point = p - radius * n
+    result.normal = normal
+    result.direction = n
+    result.gap = d[3] - radius
+    return result
+
+
+@wp.func
+def touch_of(placed: Sample, side: int, other: int, state: State):
+    """The touching place in the world; on side 0 the sample is the first body's, on side 1 the second's."""
+    result = Touch()
+    turn = state.orientation[other]
+    n = wp.quat_rotate(turn, placed.direction)
+    middle = placed.point - 0.5 * placed.gap * placed.direction
+    result.position = wp.quat_rotate(turn, middle) + state.position[other]
+    result.normal = wp.where(side == 0, n, -n)
+    result.gap = placed.gap
+    return result
+
+
+@wp.func
+def velocity_at(body: int, x: wp.vec3, dt: float, state: State, motions: Motions):
+    """Velocity of a body's material at world point x, with a step's acceleration."""
+    v = state.linear_velocity[body] + dt * motions.acceleration[body]
+    w = state.angular_velocity[body] + dt * motions.spin_acceleration[body]
+    return v + wp.cross(w, x - motions.center[body])
+
+
+@wp.func
+def closing_gap(touch: Touch, a: int, b: int, dt: float, state: State, motions: Motions):
+    """The gap that is left after the step if nothing stops the approach; never more than the gap now."""
+    v = velocity_at(a, touch.position, dt, state, motions) - velocity_at(b, touch.position, dt, state, motions)
+    return touch.gap + dt * wp.min(wp.dot(v, touch.normal), 0.0)
+
+
+@wp.func
+def patch_for(pair: int, normal: wp.vec3, pairs: Pairs):
+    """The patch of like normal, a new one, or, when all are in use, the nearest."""
+    count = pairs.patch_count[pair]
+    best = int(0)
+    likeness = float(-2.0)
+    for p in range(count):
+        c = wp.dot(pairs.patch_normal[pair, p], normal)
+        if c > likeness:
+            likeness = c
+            best = p
+    if likeness < SAME_PATCH and count < MOST_PATCHES:
+        pairs.patch_count[pair] = count + 1
+        pairs.patch_normal[pair, count] = normal
+        for k in range(SLOTS):
+            pairs.slot_key[pair, count * SLOTS + k] = -1
+        return count
+    return best
+
+
+@wp.func
+def offer(pair: int, slot: int, score: float, gap: float, key: int, tie: float, pairs: Pairs):
+    """Keep the sample in the slot if it is better than the one there."""
+    if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + tie:
+        pairs.slot_key[pair, slot] = key
+        pairs.slot_score[pair, slot] = score
+        pairs.slot_gap[pair, slot] = gap
+
+
+@wp.func
+def remember(pair: int, point: wp.vec3, normal: wp.vec3, gap: float, key: int, size: float, pairs: Pairs):
+    """Offer a touching sample, given in the second body's frame, to the slots of its patch."""
+    patch = patch_for(pair, normal, pairs)
+    n = pairs.patch_normal[pair, patch]
+    u = tangent_of(n)
+    v = wp.cross(n, u)
+    x = wp.dot(point, u)
+    y = wp.dot(point, v)
+    base = patch * SLOTS
+    c = float(0.9)
+    s = float(0.43588989)
+    for k in range(DIRECTIONS):
+        offer(pair, base + k, c * x + s * y - GAP_WEIGHT * gap, gap, key, TIE * size, pairs)
+        turned = EIGHTH_TURN * (c - s)
+        s = EIGHTH_TURN * (c + s)
+        c = turned
+    offer(pair, base + DIRECTIONS, -gap, gap, key, TIE * size, pairs)
+
+
+@wp.func
+def tangent_of(n: wp.vec3):
+    """A unit vector perpendicular to the unit vector n, the same for the same n."""
+    other = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(n[0]) > 0.7:
+        other = wp.vec3(0.0, 1.0, 0.0)
+    return wp.normalize(wp.cross(n, other))
+
+
+@wp.func
+def keep_if_touching(
+    pair: int, key: int, placed: Sample, dt: float, size: float, state: State, motions: Motions, pairs: Pairs
+):
+    """Remember a placed sample if its gap closes within the step."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    side = key % 2
+    touch = touch_of(placed, side, wp.where(side == 0, b, a), state)
+    gap = closing_gap(touch, a, b, dt, state, motions)
+    if gap < CONTACT_DISTANCE * size:
+        to_b = wp.quat_inverse(state.orientation[b])
+        point = wp.quat_rotate(to_b, touch.position - state.position[b])
+        remember(pair, point, wp.quat_rotate(to_b, touch.normal), gap, key, size, pairs)
+
+
+@wp.func
+def approach_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
+    """How far apart two surfaces can be now and still touch within the step [m]."""
+    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
+    x = motions.center[small]
+    travel = velocity_at(a, x, dt, state, motions) - velocity_at(b, x, dt, state, motions)
+    spin = wp.length(state.angular_velocity[a] - state.angular_velocity[b]) * motions.radius[small]
+    return CONTACT_DISTANCE * size + dt * (wp.length(travel) + spin)
+
+
+@wp.func
+def try_samples(
+    pair: int,
+    side: int,
+    reach: float,
+    dt: float,
+    size: float,
+    edges: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Find the touching samples of one body of the pair in the distance of the other."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    own = wp.where(side == 0, a, b)
+    other = wp.where(side == 0, b, a)
+    shape = bodies.shape[other]
+    back = wp.quat_inverse(state.orientation[other])
+    turn = back * state.orientation[own]
+    shift = wp.quat_rotate(back, state.position[own] - state.position[other])
+    own_shape = bodies.shape[own]
+    middle = wp.quat_rotate(back, motions.center[own] - state.position[other])
+    far = signed_distance(shapes, shape, middle)
+    if far[3] > motions.radius[own] + reach:
+        return
+    for cluster in range(shapes.cluster_start[own_shape], shapes.cluster_start[own_shape + 1]):
+        c = wp.quat_rotate(turn, shapes.cluster_center[cluster]) + shift
+        d = signed_distance(shapes, shape, c)
+        if d[3] < shapes.cluster_radius[cluster] + reach:
+            for s in range(shapes.cluster_sample_start[cluster], shapes.cluster_sample_start[cluster + 1]):
+                if edges == 1 or shapes.sample_kind[s] != EDGE:
+                    placed = place_sample(shapes, s, shape, turn, shift)
+                    if placed.gap < reach:
+                        keep_if_touching(pair, 2 * s + side, placed, dt, size, state, motions, pairs)
+
+
+@wp.func
+def take_out_doubles(pair: int, size: float, pairs: Pairs):
+    """Empty the slots whose sample another slot holds too, and deepest ones no deeper than the rest. Returns the count."""
+    kept = int(0)
+    for slot in range(pairs.patch_count[pair] * SLOTS):
+        key = pairs.slot_key[pair, slot]
+        shallowest = pairs.slot_gap[pair, slot]
+        is_deepest = slot % SLOTS == DIRECTIONS
+        for k in range(slot % SLOTS):
+            earlier = slot - slot % SLOTS + k
+            if pairs.slot_key[pair, earlier] == key and key >= 0:
+                pairs.slot_key[pair, slot] = -1
+            if pairs.slot_key[pair, earlier] >= 0:
+                shallowest = wp.min(shallowest, pairs.slot_gap[pair, earlier])
+        if is_deepest and pairs.slot_gap[pair, slot] > shallowest - 0.1 * CONTACT_DISTANCE * size:
+            pairs.slot_key[pair, slot] = -1
+        if pairs.slot_key[pair, slot] >= 0:
+            kept += 1
+    return kept
+
+
+@wp.kernel
+def find_contacts(
+    dt: float,
+    bodies_per_env: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    envs: Environments,
+    pairs: Pairs,
+):
+    """One thread a pair: fill its slots with the samples that represent its contact."""
+    pair = wp.tid()
+    pairs.contact_count[pair] = 0
+    if pair >= pairs.start[pairs.start.shape[0] - 1]:
+        return
+    pairs.patch_count[pair] = 0
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    size = wp.min(shapes.size[bodies.shape[a]], shapes.size[bodies.shape[b]])
+    reach = approach_reach(a, b, size, dt, state, motions)
+    edges = envs.edge_samples[a / bodies_per_env]
+    try_samples(pair, 0, reach, dt, size, edges, shapes, bodies, state, motions, pairs)
+    try_samples(pair, 1, reach, dt, size, edges, shapes, bodies, state, motions, pairs)
+    pairs.contact_count[pair] = take_out_doubles(pair, size, pairs)

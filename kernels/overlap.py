@@ -1,0 +1,58 @@
+"""A measurement, not a stage: how deep surface samples lie inside other bodies now."""
+
+import warp as wp
+
+from warp_rigid.kernels.data import Bodies, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.distance import signed_distance
+from warp_rigid.kernels.narrowphase import EDGE, RIM, lowest_on_edge, lowest_on_rim
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def sample_depth(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3):
+    """Depth of a sample inside a shape [m], negative outside; turn and shift map the sample's frame to the shape's."""
+    p = wp.quat_rotate(turn, shapes.sample_point[s]) + shift
+    radius = shapes.sample_radius[s]
+    found = wp.vec4(p[0], p[1], p[2], 1.0)
+    if shapes.sample_kind[s] == EDGE:
+        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.sample_slide[s]))
+    if shapes.sample_kind[s] == RIM:
+        found = lowest_on_rim(shapes, shape, p, wp.quat_rotate(turn, shapes.sample_normal[s]), radius)
+        radius = 0.0
+    if found[3] == 0.0:
+        return -1.0e10
+    d = signed_distance(shapes, shape, wp.vec3(found[0], found[1], found[2]))
+    return radius - d[3]
+
+
+@wp.func
+def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: State):
+    """Depth of the deepest sample of one body inside another [m], at least 0."""
+    shape = bodies.shape[other]
+    back = wp.quat_inverse(state.orientation[other])
+    turn = back * state.orientation[own]
+    shift = wp.quat_rotate(back, state.position[own] - state.position[other])
+    deepest = float(0.0)
+    own_shape = bodies.shape[own]
+    for cluster in range(shapes.cluster_start[own_shape], shapes.cluster_start[own_shape + 1]):
+        c = wp.quat_rotate(turn, shapes.cluster_center[cluster]) + shift
+        d = signed_distance(shapes, shape, c)
+        if d[3] < shapes.cluster_radius[cluster] - deepest:
+            for s in range(shapes.cluster_sample_start[cluster], shapes.cluster_sample_start[cluster + 1]):
+                deepest = wp.max(deepest, sample_depth(shapes, s, shape, turn, shift))
+    return deepest
+
+
+@wp.kernel
+def deepest_overlap(
+    bodies_per_env: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array[float]
+):
+    """One thread a pair: the environment's deepest overlap [m]."""
+    pair = wp.tid()
+    if pair >= pairs.start[pairs.start.shape[0] - 1]:
+        return
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    depth = wp.max(deepest_sample(a, b, shapes, bodies, state), deepest_sample(b, a, shapes, bodies, state))
+    wp.atomic_max(deepest, a / bodies_per_env, depth)

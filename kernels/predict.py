@@ -1,0 +1,101 @@
+"""First stage: accelerations, world inertia, and the box that each body may sweep in this step."""
+
+import warp as wp
+
+from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Environments, FieldForces, Motions, Shapes, State
+
+wp.set_module_options({"enable_backward": False})
+
+DYNAMIC = wp.constant(MOTION_DYNAMIC)
+POINT_FIELD = wp.constant(1)
+CONTACT_DISTANCE = wp.constant(5.0e-4)
+"""Samples closer than this part of the smaller body's size count as touching."""
+
+UNBOUNDED = wp.constant(1.0e9)
+"""Half-extent from which a shape counts as without bound [m]."""
+
+
+@wp.func
+def field_acceleration(fields: FieldForces, field_count: int, x: wp.vec3):
+    """Acceleration at x by all force fields [m/s^2]; the point field after Newton: strength / distance^2."""
+    a = wp.vec3(0.0, 0.0, 0.0)
+    for f in range(field_count):
+        if fields.kind[f] == POINT_FIELD:
+            to_center = fields.vector[f] - x
+            distance = wp.max(wp.length(to_center), 1.0e-6)
+            a += fields.strength[f] / (distance * distance * distance) * to_center
+        else:
+            a += fields.vector[f]
+    return a
+
+
+@wp.func
+def extent_along_axes(turn: wp.quat, half: wp.vec3):
+    """Half-extents in the world of a box turned by `turn`."""
+    r = wp.quat_to_matrix(turn)
+    return wp.vec3(
+        wp.abs(r[0, 0]) * half[0] + wp.abs(r[0, 1]) * half[1] + wp.abs(r[0, 2]) * half[2],
+        wp.abs(r[1, 0]) * half[0] + wp.abs(r[1, 1]) * half[1] + wp.abs(r[1, 2]) * half[2],
+        wp.abs(r[2, 0]) * half[0] + wp.abs(r[2, 1]) * half[1] + wp.abs(r[2, 2]) * half[2],
+    )
+
+
+@wp.kernel
+def derive_motion(
+    bodies_per_env: int,
+    field_count: int,
+    bodies: Bodies,
+    state: State,
+    envs: Environments,
+    fields: FieldForces,
+    motions: Motions,
+):
+    """Centre of mass, world inertia and external accelerations of each body."""
+    b = wp.tid()
+    turn = state.orientation[b]
+    center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
+    motions.center[b] = center
+    motions.push_linear[b] = wp.vec3(0.0, 0.0, 0.0)
+    motions.push_angular[b] = wp.vec3(0.0, 0.0, 0.0)
+    r = wp.quat_to_matrix(turn)
+    inverse = r * bodies.inverse_inertia[b] * wp.transpose(r)
+    motions.inverse_inertia[b] = inverse
+    acceleration = wp.vec3(0.0, 0.0, 0.0)
+    if bodies.motion[b] == DYNAMIC:
+        acceleration = envs.gravity[b / bodies_per_env] + field_acceleration(fields, field_count, center)
+    motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
+    motions.spin_acceleration[b] = inverse * state.torque[b]
+
+
+@wp.kernel
+def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """Box that holds a body from now to the end of the step, whatever its rotation does meanwhile."""
+    b = wp.tid()
+    shape = bodies.shape[b]
+    half = 0.5 * (shapes.upper[shape] - shapes.lower[shape])
+    middle = 0.5 * (shapes.upper[shape] + shapes.lower[shape])
+    if wp.max(half) > UNBOUNDED:
+        motions.lower[b] = wp.vec3(-2.0 * UNBOUNDED, -2.0 * UNBOUNDED, -2.0 * UNBOUNDED)
+        motions.upper[b] = wp.vec3(2.0 * UNBOUNDED, 2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
+        motions.radius[b] = 2.0 * UNBOUNDED
+        return
+    turn = state.orientation[b]
+    radius = wp.length(half) + wp.length(middle - bodies.center_of_mass[b])
+    motions.radius[b] = radius
+    at = state.position[b] + wp.quat_rotate(turn, middle)
+    travel = dt * (state.linear_velocity[b] + dt * motions.acceleration[b])
+    rotation = wp.min(dt * wp.length(state.angular_velocity[b] + dt * motions.spin_acceleration[b]), 2.0)
+    reach = rotation * radius + CONTACT_DISTANCE * shapes.size[shape]
+    extent = extent_along_axes(turn, half) + wp.vec3(reach, reach, reach)
+    motions.lower[b] = wp.min(at, at + travel) - extent
+    motions.upper[b] = wp.max(at, at + travel) + extent
+
+
+@wp.kernel
+def accelerate(share: float, dt: float, when: int, bodies_per_env: int, motions: Motions, envs: Environments, state: State):
+    """Velocity update: add `share` of a step's acceleration where the environment's stage order is `when`."""
+    b = wp.tid()
+    if envs.collision_first[b / bodies_per_env] != when:
+        return
+    state.linear_velocity[b] = state.linear_velocity[b] + share * dt * motions.acceleration[b]
+    state.angular_velocity[b] = state.angular_velocity[b] + share * dt * motions.spin_acceleration[b]

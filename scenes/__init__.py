@@ -1,0 +1,62 @@
+"""The built-in scenes: `names`, `load` to build one, `get` for how it is run and judged."""
+
+from warp_rigid.scene import Scene
+from warp_rigid.scenes import (
+    box_stack,
+    bunny_pile,
+    incline,
+    leaning_tower,
+    plank_launch,
+    seesaw,
+    skull_and_brain,
+)
+from warp_rigid.scenes.demo import Demo, Outcome, Verdict
+
+__all__ = ["Demo", "Outcome", "Verdict", "get", "load", "names"]
+
+_DEMOS = {
+    module.DEMO.name: module.DEMO
+    for module in (
+        box_stack,
+        leaning_tower,
+        incline,
+        plank_launch,
+        seesaw,
+        skull_and_brain,
+        bunny_pile,
+    )
+}
+
+
+def names() -> list[str]:
+    """Names of the built-in scenes."""
+    return list(_DEMOS)
+
+
+def get(name: str) -> Demo:
+    """A built-in scene by its name.
+
+    Raises:
+        ValueError: There is no such scene.
+    """
+    if name not in _DEMOS:
+        raise ValueError(f"scene: must be one of {', '.join(_DEMOS)}, got {name!r}")
+    return _DEMOS[name]
+
+
+def load(name: str, **parameters) -> Scene:
+    """Build a built-in scene.
+
+    Args:
+        name: one of `names()`.
+        **parameters: those of `get(name).parameters`; what is not given keeps its default.
+
+    Raises:
+        ValueError: There is no such scene or parameter, or a value is out of its range.
+    """
+    demo = get(name)
+    for parameter in parameters:
+        if parameter not in demo.parameters:
+            known = ", ".join(demo.parameters)
+            raise ValueError(f"{parameter}: no parameter of {name}, which has {known}")
+    return demo.build(**parameters)

@@ -1,0 +1,137 @@
+"""Boxes fall one after another into a stack on a platform, until a box flies in and hits it."""
+
+import numpy as np
+
+from warp_rigid.checks import whole_in
+from warp_rigid.scene import Scene
+from warp_rigid.scenes.demo import (
+    OFF_2003,
+    ONE_PASS_2003,
+    Demo,
+    Verdict,
+    indices,
+    overlap_verdict,
+    rest_verdict,
+)
+from warp_rigid.shapes import Box, Plane
+
+HALF = 0.1
+PLATFORM_TOP = 0.5
+GAP_GROWTH = 0.01
+LAUNCH_TIME = 5.0
+LAUNCH_VELOCITY = (8.0, 0.0, 2.0)
+PROJECTILE_HALF = 0.15
+SHELF_X = -4.0
+
+
+def build(height: int = 10) -> Scene:
+    """Stack of cubes of 0.2 m and 8 kg above a platform, and a larger one on a shelf far left.
+
+    Args:
+        height: boxes in the stack, 1 to 50.
+    """
+    height = whole_in("height", height, 1, 50)
+    scene = Scene()
+    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
+    scene.add_static(
+        Box((0.5, 0.5, 0.5 * PLATFORM_TOP)),
+        position=(0, 0, 0.5 * PLATFORM_TOP),
+        friction=0.5,
+        name="platform",
+    )
+    # Each gap is larger than the one below it, so that the boxes land one after another.
+    z = PLATFORM_TOP - HALF
+    for i in range(height):
+        z += 2.0 * HALF + GAP_GROWTH * (i + 1)
+        scene.add_body(Box((HALF,) * 3), position=(0, 0, z), friction=0.5, name=f"box_{i}")
+    _add_projectile(scene, PLATFORM_TOP + 1.2 * HALF * height)
+    return scene
+
+
+def _add_projectile(scene, top):
+    """A box of twice the size on a shelf whose top has the height `top` [m]."""
+    half = PROJECTILE_HALF
+    scene.add_static(
+        Box((0.3, 0.3, 0.5 * top)), position=(SHELF_X, 0, 0.5 * top), friction=0.5, name="shelf"
+    )
+    scene.add_body(
+        Box((half,) * 3), position=(SHELF_X, 0, top + half + 1e-3), friction=0.5, name="projectile"
+    )
+
+
+def events(scene):
+    """Launch the projectile from its shelf."""
+    projectile = indices(scene, "projectile")
+
+    def launch(sim):
+        sim.set("linear_velocity", LAUNCH_VELOCITY, bodies=projectile)
+
+    return [(LAUNCH_TIME, launch)]
+
+
+class StackOutcome:
+    """How well the stack stood in the last second before the hit, and what the hit did to it."""
+
+    def __init__(self, scene):
+        """Compute where the boxes belong."""
+        self.boxes = indices(scene, "box_")
+        self.movable = self.boxes + indices(scene, "projectile")
+        self.ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.boxes)) + 1.0)
+        self.drift = self.height_error = self.top = None
+
+    def observe(self, sim):
+        """Keep the largest deviations from the ideal stack."""
+        if not LAUNCH_TIME - 1.0 < sim.time < LAUNCH_TIME + 1e-3:
+            return
+        position = sim.get("position")[:, self.boxes].astype(np.float64)
+        drift = np.linalg.norm(position[..., :2], axis=-1).max(axis=1)
+        error = np.abs(position[..., 2] - self.ideal).max(axis=1)
+        self.drift = drift if self.drift is None else np.maximum(self.drift, drift)
+        first = self.height_error is None
+        self.height_error = error if first else np.maximum(self.height_error, error)
+        self.top = position[:, -1]
+
+    def verdicts(self, sim):
+        """Drift and sink of the standing stack; overlap, rest and throw after the hit."""
+        if self.top is None:
+            return []
+        stands = {"default": True, "one_pass": True, "off": False}
+        verdicts = [
+            Verdict(
+                "drift",
+                self.drift,
+                "drift < 1 mm before the hit",
+                self.drift < 1e-3,
+                {
+                    "default": True,
+                    "one_pass": True,
+                },
+            ),
+            Verdict(
+                "sink",
+                self.height_error,
+                "height right to 1 mm before the hit",
+                self.height_error < 1e-3,
+                stands,
+            ),
+        ]
+        if sim.time > LAUNCH_TIME + 1.0:
+            moved = np.linalg.norm(sim.get("position")[:, self.boxes[-1]] - self.top, axis=-1)
+            sound = {"default": True}
+            verdicts += [
+                Verdict("thrown", moved, "top box moved > 0.2 m by the hit", moved > 0.2, sound),
+                overlap_verdict(sim, 1e-3, sound),
+                rest_verdict(sim, self.movable, sound),
+            ]
+        return verdicts
+
+
+DEMO = Demo(
+    name="box_stack",
+    summary="boxes fall into a stack on a platform, then a box flies in and knocks it over",
+    build=build,
+    outcome=StackOutcome,
+    duration=10.0,
+    variants={"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003},
+    events=events,
+)

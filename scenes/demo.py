@@ -1,0 +1,140 @@
+"""What a built-in scene consists of, and the measurements that several of them share."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from warp_rigid.sampling import SampleKind
+from warp_rigid.scene import Scene
+
+ONE_PASS_2003 = {"shock_propagation": "one_pass", "warm_starting": False}
+"""The method of 2003: one pass of shock propagation, every step from zero impulses."""
+
+OFF_2003 = {"shock_propagation": "off", "warm_starting": False}
+"""The same without shock propagation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """One measured quantity of a run and whether it is as it must be.
+
+    Attributes:
+        name: what was measured, a word fit for a table's column.
+        values: (envs,) float, the measure.
+        limit: the condition in words, with its unit.
+        passed: (envs,) bool, whether the condition holds.
+        expected: for variants of the demo by name, whether the condition holds there. A variant
+            that is not named may do either.
+    """
+
+    name: str
+    values: np.ndarray
+    limit: str
+    passed: np.ndarray
+    expected: dict[str, bool]
+
+
+class Outcome(Protocol):
+    """Measures a run: `observe` once a frame, then `verdicts` at the end.
+
+    Both only read the simulator. A verdict whose moment has not come yet is left out.
+    """
+
+    def observe(self, sim: Any) -> None:
+        """Take note of the state at this frame."""
+
+    def verdicts(self, sim: Any) -> list[Verdict]:
+        """Judge what was observed, and the state now."""
+
+
+def no_events(scene: Scene) -> list[tuple[float, Callable[[Any], None]]]:
+    """Nothing happens from outside."""
+    return []
+
+
+@dataclass(frozen=True)
+class Demo:
+    """A built-in scene: how it is made, run and judged.
+
+    Attributes:
+        name: what `load` calls it.
+        summary: one line.
+        build: function(**parameters) -> Scene; every parameter has a default.
+        outcome: function(scene) -> Outcome.
+        duration: how long a run takes to show all [s].
+        variants: settings to compare, by name; each is what differs from `Settings()`. They fit
+            into one simulator, one environment each. "default" comes first.
+        events: function(scene) -> list of (time [s], function(sim)), which a run calls when the
+            simulated time reaches them.
+        settings: what all variants of this scene need to differ from `Settings()`.
+    """
+
+    name: str
+    summary: str
+    build: Callable[..., Scene]
+    outcome: Callable[[Scene], Outcome]
+    duration: float
+    variants: dict[str, dict[str, Any]]
+    events: Callable[[Scene], list[tuple[float, Callable[[Any], None]]]] = no_events
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The parameters of `build` with their defaults."""
+        known = inspect.signature(self.build).parameters
+        return {name: parameter.default for name, parameter in known.items()}
+
+
+def indices(scene: Scene, prefix: str) -> list[int]:
+    """Indices of the bodies whose name begins with `prefix`, in the scene's order."""
+    return [i for i, body in enumerate(scene.bodies) if body.name.startswith(prefix)]
+
+
+def turn(orientation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Turn vectors (..., 3) by unit quaternions (..., 4), (x, y, z, w)."""
+    axis, w = orientation[..., :3], orientation[..., 3:]
+    cross = np.cross(axis, vectors)
+    return vectors + 2.0 * (w * cross + np.cross(axis, cross))
+
+
+def clearance(sim: Any, first: int, second: int) -> np.ndarray:
+    """Smallest signed distance between the surfaces of two bodies, (envs,) [m]; negative inside.
+
+    From the samples of either one in the other's signed distance, in float64 on the host, so that
+    a demo does not judge the simulator by its own contacts.
+    """
+    position = sim.get("position").astype(np.float64)
+    orientation = sim.get("orientation").astype(np.float64)
+    smallest = np.full(len(position), np.inf)
+    for a, b in ((first, second), (second, first)):
+        samples, target = sim.scene.bodies[a].shape.samples(), sim.scene.bodies[b].shape
+        points = np.concatenate(
+            [samples.point, samples.point - samples.slide, samples.point + samples.slide]
+        ).astype(np.float64)
+        ball = np.tile(np.where(samples.kind == SampleKind.RIM, 0.0, samples.radius), 3)
+        if not len(points):
+            continue
+        world = turn(orientation[:, a, None], points[None]) + position[:, a, None]
+        back = orientation[:, b, None] * [-1.0, -1.0, -1.0, 1.0]
+        local = turn(back, world - position[:, b, None])
+        distance, _ = target.signed_distance(local.reshape(-1, 3))
+        smallest = np.minimum(smallest, (distance.reshape(world.shape[:2]) - ball).min(axis=1))
+    return smallest
+
+
+def overlap_verdict(sim: Any, limit: float, expected: dict[str, bool]) -> Verdict:
+    """That no body is deeper than `limit` [m] inside another now."""
+    depth = sim.penetration()
+    text = f"overlap < {1e3 * limit:g} mm at the end"
+    return Verdict("overlap", depth, text, depth < limit, expected)
+
+
+def rest_verdict(
+    sim: Any, bodies: list[int], expected: dict[str, bool], limit: float = 0.05
+) -> Verdict:
+    """That no body's centre of mass moves faster than `limit` [m/s] now."""
+    speed = np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1).max(axis=1)
+    return Verdict("speed", speed, f"speed < {limit:g} m/s at the end", speed < limit, expected)

@@ -1,0 +1,111 @@
+"""A very bouncy but sticky block rests on an inclined platform."""
+
+import math
+
+import numpy as np
+
+from warp_rigid.checks import number_in
+from warp_rigid.scene import Scene
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, clearance, indices
+from warp_rigid.shapes import Box
+
+HALF = 0.05
+PLATFORM_HALF = (1.5, 0.5, 0.1)
+
+
+def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) -> Scene:
+    """Cube of 0.1 m flush on a platform inclined by 20 degrees, as in the 2003 authors' test.
+
+    Args:
+        angle: slope [degree], 0 to 60; downhill is +x.
+        friction: of block and platform, >= 0; the block stays where it exceeds tan(angle).
+        restitution: of block and platform, 0 to 1.
+    """
+    slope = math.radians(number_in("angle", angle, 0.0, 60.0))
+    surface = {
+        "friction": number_in("friction", friction, 0.0),
+        "restitution": number_in("restitution", restitution, 0.0, 1.0),
+    }
+    tilt = (0.0, math.sin(0.5 * slope), 0.0, math.cos(0.5 * slope))
+    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
+    scene = Scene()
+    scene.add_static(
+        Box(PLATFORM_HALF),
+        position=-PLATFORM_HALF[2] * normal,
+        orientation=tilt,
+        name="platform",
+        **surface,
+    )
+    scene.add_body(
+        Box((HALF,) * 3), position=HALF * normal, orientation=tilt, name="block", **surface
+    )
+    return scene
+
+
+class InclineOutcome:
+    """How far the block slid, lifted off and sank in."""
+
+    def __init__(self, scene):
+        """Note the start and whether friction can hold the block."""
+        (self.block,) = indices(scene, "block")
+        (self.platform,) = indices(scene, "platform")
+        body = scene.bodies[self.block]
+        self.start = np.array(body.position)
+        slope = 2.0 * math.atan2(body.orientation[1], body.orientation[3])
+        self.downhill = np.array([math.cos(slope), 0.0, -math.sin(slope)])
+        self.holds = body.friction > math.tan(slope)
+        self.bouncy = body.restitution > 0.5
+        self.lift = self.depth = None
+
+    def observe(self, sim):
+        """Keep the greatest height above the platform and depth inside it."""
+        gap = clearance(sim, self.block, self.platform)
+        self.lift = gap if self.lift is None else np.maximum(self.lift, gap)
+        self.depth = -gap if self.depth is None else np.maximum(self.depth, -gap)
+
+    def verdicts(self, sim):
+        """Slide, lift and depth, each of which must stay below 1 mm."""
+        if self.lift is None:
+            return []
+        moved = sim.get("position")[:, self.block].astype(np.float64) - self.start
+        slide = moved @ self.downhill
+        stays = {"default": True, "one_pass": True}
+        if not self.holds:
+            stays = {}
+        chatters = {"collisions_last": False} if self.bouncy else {}
+        return [
+            Verdict("slide", slide, "downhill < 1 mm", slide < 1e-3, stays | chatters),
+            Verdict(
+                "lift",
+                self.lift,
+                "off the platform < 1 mm",
+                self.lift < 1e-3,
+                {"default": True, "one_pass": True} | chatters,
+            ),
+            Verdict(
+                "depth",
+                self.depth,
+                "inside the platform < 1 mm",
+                self.depth < 1e-3,
+                {"default": True, "one_pass": True, "no_contact": False},
+            ),
+        ]
+
+
+DEMO = Demo(
+    name="incline",
+    summary="a bouncy but sticky block stays on a slope, if collisions precede the velocity update",
+    build=build,
+    outcome=InclineOutcome,
+    duration=5.0,
+    variants={
+        "default": {},
+        "one_pass": ONE_PASS_2003,
+        "no_contact": {
+            "contact_iterations": 0,
+            "shock_propagation": "off",
+            "warm_starting": False,
+        },
+        "collisions_last": {**ONE_PASS_2003, "collision_first": False},
+    },
+)

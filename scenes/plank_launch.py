@@ -1,0 +1,96 @@
+"""A large box falls on the free end of a plank and throws small boxes off its other end."""
+
+import numpy as np
+
+from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene import Scene
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, clearance, indices
+from warp_rigid.shapes import Box, Plane
+
+BASE_HALF = (1.0, 1.0, 0.5)
+PLANK_HALF = (1.25, 0.25, 0.05)
+PLANK_X = 0.4
+SMALL_HALF = 0.1
+LARGE_HALF = 0.25
+GAP = 1e-5
+
+
+def build(blocks: int = 7, drop: float = 2.0) -> Scene:
+    """Plank of 10 kg on a fixed box, small boxes of 1 kg on one end, 100 kg falling on the other.
+
+    Args:
+        blocks: small boxes, stacked, 1 to 20.
+        drop: height of the large box above the plank [m], 0.1 to 5.
+    """
+    blocks = whole_in("blocks", blocks, 1, 20)
+    drop = number_in("drop", drop, 0.1, 5.0)
+    scene = Scene()
+    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
+    scene.add_static(Box(BASE_HALF), position=(0, 0, BASE_HALF[2]), friction=0.5, name="base")
+    z = 2.0 * BASE_HALF[2] + GAP
+    scene.add_body(
+        Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank"
+    )
+    z += 2.0 * PLANK_HALF[2]
+    left = PLANK_X - PLANK_HALF[0] + 1.5 * SMALL_HALF
+    for i in range(blocks):
+        height = z + SMALL_HALF + GAP + i * (2.0 * SMALL_HALF + GAP)
+        scene.add_body(
+            Box((SMALL_HALF,) * 3),
+            position=(left, 0, height),
+            mass=1.0,
+            restitution=0.3,
+            name=f"small_{i}",
+        )
+    right = PLANK_X + PLANK_HALF[0] - LARGE_HALF
+    scene.add_body(
+        Box((LARGE_HALF,) * 3), position=(right, 0, z + drop + LARGE_HALF), mass=100.0, name="large"
+    )
+    return scene
+
+
+class LaunchOutcome:
+    """How high the small boxes fly and how deep the plank enters the box beneath it."""
+
+    def __init__(self, scene):
+        """Note the start."""
+        self.small = indices(scene, "small_")
+        (self.plank,) = indices(scene, "plank")
+        (self.base,) = indices(scene, "base")
+        self.start = np.array([scene.bodies[i].position[2] for i in self.small])
+        self.rise = self.depth = None
+
+    def observe(self, sim):
+        """Keep each small box's greatest rise and the plank's greatest depth."""
+        rise = sim.get("position")[:, self.small, 2] - self.start
+        depth = -clearance(sim, self.plank, self.base)
+        self.rise = rise if self.rise is None else np.maximum(self.rise, rise)
+        self.depth = depth if self.depth is None else np.maximum(self.depth, depth)
+
+    def verdicts(self, sim):
+        """The least of the rises, and the depth against 2 % of the plank's thickness."""
+        if self.rise is None:
+            return []
+        least = self.rise.min(axis=1)
+        limit = 0.02 * 2.0 * PLANK_HALF[2]
+        sound = {"default": True, "one_pass": True}
+        return [
+            Verdict("rise", least, "every small box thrown > 0.3 m up", least > 0.3, sound),
+            Verdict(
+                "depth",
+                self.depth,
+                f"plank in base < {1e3 * limit:g} mm",
+                self.depth < limit,
+                sound | {"off": False},
+            ),
+        ]
+
+
+DEMO = Demo(
+    name="plank_launch",
+    summary="a large box falls on one end of a plank and throws the small ones off the other",
+    build=build,
+    outcome=LaunchOutcome,
+    duration=3.0,
+    variants={"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003},
+)

@@ -1,0 +1,116 @@
+"""A large and a small block on a seesaw: it tips to either side in turn."""
+
+import math
+
+import numpy as np
+
+from warp_rigid.checks import number_in
+from warp_rigid.scene import Scene
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices, turn
+from warp_rigid.shapes import Box, Cylinder, Plane
+
+PIVOT_RADIUS = 0.25
+PLANK_HALF = (1.2, 0.25, 0.04)
+LARGE_HALF = 0.18
+SMALL_HALF = 0.1
+LARGE_X = 0.7
+SMALL_X = -1.0
+GAP = 1e-5
+TIPPED = 10.0
+
+
+def build(large_mass: float = 20.0, small_mass: float = 5.0) -> Scene:
+    """Plank of 10 kg on a fixed cylinder, a slippery large block right and a sticky small one left.
+
+    Args:
+        large_mass: of the block on the right [kg], > 0.
+        small_mass: of the block on the left [kg], > 0.
+    """
+    large_mass = number_in("large_mass", large_mass, above=0.0)
+    small_mass = number_in("small_mass", small_mass, above=0.0)
+    scene = Scene()
+    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
+    quarter = math.sqrt(0.5)
+    scene.add_static(
+        Cylinder(PIVOT_RADIUS, 0.4),
+        position=(0, 0, PIVOT_RADIUS),
+        orientation=(quarter, 0, 0, quarter),
+        friction=1.0,
+        name="pivot",
+    )
+    z = 2.0 * PIVOT_RADIUS + GAP
+    scene.add_body(
+        Box(PLANK_HALF), position=(0, 0, z + PLANK_HALF[2]), mass=10.0, friction=1.0, name="plank"
+    )
+    z += 2.0 * PLANK_HALF[2] + GAP
+    scene.add_body(
+        Box((LARGE_HALF,) * 3),
+        position=(LARGE_X, 0, z + LARGE_HALF),
+        mass=large_mass,
+        friction=0.15,
+        name="large",
+    )
+    scene.add_body(
+        Box((SMALL_HALF,) * 3),
+        position=(SMALL_X, 0, z + SMALL_HALF),
+        mass=small_mass,
+        friction=0.8,
+        name="small",
+    )
+    return scene
+
+
+class SeesawOutcome:
+    """The plank's greatest tilt to the right, and after that to the left."""
+
+    def __init__(self, scene):
+        """Find the plank."""
+        (self.plank,) = indices(scene, "plank")
+        self.right = self.left = None
+
+    def observe(self, sim):
+        """Keep the greatest tilts; the left one counts only after the plank tipped right."""
+        orientation = sim.get("orientation")[:, self.plank].astype(np.float64)
+        along = turn(orientation, np.broadcast_to([1.0, 0.0, 0.0], (len(orientation), 3)))
+        tilt = np.degrees(np.arcsin(np.clip(-along[:, 2], -1.0, 1.0)))
+        if self.right is None:
+            self.right = np.zeros(len(tilt))
+            self.left = np.zeros(len(tilt))
+        self.right = np.maximum(self.right, tilt)
+        counts = self.right > TIPPED
+        self.left = np.where(counts, np.maximum(self.left, -tilt), self.left)
+
+    def verdicts(self, sim):
+        """Both tilts against 10 degrees."""
+        if self.right is None:
+            return []
+        return [
+            Verdict(
+                "tips",
+                self.right,
+                f"tips right > {TIPPED:g} degrees",
+                self.right > TIPPED,
+                {"default": True, "one_pass": True},
+            ),
+            Verdict(
+                "tips_back",
+                self.left,
+                f"then left > {TIPPED:g} degrees",
+                self.left > TIPPED,
+                {"default": True, "one_pass": True, "no_contact": False},
+            ),
+        ]
+
+
+DEMO = Demo(
+    name="seesaw",
+    summary="the large block tips the seesaw and slides off, then the small one tips it back",
+    build=build,
+    outcome=SeesawOutcome,
+    duration=6.0,
+    variants={
+        "default": {},
+        "one_pass": ONE_PASS_2003,
+        "no_contact": {**ONE_PASS_2003, "contact_iterations": 0},
+    },
+)

@@ -1,0 +1,51 @@
+"""A stand-in for the simulator whose motion is known in closed form."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from warp_rigid.scene import Motion
+
+
+class FakeSimulator:
+    """Bodies fall freely from their start and spin about y; environment e spins e + 1 times as fast.
+
+    The simulator's interface as far as recording needs it.
+    """
+
+    SPIN = 3.0
+    GRAVITY = 9.81
+
+    def __init__(self, scene, num_envs=1, dt=1.0 / 240.0):
+        self.scene = scene
+        self.num_envs = num_envs
+        self.num_bodies = len(scene.bodies)
+        self.settings = SimpleNamespace(dt=dt)
+        self.steps = 0
+
+    @property
+    def time(self):
+        return self.steps * self.settings.dt
+
+    def step(self, count=1):
+        self.steps += count
+
+    def get(self, name):
+        return getattr(self, name)()
+
+    def position(self):
+        start = np.array([body.position for body in self.scene.bodies])
+        fall = np.array([body.motion == Motion.DYNAMIC for body in self.scene.bodies])
+        drop = 0.5 * self.GRAVITY * self.time**2 * fall
+        moved = start - drop[:, None] * [0.0, 0.0, 1.0]
+        return np.repeat(moved[None], self.num_envs, axis=0).astype(np.float32)
+
+    def orientation(self):
+        half = 0.5 * self.SPIN * self.time * (np.arange(self.num_envs) + 1.0)
+        turned = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
+        # A simulator may give either sign of a quaternion.
+        turned *= np.where(np.arange(self.num_envs) + self.steps % 2 == 0, 1.0, -1.0)[:, None]
+        fixed = np.array([body.orientation for body in self.scene.bodies])
+        moving = np.array([body.motion == Motion.DYNAMIC for body in self.scene.bodies])
+        both = np.where(moving[None, :, None], turned[:, None], fixed[None])
+        return both.astype(np.float32)

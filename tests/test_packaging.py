@@ -1,0 +1,77 @@
+"""What is installed, and what importing it costs."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAVY = ["pxr", "viser", "pandas", "trimesh", "typer", "rich", "PIL", "matplotlib", "scipy"]
+
+
+@pytest.fixture(scope="module")
+def pyproject() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_every_folder_with_source_is_in_the_wheel(pyproject):
+    setuptools = pyproject["tool"]["setuptools"]
+    shipped = {
+        setuptools["package-dir"].get(package, package.replace(".", "/"))
+        for package in setuptools["packages"]
+    }
+    # rglob does not descend into the linked folders, so each file counts once, where it lies.
+    with_source = {
+        file.parent.relative_to(ROOT).as_posix()
+        for top in ("warp_rigid", "kernels", "scenes")
+        for file in (ROOT / top).rglob("*.py")
+        if not any(parent.is_symlink() for parent in file.parents)
+    }
+    assert with_source == shipped
+
+
+@pytest.mark.parametrize("name", ["kernels", "scenes"])
+def test_links_make_the_checkout_importable(name):
+    link = ROOT / "warp_rigid" / name
+    assert os.readlink(link) == f"../{name}"
+    assert (link / "__init__.py").samefile(ROOT / name / "__init__.py")
+
+
+def test_lock_holds_every_requirement(pyproject):
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    locked = dict(line.lower().split("==") for line in lines if not line.startswith("#"))
+    project = pyproject["project"]
+    wanted = project["dependencies"] + [
+        requirement
+        for extra in project["optional-dependencies"].values()
+        for requirement in extra
+        if not requirement.startswith("warp-rigid")
+    ]
+    missing = [r for r in wanted if r.split(">")[0].lower() not in locked]
+    assert missing == []
+
+
+def test_version_is_told_once(pyproject):
+    import warp_rigid
+
+    assert warp_rigid.__version__ == pyproject["project"]["version"]
+
+
+def test_import_is_quick_and_light():
+    code = (
+        "import sys, time; start = time.perf_counter(); import warp_rigid;"
+        "print(time.perf_counter() - start, *sys.modules)"
+    )
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
+        ).stdout.split()
+        for _ in range(3)
+    ]
+    loaded = {module.split(".")[0] for module in runs[0][1:]}
+    assert loaded.isdisjoint(HEAVY)
+    # The quickest of three: another process on the machine must not decide.
+    assert min(float(run[0]) for run in runs) < 1.0

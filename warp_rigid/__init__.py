@@ -1,0 +1,45 @@
+"""warp_rigid: batched simulation of nonconvex rigid bodies with stacking, on NVIDIA Warp.
+
+    import warp_rigid as wr
+
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(normal=(0, 0, 1), offset=0.0))
+    scene.add_body(wr.Box(half_extents=(0.1, 0.1, 0.1)), position=(0, 0, 1))
+    sim = wr.Simulator(scene, num_envs=64)
+    sim.step(240)
+    print(sim.get("position")[:, 1])
+"""
+
+from warp_rigid import scenes
+from warp_rigid.fields import PointField, UniformField
+from warp_rigid.recording import Recording, record
+from warp_rigid.scene import Body, Motion, Scene
+from warp_rigid.settings import Settings
+from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
+from warp_rigid.simulator import Simulator
+from warp_rigid.usd_export import export_usd
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Body",
+    "Box",
+    "Capsule",
+    "Compound",
+    "Cylinder",
+    "Heightfield",
+    "Mesh",
+    "Motion",
+    "Plane",
+    "PointField",
+    "Recording",
+    "Scene",
+    "Settings",
+    "Shape",
+    "Simulator",
+    "Sphere",
+    "UniformField",
+    "export_usd",
+    "record",
+    "scenes",
+]

@@ -1,0 +1,184 @@
+"""How a recording looks: colours, normals and the places of its environments.
+
+The USD writer and the picture maker share this, so that both show the same thing.
+"""
+
+import math
+
+import numpy as np
+
+from warp_rigid.recording import Recording, Surface, is_moving
+from warp_rigid.scene import Motion
+
+__all__ = [
+    "body_colors",
+    "bound_corners",
+    "continuous_signs",
+    "corner_normals",
+    "drawn_surface",
+    "environment_offsets",
+    "environment_spacing",
+    "rotate",
+    "rotation_matrices",
+]
+
+# Colours on screen (sRGB). Neighbours in the list differ in hue and lightness, so that bodies
+# added one after another stay apart for colour-blind eyes too.
+DYNAMIC_COLORS = (
+    "#e07a3f", "#3f7fbf", "#f2c14e", "#4b9e86", "#b5483a",
+    "#8fbcd4", "#6d5a9c", "#a9b665", "#d98a9e", "#5b6770",
+)  # fmt: skip
+STATIC_COLOR = "#c9c6bf"
+KINEMATIC_COLOR = "#9a8f7a"
+
+CREASE_ANGLE = math.radians(40.0)
+ROW_LENGTH = 5
+"""Up to so many environments stand in one row, side by side; more make a square grid."""
+SPACING = 1.35
+"""Distance between environments, in their own width."""
+
+
+def linear_color(code: str) -> np.ndarray:
+    """A screen colour "#rrggbb" as linear light, which USD and the shading expect, (3,)."""
+    value = np.array([int(code[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def body_colors(motion) -> np.ndarray:
+    """One colour a body, (bodies, 3) float32 in linear light: grey static, bright dynamic."""
+    palette = np.array([linear_color(code) for code in DYNAMIC_COLORS])
+    motion = np.asarray(motion)
+    dynamic = motion == Motion.DYNAMIC
+    colors = palette[(np.cumsum(dynamic) - 1) % len(palette)]
+    colors[motion == Motion.STATIC] = linear_color(STATIC_COLOR)
+    colors[motion == Motion.KINEMATIC] = linear_color(KINEMATIC_COLOR)
+    return colors.astype(np.float32)
+
+
+def corner_normals(vertices, faces) -> np.ndarray:
+    """Unit normals for each corner of each triangle: smooth, but sharp at creases.
+
+    A corner takes the area-weighted mean over the triangles around its vertex whose normals lie
+    within CREASE_ANGLE of its own. Vertices in the same place count as one.
+
+    Args:
+        vertices: (n, 3) [m].
+        faces: (m, 3).
+
+    Returns:
+        (m, 3, 3) float32.
+    """
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    if len(faces) == 0:
+        return np.zeros((0, 3, 3), dtype=np.float32)
+    place = np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1)[faces].reshape(-1)
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    area = np.cross(b - a, c - a)
+    unit = _normalised(area, fallback=(0.0, 0.0, 1.0))
+
+    # All pairs of corners that share a vertex, without a loop: corners sorted by vertex form runs.
+    order = np.argsort(place, kind="stable")
+    start = np.searchsorted(place[order], place, side="left")
+    count = np.searchsorted(place[order], place, side="right") - start
+    corner = np.repeat(np.arange(len(place)), count)
+    within = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
+    face, other = corner // 3, order[np.repeat(start, count) + within] // 3
+
+    smooth = np.einsum("ij,ij->i", unit[face], unit[other]) >= math.cos(CREASE_ANGLE)
+    total = np.stack(
+        [
+            np.bincount(corner, np.where(smooth, area[other, axis], 0.0), len(place))
+            for axis in range(3)
+        ],
+        axis=1,
+    )
+    normals = _normalised(total, fallback=np.repeat(unit, 3, axis=0))
+    return normals.reshape(-1, 3, 3).astype(np.float32)
+
+
+def continuous_signs(orientation) -> np.ndarray:
+    """Quaternions (frames, ..., 4) with signs chosen so that no frame turns the long way round.
+
+    q and -q are one rotation, but a reader that interpolates between frames takes the way from the
+    one to the other literally.
+    """
+    orientation = np.asarray(orientation)
+    dots = np.sum(orientation[1:] * orientation[:-1], axis=-1, keepdims=True)
+    flips = np.where(dots < 0.0, -1.0, 1.0)
+    signs = np.concatenate([np.ones_like(orientation[:1, ..., :1]), np.cumprod(flips, axis=0)])
+    return (orientation * signs).astype(orientation.dtype)
+
+
+def rotation_matrices(orientation) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), in their precision."""
+    x, y, z, w = np.moveaxis(np.asarray(orientation), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotate(orientation, vector) -> np.ndarray:
+    """Rotate vectors (..., 3) by unit quaternions (..., 4), broadcasting."""
+    return np.einsum("...ij,...j->...i", rotation_matrices(orientation), np.asarray(vector))
+
+
+def bound_corners(vertices) -> np.ndarray:
+    """The eight corners of the box around some points, (8, 3)."""
+    bounds = np.stack([np.min(vertices, axis=0), np.max(vertices, axis=0)])
+    return np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+
+
+def environment_spacing(recording: Recording) -> np.ndarray:
+    """Distances between neighbouring environments along x and y, (2,) [m].
+
+    Wide enough for everything finite at the start and for the moving bodies all along, but for the
+    few that fly far away.
+    """
+    lower, upper = [], []
+    moving = is_moving(recording.motion)
+    for index, surface in enumerate(recording.surfaces):
+        bodies = np.flatnonzero(recording.surface == index)
+        if len(surface.vertices) == 0 or (surface.endless and not moving[bodies].any()):
+            continue
+        corners = rotate(
+            recording.orientation[0][:, bodies, None], bound_corners(surface.vertices)
+        ) + recording.position[0][:, bodies, None]
+        lower.append(corners.min(axis=(0, 1, 2)))
+        upper.append(corners.max(axis=(0, 1, 2)))
+    if moving.any():
+        path = recording.position[:, :, moving].reshape(-1, 3)
+        lower.append(np.percentile(path, 5.0, axis=0))
+        upper.append(np.percentile(path, 95.0, axis=0))
+    if not lower:
+        return np.ones(2)
+    extent = np.max(upper, axis=0)[:2] - np.min(lower, axis=0)[:2]
+    return np.maximum(SPACING * extent, 1e-3)
+
+
+def environment_offsets(count: int, spacing) -> np.ndarray:
+    """Where the environments stand, (count, 3) [m], around the origin on the plane z = 0."""
+    columns = count if count <= ROW_LENGTH else math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    column, row = np.arange(count) % columns, np.arange(count) // columns
+    x = (column - (columns - 1) / 2.0) * spacing[0]
+    y = (row - (rows - 1) / 2.0) * spacing[1]
+    return np.stack([x, y, np.zeros(count)], axis=1)
+
+
+def drawn_surface(surface: Surface, spacing) -> Surface:
+    """A surface as it stands among several environments: a plane shrinks to their distance."""
+    if not surface.endless:
+        return surface
+    center = surface.vertices.mean(axis=0)
+    side = np.ptp(surface.vertices, axis=0).max()
+    scale = min(1.0, float(np.max(spacing)) / side)
+    vertices = (center + scale * (surface.vertices - center)).astype(np.float32)
+    return Surface(vertices, surface.faces, endless=True)
+
+
+def _normalised(vectors: np.ndarray, fallback) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 0.0, vectors / np.where(length > 0.0, length, 1.0), fallback)

@@ -1,0 +1,116 @@
+"""Checks of a caller's numbers: each returns the clean value or refuses it in one line.
+
+Numbers must also survive the simulator's single precision, so that 1e39 is refused here instead
+of turning into an infinity on the device.
+"""
+
+import math
+
+import numpy as np
+
+__all__ = ["finite_number", "finite_vector", "number_in", "one_of", "unit_quaternion", "whole_in"]
+
+LARGEST = float(np.finfo(np.float32).max)
+
+
+def finite_vector(name, value, length=3):
+    """Check a vector.
+
+    Args:
+        name: what the value is called in the message.
+        value: `length` numbers.
+        length: how many numbers there must be.
+
+    Returns:
+        The vector as a tuple of floats.
+
+    Raises:
+        ValueError: The value is not `length` finite numbers.
+    """
+    try:
+        array = np.asarray(value)
+        ok = array.shape == (length,) and array.dtype.kind in "iuf"
+        ok = ok and bool((np.abs(array.astype(np.float64)) <= LARGEST).all())
+    except ValueError:
+        ok = False
+    if not ok:
+        raise ValueError(f"{name}: must be {length} finite numbers, got {value!r}")
+    return tuple(float(x) for x in array)
+
+
+def finite_number(name, value):
+    """Check a number: returns it as a float; ValueError when it is not one finite number."""
+    return number_in(name, value)
+
+
+def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):
+    """Check a number and its range.
+
+    Args:
+        name: what the value is called in the message.
+        value: one number.
+        low: smallest value allowed.
+        high: largest value allowed.
+        above: where given, the value must be larger than this (instead of `low`).
+
+    Returns:
+        The number as a float.
+
+    Raises:
+        ValueError: The value is not a finite number or outside the range.
+    """
+    array = np.asarray(value) if not isinstance(value, str | bytes) else None
+    if array is None or array.shape != () or array.dtype.kind not in "iuf":
+        raise ValueError(f"{name}: must be {_range(low, high, above)}, got {value!r}")
+    number = float(array)
+    finite = abs(number) <= LARGEST
+    if not finite or not low <= number <= high or (above is not None and number <= above):
+        raise ValueError(f"{name}: must be {_range(low, high, above)}, got {value!r}")
+    return number
+
+
+def whole_in(name, value, low, high):
+    """Check a whole number in low <= value <= high: returns it as an int; else ValueError."""
+    ok = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not ok or not low <= value <= high:
+        raise ValueError(f"{name}: must be a whole number from {low} to {high}, got {value!r}")
+    return int(value)
+
+
+def one_of(name, value, choices):
+    """Check that a word is one of `choices`: returns it; else ValueError."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{name}: must be one of {', '.join(choices)}, got {value!r}")
+    return value
+
+
+def unit_quaternion(name, value):
+    """Check a rotation.
+
+    Args:
+        name: what the value is called in the message.
+        value: (x, y, z, w) of any length that is not zero.
+
+    Returns:
+        The quaternion scaled to unit length, a tuple of floats.
+
+    Raises:
+        ValueError: The value is not four finite numbers, or all are zero.
+    """
+    quaternion = finite_vector(name, value, 4)
+    length = math.hypot(*quaternion)
+    if length < 1e-6:
+        raise ValueError(f"{name}: must be a quaternion (x, y, z, w) of length > 0, got {value!r}")
+    return tuple(x / length for x in quaternion)
+
+
+def _range(low, high, above):
+    if above is not None and math.isinf(high):
+        return f"a finite number > {above:g}"
+    if above is not None:
+        return f"a number with {above:g} < number <= {high:g}"
+    if math.isinf(low) and math.isinf(high):
+        return "a finite number"
+    if math.isinf(high):
+        return f"a finite number >= {low:g}"
+    return f"a number from {low:g} to {high:g}"

@@ -1,0 +1,95 @@
+"""Reads triangle meshes from files."""
+
+from pathlib import Path
+
+import numpy as np
+
+from warp_rigid.checks import number_in
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+TRIMESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
+
+
+def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """All triangles of a file: vertices (n, 3) float64, faces (m, 3) int64.
+
+    Args:
+        path: the file; its ending tells the format.
+        scale: factor on all coordinates, greater than 0.
+
+    Raises:
+        ValueError: The file is missing, of an unknown format, unreadable, or holds no triangles.
+    """
+    path = Path(path)
+    scale = number_in("scale", scale, above=0)
+    suffix = path.suffix.lower()
+    if suffix not in USD_SUFFIXES + TRIMESH_SUFFIXES:
+        known = " ".join(TRIMESH_SUFFIXES + USD_SUFFIXES)
+        raise ValueError(f"{path}: must be a mesh file ({known})")
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file")
+    try:
+        vertices, faces = _load_usd(path) if suffix in USD_SUFFIXES else _load_trimesh(path)
+    except Exception as error:  # the readers raise whatever their parsers meet
+        reason = str(error).strip().splitlines()
+        raise ValueError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
+    if not len(faces):
+        raise ValueError(f"{path}: holds no triangles")
+    return scale * vertices, faces
+
+
+def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    mesh = trimesh.load(path, force="mesh", process=False)
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+    if path.suffix.lower() in (".glb", ".gltf"):
+        vertices = _turn_z_up(vertices)
+    return vertices, faces
+
+
+def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(path))
+    places = UsdGeom.XformCache()
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
+    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+        if not prim.IsA(UsdGeom.Mesh):
+            continue
+        points, triangles = _usd_triangles(UsdGeom.Mesh(prim))
+        matrix = np.array(places.GetLocalToWorldTransform(prim))
+        if np.linalg.det(matrix[:3, :3]) < 0.0:
+            triangles = triangles[:, ::-1]
+        vertices.append(points @ matrix[:3, :3] + matrix[3, :3])
+        faces.append(triangles + count)
+        count += len(points)
+    joined = np.concatenate(vertices)
+    if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
+        joined = joined * UsdGeom.GetStageMetersPerUnit(stage)
+    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
+        joined = _turn_z_up(joined)
+    return joined, np.concatenate(faces)
+
+
+def _usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) of one USD mesh, and its polygons cut into fans."""
+    from pxr import UsdGeom
+
+    points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=np.float64)
+    corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
+    sides = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
+    if sides.sum() != len(corners):
+        raise ValueError(f"{mesh.GetPath()} has {len(corners)} corners for {sides.sum()} sides")
+    first = np.repeat(np.cumsum(sides) - sides, np.maximum(sides - 2, 0))
+    fans = np.maximum(sides - 2, 0)
+    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
+    faces = corners[np.stack([first, first + step + 1, first + step + 2], axis=1)]
+    if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+        faces = faces[:, ::-1]
+    return points.reshape(-1, 3), faces
+
+
+def _turn_z_up(vertices: np.ndarray) -> np.ndarray:
+    """From y up to z up: a quarter turn about x."""
+    return vertices[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])

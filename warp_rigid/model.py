@@ -1,0 +1,229 @@
+"""From a Scene to device arrays: the pool of shapes, and the rows of bodies of all environments."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid.fields import PointField
+from warp_rigid.kernels import data
+from warp_rigid.scene import COMBINE_RULES, Body, Motion, Scene
+from warp_rigid.settings import PER_ENVIRONMENT, Settings, check_setting
+from warp_rigid.shapes import Shape
+
+UNBOUNDED = 2.0e9
+"""Stands for the infinite extents of planes [m]; float32 multiplies it without overflow."""
+
+OVERSIZED = 4.0
+"""A dynamic body this many times larger than the median never enters the hash grid."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a scene is on the device; constant but for the parameters that users set.
+
+    Attributes:
+        scene: where it comes from.
+        num_envs: environments.
+        shapes: pool of shapes.
+        bodies: rows of all environments.
+        fields: force fields.
+        field_count: how many there are.
+        combine_rules: how friction and restitution combine.
+        small: (n,) bodies of an environment that go into the hash grid.
+        wide: (n,) the others.
+        grid_radius: cell width of the hash grid [m].
+        bodies_of_shape: for each pooled shape, the bodies of an environment that have it.
+    """
+
+    scene: Scene
+    num_envs: int
+    shapes: Any
+    bodies: Any
+    fields: Any
+    field_count: int
+    combine_rules: wp.vec2i
+    small: wp.array
+    wide: wp.array
+    grid_radius: float
+    bodies_of_shape: list[list[int]]
+
+
+def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
+    """Upload a scene for `num_envs` environments."""
+    shapes, shape_of_body = _unique_shapes(scene.bodies)
+    small, wide, grid_radius = _split_by_size(scene.bodies)
+    fields = data.allocate(data.FieldForces, {"fields": len(scene.force_fields)}, device)
+    if scene.force_fields:
+        _upload_fields(fields, scene.force_fields)
+    return Model(
+        scene=scene,
+        num_envs=num_envs,
+        shapes=_pool_shapes(shapes, device),
+        bodies=_upload_bodies(scene.bodies, shape_of_body, wide, num_envs, device),
+        fields=fields,
+        field_count=len(scene.force_fields),
+        combine_rules=wp.vec2i(
+            COMBINE_RULES.index(scene.friction_combine), COMBINE_RULES.index(scene.restitution_combine)
+        ),
+        small=wp.array(np.array(small, np.int32), dtype=int, device=device),
+        wide=wp.array(np.array(wide, np.int32), dtype=int, device=device),
+        grid_radius=grid_radius,
+        bodies_of_shape=[[b for b, s in enumerate(shape_of_body) if s == k] for k in range(len(shapes))],
+    )
+
+
+def initial_state(scene: Scene, num_envs: int, device: Any) -> Any:
+    """The state in which every environment starts."""
+    state = data.allocate(data.State, {"bodies": num_envs * len(scene.bodies)}, device)
+    for name in ("position", "orientation", "linear_velocity", "angular_velocity"):
+        rows = np.array([getattr(body, name) for body in scene.bodies], np.float32)
+        getattr(state, name).assign(np.tile(rows, (num_envs, 1)))
+    return state
+
+
+def initial_environments(scene: Scene, settings: Settings, num_envs: int, device: Any) -> Any:
+    """Gravity and settings of every environment."""
+    envs = data.allocate(data.Environments, {"envs": num_envs}, device)
+    envs.gravity.assign(np.tile(np.array(scene.gravity, np.float32), (num_envs, 1)))
+    for name in PER_ENVIRONMENT:
+        getattr(envs, name).fill_(check_setting(name, getattr(settings, name)))
+    return envs
+
+
+def mass_arrays(shape: Shape, mass: np.ndarray) -> dict[str, np.ndarray]:
+    """Masses (n,) [kg] and what follows from them for bodies of one shape, as float32 device rows."""
+    unit = shape.inertia / shape.volume
+    inertia = mass[:, None, None] * unit
+    return {
+        "mass": mass,
+        "inverse_mass": 1.0 / mass,
+        "inertia": inertia,
+        "inverse_inertia": np.linalg.inv(unit) / mass[:, None, None],
+    }
+
+
+def _unique_shapes(bodies: list[Body]) -> tuple[list[Shape], list[int]]:
+    """Shapes without repetition, and the index of each body's."""
+    index: dict[str, int] = {}
+    shapes: list[Shape] = []
+    of_body = []
+    for body in bodies:
+        if body.shape.key not in index:
+            index[body.shape.key] = len(shapes)
+            shapes.append(body.shape)
+        of_body.append(index[body.shape.key])
+    return shapes, of_body
+
+
+def _split_by_size(bodies: list[Body]) -> tuple[list[int], list[int], float]:
+    """Bodies for the hash grid, the wide ones, and the cell width that suits the first [m]."""
+    reach = np.array([0.5 * np.linalg.norm(_extent(body.shape)) for body in bodies])
+    dynamic = np.array([body.motion == Motion.DYNAMIC for body in bodies], bool)
+    typical = float(np.median(reach[dynamic])) if dynamic.any() else 1.0
+    small = dynamic & (reach <= OVERSIZED * typical)
+    return (
+        [int(i) for i in np.flatnonzero(small)],
+        [int(i) for i in np.flatnonzero(~small)],
+        2.0 * float(reach[small].max()) if small.any() else 1.0,
+    )
+
+
+def _extent(shape: Shape) -> np.ndarray:
+    """Edges of the shape's box [m]."""
+    lower, upper = shape.bounds
+    return np.clip(upper, -UNBOUNDED, UNBOUNDED) - np.clip(lower, -UNBOUNDED, UNBOUNDED)
+
+
+def _upload_fields(fields: Any, force_fields: list) -> None:
+    """Write the force fields."""
+    point = [isinstance(field, PointField) for field in force_fields]
+    fields.kind.assign(np.array(point, np.int32))
+    vectors = [f.center if isinstance(f, PointField) else f.acceleration for f in force_fields]
+    fields.vector.assign(np.array(vectors, np.float32))
+    strengths = [f.strength if isinstance(f, PointField) else 0.0 for f in force_fields]
+    fields.strength.assign(np.array(strengths, np.float32))
+
+
+def _upload_bodies(bodies: list[Body], shape_of_body: list[int], wide: list[int], num_envs: int, device: Any) -> Any:
+    """Write one environment's rows and repeat them."""
+    rows = data.allocate(data.Bodies, {"bodies": num_envs * len(bodies)}, device)
+    host: dict[str, np.ndarray] = {
+        "shape": np.array(shape_of_body, np.int32),
+        "motion": np.array([int(body.motion) for body in bodies], np.int32),
+        "wide": np.isin(np.arange(len(bodies)), wide).astype(np.int32),
+        "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
+    }
+    for name in ("friction", "restitution", "rolling_friction", "spinning_friction"):
+        host[name] = np.array([getattr(body, name) for body in bodies], np.float32)
+    shapes = {"mass": (), "inverse_mass": (), "inertia": (3, 3), "inverse_inertia": (3, 3)}
+    for name, tail in shapes.items():
+        host[name] = np.zeros((len(bodies), *tail), np.float32)
+    for i, body in enumerate(bodies):
+        if body.motion == Motion.DYNAMIC:
+            for name, value in mass_arrays(body.shape, np.array([body.mass])).items():
+                host[name][i] = value[0]
+    for name, value in host.items():
+        getattr(rows, name).assign(np.tile(value, (num_envs,) + (1,) * (value.ndim - 1)))
+    return rows
+
+
+def _center_of_mass(body: Body) -> np.ndarray:
+    """Centre of mass in the shape's frame; statics may be without bound and have none."""
+    return np.zeros(3) if body.motion == Motion.STATIC else body.shape.center_of_mass
+
+
+def _pool_shapes(shapes: list[Shape], device: Any) -> Any:
+    """Concatenate parts, grids, clusters and samples of all shapes."""
+    parts = [shape.parts() for shape in shapes]
+    samples = [shape.samples() for shape in shapes]
+    flat = [part for group in parts for part in group]
+    grids = [np.ravel(part.grid.values) if part.grid else np.zeros(0, np.float32) for part in flat]
+    pool = data.allocate(
+        data.Shapes,
+        {
+            "shapes": len(shapes),
+            "parts": len(flat),
+            "nodes": sum(grid.size for grid in grids),
+            "clusters": sum(len(s.cluster_radius) for s in samples),
+            "samples": sum(len(s.kind) for s in samples),
+        },
+        device,
+    )
+    host = {
+        "part_start": _starts([len(group) for group in parts]),
+        "part_kind": np.array([int(part.kind) for part in flat], np.int32),
+        "part_size": np.array([part.size for part in flat], np.float32),
+        "part_pose": np.array([(*part.position, *part.orientation) for part in flat], np.float32),
+        "grid_start": _starts([grid.size for grid in grids])[:-1],
+        "grid_dims": np.array([part.grid.values.shape if part.grid else (0, 0, 0) for part in flat], np.int32),
+        "grid_origin": np.array([part.grid.origin if part.grid else (0, 0, 0) for part in flat], np.float32),
+        "grid_spacing": np.array([part.grid.spacing if part.grid else 1.0 for part in flat], np.float32),
+        "grid_value": np.concatenate(grids).astype(np.float32),
+        "cluster_start": _starts([len(s.cluster_radius) for s in samples]),
+        "cluster_center": np.concatenate([s.cluster_center for s in samples]),
+        "cluster_radius": np.concatenate([s.cluster_radius for s in samples]),
+        "cluster_sample_start": _joined_cluster_starts(samples),
+        "lower": np.array([np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes], np.float32),
+        "upper": np.array([np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes], np.float32),
+        "size": np.array([min(shape.size, UNBOUNDED) for shape in shapes], np.float32),
+    }
+    for name in ("point", "normal", "slide", "radius", "kind"):
+        host["sample_" + name] = np.concatenate([getattr(s, name) for s in samples])
+    for name, value in host.items():
+        if len(value):
+            getattr(pool, name).assign(value)
+    return pool
+
+
+def _starts(counts: list[int]) -> np.ndarray:
+    """Exclusive sums of counts, with the total at the end."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+
+
+def _joined_cluster_starts(samples: list) -> np.ndarray:
+    """First sample of every cluster of the pool, with the total at the end."""
+    offsets = _starts([len(s.kind) for s in samples])
+    starts = [np.asarray(s.cluster_start)[:-1] + offsets[i] for i, s in enumerate(samples)]
+    return np.concatenate([*starts, offsets[-1:]]).astype(np.int32)

@@ -1,0 +1,450 @@
+"""Shapes with closed-form distances: sphere, box, capsule, cylinder, plane and height field."""
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from warp_rigid import mass_properties, tessellation
+from warp_rigid.checks import finite_number, finite_vector, number_in
+from warp_rigid.geometry import (
+    Grid,
+    Part,
+    PartKind,
+    Shape,
+    frozen_array,
+    point_array,
+)
+from warp_rigid.sampling import VERTEX, SampleKind, SampleList, split_segments
+
+BOX_EDGE_PIECES = 4
+RIM_POINTS = 16
+SURFACE_SECTIONS = 32
+
+
+class Sphere(Shape):
+    """Ball around the origin."""
+
+    def __init__(self, radius: float):
+        """Make a sphere.
+
+        Args:
+            radius: [m], greater than 0.
+        """
+        self.radius = number_in("radius", radius, above=0)
+
+    def _content(self):
+        return [self.radius]
+
+    @cached_property
+    def mass_properties(self):
+        """Closed form."""
+        return mass_properties.sphere(self.radius)
+
+    def support(self, directions):
+        """Largest `direction . x` over the ball."""
+        return self.radius * np.linalg.norm(directions, axis=1)
+
+    def signed_distance(self, points):
+        """Exact; the gradient at the centre is +z."""
+        points = point_array(points)
+        distance = np.linalg.norm(points, axis=1)
+        return distance - self.radius, _directions(points, distance, (0.0, 0.0, 1.0))
+
+    def parts(self):
+        """One SPHERE."""
+        return [Part(PartKind.SPHERE, (self.radius, 0.0, 0.0, 0.0))]
+
+    def sample_list(self):
+        """One POINT at the centre, with the sphere's radius."""
+        collected = SampleList()
+        collected.add(SampleKind.POINT, np.zeros((1, 3)), radius=self.radius)
+        return collected
+
+    def surface(self):
+        """1280 nearly equal triangles."""
+        vertices, faces = tessellation.geodesic(8)
+        return self.radius * vertices, faces
+
+
+class Box(Shape):
+    """Cuboid around the origin, its sides along the axes."""
+
+    def __init__(self, half_extents):
+        """Make a box.
+
+        Args:
+            half_extents: half of each side, (3,) [m], all greater than 0.
+        """
+        self.half_extents = frozen_array(_positive_vector("half_extents", half_extents, 3))
+
+    def _content(self):
+        return [self.half_extents]
+
+    @cached_property
+    def mass_properties(self):
+        """Closed form."""
+        return mass_properties.box(self.half_extents)
+
+    def support(self, directions):
+        """Largest `direction . x` over the box."""
+        return np.abs(directions) @ self.half_extents
+
+    def signed_distance(self, points):
+        """Exact; inside, the gradient is the nearest face's normal (ties: x before y before z)."""
+        points = point_array(points)
+        excess = np.abs(points) - self.half_extents
+        signs = np.where(points < 0.0, -1.0, 1.0)
+        return _corner_distance(excess, signs)
+
+    def parts(self):
+        """One BOX."""
+        return [Part(PartKind.BOX, (*self.half_extents.tolist(), 0.0))]
+
+    def sample_list(self):
+        """8 vertices, 4 EDGE segments on each edge, and 9 points inside each face."""
+        half = self.half_extents
+        collected = SampleList()
+        corners = tessellation.box(half)[0]
+        collected.add(SampleKind.POINT, corners, np.sign(corners) / 3.0**0.5, rank=VERTEX)
+        steps = (2.0 * np.arange(BOX_EDGE_PIECES) + 1.0) / BOX_EDGE_PIECES - 1.0
+        inner = np.array([-0.5, 0.0, 0.5])
+        for axis in range(3):
+            others = [(axis + 1) % 3, (axis + 2) % 3]
+            slide = np.zeros(3)
+            slide[axis] = half[axis] / BOX_EDGE_PIECES
+            for signs in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+                normal = np.zeros(3)
+                normal[others] = np.array(signs) / 2.0**0.5
+                point = np.zeros((BOX_EDGE_PIECES, 3))
+                point[:, others] = signs * half[others]
+                point[:, axis] = steps * half[axis]
+                collected.add(SampleKind.EDGE, point, normal, slide)
+            for sign in (-1.0, 1.0):
+                point = np.zeros((9, 3))
+                point[:, axis] = sign * half[axis]
+                point[:, others[0]] = np.repeat(inner, 3) * half[others[0]]
+                point[:, others[1]] = np.tile(inner, 3) * half[others[1]]
+                collected.add(SampleKind.POINT, point, sign * np.eye(3)[axis])
+        return collected
+
+    def surface(self):
+        """12 triangles."""
+        return tessellation.box(self.half_extents)
+
+
+class Capsule(Shape):
+    """Cylinder about z with round ends: all points within `radius` of a segment."""
+
+    def __init__(self, radius: float, half_height: float):
+        """Make a capsule.
+
+        Args:
+            radius: [m], greater than 0.
+            half_height: half of the segment, that is without the round ends [m], greater than 0.
+        """
+        self.radius = number_in("radius", radius, above=0)
+        self.half_height = number_in("half_height", half_height, above=0)
+
+    def _content(self):
+        return [self.radius, self.half_height]
+
+    @cached_property
+    def mass_properties(self):
+        """Closed form."""
+        return mass_properties.capsule(self.radius, self.half_height)
+
+    def support(self, directions):
+        """Largest `direction . x` over the capsule."""
+        along = np.abs(directions[:, 2]) * self.half_height
+        return along + self.radius * np.linalg.norm(directions, axis=1)
+
+    def signed_distance(self, points):
+        """Exact; the gradient on the axis is +x."""
+        points = point_array(points)
+        arm = points.copy()
+        arm[:, 2] -= np.clip(points[:, 2], -self.half_height, self.half_height)
+        distance = np.linalg.norm(arm, axis=1)
+        return distance - self.radius, _directions(arm, distance, (1.0, 0.0, 0.0))
+
+    def parts(self):
+        """One CAPSULE."""
+        return [Part(PartKind.CAPSULE, (self.radius, self.half_height, 0.0, 0.0))]
+
+    def sample_list(self):
+        """Two balls at the ends and EDGE segments along the axis, all with the capsule's radius."""
+        ends = np.array([[0.0, 0.0, -self.half_height], [0.0, 0.0, self.half_height]])
+        collected = SampleList()
+        collected.add(SampleKind.POINT, ends, radius=self.radius, rank=VERTEX)
+        _add_axis(collected, self.half_height, self.radius)
+        return collected
+
+    def surface(self):
+        """Half balls of 8 rings each, and the tube between them."""
+        angles = np.linspace(0.0, 0.5 * np.pi, 9)
+        radii = self.radius * np.concatenate([np.sin(angles[1:]), np.sin(angles[:0:-1])])
+        rise = self.half_height + self.radius * np.cos(angles)
+        return tessellation.revolve(radii, [*-rise, *rise[::-1]], SURFACE_SECTIONS)
+
+
+class Cylinder(Shape):
+    """Cylinder about z with flat ends."""
+
+    def __init__(self, radius: float, half_height: float):
+        """Make a cylinder.
+
+        Args:
+            radius: [m], greater than 0.
+            half_height: half of the length [m], greater than 0.
+        """
+        self.radius = number_in("radius", radius, above=0)
+        self.half_height = number_in("half_height", half_height, above=0)
+
+    def _content(self):
+        return [self.radius, self.half_height]
+
+    @cached_property
+    def mass_properties(self):
+        """Closed form."""
+        return mass_properties.cylinder(self.radius, self.half_height)
+
+    def support(self, directions):
+        """Largest `direction . x` over the cylinder."""
+        along = np.abs(directions[:, 2]) * self.half_height
+        return along + self.radius * np.linalg.norm(directions[:, :2], axis=1)
+
+    def signed_distance(self, points):
+        """Exact; on the axis radial means +x, and where side and cap tie, the side wins."""
+        points = point_array(points)
+        from_axis = np.linalg.norm(points[:, :2], axis=1)
+        excess = np.stack(
+            [from_axis - self.radius, np.abs(points[:, 2]) - self.half_height], axis=1
+        )
+        upward = np.where(points[:, 2] < 0.0, -1.0, 1.0)
+        distance, slope = _corner_distance(excess, np.ones_like(excess))
+        radial = _directions(points[:, :2], from_axis, (1.0, 0.0))
+        return distance, np.column_stack([slope[:, :1] * radial, slope[:, 1] * upward])
+
+    def parts(self):
+        """One CYLINDER."""
+        return [Part(PartKind.CYLINDER, (self.radius, self.half_height, 0.0, 0.0))]
+
+    def sample_list(self):
+        """For each cap a RIM, 16 points on its circle and 9 within it; for the side, EDGE segments.
+
+        The side of a cylinder longer than wide is sampled by the axis of the capsule that it holds
+        (exact on the side); that of a disc by 16 lines.
+        """
+        radius, height = self.radius, self.half_height
+        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(RIM_POINTS)])
+        collected = SampleList()
+        for sign in (-1.0, 1.0):
+            cap = np.array([0.0, 0.0, sign])
+            normals = (circle + cap) / 2.0**0.5
+            collected.add(SampleKind.POINT, radius * circle + height * cap, normals, rank=VERTEX)
+            collected.add(SampleKind.RIM, height * cap, cap, radius=radius)
+            collected.add(SampleKind.POINT, height * cap, cap)
+            collected.add(SampleKind.POINT, 0.5 * radius * circle[::2] + height * cap, cap)
+        if height > radius:
+            _add_axis(collected, height - radius, radius)
+        else:
+            slide = (0.0, 0.0, height)
+            collected.add(SampleKind.EDGE, radius * circle, circle, slide)
+        return collected
+
+    def surface(self):
+        """64-sided prism."""
+        radii = [self.radius, self.radius]
+        heights = [-self.half_height, -self.half_height, self.half_height, self.half_height]
+        return tessellation.revolve(radii, heights, 2 * SURFACE_SECTIONS)
+
+
+class Plane(Shape):
+    """Half space `normal . x <= offset`; for static bodies only."""
+
+    static_only = True
+    size = math.inf
+
+    def __init__(self, normal=(0.0, 0.0, 1.0), offset: float = 0.0):
+        """Make a plane.
+
+        Args:
+            normal: outward direction, (3,), scaled to unit length.
+            offset: distance of the plane from the origin along the unit normal [m].
+        """
+        direction = np.array(finite_vector("normal", normal))
+        length = float(np.linalg.norm(direction))
+        if length < 1e-6:
+            raise ValueError(f"normal: must have a length > 0, got {normal!r}")
+        self.normal = frozen_array(direction / length)
+        self.offset = finite_number("offset", offset)
+
+    def _content(self):
+        return [self.normal, self.offset]
+
+    @cached_property
+    def mass_properties(self):
+        """None: a plane has no mass."""
+        return mass_properties.no_solid()
+
+    def support(self, directions):
+        """Infinite in all directions but the normal's."""
+        along = directions @ self.normal
+        norm = np.linalg.norm(directions, axis=1)
+        return np.where(along > norm * (1.0 - 1e-12), norm * self.offset, math.inf)
+
+    def signed_distance(self, points):
+        """Exact."""
+        points = point_array(points)
+        return points @ self.normal - self.offset, np.tile(self.normal, (len(points), 1))
+
+    def parts(self):
+        """One PLANE."""
+        return [Part(PartKind.PLANE, (*self.normal.tolist(), self.offset))]
+
+    def sample_list(self):
+        """None: the other body's samples find a plane."""
+        return SampleList()
+
+    def surface(self):
+        """A square of 20 m."""
+        helper = np.eye(3)[np.argmin(np.abs(self.normal))]
+        first = np.cross(helper, self.normal)
+        first /= np.linalg.norm(first)
+        second = np.cross(self.normal, first)
+        corners = [a * first + b * second for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        vertices = 10.0 * np.array(corners) + self.offset * self.normal
+        return vertices, tessellation.triangulate_quads(np.array([[0, 1, 2, 3]]))
+
+
+class Heightfield(Shape):
+    """Terrain over a rectangle around the origin, solid below; for static bodies only.
+
+    Heights are bilinear between the vertices. Beyond the rectangle the border's heights go on.
+    """
+
+    static_only = True
+    size = math.inf
+
+    def __init__(self, heights, size):
+        """Make a height field.
+
+        Args:
+            heights: (nx, ny), at least 2 x 2, finite [m]; heights[i, j] belongs to
+                x = size_x (i / (nx - 1) - 1/2), y = size_y (j / (ny - 1) - 1/2).
+            size: (size_x, size_y) of the rectangle [m], both greater than 0.
+        """
+        heights = np.asarray(heights, dtype=np.float64)
+        if heights.ndim != 2 or min(heights.shape) < 2:
+            raise ValueError(f"heights: must be at least 2 x 2 numbers, got {heights.shape}")
+        if not np.isfinite(heights).all():
+            raise ValueError("heights: must be finite numbers, got NaN or infinity")
+        self.heights = frozen_array(heights)
+        self.extent = frozen_array(_positive_vector("size", size, 2))
+
+    def _content(self):
+        return [self.heights, self.extent]
+
+    @cached_property
+    def mass_properties(self):
+        """None: a height field has no mass."""
+        return mass_properties.no_solid()
+
+    @cached_property
+    def bounds(self):
+        """The rectangle, from the lowest to the highest height; the solid goes on below."""
+        half = 0.5 * self.extent
+        return (
+            np.array([*-half, self.heights.min()]),
+            np.array([*half, self.heights.max()]),
+        )
+
+    def signed_distance(self, points):
+        """Distance along the slope's normal, `(z - height) / sqrt(1 + |slope|^2)`.
+
+        This is the distance to the tangent plane below the point: exact where the terrain is flat
+        or evenly sloped, and of first order in the distance elsewhere. The gradient is that normal.
+        """
+        points = point_array(points)
+        cells = np.array(self.heights.shape) - 1
+        step = self.extent / cells
+        place = points[:, :2] / step + 0.5 * cells
+        clamped = np.clip(place, 0.0, cells)
+        cell = np.minimum(clamped.astype(np.int64), cells - 1)
+        i, j = cell.T
+        u, v = (clamped - cell).T
+        h00, h10 = self.heights[i, j], self.heights[i + 1, j]
+        h01, h11 = self.heights[i, j + 1], self.heights[i + 1, j + 1]
+        height = (1 - u) * ((1 - v) * h00 + v * h01) + u * ((1 - v) * h10 + v * h11)
+        slope = np.stack(
+            [
+                ((1 - v) * (h10 - h00) + v * (h11 - h01)) / step[0],
+                ((1 - u) * (h01 - h00) + u * (h11 - h10)) / step[1],
+            ],
+            axis=1,
+        )
+        slope[place != clamped] = 0.0
+        normal = np.column_stack([-slope, np.ones(len(points))])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return (points[:, 2] - height) * normal[:, 2], normal
+
+    def parts(self):
+        """One HEIGHTFIELD; its grid's spacing is that along x."""
+        values = frozen_array(self.heights[:, :, None], np.float32)
+        origin = (-0.5 * self.extent[0], -0.5 * self.extent[1], 0.0)
+        spacing = float(self.extent[0] / (self.heights.shape[0] - 1))
+        grid = Grid(tuple(float(value) for value in origin), spacing, values)
+        return [Part(PartKind.HEIGHTFIELD, (*self.extent.tolist(), 0.0, 0.0), grid=grid)]
+
+    def sample_list(self):
+        """The grid's vertices."""
+        vertices, _ = self.surface()
+        spacing = self.extent / (np.array(self.heights.shape) - 1)
+        slope_x, slope_y = np.gradient(self.heights, *spacing)
+        normal = np.stack([-slope_x, -slope_y, np.ones_like(self.heights)], axis=-1).reshape(-1, 3)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        collected = SampleList()
+        collected.add(SampleKind.POINT, vertices, normal, rank=VERTEX)
+        return collected
+
+    def surface(self):
+        """Two triangles a cell."""
+        rows, columns = self.heights.shape
+        x = np.linspace(-0.5, 0.5, rows) * self.extent[0]
+        y = np.linspace(-0.5, 0.5, columns) * self.extent[1]
+        x, y = np.meshgrid(x, y, indexing="ij")
+        vertices = np.stack([x, y, self.heights], axis=-1).reshape(-1, 3)
+        return vertices, tessellation.lattice(rows, columns)
+
+
+def _positive_vector(name: str, value, length: int) -> tuple[float, ...]:
+    vector = finite_vector(name, value, length)
+    if min(vector) <= 0.0:
+        raise ValueError(f"{name}: must be {length} finite numbers > 0, got {value!r}")
+    return vector
+
+
+def _directions(arm: np.ndarray, length: np.ndarray, fallback) -> np.ndarray:
+    """Unit vectors along `arm`; where its length is zero, the fallback."""
+    safe = np.where(length > 0.0, length, 1.0)
+    return np.where((length > 0.0)[:, None], arm / safe[:, None], np.asarray(fallback))
+
+
+def _corner_distance(excess: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance and gradient from how far a point lies beyond each of several square faces."""
+    beyond = np.maximum(excess, 0.0)
+    outside = np.linalg.norm(beyond, axis=1)
+    nearest = np.argmax(excess, axis=1)
+    inside = np.eye(excess.shape[1])[nearest]
+    distance = np.where(outside > 0.0, outside, excess.max(axis=1))
+    safe = np.where(outside > 0.0, outside, 1.0)[:, None]
+    return distance, signs * np.where((outside > 0.0)[:, None], beyond / safe, inside)
+
+
+def _add_axis(collected: SampleList, half_length: float, radius: float) -> None:
+    """EDGE segments with a radius along z, each about as long as the radius is wide, 8 at most."""
+    pieces = int(np.clip(math.ceil(half_length / radius), 1, 8))
+    end = np.array([[0.0, 0.0, half_length]])
+    middle, half, _ = split_segments(-end, end, np.array([pieces]))
+    collected.add(SampleKind.EDGE, middle, slide=half, radius=radius)

@@ -1,0 +1,252 @@
+"""Recording: the poses of a simulation, frame by frame, with what it takes to draw them.
+
+A recording stands on its own. It keeps the bodies' surfaces and names rather than the scene, so
+that a saved one can be exported or drawn without the program that made it.
+"""
+
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from warp_rigid.scene import Motion
+
+__all__ = ["Recorder", "Recording", "Surface", "record", "steps_per_frame"]
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles of a shape, in the shape's frame.
+
+    Attributes:
+        vertices: (n, 3) float32 [m].
+        faces: (m, 3) int32, counter-clockwise seen from outside.
+        endless: True for a plane, whose triangles only stand for it.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    endless: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Poses of some environments over time.
+
+    Attributes:
+        time: (frames + 1,) float64 [s]; the first frame is the state before the first step.
+        position: (frames + 1, envs, bodies, 3) float32, pose of the shape's frame [m].
+        orientation: (frames + 1, envs, bodies, 4) float32, unit quaternions (x, y, z, w).
+        fps: frames per simulated second.
+        envs: (envs,) int64, which environments of the simulation these are.
+        labels: a text for each of them; empty where nothing tells it apart.
+        names: the bodies' names.
+        motion: (bodies,) int64, values of Motion.
+        surface: (bodies,) int64, index into surfaces.
+        surfaces: the different surfaces.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    fps: float
+    envs: np.ndarray
+    labels: tuple[str, ...]
+    names: tuple[str, ...]
+    motion: np.ndarray
+    surface: np.ndarray
+    surfaces: tuple[Surface, ...]
+
+    @property
+    def num_frames(self) -> int:
+        """Frames after the first one."""
+        return len(self.time) - 1
+
+    def rows(self, envs=None) -> np.ndarray:
+        """Where the environments `envs` (numbers in the simulation; None: all) lie in the arrays.
+
+        Raises:
+            ValueError: One of them was not recorded.
+        """
+        if envs is None:
+            return np.arange(len(self.envs))
+        missing = sorted(set(envs) - set(self.envs.tolist()))
+        if missing:
+            raise ValueError(f"envs: {missing} were not recorded; there are {self.envs.tolist()}")
+        return np.array([int(np.flatnonzero(self.envs == env)[0]) for env in envs])
+
+    def save(self, path) -> None:
+        """Write everything to one .npz file, which holds plain arrays and text only."""
+        arrays = {
+            "time": self.time,
+            "position": self.position,
+            "orientation": self.orientation,
+            "envs": self.envs,
+            "motion": self.motion,
+            "surface": self.surface,
+        }
+        for index, surface in enumerate(self.surfaces):
+            arrays[f"vertices_{index}"] = surface.vertices
+            arrays[f"faces_{index}"] = surface.faces
+        text = {
+            "format": FORMAT,
+            "fps": self.fps,
+            "labels": self.labels,
+            "names": self.names,
+            "endless": [surface.endless for surface in self.surfaces],
+        }
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file:
+            np.savez_compressed(file, text=np.array(json.dumps(text)), **arrays)
+
+    @staticmethod
+    def load(path) -> "Recording":
+        """Read a file that `save` wrote.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It holds no recording, or one of another format.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                text = json.loads(str(arrays["text"]))
+                if text["format"] != FORMAT:
+                    raise ValueError(f"format {text['format']} instead of {FORMAT}")
+                return Recording(
+                    **{
+                        name: arrays[name]
+                        for name in ("time", "position", "orientation", "envs", "motion", "surface")
+                    },
+                    fps=text["fps"],
+                    labels=tuple(text["labels"]),
+                    names=tuple(text["names"]),
+                    surfaces=tuple(
+                        Surface(arrays[f"vertices_{index}"], arrays[f"faces_{index}"], endless)
+                        for index, endless in enumerate(text["endless"])
+                    ),
+                )
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise ValueError(f"{path}: not a recording of warp_rigid ({error})") from error
+
+
+class Recorder:
+    """Collects frames of a running simulation.
+
+    Args:
+        sim: the Simulator, or anything with its `scene`, `num_envs`, `time` and `get`.
+        fps: frames per simulated second, only noted here: the caller steps.
+        envs: numbers of the environments to keep; None keeps all.
+        labels: a text for each environment kept.
+
+    Raises:
+        ValueError: An environment does not exist, or labels and environments differ in number.
+    """
+
+    def __init__(self, sim, fps, envs=None, labels=None):
+        """Note what stays the same over time; the first frame is the first `capture`."""
+        self.envs = np.arange(sim.num_envs) if envs is None else np.asarray(envs, dtype=np.int64)
+        outside = self.envs[(self.envs < 0) | (self.envs >= sim.num_envs)]
+        if len(outside):
+            raise ValueError(f"envs: must be from 0 to {sim.num_envs - 1}, got {outside.tolist()}")
+        self.labels = ("",) * len(self.envs) if labels is None else tuple(labels)
+        if len(self.labels) != len(self.envs):
+            raise ValueError(f"labels: {len(self.labels)} for {len(self.envs)} environments")
+        self.fps = float(fps)
+        self._bodies = sim.scene.bodies
+        self._time, self._position, self._orientation = [], [], []
+
+    def capture(self, sim) -> None:
+        """Append the state of now as a frame."""
+        self._time.append(float(sim.time))
+        self._position.append(np.asarray(sim.get("position"), dtype=np.float32)[self.envs])
+        self._orientation.append(np.asarray(sim.get("orientation"), dtype=np.float32)[self.envs])
+
+    def recording(self) -> Recording:
+        """All frames captured so far."""
+        surfaces, surface = _surfaces(self._bodies)
+        return Recording(
+            time=np.array(self._time),
+            position=np.stack(self._position),
+            orientation=np.stack(self._orientation),
+            fps=self.fps,
+            envs=self.envs,
+            labels=self.labels,
+            names=tuple(body.name for body in self._bodies),
+            motion=np.array([int(body.motion) for body in self._bodies], dtype=np.int64),
+            surface=surface,
+            surfaces=surfaces,
+        )
+
+
+def record(sim, frames: int, fps: float = 60.0, on_frame=None, envs=None) -> Recording:
+    """Step a simulation and keep the poses of every frame.
+
+    Args:
+        sim: the Simulator; it is left at the time of the last frame.
+        frames: how many frames to simulate, >= 0.
+        fps: frames per simulated second; one frame must be a whole number of steps of dt.
+        on_frame: function(index, sim), called after each captured frame; index 0 is the start.
+        envs: numbers of the environments to keep; None keeps all.
+
+    Returns:
+        A Recording of frames + 1 frames, the first of them the state before the first step.
+
+    Raises:
+        ValueError: fps does not divide the step rate, frames is negative, or an environment does
+            not exist.
+    """
+    if frames < 0:
+        raise ValueError(f"frames: must be >= 0, got {frames}")
+    steps = steps_per_frame(sim.settings.dt, fps)
+    recorder = Recorder(sim, fps, envs)
+    for index in range(frames + 1):
+        if index > 0:
+            sim.step(steps)
+        recorder.capture(sim)
+        if on_frame is not None:
+            on_frame(index, sim)
+    return recorder.recording()
+
+
+def steps_per_frame(dt: float, fps: float) -> int:
+    """How many steps of dt [s] make one frame.
+
+    Raises:
+        ValueError: It is no whole number; the message names the nearest frame rate that fits.
+    """
+    if not fps > 0.0:
+        raise ValueError(f"fps: must be > 0, got {fps}")
+    steps = max(1, round(1.0 / (fps * dt)))
+    if abs(steps * fps * dt - 1.0) > 1e-6:
+        raise ValueError(
+            f"fps: a frame at {fps:g} frames/s is no whole number of steps of dt = {dt:g} s "
+            f"({1.0 / dt:g} steps/s); the nearest rate that is: {1.0 / (steps * dt):g}"
+        )
+    return steps
+
+
+def _surfaces(bodies) -> tuple[tuple[Surface, ...], np.ndarray]:
+    """The different surfaces of a scene's bodies, and which of them each body has."""
+    surfaces, index_of = [], {}
+    for body in bodies:
+        if body.shape.key not in index_of:
+            index_of[body.shape.key] = len(surfaces)
+            vertices, faces = body.shape.surface()
+            surfaces.append(
+                Surface(
+                    np.asarray(vertices, dtype=np.float32),
+                    np.asarray(faces, dtype=np.int32),
+                    endless=not np.isfinite(np.asarray(body.shape.bounds)).all(),
+                )
+            )
+    return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
+
+
+def is_moving(motion: np.ndarray) -> np.ndarray:
+    """Which bodies can move, by their Motion."""
+    return np.asarray(motion) != Motion.STATIC

@@ -1,0 +1,331 @@
+"""Runner: one simulation from a scene's name to its recording, verdicts and figures."""
+
+import importlib.util
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warp_rigid import scenes
+from warp_rigid.assignments import COEFFICIENTS, Assignments, sort_assignments
+from warp_rigid.recording import Recorder, Recording, steps_per_frame
+from warp_rigid.scene import Motion, Scene
+from warp_rigid.scenes import Demo, Verdict
+from warp_rigid.settings import Settings
+from warp_rigid.simulator import Simulator
+
+__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run"]
+
+FILE_SCENE_DURATION = 4.0
+"""How long a scene from a user's file runs unless told otherwise [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A simulation that is ready to run.
+
+    Attributes:
+        demo: the scene's description.
+        scene: what it built.
+        sim: the Simulator.
+        labels: what tells the environments apart; empty texts if nothing does.
+        variants: which of the demo's variants each environment runs; None where settings or
+            properties were changed, so that the demo expects nothing.
+        fps: frames per simulated second.
+        frames: how many frames to simulate.
+        parameters: what was set, by name, for the summary.
+    """
+
+    demo: Demo
+    scene: Scene
+    sim: Simulator
+    labels: tuple[str, ...]
+    variants: tuple[str | None, ...]
+    fps: float
+    frames: int
+    parameters: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a run gave.
+
+    Attributes:
+        recording: the chosen environments' poses.
+        verdicts: the outcome's verdicts; empty for a scene without an outcome.
+        status: (envs,) records of Simulator.status.
+        summary: figures, ready for JSON.
+    """
+
+    recording: Recording
+    verdicts: list[Verdict]
+    status: np.ndarray
+    summary: dict[str, Any]
+
+
+def find_scene(source: str) -> Demo:
+    """A built-in scene by name, or the one that a .py file makes with its function scene().
+
+    Raises:
+        ValueError: There is no such scene, or the file has no function scene().
+        FileNotFoundError: There is no such file.
+    """
+    if source.endswith(".py"):
+        return _scene_of_file(Path(source))
+    if source not in scenes.names():
+        raise ValueError(
+            f"scene: must be a .py file with a function scene() or one of "
+            f"{', '.join(scenes.names())}; got {source!r}"
+        )
+    return scenes.get(source)
+
+
+def plan_run(
+    demo: Demo,
+    assignments=(),
+    num_envs: int | None = None,
+    compare: bool = False,
+    frames: int | None = None,
+    fps: float = 60.0,
+    substeps: int | None = None,
+    device: Any = None,
+    seed: int | None = None,
+) -> Plan:
+    """Build the scene and the simulator.
+
+    Args:
+        demo: from find_scene.
+        assignments: texts "name=value" or "name=value,value,...", see warp_rigid.assignments.
+        num_envs: environments; None takes as many as the lists or variants need, else one.
+        compare: one environment for each of the scene's variants.
+        frames: how many; None takes the scene's own duration.
+        fps: frames per simulated second.
+        substeps: steps a frame, which sets dt; None takes the dt of the settings.
+        device: as in Simulator.
+        seed: of the scene, where it draws random numbers; None leaves its own.
+
+    Raises:
+        ValueError: An argument does not fit the scene or another argument.
+    """
+    given = sort_assignments(assignments, demo.build)
+    if seed is not None and "seed" in demo.parameters:
+        given.scene.setdefault("seed", seed)
+    settings = _settings(demo, given, fps, substeps)
+    variants = _variants(demo, given) if compare else {}
+    count = _num_envs(num_envs, given, variants)
+    if frames is None:
+        frames = round(demo.duration * fps)
+    if frames < 0:
+        raise ValueError(f"--frames: must be >= 0, got {frames}")
+    scene = demo.build(**given.scene)
+    sim = Simulator(scene, num_envs=count, settings=settings, device=device, seed=seed or 0)
+    _apply(sim, given, variants)
+    changed = given.settings or given.properties or given.batched or substeps is not None
+    return Plan(
+        demo=demo,
+        scene=scene,
+        sim=sim,
+        labels=tuple(variants) or _labels(given, count),
+        variants=(None if changed else "default",) * count if not variants else tuple(variants),
+        fps=fps,
+        frames=frames,
+        parameters={**given.scene, **given.settings, **given.properties, **given.batched},
+    )
+
+
+def execute(plan: Plan, envs=None, on_frame: Callable[[int], None] | None = None) -> Result:
+    """Run a plan: step, fire the scene's events, let its outcome observe every frame.
+
+    Args:
+        plan: from plan_run.
+        envs: environments to record; None records all.
+        on_frame: called with the number of frames done after each.
+
+    Raises:
+        ValueError: An environment does not exist, or fps does not divide the step rate.
+    """
+    sim, scene = plan.sim, plan.scene
+    per_frame = steps_per_frame(sim.settings.dt, plan.fps)
+    events = sorted(plan.demo.events(scene), key=lambda event: event[0])
+    outcome = plan.demo.outcome(scene)
+    labels = [plan.labels[env] for env in envs] if envs is not None else plan.labels
+    recorder = Recorder(sim, plan.fps, envs, labels)
+    recorder.capture(sim)
+    seconds, deepest = [], np.zeros(sim.num_envs)
+    for frame in range(plan.frames):
+        start = time.perf_counter()
+        _step_frame(sim, per_frame, events)
+        seconds.append(time.perf_counter() - start)
+        recorder.capture(sim)
+        deepest = np.maximum(deepest, sim.penetration())
+        outcome.observe(sim)
+        if on_frame is not None:
+            on_frame(frame + 1)
+    verdicts = outcome.verdicts(sim)
+    status = sim.status()
+    summary = _summary(plan, seconds, deepest, status, verdicts)
+    return Result(recorder.recording(), verdicts, status, summary)
+
+
+class _NoOutcome:
+    """A scene from a user's file says nothing of how it must end."""
+
+    def __init__(self, scene: Scene):
+        pass
+
+    def observe(self, sim: Simulator) -> None:
+        pass
+
+    def verdicts(self, sim: Simulator) -> list[Verdict]:
+        return []
+
+
+def _scene_of_file(path: Path) -> Demo:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    build = getattr(module, "scene", None)
+    if not callable(build):
+        raise ValueError(f"{path}: has no function scene()")
+    return Demo(
+        name=path.stem,
+        summary=(module.__doc__ or "").partition("\n")[0],
+        build=build,
+        outcome=_NoOutcome,
+        duration=FILE_SCENE_DURATION,
+        variants={},
+    )
+
+
+def _settings(demo: Demo, given: Assignments, fps: float, substeps: int | None) -> Settings:
+    """The scene's own settings, overridden by those given."""
+    chosen = {**demo.settings, **given.settings}
+    if substeps is not None:
+        if "dt" in given.settings:
+            raise ValueError("--substeps: sets dt, so it must not be given together with dt")
+        if substeps < 1:
+            raise ValueError(f"--substeps: must be >= 1, got {substeps}")
+        chosen["dt"] = 1.0 / (fps * substeps)
+    settings = Settings(**chosen)
+    steps_per_frame(settings.dt, fps)
+    return settings
+
+
+def _variants(demo: Demo, given: Assignments) -> dict[str, dict[str, Any]]:
+    if not demo.variants:
+        raise ValueError(f"--compare: {demo.name} has no variants to compare")
+    if given.batched:
+        raise ValueError(f"--compare: must not be given with a list for {next(iter(given.batched))}")
+    return demo.variants
+
+
+def _num_envs(num_envs: int | None, given: Assignments, variants: dict) -> int:
+    wanted = len(variants) or given.num_envs
+    if num_envs is None:
+        return wanted or 1
+    if num_envs < 1:
+        raise ValueError(f"--envs: must be >= 1, got {num_envs}")
+    if wanted is not None and wanted not in (0, num_envs):
+        raise ValueError(f"--envs: {num_envs}, but there are {wanted} values to compare")
+    return num_envs
+
+
+def _apply(sim: Simulator, given: Assignments, variants: dict) -> None:
+    """Set what differs between environments, and the bodies' properties."""
+    for name in dict.fromkeys(name for variant in variants.values() for name in variant):
+        default = getattr(sim.settings, name)
+        sim.set(name, [variant.get(name, default) for variant in variants.values()])
+    for name, value in given.properties.items():
+        sim.set(name, value, bodies=_bodies(sim, name))
+    for name, values in given.batched.items():
+        if _bodies(sim, name) is None:
+            sim.set(name, values)
+        else:
+            # One value an environment, (envs, 1) or (envs, 1, 3), for all its bodies.
+            sim.set(name, np.asarray(values)[:, None], bodies=_bodies(sim, name))
+
+
+def _bodies(sim: Simulator, name: str) -> list[int] | None:
+    """Which bodies a property is for; None where it belongs to an environment."""
+    if name in COEFFICIENTS:
+        return list(range(sim.num_bodies))
+    if name in ("mass", "linear_velocity", "angular_velocity"):
+        bodies = sim.scene.bodies
+        return [index for index, body in enumerate(bodies) if body.motion == Motion.DYNAMIC]
+    return None
+
+
+def _labels(given: Assignments, count: int) -> tuple[str, ...]:
+    """Texts such as "friction=0.1" for each environment."""
+    return tuple(
+        ", ".join(f"{name}={values[env]}" for name, values in given.batched.items())
+        for env in range(count)
+    )
+
+
+def _step_frame(sim: Simulator, steps: int, events: list) -> None:
+    """Step one frame; an event takes place before the first step that begins at or after it."""
+    dt = sim.settings.dt
+    done = 0
+    while done < steps:
+        while events and events[0][0] < sim.time + 0.5 * dt:
+            events.pop(0)[1](sim)
+        until_event = round((events[0][0] - sim.time) / dt) if events else steps
+        count = min(steps - done, max(1, until_event))
+        sim.step(count)
+        done += count
+
+
+def _summary(
+    plan: Plan, seconds: list, deepest: np.ndarray, status: np.ndarray, verdicts: list[Verdict]
+) -> dict[str, Any]:
+    """Figures of a run, of plain numbers and texts."""
+    import warp_rigid
+
+    sim = plan.sim
+    # The first frame compiles or loads the kernels: it tells nothing of the speed.
+    warm = seconds[1:] or seconds
+    return {
+        "scene": plan.demo.name,
+        "version": warp_rigid.__version__,
+        "device": str(sim.device),
+        "envs": sim.num_envs,
+        "bodies": sim.num_bodies,
+        "frames": plan.frames,
+        "fps": plan.fps,
+        "time": sim.time,
+        "set": plan.parameters,
+        "settings": asdict(sim.settings),
+        "labels": list(plan.labels),
+        **{name: int(value) for name, value in sim.counts().items()},
+        "penetration": _numbers(sim.penetration()),
+        "deepest_penetration": _numbers(deepest),
+        "failed": [
+            {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names}
+            for env in np.flatnonzero(status["status"] != "ok")
+        ],
+        "first_frame_seconds": seconds[0] if seconds else 0.0,
+        "seconds": sum(seconds),
+        "env_frames_per_second": sim.num_envs * len(warm) / sum(warm) if warm else 0.0,
+        "verdicts": [_verdict(verdict, plan.variants) for verdict in verdicts],
+    }
+
+
+def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, Any]:
+    """A verdict with what the demo expects of each environment (None: nothing)."""
+    return {
+        "name": verdict.name,
+        "limit": verdict.limit,
+        "values": _numbers(verdict.values),
+        "passed": [bool(passed) for passed in verdict.passed],
+        "expected": [verdict.expected.get(variant) for variant in variants],
+    }
+
+
+def _numbers(values) -> list[float]:
+    return [float(value) for value in np.atleast_1d(values)]

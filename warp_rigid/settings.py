@@ -1,0 +1,66 @@
+"""Settings of the method. Every one except the time step can differ from environment to environment."""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.checks import number_in, one_of, whole_in
+
+SHOCK_MODES = ("off", "one_pass", "two_pass")
+MOST_ITERATIONS = 10_000
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a step is done.
+
+    Attributes:
+        dt: time step [s].
+        collision_iterations: sweeps over impacts with restitution.
+        contact_iterations: sweeps over resting contacts, half before and half after shock propagation.
+        shock_iterations: repetitions of shock propagation.
+        shock_propagation: "off", "one_pass" (Guendelman et al. 2003) or "two_pass" (guarded, the default).
+        collision_first: collisions before the velocity update (2003); False: after it.
+        warm_starting: start from the last step's impulses; False: from zero, as in 2003.
+        edge_samples: edges take part in contact; False: vertices, faces and balls only.
+        sleeping: bodies at rest fall asleep.
+    """
+
+    dt: float = 1.0 / 240.0
+    collision_iterations: int = 5
+    contact_iterations: int = 10
+    shock_iterations: int = 1
+    shock_propagation: str = "two_pass"
+    collision_first: bool = True
+    warm_starting: bool = True
+    edge_samples: bool = True
+    sleeping: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range, each in one line."""
+        object.__setattr__(self, "dt", number_in("dt", self.dt, high=1.0, above=0.0))
+        for name in PER_ENVIRONMENT:
+            check_setting(name, getattr(self, name))
+
+
+PER_ENVIRONMENT = tuple(field.name for field in fields(Settings) if field.name != "dt")
+"""Names of the settings that can differ between environments."""
+
+
+def check_setting(name: str, value: Any) -> int:
+    """Check one per-environment setting and return it as the device stores it."""
+    if name == "shock_propagation":
+        return SHOCK_MODES.index(one_of(name, value, SHOCK_MODES))
+    if name.endswith("_iterations"):
+        return whole_in(name, value, 0, MOST_ITERATIONS)
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name}: must be True or False, got {value!r}")
+    return int(value)
+
+
+def setting_from_device(name: str, values: np.ndarray) -> np.ndarray:
+    """Turn stored numbers into what the user gave: mode names, whole numbers or booleans."""
+    if name == "shock_propagation":
+        return np.array(SHOCK_MODES)[values]
+    return values if name.endswith("_iterations") else values.astype(bool)

@@ -1,0 +1,304 @@
+"""The step as a sequence of kernel launches, recorded once and replayed."""
+
+from typing import Any
+
+import warp as wp
+
+from warp_rigid.kernels import (
+    broadphase,
+    capacity,
+    collisions,
+    contacts,
+    data,
+    impulses,
+    integrate,
+    narrowphase,
+    ordering,
+    overlap,
+    predict,
+    push_out,
+    shock,
+    support,
+)
+from warp_rigid.model import Model
+from warp_rigid.pools import Pools
+
+TRY_ALL_UP_TO = 256
+"""Up to so many small bodies an environment, trying all pairs beats the hash grid."""
+
+LANES = 32
+"""Threads of a CUDA block that solve one environment together; the CPU always has one."""
+
+PAIRS, CONTACTS = 0, 1
+
+
+class Stages:
+    """The stages of a step over one set of arrays; a change of the pools needs a new object.
+
+    Args:
+        model: what is constant.
+        state: what a step changes.
+        envs: settings of the environments.
+        pools: pairs, contacts and graph.
+        dt: time step [s].
+        repetitions: largest number of shock iterations in any environment.
+    """
+
+    def __init__(self, model: Model, state: Any, envs: Any, pools: Pools, dt: float, repetitions: int) -> None:
+        """Compile, and record the step."""
+        self.model, self.state, self.envs, self.pools = model, state, envs, pools
+        self.dt, self.repetitions = dt, repetitions
+        self.device = pools.wanted.device
+        self.num_envs = model.num_envs
+        self.num_bodies = len(model.scene.bodies)
+        self.rows = self.num_envs * self.num_bodies
+        self.motions = data.allocate(data.Motions, pools.sizes, self.device)
+        self.grid = self._make_grid()
+        self._load_modules()
+        with wp.ScopedCapture(self.device, force_module_load=False) as capture:
+            self.step()
+        self._graph = capture.graph
+
+    def replay(self) -> None:
+        """Do one step."""
+        wp.capture_launch(self._graph)
+
+    def step(self) -> None:
+        """One step of the method (Guendelman et al. 2003, section 4), with the remedies named in each stage's module."""
+        self.predict(self.dt)
+        self.find_pairs()
+        self.find_contacts()
+        self.build_graph()
+        self.accelerate(before_collisions=True)
+        self.collide()
+        self.accelerate(before_collisions=False)
+        self.solve_contacts()
+        self.push_out()
+        self.move()
+        self.remember()
+
+    def predict(self, dt: float) -> None:
+        """Derive world quantities and swept boxes."""
+        self._per_body(
+            predict.derive_motion,
+            [self.num_bodies, self.model.field_count, self.model.bodies, self.state, self.envs, self.model.fields],
+            [self.motions],
+        )
+        self._per_body(predict.sweep_boxes, [dt, self.model.shapes, self.model.bodies, self.state], [self.motions])
+
+    def find_pairs(self) -> None:
+        """Count the overlapping pairs, sum, and write them."""
+        pairs = self.pools.pairs
+        if self.grid is not None:
+            self._fill_grid()
+        self._search_pairs(write=0)
+        self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
+        self._search_pairs(write=1)
+
+    def find_contacts(self) -> None:
+        """Find touching samples, thin them, and make contact records."""
+        pairs, records = self.pools.pairs, self.pools.contacts
+        self._per_pair(
+            narrowphase.find_contacts,
+            [self.dt, self.num_bodies, self.model.shapes, self.model.bodies, self.state, self.motions, self.envs],
+            [pairs],
+        )
+        self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, records.key.shape[0])
+        self._per_pair(
+            contacts.build_contacts,
+            [
+                self.num_bodies, self.model.combine_rules, self.model.shapes, self.model.bodies, self.state,
+                self.motions, self.envs, pairs, self.pools.history,
+            ],
+            [records],
+        )
+
+    def build_graph(self) -> None:
+        """Who rests on whom, levels, islands, and the order of solving."""
+        pairs, graph, bodies = self.pools.pairs, self.pools.graph, self.model.bodies
+        self._per_pair(
+            support.find_support, [bodies, self.state, self.motions, pairs, self.pools.contacts], [graph]
+        )
+        self._per_env(support.list_incident_pairs, [self.num_bodies, pairs], [graph])
+        self._per_env(support.find_levels, [self.num_bodies, bodies, pairs], [graph])
+        self._per_env(support.find_islands, [self.num_bodies, bodies, pairs], [graph])
+        self._per_env(ordering.sort_by_level, [self.num_bodies, bodies, pairs], [graph])
+        self._per_env(ordering.group_by_color, [self.num_bodies, bodies, pairs], [graph, self.pools.scratch])
+
+    def accelerate(self, before_collisions: bool) -> None:
+        """Velocity update, in the environments whose stage order has it here."""
+        self._per_body(
+            predict.accelerate,
+            [1.0, self.dt, 0 if before_collisions else 1, self.num_bodies, self.motions, self.envs],
+            [self.state],
+        )
+
+    def collide(self) -> None:
+        """Impacts with restitution."""
+        self._per_block(collisions.collide, [self.dt, *self._solver_inputs()], [])
+
+    def solve_contacts(self) -> None:
+        """Contact impulses: warm start, sweeps, shock propagation, sweeps."""
+        self._per_block(impulses.warm_start, self._solver_inputs(), [])
+        self._per_block(impulses.sweep_contacts, [0, self.dt, *self._solver_inputs()], [])
+        for repetition in range(self.repetitions):
+            self.propagate_shock(repetition)
+        self._per_block(impulses.sweep_contacts, [1, self.dt, *self._solver_inputs()], [])
+
+    def propagate_shock(self, repetition: int) -> None:
+        """Shock propagation, and the line search that keeps it from gaining energy."""
+        graph, pairs, records = self.pools.graph, self.pools.pairs, self.pools.contacts
+        self._per_block(
+            shock.remember_start, [self.num_bodies, graph, pairs, records, self.motions, self.state], []
+        )
+        self._per_block(shock.propagate, [repetition, self.dt, *self._solver_inputs()], [])
+        self._per_env(shock.sum_energy, [self.dt, *self._solver_inputs()], [])
+        self._per_body(shock.accept_bodies, [self.num_bodies, self.envs, graph, self.motions], [self.state])
+        wp.launch(
+            shock.accept_impulses,
+            dim=records.key.shape[0],
+            inputs=[self.num_bodies, self.model.bodies, self.envs, graph, pairs],
+            outputs=[records],
+            device=self.device,
+        )
+
+    def push_out(self) -> None:
+        """Separate remaining overlaps without adding velocity."""
+        graph, pairs, records = self.pools.graph, self.pools.pairs, self.pools.contacts
+        self._per_block(
+            push_out.find_overlaps,
+            [self.dt, self.num_bodies, self.model.shapes, self.model.bodies, graph, pairs, records, self.state],
+            [],
+        )
+        self._per_block(
+            push_out.push_apart,
+            [self.num_bodies, self.model.bodies, self.motions, self.envs, graph, pairs, records],
+            [],
+        )
+
+    def move(self) -> None:
+        """Position update, after a look for non-finite states."""
+        self._per_env(integrate.watch, [self.num_bodies], [self.envs, self.state])
+        self._per_body(
+            integrate.move, [self.dt, self.num_bodies, self.model.bodies, self.motions, self.envs], [self.state]
+        )
+
+    def remember(self) -> None:
+        """Keep this step's contacts for the next one's warm start."""
+        pairs, history = self.pools.pairs, self.pools.history
+        rows = max(history.pair_start.shape[0], history.contact_start.shape[0])
+        wp.launch(contacts.keep_pairs, dim=rows, inputs=[pairs], outputs=[history], device=self.device)
+        wp.launch(
+            contacts.keep_impulses,
+            dim=self.pools.contacts.key.shape[0],
+            inputs=[self.pools.contacts, pairs],
+            outputs=[history],
+            device=self.device,
+        )
+
+    def deepest_overlap(self) -> wp.array:
+        """Deepest overlap of each environment in the present state, (envs,) [m]."""
+        deepest = wp.zeros(self.num_envs, dtype=float, device=self.device)
+        self.predict(0.0)
+        self.find_pairs()
+        self._per_pair(
+            overlap.deepest_overlap,
+            [self.num_bodies, self.model.shapes, self.model.bodies, self.state, self.pools.pairs],
+            [deepest],
+        )
+        return deepest
+
+    def count_back(self, steps: int) -> None:
+        """Take back steps from the environments' counters after an undo."""
+        self.envs.step.assign(self.envs.step.numpy() - steps)
+
+    def _solver_inputs(self) -> list:
+        """What every solver kernel takes, in the same order."""
+        return [
+            self.num_bodies, self.model.bodies, self.motions, self.envs, self.pools.graph, self.pools.pairs,
+            self.pools.contacts, self.state,
+        ]
+
+    def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=self.rows, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
+        dim = self.pools.pairs.body_a.shape[0]
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _per_block(self, kernel: Any, inputs: list, outputs: list) -> None:
+        wp.launch_tiled(
+            kernel, dim=[self.num_envs], inputs=inputs, outputs=outputs, block_dim=LANES, device=self.device
+        )
+
+    def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
+        """Exclusive sums of counts; a list that does not fit is emptied and its length noted."""
+        wp.utils.array_scan(count, start, inclusive=False)
+        wp.launch(
+            capacity.note_wanted,
+            dim=1,
+            inputs=[which, size, start],
+            outputs=[self.pools.wanted, self.pools.over],
+            device=self.device,
+        )
+        wp.launch(
+            capacity.empty_if_over,
+            dim=start.shape[0],
+            inputs=[which, self.pools.over],
+            outputs=[start],
+            device=self.device,
+        )
+
+    def _search_pairs(self, write: int) -> None:
+        """One round of the broad phase: count the pairs or write them."""
+        model = self.model
+        common = [model.small, model.wide, model.bodies, self.motions, self.envs]
+        if self.grid is None:
+            self._per_body(
+                broadphase.pairs_by_trying_all, [write, self.num_bodies, *common], [self.pools.pairs]
+            )
+        else:
+            self._per_body(
+                broadphase.pairs_by_grid,
+                [write, self.num_bodies, self.grid.id, self._reach, *common],
+                [self.pools.pairs],
+            )
+
+    def _make_grid(self) -> Any:
+        """A hash grid for environments of many bodies, None for small ones."""
+        small = self.model.small.shape[0]
+        if small <= TRY_ALL_UP_TO:
+            return None
+        grid = wp.HashGrid(128, 128, 128, device=self.device)
+        grid.reserve(small * self.num_envs, with_groups=True)
+        self._points = wp.zeros(small * self.num_envs, dtype=wp.vec3, device=self.device)
+        self._groups = wp.zeros(small * self.num_envs, dtype=int, device=self.device)
+        self._reach = wp.zeros(1, dtype=float, device=self.device)
+        return grid
+
+    def _fill_grid(self) -> None:
+        """Sort the small bodies into the hash grid."""
+        self._reach.zero_()
+        wp.launch(
+            broadphase.grid_points,
+            dim=self._points.shape[0],
+            inputs=[self.num_bodies, self.model.small, self.motions],
+            outputs=[self._points, self._groups, self._reach],
+            device=self.device,
+        )
+        self.grid.build(self._points, self.model.grid_radius, groups=self._groups)
+
+    def _load_modules(self) -> None:
+        """Compile before recording: a graph cannot hold a compilation."""
+        modules = [
+            broadphase, capacity, contacts, integrate, narrowphase, ordering, overlap, predict, support,
+        ]
+        for module in modules:
+            wp.load_module(module, device=self.device)
+        for module in (collisions, impulses, push_out, shock):
+            wp.load_module(module, device=self.device, block_dim=LANES if self.device.is_cuda else 1)
+        if self.device.is_cuda:
+            wp.load_module(shock, device=self.device)
