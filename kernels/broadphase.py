@@ -22,9 +22,7 @@ def boxes_overlap(motions: Motions, i: int, j: int):
     b = motions.upper[i]
     c = motions.lower[j]
     d = motions.upper[j]
-    return (
-        a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
-    )
+    return a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
 
 
 @wp.func

@@ -6,16 +6,18 @@ stage. A visit treats all contacts of a pair at once: each aims at -e times its 
 its cone, and the pair's impulse is scaled down if it would gain energy. Pairs follow one another, so a blow
 travels along a row of balls.
 
-Symplectic Euler's velocity lags half a step of acceleration behind: reflecting it as it is loses the height |v| dt a
-bounce. The target therefore reflects the time-centred velocity; the correction fades out for the slowest impacts so
-that rest stays rest.
+Symplectic Euler's velocity lags half a step of acceleration behind, and the impact is dealt with up to a step before
+the surfaces meet. Reflecting the velocity as it is changes the height of a bounce by |v| dt. So the velocity is centred
+in time, carried down the gap, reflected there and carried back: with v the centred approach, p the pull that closes
+the gap g, the rebound is sqrt(e^2 (v^2 + 2 p g) - 2 p g). The centring fades out for the slowest impacts so that rest
+stays rest; an impact too weak to come back up the gap is left to the contact stage, and bounces when it has landed.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, Pairs, State
 from warp_rigid.kernels.impulses import friction_impulse, meet, push_both, slip_velocity
-from warp_rigid.kernels.narrowphase import tangent_of
+from warp_rigid.kernels.tangents import tangent_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,15 +32,21 @@ SLOWEST = wp.constant(1.0e-4)
 def rebound(c: int, dt: float, first: int, contacts: Contacts, motions: Motions, state: State):
     """Normal velocity that the contact aims at, or -1e10 if it does not collide in this step."""
     n = contacts.normal[c]
-    approach = wp.dot(slip_velocity(c, contacts, state), n)
+    speed = -wp.dot(slip_velocity(c, contacts, state), n)
     a = contacts.body_a[c]
     b = contacts.body_b[c]
-    gained = dt * float(first) * wp.dot(motions.acceleration[a] - motions.acceleration[b], n)
-    if approach > -SLOWEST or contacts.gap[c] + dt * (approach + gained) > 0.0:
+    pull = float(first) * wp.max(wp.dot(motions.acceleration[b] - motions.acceleration[a], n), 0.0)
+    if speed < SLOWEST or contacts.gap[c] > dt * (speed + dt * pull):
         return -1.0e10
     e = contacts.restitution[c]
-    centred = 0.5 * (1.0 + e) * wp.max(-gained, 0.0)
-    return -e * approach + centred * wp.min(-approach / wp.max(-gained, 1.0e-9), 1.0) * wp.where(e > 0.0, 1.0, 0.0)
+    if e == 0.0:
+        return 0.0
+    lag = 0.5 * dt * pull * wp.min(speed / wp.max(dt * pull, 1.0e-9), 1.0)
+    fall = 2.0 * pull * wp.max(contacts.gap[c], 0.0)
+    squared = e * e * ((speed + lag) * (speed + lag) + fall) - fall
+    if squared <= 0.0:
+        return -1.0e10
+    return wp.sqrt(squared) + lag
 
 
 @wp.func
@@ -61,7 +69,14 @@ def collide_contact(c: int, bodies: Bodies, motions: Motions, contacts: Contacts
 
 @wp.func
 def collide_pair(
-    first_contact: int, last_contact: int, dt: float, first: int, bodies: Bodies, motions: Motions, contacts: Contacts, state: State
+    first_contact: int,
+    last_contact: int,
+    dt: float,
+    first: int,
+    bodies: Bodies,
+    motions: Motions,
+    contacts: Contacts,
+    state: State,
 ):
     """Let the contacts of a pair collide together. Returns 1 if any did."""
     colliding = int(0)
@@ -83,7 +98,8 @@ def collide_pair(
         for c in range(first_contact, last_contact):
             if contacts.target[c] > -1.0e9:
                 collide_contact(c, bodies, motions, contacts, state)
-    keep = energy_neutral_share(first_contact, last_contact, va, wa, vb, wb, contacts, state)
+    lag = 0.5 * dt * float(first) * (motions.acceleration[a] - motions.acceleration[b])
+    keep = energy_neutral_share(first_contact, last_contact, va, wa, vb, wb, lag, contacts, state)
     state.linear_velocity[a] = va + keep * (state.linear_velocity[a] - va)
     state.angular_velocity[a] = wa + keep * (state.angular_velocity[a] - wa)
     state.linear_velocity[b] = vb + keep * (state.linear_velocity[b] - vb)
@@ -93,11 +109,20 @@ def collide_pair(
 
 @wp.func
 def energy_neutral_share(
-    first_contact: int, last_contact: int, va: wp.vec3, wa: wp.vec3, vb: wp.vec3, wb: wp.vec3, contacts: Contacts, state: State
+    first_contact: int,
+    last_contact: int,
+    va: wp.vec3,
+    wa: wp.vec3,
+    vb: wp.vec3,
+    wb: wp.vec3,
+    lag: wp.vec3,
+    contacts: Contacts,
+    state: State,
 ):
     """Largest share in [0, 1] of the pair's impulse that gains no kinetic energy.
 
-    With the share s the energy changes by s J.u + s^2 J.du / 2, u the relative velocities before, du their change.
+    With the share s the energy changes by s J.u + s^2 J.du / 2, u the time-centred relative velocities before (which
+    differ from the stored ones by `lag`), du their change.
     """
     linear = float(0.0)
     quadratic = float(0.0)
@@ -107,7 +132,7 @@ def energy_neutral_share(
         j = contacts.reaction[c]
         impulse = j[0] * n + j[1] * t + j[2] * wp.cross(n, t)
         before = va + wp.cross(wa, contacts.arm_a[c]) - vb - wp.cross(wb, contacts.arm_b[c])
-        linear += wp.dot(impulse, before)
+        linear += wp.dot(impulse, before + lag)
         quadratic += 0.5 * wp.dot(impulse, slip_velocity(c, contacts, state) - before)
     if linear + quadratic <= 0.0 or quadratic <= 0.0:
         return 1.0

@@ -2,16 +2,24 @@
 
 import warp as wp
 
-from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Contacts, Environments, History, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.narrowphase import SLOTS, Touch, place_sample, tangent_of, touch_of
+from warp_rigid.kernels.data import Bodies, Contacts, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.distance import FAR
+from warp_rigid.kernels.narrowphase import SLOTS, Touch, place_sample, touch_of
+from warp_rigid.kernels.tangents import in_world, tangent_of
 
 wp.set_module_options({"enable_backward": False})
 
-DYNAMIC = wp.constant(MOTION_DYNAMIC)
-COMBINE_MIN = wp.constant(0)
+NARROWPHASE = wp.get_module("warp_rigid.kernels.narrowphase")
+"""Kernels that evaluate distances share one compilation unit."""
+
 COMBINE_AVERAGE = wp.constant(1)
 COMBINE_MULTIPLY = wp.constant(2)
 COMBINE_MAX = wp.constant(3)
+
+TOUCHING = wp.constant(1.0e-4)
+"""Gaps up to this part of the smaller body's size carry load as they are.
+
+If every gap of a rounding error had to close first, the load would jump from contact to contact at each step."""
 
 
 @wp.func
@@ -28,7 +36,7 @@ def combine(x: float, y: float, rule: int):
 
 @wp.func
 def seen_along(arm: wp.vec3, d: wp.vec3, e: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
-    """Entry d . K e of the collision matrix K = 1/m + [r]^T I^-1 [r] of one body (Guendelman et al. 2003, section 7)."""
+    """Entry d . K e of the collision matrix K = 1/m + [r]^T I^-1 [r] of one body (Guendelman 2003, section 7)."""
     return inverse_mass * wp.dot(d, e) + wp.dot(wp.cross(arm, d), inverse_inertia * wp.cross(arm, e))
 
 
@@ -45,14 +53,14 @@ def tangential(arm: wp.vec3, n: wp.vec3, inverse_mass: float, inverse_inertia: w
 
 
 @wp.func
-def last_impulse(a: int, b: int, key: int, history: History):
-    """World impulse of the same contact in the last step, or zero."""
+def last_contact(a: int, b: int, key: int, history: History):
+    """Row of the same contact in the last step, or -1."""
     for pair in range(history.pair_start[a], history.pair_start[a + 1]):
         if history.body_b[pair] == b:
             for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
                 if history.key[c] == key:
-                    return history.impulse[c]
-    return wp.vec3(0.0, 0.0, 0.0)
+                    return c
+    return -1
 
 
 @wp.func
@@ -81,14 +89,34 @@ def write_contact(c: int, a: int, b: int, key: int, touch: Touch, motions: Motio
 
 
 @wp.func
-def start_impulse(c: int, warm: int, contacts: Contacts, history: History):
-    """The impulse to start from: the last step's, its friction turned into today's tangent plane."""
-    if warm == 0:
-        return wp.vec3(0.0, 0.0, 0.0)
+def in_contact_frame(c: int, world: wp.vec3, contacts: Contacts):
+    """Components of a world vector along a contact's normal and tangents."""
     n = contacts.normal[c]
     u = tangent_of(n)
-    impulse = last_impulse(contacts.body_a[c], contacts.body_b[c], contacts.key[c], history)
-    return wp.vec3(wp.max(wp.dot(impulse, n), 0.0), wp.dot(impulse, u), wp.dot(impulse, wp.cross(n, u)))
+    return wp.vec3(wp.dot(world, n), wp.dot(world, u), wp.dot(world, wp.cross(n, u)))
+
+
+@wp.func
+def start_from_history(c: int, warm: int, contacts: Contacts, history: History):
+    """Start from the last step's impulses, turned into today's tangent plane, or from zero."""
+    impulse = wp.vec3(0.0, 0.0, 0.0)
+    twist = wp.vec3(0.0, 0.0, 0.0)
+    if warm == 1:
+        last = last_contact(contacts.body_a[c], contacts.body_b[c], contacts.key[c], history)
+        if last >= 0:
+            impulse = in_contact_frame(c, history.impulse[last], contacts)
+            twist = in_contact_frame(c, history.twist[last], contacts)
+    contacts.impulse[c] = wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2])
+    contacts.twist[c] = twist
+
+
+@wp.func
+def write_coefficients(c: int, a: int, b: int, rules: wp.vec2i, bodies: Bodies, contacts: Contacts):
+    """Coefficients of the pair."""
+    contacts.friction[c] = combine(bodies.friction[a], bodies.friction[b], rules[0])
+    contacts.rolling_friction[c] = combine(bodies.rolling_friction[a], bodies.rolling_friction[b], rules[0])
+    contacts.spinning_friction[c] = combine(bodies.spinning_friction[a], bodies.spinning_friction[b], rules[0])
+    contacts.restitution[c] = combine(bodies.restitution[a], bodies.restitution[b], rules[1])
 
 
 @wp.func
@@ -99,12 +127,13 @@ def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state:
     other = wp.where(side == 0, b, a)
     back = wp.quat_inverse(state.orientation[other])
     shift = wp.quat_rotate(back, state.position[own] - state.position[other])
-    placed = place_sample(shapes, key / 2, bodies.shape[other], back * state.orientation[own], shift)
+    placed = place_sample(shapes, key / 2, bodies.shape[other], back * state.orientation[own], shift, FAR)
     return touch_of(placed, side, other, state)
 
 
-@wp.kernel
+@wp.kernel(module=NARROWPHASE)
 def build_contacts(
+    dt: float,
     bodies_per_env: int,
     rules: wp.vec2i,
     shapes: Shapes,
@@ -116,22 +145,23 @@ def build_contacts(
     history: History,
     contacts: Contacts,
 ):
-    """One thread a pair: turn the samples in its slots into contact records. rules: how friction, restitution combine."""
+    """One thread a pair: turn the samples in its slots into contact records. `rules`: how coefficients combine."""
     pair = wp.tid()
     c = pairs.contact_start[pair]
     if pairs.contact_start[pair + 1] == c:
         return
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
+    size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
     for slot in range(pairs.patch_count[pair] * SLOTS):
         key = pairs.slot_key[pair, slot]
         if key >= 0:
-            write_contact(c, a, b, key, touch_again(key, a, b, shapes, bodies, state), motions, contacts)
+            touch = touch_again(key, a, b, shapes, bodies, state)
+            write_contact(c, a, b, key, touch, motions, contacts)
+            contacts.closing[c] = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
             write_masses(c, a, b, bodies, motions, contacts)
-            contacts.friction[c] = combine(bodies.friction[a], bodies.friction[b], rules[0])
-            contacts.restitution[c] = combine(bodies.restitution[a], bodies.restitution[b], rules[1])
-            contacts.impulse[c] = start_impulse(c, envs.warm_starting[a / bodies_per_env], contacts, history)
-            contacts.reaction[c] = wp.vec3(0.0, 0.0, 0.0)
+            write_coefficients(c, a, b, rules, bodies, contacts)
+            start_from_history(c, envs.warm_starting[a / bodies_per_env], contacts, history)
             c += 1
 
 
@@ -153,8 +183,6 @@ def keep_impulses(contacts: Contacts, pairs: Pairs, history: History):
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return
-    n = contacts.normal[c]
-    u = tangent_of(n)
-    impulse = contacts.impulse[c]
     history.key[c] = contacts.key[c]
-    history.impulse[c] = impulse[0] * n + impulse[1] * u + impulse[2] * wp.cross(n, u)
+    history.impulse[c] = in_world(contacts.normal[c], contacts.impulse[c])
+    history.twist[c] = in_world(contacts.normal[c], contacts.twist[c])

@@ -39,6 +39,13 @@ class Field(NamedTuple):
     meaning: str
 
 
+LAYOUTS: dict[str, dict[str, Field]] = {}
+"""Declared structs of arrays, and their fields."""
+
+RECORDS: dict[str, dict[str, Field]] = {}
+"""Declared array elements, and their fields."""
+
+
 def layout(name: str, doc: str, **fields: Field) -> Any:
     """Declare a Warp struct whose members are the arrays `fields`."""
     annotations = {key: wp.array(dtype=f.dtype, ndim=f.shape.count(",") + 1) for key, f in fields.items()}
@@ -46,6 +53,14 @@ def layout(name: str, doc: str, **fields: Field) -> Any:
     struct = wp.struct(cls)
     LAYOUTS[name] = fields
     return struct
+
+
+def record(name: str, doc: str, **fields: Field) -> Any:
+    """Declare a Warp struct that is the element of an array."""
+    annotations = {key: f.dtype for key, f in fields.items()}
+    cls = type(name, (), {"__annotations__": annotations, "__module__": __name__, "__doc__": doc})
+    RECORDS[name] = fields
+    return wp.struct(cls)
 
 
 def allocate(struct: Any, sizes: dict[str, int], device: Any) -> Any:
@@ -79,32 +94,59 @@ def _extent(term: str, sizes: dict[str, int]) -> int:
     return max(1, sum(int(part) if part.isdigit() else sizes[part] for part in parts))
 
 
-LAYOUTS: dict[str, dict[str, Field]] = {}
+PartRecord = record(
+    "PartRecord",
+    "One signed distance function of a shape.",
+    kind=Field(int, "", "", "which function (distance.py)"),
+    placed=Field(int, "", "", "0: its pose in the shape's frame is the identity"),
+    position=Field(wp.vec3, "", "m", "its pose in the shape's frame"),
+    orientation=Field(wp.quat, "", "", "its pose in the shape's frame"),
+    size=Field(wp.vec4, "", "m", "dimensions, by its kind"),
+    grid_start=Field(int, "", "", "first node of its grid"),
+    grid_dims=Field(wp.vec3i, "", "", "nodes of its grid along x, y, z"),
+    grid_origin=Field(wp.vec3, "", "m", "first node, in the part's frame"),
+    grid_spacing=Field(float, "", "m", "distance between neighbouring nodes"),
+)
+
+ClusterRecord = record(
+    "ClusterRecord",
+    "A few neighbouring samples and the sphere that holds their reach.",
+    center=Field(wp.vec3, "", "m", "centre of the sphere, in the shape's frame"),
+    radius=Field(float, "", "m", "its radius"),
+    sample_start=Field(int, "", "", "first sample"),
+    sample_end=Field(int, "", "", "one past the last"),
+)
+
+SampleRecord = record(
+    "SampleRecord",
+    "A place of the surface that is tested against other bodies.",
+    point=Field(wp.vec3, "", "m", "in the shape's frame"),
+    normal=Field(wp.vec3, "", "", "outward unit normal; zero for the centre of a ball"),
+    slide=Field(wp.vec3, "", "m", "an edge sample may slide this far either way"),
+    radius=Field(float, "", "m", "of a ball around the sample, or of a rim"),
+    kind=Field(int, "", "", "point, edge or rim (narrowphase.py)"),
+)
+
+ShapeRecord = record(
+    "ShapeRecord",
+    "Where a shape's parts and clusters lie in the pool, and its box.",
+    part_start=Field(int, "", "", "first part"),
+    part_end=Field(int, "", "", "one past the last"),
+    cluster_start=Field(int, "", "", "first cluster"),
+    cluster_end=Field(int, "", "", "one past the last"),
+    lower=Field(wp.vec3, "", "m", "lower corner of the box"),
+    upper=Field(wp.vec3, "", "m", "upper corner of the box"),
+    size=Field(float, "", "m", "smallest extent of the box: contact tolerances scale with it"),
+)
 
 Shapes = layout(
     "Shapes",
-    "The pool of shapes, shared by all environments.",
-    part_start=Field(int, "shapes + 1", "", "first part of a shape"),
-    part_kind=Field(int, "parts", "", "kind of a part (distance.py)"),
-    part_size=Field(wp.vec4, "parts", "m", "dimensions of a part, by its kind"),
-    part_pose=Field(wp.transform, "parts", "m", "pose of a part in its shape's frame"),
-    grid_start=Field(int, "parts", "", "first node of the part's grid"),
-    grid_dims=Field(wp.vec3i, "parts", "", "nodes of the part's grid along x, y, z"),
-    grid_origin=Field(wp.vec3, "parts", "m", "first node, in the part's frame"),
-    grid_spacing=Field(float, "parts", "m", "distance between neighbouring nodes"),
-    grid_value=Field(float, "nodes", "m", "signed distance, or height, at a node"),
-    cluster_start=Field(int, "shapes + 1", "", "first sample cluster of a shape"),
-    cluster_center=Field(wp.vec3, "clusters", "m", "centre of a cluster's sphere, in the shape's frame"),
-    cluster_radius=Field(float, "clusters", "m", "radius of the sphere that holds the cluster's reach"),
-    cluster_sample_start=Field(int, "clusters + 1", "", "first sample of a cluster"),
-    sample_point=Field(wp.vec3, "samples", "m", "surface sample, in the shape's frame"),
-    sample_normal=Field(wp.vec3, "samples", "", "its outward unit normal; zero for the centre of a ball"),
-    sample_slide=Field(wp.vec3, "samples", "m", "an edge sample may slide this far either way"),
-    sample_radius=Field(float, "samples", "m", "radius of a ball around the sample, or of a rim"),
-    sample_kind=Field(int, "samples", "", "point, edge or rim (narrowphase.py)"),
-    lower=Field(wp.vec3, "shapes", "m", "lower corner of the shape's box"),
-    upper=Field(wp.vec3, "shapes", "m", "upper corner of the shape's box"),
-    size=Field(float, "shapes", "m", "smallest extent of the box: contact tolerances scale with it"),
+    "The pool of shapes, shared by all environments. Records keep together what is read together.",
+    shapes=Field(ShapeRecord, "shapes", "", "shapes"),
+    parts=Field(PartRecord, "parts", "", "their signed distance functions"),
+    clusters=Field(ClusterRecord, "clusters", "", "their sample clusters"),
+    samples=Field(SampleRecord, "samples", "", "their surface samples"),
+    grid_value=Field(float, "nodes", "m", "signed distance, or height, at a grid's node"),
 )
 
 Bodies = layout(
@@ -204,6 +246,7 @@ Contacts = layout(
     arm_a=Field(wp.vec3, "contacts", "m", "from the first body's centre of mass"),
     arm_b=Field(wp.vec3, "contacts", "m", "from the second body's centre of mass"),
     gap=Field(float, "contacts", "m", "distance at the start of the step, negative inside"),
+    closing=Field(float, "contacts", "m/s", "speed at which the bodies may still approach: the gap allows it"),
     friction=Field(float, "contacts", "", "of the pair"),
     restitution=Field(float, "contacts", "", "of the pair"),
     normal_a=Field(float, "contacts", "1/kg", "the first body's part of the inverse mass seen along the normal"),
@@ -213,6 +256,11 @@ Contacts = layout(
     impulse=Field(wp.vec3, "contacts", "N s", "accumulated along the normal and the two tangents"),
     start_impulse=Field(wp.vec3, "contacts", "N s", "impulse before shock propagation"),
     reaction=Field(wp.vec3, "contacts", "N s", "world impulse that a frozen body has not taken yet"),
+    rolling_friction=Field(float, "contacts", "m", "of the pair"),
+    spinning_friction=Field(float, "contacts", "m", "of the pair"),
+    twist=Field(wp.vec3, "contacts", "N m s", "accumulated angular impulse about the normal and the two tangents"),
+    start_twist=Field(wp.vec3, "contacts", "N m s", "angular impulse before shock propagation"),
+    twist_reaction=Field(wp.vec3, "contacts", "N m s", "world angular impulse that a frozen body has not taken yet"),
     target=Field(float, "contacts", "m/s", "normal velocity that a collision aims at"),
 )
 
@@ -224,6 +272,7 @@ History = layout(
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair"),
     key=Field(int, "contacts", "", "identity within the pair"),
     impulse=Field(wp.vec3, "contacts", "N s", "in the world frame"),
+    twist=Field(wp.vec3, "contacts", "N m s", "in the world frame"),
 )
 
 Graph = layout(

@@ -144,9 +144,9 @@ def cylinder_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
 @wp.func
 def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     """Trilinear interpolation in a part's grid, and its gradient; outside, the distance to the grid is added."""
-    dims = shapes.grid_dims[part]
+    dims = shapes.parts[part].grid_dims
     top = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
-    q = (p - shapes.grid_origin[part]) / shapes.grid_spacing[part]
+    q = (p - shapes.parts[part].grid_origin) / shapes.parts[part].grid_spacing
     inside = wp.vec3(wp.clamp(q[0], 0.0, top[0]), wp.clamp(q[1], 0.0, top[1]), wp.clamp(q[2], 0.0, top[2]))
     i = wp.min(int(inside[0]), dims[0] - 2)
     j = wp.min(int(inside[1]), dims[1] - 2)
@@ -156,7 +156,7 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     z = inside[2] - float(k)
     row = dims[2]
     slab = dims[1] * dims[2]
-    at = shapes.grid_start[part] + i * slab + j * row + k
+    at = shapes.parts[part].grid_start + i * slab + j * row + k
     v = shapes.grid_value
     z00 = v[at + 1] - v[at]
     z01 = v[at + row + 1] - v[at + row]
@@ -173,7 +173,7 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     gz = (1.0 - x) * ((1.0 - y) * z00 + y * z01) + x * ((1.0 - y) * z10 + y * z11)
     n = direction_or_up(wp.vec3(gx, gy, gz))
     distance = v0 + x * gx
-    away = (q - inside) * shapes.grid_spacing[part]
+    away = (q - inside) * shapes.parts[part].grid_spacing
     if wp.length_sq(away) > 0.0:
         n = direction_or_up(wp.max(distance, 0.0) * n + away)
         distance = distance + wp.length(away)
@@ -183,8 +183,8 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
 @wp.func
 def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
     """Height above a bilinear height field, measured along the local normal (exact for a slope, first order else)."""
-    dims = shapes.grid_dims[part]
-    size = shapes.part_size[part]
+    dims = shapes.parts[part].grid_dims
+    size = shapes.parts[part].size
     cell_x = size[0] / float(dims[0] - 1)
     cell_y = size[1] / float(dims[1] - 1)
     qx = (p[0] + 0.5 * size[0]) / cell_x
@@ -195,7 +195,7 @@ def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
     j = wp.min(int(qy), dims[1] - 2)
     x = qx - float(i)
     y = qy - float(j)
-    at = shapes.grid_start[part] + i * dims[1] + j
+    at = shapes.parts[part].grid_start + i * dims[1] + j
     h00 = shapes.grid_value[at]
     h01 = shapes.grid_value[at + 1]
     h10 = shapes.grid_value[at + dims[1]]
@@ -210,8 +210,8 @@ def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
 @wp.func
 def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3):
     """Distance to one part, in the part's own frame."""
-    kind = shapes.part_kind[part]
-    size = shapes.part_size[part]
+    kind = shapes.parts[part].kind
+    size = shapes.parts[part].size
     if kind == GRID:
         return grid_distance(shapes, part, p)
     if kind == BOX:
@@ -231,14 +231,18 @@ def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3)
 def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.vec3):
     """Distance from a sample with its outward normal to a shape (the union of its parts), in the shape's frame."""
     nearest = wp.vec4(0.0, 0.0, 1.0, FAR)
-    for part in range(shapes.part_start[shape], shapes.part_start[shape + 1]):
-        pose = shapes.part_pose[part]
-        turn = wp.transform_get_rotation(pose)
-        local = wp.quat_rotate_inv(turn, p - wp.transform_get_translation(pose))
-        d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal))
-        if d[3] < nearest[3]:
+    for part in range(shapes.shapes[shape].part_start, shapes.shapes[shape].part_end):
+        d = wp.vec4(0.0, 0.0, 1.0, FAR)
+        if shapes.parts[part].placed == 0:
+            d = part_distance(shapes, part, p, sample_normal)
+        else:
+            turn = shapes.parts[part].orientation
+            local = wp.quat_rotate_inv(turn, p - shapes.parts[part].position)
+            d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal))
             n = wp.quat_rotate(turn, wp.vec3(d[0], d[1], d[2]))
-            nearest = wp.vec4(n[0], n[1], n[2], d[3])
+            d = wp.vec4(n[0], n[1], n[2], d[3])
+        if d[3] < nearest[3]:
+            nearest = d
     return nearest
 
 

@@ -12,7 +12,7 @@ common, and meet before the next group. On the CPU a block has one lane and the 
 import warp as wp
 
 from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, Pairs, State
-from warp_rigid.kernels.narrowphase import tangent_of
+from warp_rigid.kernels.tangents import in_world, tangent_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -44,7 +44,14 @@ def push(body: int, arm: wp.vec3, impulse: wp.vec3, bodies: Bodies, motions: Mot
 
 @wp.func
 def push_both(
-    c: int, impulse: wp.vec3, share_a: float, share_b: float, bodies: Bodies, motions: Motions, contacts: Contacts, state: State
+    c: int,
+    impulse: wp.vec3,
+    share_a: float,
+    share_b: float,
+    bodies: Bodies,
+    motions: Motions,
+    contacts: Contacts,
+    state: State,
 ):
     """Apply an impulse to the first body and its opposite to the second; a frozen body (share 0) takes nothing."""
     if share_a > 0.0:
@@ -71,6 +78,55 @@ def friction_impulse(old: wp.vec2, slip: wp.vec2, k: wp.vec3, limit: float):
 
 
 @wp.func
+def twist_both(
+    c: int,
+    twist: wp.vec3,
+    share_a: float,
+    share_b: float,
+    motions: Motions,
+    contacts: Contacts,
+    state: State,
+):
+    """Apply an angular impulse to the first body and its opposite to the second; frozen bodies take nothing."""
+    a = contacts.body_a[c]
+    b = contacts.body_b[c]
+    state.angular_velocity[a] = state.angular_velocity[a] + share_a * (motions.inverse_inertia[a] * twist)
+    state.angular_velocity[b] = state.angular_velocity[b] - share_b * (motions.inverse_inertia[b] * twist)
+
+
+@wp.func
+def resist_turning(
+    c: int,
+    share_a: float,
+    share_b: float,
+    motions: Motions,
+    contacts: Contacts,
+    state: State,
+):
+    """Rolling and spinning friction: torques up to a coefficient [m] times the normal impulse."""
+    a = contacts.body_a[c]
+    b = contacts.body_b[c]
+    n = contacts.normal[c]
+    u = tangent_of(n)
+    v = wp.cross(n, u)
+    k = share_a * motions.inverse_inertia[a] + share_b * motions.inverse_inertia[b]
+    old = contacts.twist[c]
+    spin = state.angular_velocity[a] - state.angular_velocity[b]
+    limit = contacts.spinning_friction[c] * contacts.impulse[c][0]
+    about_normal = wp.clamp(old[0] - wp.dot(spin, n) / wp.max(wp.dot(n, k * n), 1.0e-30), -limit, limit)
+    twist_both(c, (about_normal - old[0]) * n, share_a, share_b, motions, contacts, state)
+    spin = state.angular_velocity[a] - state.angular_velocity[b]
+    matrix = wp.vec3(wp.dot(u, k * u), wp.dot(u, k * v), wp.dot(v, k * v))
+    limit = contacts.rolling_friction[c] * contacts.impulse[c][0]
+    rolling = friction_impulse(wp.vec2(old[1], old[2]), wp.vec2(wp.dot(spin, u), wp.dot(spin, v)), matrix, limit)
+    twist_both(c, (rolling[0] - old[1]) * u + (rolling[1] - old[2]) * v, share_a, share_b, motions, contacts, state)
+    new = wp.vec3(about_normal, rolling[0], rolling[1])
+    contacts.twist[c] = new
+    if share_a * share_b == 0.0:
+        contacts.twist_reaction[c] = contacts.twist_reaction[c] + in_world(n, new - old)
+
+
+@wp.func
 def visit_contact(
     c: int,
     share_a: float,
@@ -81,9 +137,9 @@ def visit_contact(
     contacts: Contacts,
     state: State,
 ):
-    """Solve one contact against the velocities at hand. Returns the change in its normal velocity [m/s].
+    """Solve one contact against the velocities at hand. Returns by how much it changed them [m/s].
 
-    A share of 0 freezes that body: it weighs nothing in the contact, and the impulse it did not take goes to `reaction`.
+    A share of 0 freezes that body: it weighs nothing in the contact, and what it did not take goes to `reaction`.
     """
     k_normal = share_a * contacts.normal_a[c] + share_b * contacts.normal_b[c]
     if k_normal < 1.0e-12:
@@ -92,7 +148,7 @@ def visit_contact(
     u = tangent_of(n)
     v = wp.cross(n, u)
     old = contacts.impulse[c]
-    approach = wp.dot(slip_velocity(c, contacts, state), n) + wp.max(contacts.gap[c], 0.0) / dt
+    approach = wp.dot(slip_velocity(c, contacts, state), n) + contacts.closing[c]
     normal = wp.max(old[0] - approach / k_normal, 0.0)
     push_both(c, (normal - old[0]) * n, share_a, share_b, bodies, motions, contacts, state)
     slip = slip_velocity(c, contacts, state)
@@ -104,7 +160,9 @@ def visit_contact(
     contacts.impulse[c] = wp.vec3(normal, after[0], after[1])
     if share_a * share_b == 0.0:
         contacts.reaction[c] = contacts.reaction[c] + (normal - old[0]) * n + tangential
-    return k_normal * wp.abs(normal - old[0]) + wp.sqrt(k[0] + k[2]) * wp.sqrt(k_normal) * wp.length(after - before)
+    if contacts.rolling_friction[c] + contacts.spinning_friction[c] > 0.0:
+        resist_turning(c, share_a, share_b, motions, contacts, state)
+    return k_normal * wp.abs(normal - old[0]) + wp.sqrt((k[0] + k[2]) * k_normal) * wp.length(after - before)
 
 
 @wp.kernel
@@ -127,11 +185,9 @@ def warm_start(
         for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
             pair = graph.order[k]
             for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                n = contacts.normal[c]
-                u = tangent_of(n)
-                impulse = contacts.impulse[c]
-                world = impulse[0] * n + impulse[1] * u + impulse[2] * wp.cross(n, u)
+                world = in_world(contacts.normal[c], contacts.impulse[c])
                 push_both(c, world, 1.0, 1.0, bodies, motions, contacts, state)
+                twist_both(c, in_world(contacts.normal[c], contacts.twist[c]), 1.0, 1.0, motions, contacts, state)
         meet()
 
 
@@ -148,7 +204,7 @@ def sweep_contacts(
     contacts: Contacts,
     state: State,
 ):
-    """One block an environment: half of the contact iterations, before or after shock propagation, levels from the ground up."""
+    """One block an environment: half the contact iterations, before or after shock propagation, from the ground up."""
     env, lane = wp.tid()
     rows = env * (bodies_per_env + 2)
     sweeps = (envs.contact_iterations[env] + 1 - after_shock) / 2

@@ -26,7 +26,7 @@ def rotate_by(turn: wp.quatd, rotation: wp.vec3d):
 
 @wp.func
 def free_rotation(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, inverse: mat33d, dt: wp.float64):
-    """Rotation vector of a torque-free step, second order: dt w + dt^2/2 I^-1 (L x w) (Guendelman et al. 2003, section 3)."""
+    """Rotation vector of a torque-free step, second order: dt w + dt^2/2 I^-1 (L x w) (Guendelman 2003, section 3)."""
     r = wp.quat_to_matrix(turn)
     back = wp.transpose(r)
     momentum = r * (inertia * (back * spin))
@@ -66,8 +66,12 @@ def move(dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs:
     if bodies.motion[b] == STATIC or envs.failed[b / bodies_per_env] == 1:
         return
     step = wp.float64(dt)
-    turn = wp.quatd(wp.float64(state.orientation[b][0]), wp.float64(state.orientation[b][1]),
-                    wp.float64(state.orientation[b][2]), wp.float64(state.orientation[b][3]))
+    turn = wp.quatd(
+        wp.float64(state.orientation[b][0]),
+        wp.float64(state.orientation[b][1]),
+        wp.float64(state.orientation[b][2]),
+        wp.float64(state.orientation[b][3]),
+    )
     spin = wp.vec3d(state.angular_velocity[b])
     rotation = step * spin
     inertia = mat33d(bodies.inertia[b])
@@ -86,4 +90,6 @@ def move(dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs:
     center = wp.vec3d(bodies.center_of_mass[b])
     swing = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
     state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - swing)
-    state.orientation[b] = wp.quat(wp.float32(after[0]), wp.float32(after[1]), wp.float32(after[2]), wp.float32(after[3]))
+    state.orientation[b] = wp.quat(
+        wp.float32(after[0]), wp.float32(after[1]), wp.float32(after[2]), wp.float32(after[3])
+    )

@@ -25,6 +25,7 @@ from warp_rigid.kernels.data import (
 )
 from warp_rigid.kernels.distance import FAR, PLANE, contact_distance, direction_or_up, signed_distance
 from warp_rigid.kernels.predict import CONTACT_DISTANCE
+from warp_rigid.kernels.tangents import tangent_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -88,8 +89,8 @@ def slope_along(shapes: Shapes, shape: int, p: wp.vec3, direction: wp.vec3):
 
 
 @wp.func
-def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3):
-    """Where on the segment p +- slide the distance has an inner minimum: vec4(point, 1), or w = 0 if it has none.
+def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3, reach: float):
+    """Where on the segment p +- slide the distance has an inner minimum: vec4(point, 1); w = 0 if none within reach.
 
     The tangents at both ends meet below the curve; their meeting point replaces the end on its side. This is exact
     at once for two crossing straight edges, where the distance is a V. Neighbouring segments overlap a little, so that
@@ -97,6 +98,9 @@ def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3):
     """
     half = wp.length(slide)
     along = slide / half
+    middle = signed_distance(shapes, shape, p)
+    if middle[3] > OVERLAP * half + reach:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
     left = -OVERLAP * half
     right = OVERLAP * half
     low = slope_along(shapes, shape, p + left * along, along)
@@ -107,13 +111,13 @@ def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3):
     for _ in range(5):
         t = (low[1] - high[1] + high[0] * right - low[0] * left) / wp.max(high[0] - low[0], 1.0e-6)
         t = wp.clamp(t, left, right)
-        middle = slope_along(shapes, shape, p + t * along, along)
-        if middle[0] < 0.0:
+        here = slope_along(shapes, shape, p + t * along, along)
+        if here[0] < 0.0:
             left = t
-            low = middle
+            low = here
         else:
             right = t
-            high = middle
+            high = here
     q = p + wp.clamp(t, -half, half) * along
     return wp.vec4(q[0], q[1], q[2], 1.0)
 
@@ -133,17 +137,20 @@ def lowest_on_rim(shapes: Shapes, shape: int, center: wp.vec3, axis: wp.vec3, ra
 
 
 @wp.func
-def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3):
-    """Bring sample s to its touching place; turn and shift map its shape's frame to that of the other `shape`."""
+def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
+    """Bring sample s to its touching place; turn and shift map its shape's frame to that of the other `shape`.
+
+    What is further than `reach` from the shape may be told as infinitely far.
+    """
     result = Sample()
     result.gap = FAR
-    p = wp.quat_rotate(turn, shapes.sample_point[s]) + shift
-    normal = wp.quat_rotate(turn, shapes.sample_normal[s])
-    radius = shapes.sample_radius[s]
-    kind = shapes.sample_kind[s]
+    p = wp.quat_rotate(turn, shapes.samples[s].point) + shift
+    normal = wp.quat_rotate(turn, shapes.samples[s].normal)
+    radius = shapes.samples[s].radius
+    kind = shapes.samples[s].kind
     found = wp.vec4(p[0], p[1], p[2], 1.0)
     if kind == EDGE:
-        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.sample_slide[s]))
+        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius + reach)
     if kind == RIM:
         found = lowest_on_rim(shapes, shape, p, normal, radius)
         normal = direction_or_up(wp.vec3(found[0], found[1], found[2]) - p)
@@ -153,7 +160,7 @@ def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.ve
     p = wp.vec3(found[0], found[1], found[2])
     d = contact_distance(shapes, shape, p, normal)
     n = wp.vec3(d[0], d[1], d[2])
-    if wp.dot(n, normal) > OPPOSED and shapes.part_kind[shapes.part_start[shape]] != PLANE:
+    if wp.dot(n, normal) > OPPOSED and shapes.parts[shapes.shapes[shape].part_start].kind != PLANE:
         return result
     result.point = p - radius * n
     result.normal = normal
@@ -240,15 +247,6 @@ def remember(pair: int, point: wp.vec3, normal: wp.vec3, gap: float, key: int, s
 
 
 @wp.func
-def tangent_of(n: wp.vec3):
-    """A unit vector perpendicular to the unit vector n, the same for the same n."""
-    other = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(n[0]) > 0.7:
-        other = wp.vec3(0.0, 1.0, 0.0)
-    return wp.normalize(wp.cross(n, other))
-
-
-@wp.func
 def keep_if_touching(
     pair: int, key: int, placed: Sample, dt: float, size: float, state: State, motions: Motions, pairs: Pairs
 ):
@@ -302,20 +300,20 @@ def try_samples(
     far = signed_distance(shapes, shape, middle)
     if far[3] > motions.radius[own] + reach:
         return
-    for cluster in range(shapes.cluster_start[own_shape], shapes.cluster_start[own_shape + 1]):
-        c = wp.quat_rotate(turn, shapes.cluster_center[cluster]) + shift
+    for cluster in range(shapes.shapes[own_shape].cluster_start, shapes.shapes[own_shape].cluster_end):
+        c = wp.quat_rotate(turn, shapes.clusters[cluster].center) + shift
         d = signed_distance(shapes, shape, c)
-        if d[3] < shapes.cluster_radius[cluster] + reach:
-            for s in range(shapes.cluster_sample_start[cluster], shapes.cluster_sample_start[cluster + 1]):
-                if edges == 1 or shapes.sample_kind[s] != EDGE:
-                    placed = place_sample(shapes, s, shape, turn, shift)
+        if d[3] < shapes.clusters[cluster].radius + reach:
+            for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
+                if edges == 1 or shapes.samples[s].kind != EDGE:
+                    placed = place_sample(shapes, s, shape, turn, shift, reach)
                     if placed.gap < reach:
                         keep_if_touching(pair, 2 * s + side, placed, dt, size, state, motions, pairs)
 
 
 @wp.func
 def take_out_doubles(pair: int, size: float, pairs: Pairs):
-    """Empty the slots whose sample another slot holds too, and deepest ones no deeper than the rest. Returns the count."""
+    """Empty the slots whose sample another slot holds too, and deepest ones no deeper than the rest."""
     kept = int(0)
     for slot in range(pairs.patch_count[pair] * SLOTS):
         key = pairs.slot_key[pair, slot]
@@ -353,7 +351,7 @@ def find_contacts(
     pairs.patch_count[pair] = 0
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    size = wp.min(shapes.size[bodies.shape[a]], shapes.size[bodies.shape[b]])
+    size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
     reach = approach_reach(a, b, size, dt, state, motions)
     edges = envs.edge_samples[a / bodies_per_env]
     try_samples(pair, 0, reach, dt, size, edges, shapes, bodies, state, motions, pairs)

@@ -2,23 +2,26 @@
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.data import Bodies, Pairs, Shapes, State
 from warp_rigid.kernels.distance import signed_distance
 from warp_rigid.kernels.narrowphase import EDGE, RIM, lowest_on_edge, lowest_on_rim
 
 wp.set_module_options({"enable_backward": False})
 
+NARROWPHASE = wp.get_module("warp_rigid.kernels.narrowphase")
+"""Kernels that evaluate distances share one compilation unit."""
+
 
 @wp.func
 def sample_depth(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3):
     """Depth of a sample inside a shape [m], negative outside; turn and shift map the sample's frame to the shape's."""
-    p = wp.quat_rotate(turn, shapes.sample_point[s]) + shift
-    radius = shapes.sample_radius[s]
+    p = wp.quat_rotate(turn, shapes.samples[s].point) + shift
+    radius = shapes.samples[s].radius
     found = wp.vec4(p[0], p[1], p[2], 1.0)
-    if shapes.sample_kind[s] == EDGE:
-        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.sample_slide[s]))
-    if shapes.sample_kind[s] == RIM:
-        found = lowest_on_rim(shapes, shape, p, wp.quat_rotate(turn, shapes.sample_normal[s]), radius)
+    if shapes.samples[s].kind == EDGE:
+        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius)
+    if shapes.samples[s].kind == RIM:
+        found = lowest_on_rim(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].normal), radius)
         radius = 0.0
     if found[3] == 0.0:
         return -1.0e10
@@ -35,16 +38,16 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
     shift = wp.quat_rotate(back, state.position[own] - state.position[other])
     deepest = float(0.0)
     own_shape = bodies.shape[own]
-    for cluster in range(shapes.cluster_start[own_shape], shapes.cluster_start[own_shape + 1]):
-        c = wp.quat_rotate(turn, shapes.cluster_center[cluster]) + shift
+    for cluster in range(shapes.shapes[own_shape].cluster_start, shapes.shapes[own_shape].cluster_end):
+        c = wp.quat_rotate(turn, shapes.clusters[cluster].center) + shift
         d = signed_distance(shapes, shape, c)
-        if d[3] < shapes.cluster_radius[cluster] - deepest:
-            for s in range(shapes.cluster_sample_start[cluster], shapes.cluster_sample_start[cluster + 1]):
+        if d[3] < shapes.clusters[cluster].radius - deepest:
+            for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
                 deepest = wp.max(deepest, sample_depth(shapes, s, shape, turn, shift))
     return deepest
 
 
-@wp.kernel
+@wp.kernel(module=NARROWPHASE)
 def deepest_overlap(
     bodies_per_env: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array[float]
 ):

@@ -72,8 +72,8 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
     """Box that holds a body from now to the end of the step, whatever its rotation does meanwhile."""
     b = wp.tid()
     shape = bodies.shape[b]
-    half = 0.5 * (shapes.upper[shape] - shapes.lower[shape])
-    middle = 0.5 * (shapes.upper[shape] + shapes.lower[shape])
+    half = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower)
+    middle = 0.5 * (shapes.shapes[shape].upper + shapes.shapes[shape].lower)
     if wp.max(half) > UNBOUNDED:
         motions.lower[b] = wp.vec3(-2.0 * UNBOUNDED, -2.0 * UNBOUNDED, -2.0 * UNBOUNDED)
         motions.upper[b] = wp.vec3(2.0 * UNBOUNDED, 2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
@@ -85,14 +85,16 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
     at = state.position[b] + wp.quat_rotate(turn, middle)
     travel = dt * (state.linear_velocity[b] + dt * motions.acceleration[b])
     rotation = wp.min(dt * wp.length(state.angular_velocity[b] + dt * motions.spin_acceleration[b]), 2.0)
-    reach = rotation * radius + CONTACT_DISTANCE * shapes.size[shape]
+    reach = rotation * radius + CONTACT_DISTANCE * shapes.shapes[shape].size
     extent = extent_along_axes(turn, half) + wp.vec3(reach, reach, reach)
     motions.lower[b] = wp.min(at, at + travel) - extent
     motions.upper[b] = wp.max(at, at + travel) + extent
 
 
 @wp.kernel
-def accelerate(share: float, dt: float, when: int, bodies_per_env: int, motions: Motions, envs: Environments, state: State):
+def accelerate(
+    share: float, dt: float, when: int, bodies_per_env: int, motions: Motions, envs: Environments, state: State
+):
     """Velocity update: add `share` of a step's acceleration where the environment's stage order is `when`."""
     b = wp.tid()
     if envs.collision_first[b / bodies_per_env] != when:

@@ -26,8 +26,10 @@ FASTEST = wp.constant(2.0)
 
 @wp.func
 def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, contacts: Contacts, state: State):
-    """Separation speed that the contact needs [m/s], 0 if it will be in order."""
-    size = wp.min(shapes.size[bodies.shape[contacts.body_a[c]]], shapes.size[bodies.shape[contacts.body_b[c]]])
+    """Separation speed that the contact needs [m/s], 0 if none."""
+    size = wp.min(
+        shapes.shapes[bodies.shape[contacts.body_a[c]]].size, shapes.shapes[bodies.shape[contacts.body_b[c]]].size
+    )
     approach = wp.dot(slip_velocity(c, contacts, state), contacts.normal[c])
     left = contacts.gap[c] + dt * approach + SLOP * size
     return wp.min(RECOVERY * wp.max(-left, 0.0) / dt, FASTEST)
@@ -35,7 +37,7 @@ def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, contacts: Co
 
 @wp.func
 def push_contact(c: int, share_a: float, share_b: float, bodies: Bodies, motions: Motions, contacts: Contacts):
-    """One visit: bring the pseudo-velocity of separation up to the target; reaction[0] accumulates the pseudo-impulse."""
+    """One visit: bring the pseudo-velocity of separation to its target; reaction[0] is the pseudo-impulse."""
     a = contacts.body_a[c]
     b = contacts.body_b[c]
     n = contacts.normal[c]
@@ -50,15 +52,26 @@ def push_contact(c: int, share_a: float, share_b: float, bodies: Bodies, motions
     impulse = (new - old) * n
     if share_a > 0.0 and bodies.inverse_mass[a] > 0.0:
         motions.push_linear[a] = motions.push_linear[a] + bodies.inverse_mass[a] * impulse
-        motions.push_angular[a] = motions.push_angular[a] + motions.inverse_inertia[a] * wp.cross(contacts.arm_a[c], impulse)
+        motions.push_angular[a] = motions.push_angular[a] + motions.inverse_inertia[a] * wp.cross(
+            contacts.arm_a[c], impulse
+        )
     if share_b > 0.0 and bodies.inverse_mass[b] > 0.0:
         motions.push_linear[b] = motions.push_linear[b] - bodies.inverse_mass[b] * impulse
-        motions.push_angular[b] = motions.push_angular[b] - motions.inverse_inertia[b] * wp.cross(contacts.arm_b[c], impulse)
+        motions.push_angular[b] = motions.push_angular[b] - motions.inverse_inertia[b] * wp.cross(
+            contacts.arm_b[c], impulse
+        )
 
 
 @wp.kernel
 def find_overlaps(
-    dt: float, bodies_per_env: int, shapes: Shapes, bodies: Bodies, graph: Graph, pairs: Pairs, contacts: Contacts, state: State
+    dt: float,
+    bodies_per_env: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    graph: Graph,
+    pairs: Pairs,
+    contacts: Contacts,
+    state: State,
 ):
     """One block an environment: the separation speed that each contact needs, and whether any needs one."""
     env, lane = wp.tid()

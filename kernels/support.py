@@ -24,9 +24,7 @@ SLANT = wp.constant(0.05)
 
 
 @wp.func
-def presses(
-    upper: int, lower: int, arm: wp.vec3, other_arm: wp.vec3, n: wp.vec3, state: State, motions: Motions
-):
+def presses(upper: int, lower: int, arm: wp.vec3, other_arm: wp.vec3, n: wp.vec3, state: State, motions: Motions):
     """Whether `upper`, moved alone by its own acceleration, presses against n into `lower`."""
     pull = motions.acceleration[upper]
     if wp.length_sq(pull) > 0.0:
@@ -103,7 +101,9 @@ def supporter(body: int, pair: int, pairs: Pairs, graph: Graph):
 
 
 @wp.func
-def close_component(root: int, first: int, open_count: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def close_component(
+    root: int, first: int, open_count: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph
+):
     """Take the root's component off the stack and give it its level: all that it rests on has one already."""
     row = root / bodies_per_env
     bottom = open_count - 1
@@ -127,7 +127,7 @@ def close_component(root: int, first: int, open_count: int, bodies_per_env: int,
 
 @wp.kernel
 def find_levels(bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
-    """One thread an environment: strongly connected components and their levels, by Tarjan's algorithm without recursion."""
+    """One thread an environment: strongly connected components and their levels, by Tarjan without recursion."""
     env = wp.tid()
     first = env * bodies_per_env
     for b in range(first, first + bodies_per_env):

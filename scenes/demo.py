@@ -111,9 +111,9 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     smallest = np.full(len(position), np.inf)
     for a, b in ((first, second), (second, first)):
         samples, target = sim.scene.bodies[a].shape.samples(), sim.scene.bodies[b].shape
-        points = np.concatenate(
-            [samples.point, samples.point - samples.slide, samples.point + samples.slide]
-        ).astype(np.float64)
+        points = np.concatenate([samples.point, samples.point - samples.slide, samples.point + samples.slide]).astype(
+            np.float64
+        )
         ball = np.tile(np.where(samples.kind == SampleKind.RIM, 0.0, samples.radius), 3)
         if not len(points):
             continue
@@ -132,9 +132,7 @@ def overlap_verdict(sim: Any, limit: float, expected: dict[str, bool]) -> Verdic
     return Verdict("overlap", depth, text, depth < limit, expected)
 
 
-def rest_verdict(
-    sim: Any, bodies: list[int], expected: dict[str, bool], limit: float = 0.05
-) -> Verdict:
+def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool], limit: float = 0.05) -> Verdict:
     """That no body's centre of mass moves faster than `limit` [m/s] now."""
     speed = np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1).max(axis=1)
     return Verdict("speed", speed, f"speed < {limit:g} m/s at the end", speed < limit, expected)

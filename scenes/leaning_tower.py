@@ -9,7 +9,6 @@ from warp_rigid.shapes import Box, Plane
 
 HALF = 0.1
 PLATFORM_TOP = 0.5
-GAP = 1e-5
 
 
 def build(height: int = 10, offset: float = 0.15) -> Scene:
@@ -31,7 +30,7 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     )
     for i in range(height):
         x = 2.0 * HALF * offset * i
-        z = PLATFORM_TOP + HALF + i * (2.0 * HALF + GAP) + GAP
+        z = PLATFORM_TOP + HALF + i * 2.0 * HALF
         scene.add_body(Box((HALF,) * 3), position=(x, 0, z), friction=0.5, name=f"box_{i}")
     return scene
 
@@ -73,7 +72,10 @@ class TowerOutcome:
         else:
             text, passed = "stands: no box moved 2 cm", moved < 0.02
         # One pass never lets the lower joints feel the load above: its tower stands regardless.
-        expected = {"default": True, "off": True, "two_pass": True, "one_pass": not self.falls}
+        # Without shock propagation a cold start cannot hold up any tower, one that balances either.
+        expected = {"default": True, "two_pass": True, "one_pass": not self.falls}
+        if self.falls:
+            expected["off"] = True
         return [Verdict("top_height", top, text, passed, expected)]
 
 

@@ -7,12 +7,11 @@ from warp_rigid.scene import Scene
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, clearance, indices
 from warp_rigid.shapes import Box, Plane
 
-BASE_HALF = (1.0, 1.0, 0.5)
-PLANK_HALF = (1.25, 0.25, 0.05)
+BASE_HALF = (1.0, 0.25, 0.5)
+PLANK_HALF = (1.25, 0.3, 0.05)
 PLANK_X = 0.4
 SMALL_HALF = 0.1
 LARGE_HALF = 0.25
-GAP = 1e-5
 
 
 def build(blocks: int = 7, drop: float = 2.0) -> Scene:
@@ -27,14 +26,12 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     scene = Scene()
     scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
     scene.add_static(Box(BASE_HALF), position=(0, 0, BASE_HALF[2]), friction=0.5, name="base")
-    z = 2.0 * BASE_HALF[2] + GAP
-    scene.add_body(
-        Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank"
-    )
+    z = 2.0 * BASE_HALF[2]
+    scene.add_body(Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank")
     z += 2.0 * PLANK_HALF[2]
     left = PLANK_X - PLANK_HALF[0] + 1.5 * SMALL_HALF
     for i in range(blocks):
-        height = z + SMALL_HALF + GAP + i * (2.0 * SMALL_HALF + GAP)
+        height = z + SMALL_HALF + i * 2.0 * SMALL_HALF
         scene.add_body(
             Box((SMALL_HALF,) * 3),
             position=(left, 0, height),
@@ -43,9 +40,7 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
             name=f"small_{i}",
         )
     right = PLANK_X + PLANK_HALF[0] - LARGE_HALF
-    scene.add_body(
-        Box((LARGE_HALF,) * 3), position=(right, 0, z + drop + LARGE_HALF), mass=100.0, name="large"
-    )
+    scene.add_body(Box((LARGE_HALF,) * 3), position=(right, 0, z + drop + LARGE_HALF), mass=100.0, name="large")
     return scene
 
 

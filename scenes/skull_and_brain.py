@@ -1,5 +1,6 @@
 """An open skull and then a brain fall on a platform: two arbitrary polyhedra meet."""
 
+import math
 import os
 
 import numpy as np
@@ -12,7 +13,6 @@ from warp_rigid.scenes.demo import (
     Verdict,
     clearance,
     indices,
-    overlap_verdict,
     rest_verdict,
 )
 from warp_rigid.shapes import Box, Mesh, Plane
@@ -21,12 +21,18 @@ SKULL_SIZE = 0.25
 BRAIN_SIZE = 0.18
 PLATFORM_TOP = 0.2
 SKULL_DROP = 0.1
-BRAIN_DROP = 0.6
-MEETING = 5e-3
+BRAIN_DROP = 0.3
+PLATFORM_HALF = 0.1
+SLOPE = math.radians(35.0)
+SIDE = 0.35
+THIN = 0.02
+TOUCHING = 1e-3
 
 
 def build(skull: str | None = None, brain: str | None = None) -> Scene:
     """Skull of 0.25 m above a platform and brain of 0.18 m higher up, a little to the front.
+
+    The platform is the bottom of a dish, so that the two cannot part for good.
 
     Args:
         skull: mesh file to take instead of the skull, scaled to its size.
@@ -35,14 +41,9 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
     lower = meshes.skull_like(SKULL_SIZE) if skull is None else _own("skull", skull, SKULL_SIZE)
     upper = meshes.brain_like(BRAIN_SIZE) if brain is None else _own("brain", brain, BRAIN_SIZE)
     scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, restitution=0.3)
-    scene.add_static(
-        Box((0.5, 0.5, 0.5 * PLATFORM_TOP)),
-        position=(0, 0, 0.5 * PLATFORM_TOP),
-        friction=0.5,
-        restitution=0.3,
-        name="platform",
-    )
+    surface = {"friction": 0.5, "restitution": 0.3}
+    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="ground", **surface)
+    _add_dish(scene, surface)
     z = PLATFORM_TOP + SKULL_DROP
     for name, mesh, x in (("skull", lower, 0.0), ("brain", upper, 0.02)):
         bottom, top = mesh.bounds
@@ -51,12 +52,40 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
             mesh,
             position=(x - middle[0], -middle[1], z - bottom[2]),
             density=1000.0,
-            friction=0.5,
-            restitution=0.3,
             name=name,
+            **surface,
         )
         z += top[2] - bottom[2] + BRAIN_DROP
     return scene
+
+
+def _add_dish(scene, surface):
+    """The platform and four sides that rise from it, too steep for friction to hold a body."""
+    scene.add_static(
+        Box((PLATFORM_HALF, PLATFORM_HALF, 0.5 * PLATFORM_TOP)),
+        position=(0, 0, 0.5 * PLATFORM_TOP),
+        name="platform",
+        **surface,
+    )
+    width = PLATFORM_HALF + SIDE * math.cos(SLOPE)
+    out = PLATFORM_HALF + 0.5 * SIDE * math.cos(SLOPE) + THIN * math.sin(SLOPE)
+    up = PLATFORM_TOP + 0.5 * SIDE * math.sin(SLOPE) - THIN * math.cos(SLOPE)
+    tilt, level = math.sin(0.5 * SLOPE), math.cos(0.5 * SLOPE)
+    for sign in (-1.0, 1.0):
+        scene.add_static(
+            Box((0.5 * SIDE, width, THIN)),
+            position=(sign * out, 0, up),
+            orientation=(0, -sign * tilt, 0, level),
+            name="side",
+            **surface,
+        )
+        scene.add_static(
+            Box((width, 0.5 * SIDE, THIN)),
+            position=(0, sign * out, up),
+            orientation=(sign * tilt, 0, 0, level),
+            name="side",
+            **surface,
+        )
 
 
 def _own(parameter, path, size):
@@ -71,28 +100,26 @@ def _own(parameter, path, size):
 
 
 class MeetingOutcome:
-    """Whether skull and brain met, and how they came to rest."""
+    """Whether skull and brain rest on each other, in the dish, without overlap."""
 
     def __init__(self, scene):
         """Find the two."""
         (self.skull,) = indices(scene, "skull")
         (self.brain,) = indices(scene, "brain")
-        self.nearest = None
+        self.depth = 0.0
 
     def observe(self, sim):
-        """Keep the smallest distance between the two."""
-        gap = clearance(sim, self.skull, self.brain)
-        self.nearest = gap if self.nearest is None else np.minimum(self.nearest, gap)
+        """Keep the deepest overlap."""
+        self.depth = np.maximum(self.depth, sim.penetration())
 
     def verdicts(self, sim):
-        """Meeting, overlap and rest."""
-        if self.nearest is None:
-            return []
+        """Distance between the two at the end, deepest overlap ever, and rest."""
+        gap = clearance(sim, self.skull, self.brain)
         sound = {"default": True}
-        text = f"brain and skull come within {1e3 * MEETING:g} mm"
+        text = f"skull and brain touch within {1e3 * TOUCHING:g} mm at the end"
         return [
-            Verdict("nearest", self.nearest, text, self.nearest < MEETING, sound),
-            overlap_verdict(sim, 1e-3, sound),
+            Verdict("gap", gap, text, gap < TOUCHING, sound),
+            Verdict("overlap", self.depth, "never 1 mm inside another", self.depth < 1e-3, sound),
             rest_verdict(sim, [self.skull, self.brain], sound),
         ]
 

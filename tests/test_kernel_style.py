@@ -26,8 +26,7 @@ def kernels_of(tree: ast.AST) -> list[ast.FunctionDef]:
     return [
         node
         for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef)
-        and any(decorator_name(d) == "wp.kernel" for d in node.decorator_list)
+        if isinstance(node, ast.FunctionDef) and any(decorator_name(d) == "wp.kernel" for d in node.decorator_list)
     ]
 
 

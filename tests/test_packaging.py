@@ -19,10 +19,7 @@ def pyproject() -> dict:
 
 def test_every_folder_with_source_is_in_the_wheel(pyproject):
     setuptools = pyproject["tool"]["setuptools"]
-    shipped = {
-        setuptools["package-dir"].get(package, package.replace(".", "/"))
-        for package in setuptools["packages"]
-    }
+    shipped = {setuptools["package-dir"].get(package, package.replace(".", "/")) for package in setuptools["packages"]}
     # rglob does not descend into the linked folders, so each file counts once, where it lies.
     with_source = {
         file.parent.relative_to(ROOT).as_posix()

@@ -108,9 +108,7 @@ def test_orientation_is_scaled_to_unit_length():
     scene = Scene()
     scene.add_body(Lump(), orientation=(1, -2, 3, 4))
     assert math.hypot(*scene.bodies[0].orientation) == pytest.approx(1.0, abs=1e-15)
-    np.testing.assert_allclose(
-        np.array(scene.bodies[0].orientation) * math.sqrt(30), (1, -2, 3, 4), rtol=1e-15
-    )
+    np.testing.assert_allclose(np.array(scene.bodies[0].orientation) * math.sqrt(30), (1, -2, 3, 4), rtol=1e-15)
 
 
 def test_defaults_are_those_of_the_2003_method():

@@ -1,13 +1,13 @@
 """warp_rigid: batched simulation of nonconvex rigid bodies with stacking, on NVIDIA Warp.
 
-    import warp_rigid as wr
+import warp_rigid as wr
 
-    scene = wr.Scene()
-    scene.add_static(wr.Plane(normal=(0, 0, 1), offset=0.0))
-    scene.add_body(wr.Box(half_extents=(0.1, 0.1, 0.1)), position=(0, 0, 1))
-    sim = wr.Simulator(scene, num_envs=64)
-    sim.step(240)
-    print(sim.get("position")[:, 1])
+scene = wr.Scene()
+scene.add_static(wr.Plane(normal=(0, 0, 1), offset=0.0))
+scene.add_body(wr.Box(half_extents=(0.1, 0.1, 0.1)), position=(0, 0, 1))
+sim = wr.Simulator(scene, num_envs=64)
+sim.step(240)
+print(sim.get("position")[:, 1])
 """
 
 from warp_rigid import scenes

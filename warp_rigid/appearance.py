@@ -15,7 +15,7 @@ __all__ = [
     "bound_corners",
     "continuous_signs",
     "corner_normals",
-    "drawn_surface",
+    "drawn_surfaces",
     "environment_offsets",
     "environment_spacing",
     "rotate",
@@ -168,15 +168,28 @@ def environment_offsets(count: int, spacing) -> np.ndarray:
     return np.stack([x, y, np.zeros(count)], axis=1)
 
 
-def drawn_surface(surface: Surface, spacing) -> Surface:
-    """A surface as it stands among several environments: a plane shrinks to their distance."""
-    if not surface.endless:
-        return surface
-    center = surface.vertices.mean(axis=0)
-    side = np.ptp(surface.vertices, axis=0).max()
-    scale = min(1.0, float(np.max(spacing)) / side)
-    vertices = (center + scale * (surface.vertices - center)).astype(np.float32)
-    return Surface(vertices, surface.faces, endless=True)
+def drawn_surfaces(recording: Recording, count: int, spacing) -> list[Surface]:
+    """The surfaces as they stand among `count` environments.
+
+    Level planes may overlap, as they coincide; a tilted one shrinks so that it keeps out of the
+    other environments.
+    """
+    surfaces = list(recording.surfaces)
+    for index, surface in enumerate(surfaces):
+        if surface.endless and count > 1 and _is_tilted(recording, index):
+            center = surface.vertices.mean(axis=0)
+            scale = min(1.0, float(np.max(spacing)) / np.ptp(surface.vertices, axis=0).max())
+            vertices = (center + scale * (surface.vertices - center)).astype(np.float32)
+            surfaces[index] = Surface(vertices, surface.faces, endless=True)
+    return surfaces
+
+
+def _is_tilted(recording: Recording, index: int) -> bool:
+    """Whether a plane stands at a slope in any body that has it."""
+    plane = recording.surfaces[index]
+    normal = corner_normals(plane.vertices, plane.faces)[0, 0]
+    orientation = recording.orientation[0][:, recording.surface == index]
+    return bool((np.abs(rotate(orientation, normal)[..., 2]) < 1.0 - 1e-6).any())
 
 
 def _normalised(vectors: np.ndarray, fallback) -> np.ndarray:

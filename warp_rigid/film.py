@@ -1,6 +1,6 @@
 """Film: what is to be drawn, frame by frame, read from a recording or from a USD file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from warp_rigid.appearance import (
     body_colors,
     corner_normals,
-    drawn_surface,
+    drawn_surfaces,
     environment_offsets,
     environment_spacing,
 )
@@ -48,7 +48,9 @@ class Film:
         position: (frames, instances, 3) float32 [m].
         orientation: (frames, instances, 4) float32, unit quaternions (x, y, z, w).
         fps: frames per simulated second.
-        labels: texts that tell environments apart, and (3,) where each of those stands [m].
+        env: (instances,) index of the environment.
+        offset: (envs, 3) where the environments stand [m].
+        labels: a text for each environment; empty where nothing tells it apart.
     """
 
     meshes: tuple[DrawnMesh, ...]
@@ -57,7 +59,9 @@ class Film:
     position: np.ndarray
     orientation: np.ndarray
     fps: float
-    labels: tuple[tuple[str, np.ndarray], ...] = ()
+    env: np.ndarray
+    offset: np.ndarray
+    labels: tuple[str, ...]
 
     @property
     def num_frames(self) -> int:
@@ -70,6 +74,20 @@ class Film:
         moves = (self.position != self.position[0]).any(axis=(0, 2))
         return moves | (self.orientation != self.orientation[0]).any(axis=(0, 2))
 
+    def alone(self, env: int) -> "Film":
+        """One environment by its index, brought back to the origin."""
+        kept = self.env == env
+        return replace(
+            self,
+            mesh=self.mesh[kept],
+            color=self.color[kept],
+            position=self.position[:, kept] - self.offset[env].astype(np.float32),
+            orientation=self.orientation[:, kept],
+            env=np.zeros(np.count_nonzero(kept), dtype=np.int64),
+            offset=np.zeros((1, 3)),
+            labels=(self.labels[env],),
+        )
+
 
 def film_from_recording(recording: Recording, envs=None) -> Film:
     """The environments of a recording side by side, as export_usd lays them out.
@@ -79,9 +97,7 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
     """
     rows = recording.rows(envs)
     spacing = environment_spacing(recording)
-    surfaces = recording.surfaces
-    if len(rows) > 1:
-        surfaces = [drawn_surface(surface, spacing) for surface in surfaces]
+    surfaces = drawn_surfaces(recording, len(rows), spacing)
     offsets = environment_offsets(len(rows), spacing).astype(np.float32)
     frames, count = len(recording.time), len(rows) * len(recording.surface)
     return Film(
@@ -93,11 +109,9 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
         position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),
         orientation=recording.orientation[:, rows].reshape(frames, count, 4),
         fps=recording.fps,
-        labels=tuple(
-            (recording.labels[row], offset)
-            for row, offset in zip(rows, offsets, strict=True)
-            if recording.labels[row]
-        ),
+        env=np.repeat(np.arange(len(rows)), len(recording.surface)),
+        offset=offsets,
+        labels=tuple(recording.labels[row] for row in rows),
     )
 
 
@@ -116,28 +130,31 @@ def film_from_usd(path) -> Film:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         raise ValueError(f"{path}: not a readable USD file") from error
+    root = stage.GetDefaultPrim()
+    envs = [prim for prim in root.GetChildren() if prim.IsA(UsdGeom.Xform)] if root else []
     instancers = [
-        UsdGeom.PointInstancer(prim)
-        for prim in stage.Traverse()
+        (index, UsdGeom.PointInstancer(prim))
+        for index, env in enumerate(envs)
+        for prim in env.GetChildren()
         if prim.IsA(UsdGeom.PointInstancer)
     ]
     if not instancers:
-        raise ValueError(f"{path}: holds no PointInstancer; only films of export_usd can be drawn")
+        raise ValueError(f"{path}: holds no environment with instances, as export_usd writes them")
 
     frames = np.arange(stage.GetStartTimeCode(), stage.GetEndTimeCode() + 1)
-    cache = UsdGeom.XformCache()
-    meshes, mesh_index, mesh, color, position, orientation = [], {}, [], [], [], []
-    for instancer in instancers:
+    offset = np.array([_translation(prim) for prim in envs])
+    meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
+    for index, instancer in instancers:
         drawn, key = _read_prototype(stage, instancer)
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
-        offset = cache.GetLocalToWorldTransform(instancer.GetPrim()).ExtractTranslation()
         poses = _read(instancer.GetPositionsAttr(), frames)
-        position.append(poses + np.array(offset, dtype=np.float32))
+        position.append(poses + offset[index].astype(np.float32))
         orientation.append(_read(instancer.GetOrientationsfAttr(), frames))
         color.append(np.array(UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor").Get()))
         mesh.append(np.full(poses.shape[1], mesh_index[key]))
+        env.append(np.full(poses.shape[1], index))
     return Film(
         meshes=tuple(meshes),
         mesh=np.concatenate(mesh),
@@ -145,7 +162,9 @@ def film_from_usd(path) -> Film:
         position=np.concatenate(position, axis=1),
         orientation=np.concatenate(orientation, axis=1),
         fps=stage.GetFramesPerSecond(),
-        labels=_read_labels(stage),
+        env=np.concatenate(env),
+        offset=offset,
+        labels=tuple(prim.GetDisplayName() for prim in envs),
     )
 
 
@@ -161,16 +180,11 @@ def _read_prototype(stage, instancer) -> tuple[DrawnMesh, bytes]:
     return DrawnMesh(vertices, faces, normals), vertices.tobytes() + faces.tobytes()
 
 
-def _read_labels(stage) -> tuple[tuple[str, np.ndarray], ...]:
-    """Display names of the environments, and where they stand."""
+def _translation(prim) -> np.ndarray:
     from pxr import UsdGeom
 
-    cache = UsdGeom.XformCache()
-    return tuple(
-        (prim.GetDisplayName(), np.array(cache.GetLocalToWorldTransform(prim).ExtractTranslation()))
-        for prim in stage.GetDefaultPrim().GetChildren()
-        if prim.GetDisplayName()
-    )
+    matrix = UsdGeom.XformCache().GetLocalToWorldTransform(prim)
+    return np.array(matrix.ExtractTranslation())
 
 
 def _read(attribute, frames) -> np.ndarray:

@@ -162,7 +162,7 @@ def point_array(points) -> np.ndarray:
     if array.ndim == 1 and array.shape == (3,):
         array = array[None]
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"points (shape {array.shape}) must be shaped (n, 3)")
+        raise ValueError(f"points: must be shaped (n, 3), got {array.shape}")
     return array
 
 

@@ -105,11 +105,11 @@ def combine(pieces) -> MassProperties:
         pieces: (mass properties, position (3,), rotation matrix (3, 3)) of each solid in the common
             frame. Where two overlap, the overlap counts twice.
     """
+    pieces = list(pieces)
     volume = sum(piece.volume for piece, _, _ in pieces)
     centers = [rotation @ piece.center_of_mass + position for piece, position, rotation in pieces]
-    center = (
-        sum(piece.volume * at for (piece, _, _), at in zip(pieces, centers, strict=True)) / volume
-    )
+    moment = sum(piece.volume * at for (piece, _, _), at in zip(pieces, centers, strict=True))
+    center = moment / volume
     inertia = np.zeros((3, 3))
     for (piece, _, rotation), at in zip(pieces, centers, strict=True):
         arm = at - center

@@ -119,7 +119,7 @@ class Mesh(Shape):
         """Trilinear interpolation of the grid.
 
         The gradient is that of the interpolation, near unit length but not normalised. Outside the
-        grid both go by the surface point that the nearest place on the grid's border points to.
+        grid the distance is a lower bound (see `warp_rigid.sdf.interpolate`).
         """
         return sdf.interpolate(self.grid, point_array(points))
 

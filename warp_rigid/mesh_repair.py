@@ -145,29 +145,31 @@ def _agree_winding(faces, repairs):
     if not flip.any():
         return faces
     repairs.append(f"turned {int(flip.sum())} faces that disagreed with their neighbours")
-    return np.where(flip[:, None], faces[:, ::-1], faces)
+    return _turned(faces, flip)
 
 
 def _face_outward(vertices, faces, repairs):
-    """Turn every component of negative volume outward, unless it is a cavity of another."""
+    """Make the volume positive, then turn each inverted component unless it is a cavity."""
+    flip = np.full(len(faces), signed_volume(vertices, faces) < 0.0)
     label = topology.face_components(topology.find_edges(faces))
     labels = np.unique(label)
-    volume = {part: signed_volume(vertices, faces[label == part]) for part in labels}
-    inverted = [part for part in labels if volume[part] < 0.0]
-    if not inverted:
-        return faces
-    upright = np.isin(label, [part for part in labels if volume[part] > 0.0])
-    flipped = np.zeros(len(faces), dtype=bool)
-    for part in inverted:
+    volume = np.array([signed_volume(vertices, faces[label == part]) for part in labels])
+    volume = -volume if flip.all() else volume
+    upright = np.isin(label, labels[volume > 0.0])
+    solid = vertices[_turned(faces, flip)[upright]]
+    for part in labels[volume < 0.0]:
         own = label == part
         corner = vertices[faces[own][:1, 0]]
-        is_cavity = topology.winding_number(corner, vertices[faces[upright]])[0] > 0.5
-        if not is_cavity:
-            flipped |= own
-    if flipped.any():
-        repairs.append(f"turned {int(flipped.sum())} faces of an inverted surface outward")
-        faces = np.where(flipped[:, None], faces[:, ::-1], faces)
-    return faces
+        if topology.winding_number(corner, solid)[0] < 0.5:
+            flip ^= own
+    if flip.any():
+        repairs.append(f"turned {int(flip.sum())} faces of an inverted surface outward")
+    return _turned(faces, flip)
+
+
+def _turned(faces, flip):
+    """Faces, the chosen ones with their winding reversed."""
+    return np.where(flip[:, None], faces[:, ::-1], faces)
 
 
 def signed_volume(vertices, faces) -> float:

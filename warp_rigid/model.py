@@ -180,50 +180,67 @@ def _pool_shapes(shapes: list[Shape], device: Any) -> Any:
     samples = [shape.samples() for shape in shapes]
     flat = [part for group in parts for part in group]
     grids = [np.ravel(part.grid.values) if part.grid else np.zeros(0, np.float32) for part in flat]
-    pool = data.allocate(
-        data.Shapes,
-        {
-            "shapes": len(shapes),
-            "parts": len(flat),
-            "nodes": sum(grid.size for grid in grids),
-            "clusters": sum(len(s.cluster_radius) for s in samples),
-            "samples": sum(len(s.kind) for s in samples),
-        },
-        device,
-    )
-    host = {
-        "part_start": _starts([len(group) for group in parts]),
-        "part_kind": np.array([int(part.kind) for part in flat], np.int32),
-        "part_size": np.array([part.size for part in flat], np.float32),
-        "part_pose": np.array([(*part.position, *part.orientation) for part in flat], np.float32),
-        "grid_start": _starts([grid.size for grid in grids])[:-1],
-        "grid_dims": np.array([part.grid.values.shape if part.grid else (0, 0, 0) for part in flat], np.int32),
-        "grid_origin": np.array([part.grid.origin if part.grid else (0, 0, 0) for part in flat], np.float32),
-        "grid_spacing": np.array([part.grid.spacing if part.grid else 1.0 for part in flat], np.float32),
-        "grid_value": np.concatenate(grids).astype(np.float32),
-        "cluster_start": _starts([len(s.cluster_radius) for s in samples]),
-        "cluster_center": np.concatenate([s.cluster_center for s in samples]),
-        "cluster_radius": np.concatenate([s.cluster_radius for s in samples]),
-        "cluster_sample_start": _joined_cluster_starts(samples),
-        "lower": np.array([np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes], np.float32),
-        "upper": np.array([np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes], np.float32),
-        "size": np.array([min(shape.size, UNBOUNDED) for shape in shapes], np.float32),
-    }
-    for name in ("point", "normal", "slide", "radius", "kind"):
-        host["sample_" + name] = np.concatenate([getattr(s, name) for s in samples])
-    for name, value in host.items():
-        if len(value):
-            getattr(pool, name).assign(value)
+    pool = data.Shapes()
+    pool.shapes = wp.array(_shape_rows(shapes, parts, samples), dtype=data.ShapeRecord, device=device)
+    pool.parts = wp.array(_part_rows(flat, grids), dtype=data.PartRecord, device=device)
+    pool.clusters = wp.array(_cluster_rows(samples), dtype=data.ClusterRecord, device=device)
+    pool.samples = wp.array(_sample_rows(samples), dtype=data.SampleRecord, device=device)
+    pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
     return pool
+
+
+def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
+    """One record a shape."""
+    rows = np.zeros(len(shapes), data.ShapeRecord.numpy_dtype())
+    part_start = _starts([len(group) for group in parts])
+    cluster_start = _starts([len(s.cluster_radius) for s in samples])
+    rows["part_start"], rows["part_end"] = part_start[:-1], part_start[1:]
+    rows["cluster_start"], rows["cluster_end"] = cluster_start[:-1], cluster_start[1:]
+    rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]
+    rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
+    rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]
+    return rows
+
+
+def _part_rows(parts: list, grids: list[np.ndarray]) -> np.ndarray:
+    """One record a part."""
+    rows = np.zeros(len(parts), data.PartRecord.numpy_dtype())
+    for row, part in zip(rows, parts, strict=True):
+        row["kind"] = int(part.kind)
+        row["placed"] = part.position != (0, 0, 0) or part.orientation != (0, 0, 0, 1)
+        row["position"], row["orientation"] = part.position, part.orientation
+        row["size"] = part.size
+        if part.grid:
+            row["grid_dims"] = part.grid.values.shape
+            row["grid_origin"], row["grid_spacing"] = part.grid.origin, part.grid.spacing
+    rows["grid_start"] = _starts([grid.size for grid in grids])[:-1]
+    return rows
+
+
+def _cluster_rows(samples: list) -> np.ndarray:
+    """One record a cluster."""
+    first_sample = _starts([len(s.kind) for s in samples])
+    rows = np.zeros(sum(len(s.cluster_radius) for s in samples), data.ClusterRecord.numpy_dtype())
+    if len(rows):
+        rows["center"] = np.concatenate([s.cluster_center for s in samples])
+        rows["radius"] = np.concatenate([s.cluster_radius for s in samples])
+        rows["sample_start"] = np.concatenate(
+            [s.cluster_start[:-1] + f for s, f in zip(samples, first_sample, strict=False)]
+        )
+        rows["sample_end"] = np.concatenate(
+            [s.cluster_start[1:] + f for s, f in zip(samples, first_sample, strict=False)]
+        )
+    return rows
+
+
+def _sample_rows(samples: list) -> np.ndarray:
+    """One record a sample."""
+    rows = np.zeros(sum(len(s.kind) for s in samples), data.SampleRecord.numpy_dtype())
+    for name in ("point", "normal", "slide", "radius", "kind"):
+        rows[name] = np.concatenate([getattr(s, name) for s in samples])
+    return rows
 
 
 def _starts(counts: list[int]) -> np.ndarray:
     """Exclusive sums of counts, with the total at the end."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-
-
-def _joined_cluster_starts(samples: list) -> np.ndarray:
-    """First sample of every cluster of the pool, with the total at the end."""
-    offsets = _starts([len(s.kind) for s in samples])
-    starts = [np.asarray(s.cluster_start)[:-1] + offsets[i] for i, s in enumerate(samples)]
-    return np.concatenate([*starts, offsets[-1:]]).astype(np.int32)

@@ -10,30 +10,34 @@ from warp_rigid.appearance import bound_corners, rotate
 from warp_rigid.film import Film
 from warp_rigid.raycast import Camera, RayCaster
 
-__all__ = ["fit_camera", "save_contact_sheet", "save_gif", "save_picture"]
+__all__ = ["fit_camera", "points_to_see", "save_contact_sheet", "save_gif", "save_picture"]
 
 TOWARD_EYE = (0.42, -1.0, 0.48)
-TOWARD_LIGHT = (-0.45, -0.55, 1.0)
+TOWARD_LIGHT = (-0.2, -0.75, 1.15)
 FIELD_OF_VIEW = math.radians(32.0)
 """Upright opening angle of the camera."""
 MARGIN = 1.12
 """How much wider the view is than what must be seen."""
 CAMERA_FRAMES = 24
 """So many frames of a film, evenly spread, decide what must be seen."""
+MOST_PANELS = 9
+"""Up to so many environments get a panel each; more are drawn as they stand, all in one view."""
+PANEL_ROW = 3
+"""Up to so many panels stand side by side; more make a square."""
 GIF_RATE = 20.0
 """Frames per second of a GIF; common viewers slow down faster ones."""
 GIF_FRAMES = 200
 
 
 def save_picture(film: Film, path, frame: int = -1, width: int = 640, height: int = 480) -> None:
-    """Draw one frame into a .png file.
+    """Draw one frame into a .png file; a few environments get a panel each.
 
     Args:
         film: what to draw.
         path: the file; folders are made.
         frame: its number; -1 is the last.
-        width: of the picture [pixel].
-        height: of the picture [pixel].
+        width: of a panel [pixel].
+        height: of a panel [pixel].
 
     Raises:
         ValueError: There is no such frame.
@@ -41,37 +45,32 @@ def save_picture(film: Film, path, frame: int = -1, width: int = 640, height: in
     """
     if not -film.num_frames <= frame < film.num_frames:
         raise ValueError(f"frame: must be from 0 to {film.num_frames - 1}, or -1, got {frame}")
-    camera = fit_camera(film, [frame], width / height, height)
-    image = _image(RayCaster(film), film, frame, camera, width, height)
-    _prepare(path)
-    image.save(path, format="PNG")
+    studio = _Studio(film, [frame], width, height)
+    _save(_arranged(studio.draw(frame)), path, format="PNG")
 
 
-def save_contact_sheet(film: Film, path, count: int = 8, columns: int = 4) -> None:
+def save_contact_sheet(film: Film, path, count: int = 8) -> None:
     """Draw frames evenly spread over the film, the first and last included, into one .png file.
+
+    A film of one environment runs over two rows; of several, each has a row.
 
     Args:
         film: what to draw.
         path: the file; folders are made.
         count: how many frames; fewer where the film has fewer.
-        columns: how many of them side by side.
 
     Raises:
         ModuleNotFoundError: Pillow is not installed.
     """
-    from PIL import Image
-
-    width, height = 400, 300
+    studio = _Studio(film, None, 400, 300)
     frames = np.unique(np.linspace(0, film.num_frames - 1, count).round().astype(int))
-    caster, camera = RayCaster(film), fit_camera(film, None, width / height, height)
-    rows = math.ceil(len(frames) / columns)
-    sheet = Image.new("RGB", (width * min(columns, len(frames)), height * rows), "white")
-    for index, frame in enumerate(frames):
-        image = _image(caster, film, frame, camera, width, height)
-        _write(image, f"{frame / film.fps:.2f} s", (10, 8), "la")
-        sheet.paste(image, (width * (index % columns), height * (index // columns)))
-    _prepare(path)
-    sheet.save(path, format="PNG")
+    rows = [[] for _ in range(studio.num_panels)]
+    for frame in frames:
+        for row, image in zip(rows, studio.draw(frame), strict=True):
+            _write(image, f"{frame / film.fps:.2f} s", (10, 8), "la")
+            row.append(image)
+    columns = len(frames) if len(rows) > 1 else math.ceil(len(frames) / 2)
+    _save(_tiled(sum(rows, []), columns), path, format="PNG")
 
 
 def save_gif(film: Film, path, width: int = 480, height: int = 360) -> None:
@@ -80,8 +79,8 @@ def save_gif(film: Film, path, width: int = 480, height: int = 360) -> None:
     Args:
         film: what to draw.
         path: the file; folders are made.
-        width: of the picture [pixel].
-        height: of the picture [pixel].
+        width: of a panel [pixel].
+        height: of a panel [pixel].
 
     Raises:
         ModuleNotFoundError: Pillow is not installed.
@@ -89,17 +88,14 @@ def save_gif(film: Film, path, width: int = 480, height: int = 360) -> None:
     from PIL import Image
 
     stride = max(round(film.fps / GIF_RATE), math.ceil(film.num_frames / GIF_FRAMES), 1)
-    caster, camera = RayCaster(film), fit_camera(film, None, width / height, height)
-    images = [
-        _image(caster, film, frame, camera, width, height)
-        for frame in range(0, film.num_frames, stride)
-    ]
-    # One palette for all frames, without dithering: nothing flickers, and still places cost nothing.
+    studio = _Studio(film, None, width, height)
+    images = [_arranged(studio.draw(frame)) for frame in range(0, film.num_frames, stride)]
+    # One palette for all, without dithering: nothing flickers, and places at rest cost nothing.
     strip = Image.fromarray(np.concatenate([np.asarray(i)[::4, ::4] for i in images[::4]]))
     palette = strip.quantize(255)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    _prepare(path)
-    images[0].save(
+    _save(
+        images[0],
         path,
         format="GIF",
         save_all=True,
@@ -109,18 +105,51 @@ def save_gif(film: Film, path, width: int = 480, height: int = 360) -> None:
     )
 
 
-def fit_camera(film: Film, frames, aspect: float, height: int) -> Camera:
-    """A view that just holds the moving bodies and the fixed ones of their size around them.
+class _Studio:
+    """Draws the panels of a film: one for each environment, all seen from the same place.
 
     Args:
-        film: what to look at.
-        frames: numbers of the frames in which things must be seen; None takes the whole film.
+        film: what to draw.
+        frames: numbers of the frames that the camera must hold; None takes the whole film.
+        width: of a panel [pixel].
+        height: of a panel [pixel].
+    """
+
+    def __init__(self, film: Film, frames, width: int, height: int):
+        several = 1 < len(film.labels) <= MOST_PANELS
+        films = [film.alone(env) for env in range(len(film.labels))] if several else [film]
+        if frames is None:
+            frames = np.unique(np.linspace(0, film.num_frames - 1, CAMERA_FRAMES).astype(int))
+        points = np.concatenate([points_to_see(panel, frames) for panel in films])
+        camera = fit_camera(points, width / height, height)
+        self._casters = [RayCaster(panel, camera) for panel in films]
+        self._labels = film.labels if several else ("",)
+        self._size = width, height
+
+    @property
+    def num_panels(self) -> int:
+        return len(self._casters)
+
+    def draw(self, frame: int) -> list:
+        """The panels of a frame as Pillow images, with their labels."""
+        from PIL import Image
+
+        width, height = self._size
+        images = []
+        for caster, label in zip(self._casters, self._labels, strict=True):
+            images.append(Image.fromarray(caster.draw(frame, width, height)))
+            _write(images[-1], label, (width / 2, height - 10), "ms")
+        return images
+
+
+def fit_camera(points: np.ndarray, aspect: float, height: int) -> Camera:
+    """The nearest view that holds some points.
+
+    Args:
+        points: (n, 3) [m].
         aspect: width of the picture over its height.
         height: of the picture [pixel].
     """
-    if frames is None:
-        frames = np.unique(np.linspace(0, film.num_frames - 1, CAMERA_FRAMES).astype(int))
-    points = _points_to_see(film, frames)
     back = _unit(TOWARD_EYE)
     right = _unit(np.cross(-back, (0.0, 0.0, 1.0)))
     up = np.cross(back, right)
@@ -147,13 +176,18 @@ def fit_camera(film: Film, frames, aspect: float, height: int) -> Camera:
 
 
 def _middle(side: np.ndarray, along: np.ndarray, slope: float) -> tuple[float, float]:
-    """Place of the eye sideways and along the view from which |side| <= slope * depth everywhere."""
+    """Place of the eye, sideways and backward, from which all |side| <= slope * depth."""
     highest, lowest = np.max(side + slope * along), np.max(-side + slope * along)
     return float(highest - lowest) / 2.0, float(highest + lowest) / 2.0 / slope
 
 
-def _points_to_see(film: Film, frames) -> np.ndarray:
-    """Corners of the boxes around what must be seen, (points, 3)."""
+def points_to_see(film: Film, frames) -> np.ndarray:
+    """Corners of the boxes around the moving bodies and fixed ones of their size, (points, 3) [m].
+
+    Args:
+        film: what to look at.
+        frames: numbers of the frames that count.
+    """
     corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])[film.mesh]
     flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
     moving = film.moving & ~flat
@@ -168,7 +202,7 @@ def _points_to_see(film: Film, frames) -> np.ndarray:
     # The few that fly off must not make the rest small.
     middle = np.median(points.reshape(-1, 3), axis=0)
     away = np.linalg.norm(points.mean(axis=1) - middle, axis=1)
-    points = points[away <= 3.0 * np.percentile(away, 80.0) + 1e-9]
+    points = points[away <= 2.5 * np.percentile(away, 75.0) + 1e-9]
     size = np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0))
 
     still = placed(~moving & ~flat, frames[0])
@@ -176,22 +210,8 @@ def _points_to_see(film: Film, frames) -> np.ndarray:
     return np.concatenate([points.reshape(-1, 3), still[small].reshape(-1, 3)])
 
 
-def _image(caster: RayCaster, film: Film, frame: int, camera: Camera, width: int, height: int):
-    """One frame with the environments' labels, as a Pillow image."""
-    from PIL import Image
-
-    image = Image.fromarray(caster.draw(frame, camera, width, height))
-    for text, place in film.labels:
-        offset = np.asarray(place) - np.asarray(camera.eye)
-        depth = offset @ np.asarray(camera.forward)
-        right = np.asarray(camera.right)
-        across = offset @ right / (right @ right) / depth
-        _write(image, text, ((0.5 + 0.5 * across) * width, height - 10), "ms")
-    return image
-
-
 def _write(image, text: str, place: tuple[float, float], anchor: str) -> None:
-    """Write dark text with a light rim on a picture."""
+    """Write dark text with a light rim on a picture, in place."""
     from PIL import ImageDraw, ImageFont
 
     font = ImageFont.load_default(size=max(12, image.height // 26))
@@ -201,8 +221,28 @@ def _write(image, text: str, place: tuple[float, float], anchor: str) -> None:
     )
 
 
-def _prepare(path) -> None:
+def _arranged(panels: list):
+    """The panels of a frame as one picture."""
+    count = len(panels)
+    return _tiled(panels, count if count <= PANEL_ROW else math.ceil(math.sqrt(count)))
+
+
+def _tiled(images: list, columns: int):
+    """Pictures of one size as one, row by row."""
+    from PIL import Image
+
+    columns = min(columns, len(images))
+    width, height = images[0].size
+    rows = math.ceil(len(images) / columns)
+    whole = Image.new("RGB", (width * columns, height * rows), "white")
+    for index, image in enumerate(images):
+        whole.paste(image, (width * (index % columns), height * (index // columns)))
+    return whole
+
+
+def _save(image, path, **options) -> None:
     Path(path).parent.mkdir(parents=True, exist_ok=True)
+    image.save(path, **options)
 
 
 def _round_length(length: float) -> float:

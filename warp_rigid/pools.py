@@ -69,11 +69,12 @@ class Pools:
         sizes = {**self.sizes, **shortage}
         log.info(
             "contact pools grow: pairs %d -> %d, contacts %d -> %d; the steps are repeated",
-            self.sizes["pairs"], sizes["pairs"], self.sizes["contacts"], sizes["contacts"],
+            self.sizes["pairs"],
+            sizes["pairs"],
+            self.sizes["contacts"],
+            sizes["contacts"],
         )
-        pools = Pools.allocate(
-            num_envs, bodies_per_env, sizes["pairs"], sizes["contacts"], self.wanted.device
-        )
+        pools = Pools.allocate(num_envs, bodies_per_env, sizes["pairs"], sizes["contacts"], self.wanted.device)
         copy_arrays(self.history, pools.history, data.History)
         wp.copy(pools.wanted, self.wanted)
         return pools

@@ -321,7 +321,7 @@ class Plane(Shape):
 class Heightfield(Shape):
     """Terrain over a rectangle around the origin, solid below; for static bodies only.
 
-    Heights are bilinear between the vertices. Beyond the rectangle the border's heights go on.
+    Heights are bilinear between the vertices. Beyond the rectangle there is nothing.
     """
 
     static_only = True
@@ -365,6 +365,7 @@ class Heightfield(Shape):
 
         This is the distance to the tangent plane below the point: exact where the terrain is flat
         or evenly sloped, and of first order in the distance elsewhere. The gradient is that normal.
+        Beyond the rectangle the distance is infinite and the gradient +z.
         """
         points = point_array(points)
         cells = np.array(self.heights.shape) - 1
@@ -384,10 +385,11 @@ class Heightfield(Shape):
             ],
             axis=1,
         )
-        slope[place != clamped] = 0.0
+        beyond = (place != clamped).any(axis=1)
+        slope[beyond] = 0.0
         normal = np.column_stack([-slope, np.ones(len(points))])
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return (points[:, 2] - height) * normal[:, 2], normal
+        return np.where(beyond, np.inf, (points[:, 2] - height) * normal[:, 2]), normal
 
     def parts(self):
         """One HEIGHTFIELD; its grid's spacing is that along x."""

@@ -22,8 +22,13 @@ HORIZON_COLOR = wp.constant(wp.vec3(0.72, 0.76, 0.80))
 ZENITH_COLOR = wp.constant(wp.vec3(0.42, 0.55, 0.72))
 GROUND_GLOW = wp.constant(wp.vec3(0.24, 0.23, 0.22))
 SKY_GLOW = wp.constant(wp.vec3(0.40, 0.44, 0.50))
+GLASS_TINT = wp.constant(0.18)  # how much of its own colour a wall keeps that is seen through
 LIGHT_COLOR = wp.constant(wp.vec3(0.86, 0.82, 0.76))
 
+WALL_THICKNESS = 0.3
+"""A fixed body is a wall if it is thinner than this part of its height and width."""
+HIDDEN_PART = 0.1
+"""A wall that hides more of the moving bodies is drawn as glass."""
 EDGE_CONTRAST = 0.04
 """Pixels that differ from a neighbour by more, on screen, get more rays."""
 EDGE_RAYS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
@@ -55,6 +60,7 @@ class Instances:
     mesh: wp.array[wp.uint64]
     first_face: wp.array[int]
     flat: wp.array[wp.bool]
+    glass: wp.array[wp.bool]
     position: wp.array[wp.vec3]
     orientation: wp.array[wp.quat]
     color: wp.array[wp.vec3]
@@ -73,14 +79,16 @@ class Hit:
 
 
 @wp.func
-def nearest(instances: Instances, origin: wp.vec3, direction: wp.vec3) -> Hit:
-    """First surface that a ray meets."""
+def nearest(instances: Instances, origin: wp.vec3, direction: wp.vec3, glass: wp.bool) -> Hit:
+    """First surface that a ray meets, of glass or else of what is not."""
     hit = Hit()
     hit.instance = -1
     hit.distance = FAR
     candidates = wp.bvh_query_ray(instances.tree, origin, direction)
     i = int(0)
     while wp.bvh_query_next(candidates, i, hit.distance):
+        if instances.glass[i] != glass:
+            continue
         inverse = wp.quat_inverse(instances.orientation[i])
         local_origin = wp.quat_rotate(inverse, origin - instances.position[i])
         local_direction = wp.quat_rotate(inverse, direction)
@@ -96,10 +104,12 @@ def nearest(instances: Instances, origin: wp.vec3, direction: wp.vec3) -> Hit:
 
 @wp.func
 def lit(instances: Instances, point: wp.vec3, light: wp.vec3) -> float:
-    """1 where the light is seen from a point, 0 in shadow."""
+    """1 where the light is seen from a point, 0 in shadow; glass casts none."""
     candidates = wp.bvh_query_ray(instances.tree, point, light)
     i = int(0)
     while wp.bvh_query_next(candidates, i):
+        if instances.glass[i]:
+            continue
         inverse = wp.quat_inverse(instances.orientation[i])
         local_point = wp.quat_rotate(inverse, point - instances.position[i])
         local_light = wp.quat_rotate(inverse, light)
@@ -167,6 +177,36 @@ def surface_color(instances: Instances, camera: Camera, hit: Hit, direction: wp.
     return shaded
 
 
+@wp.func
+def seen_color(instances: Instances, camera: Camera, direction: wp.vec3) -> wp.vec3:
+    """Light along a ray."""
+    hit = nearest(instances, camera.eye, direction, False)
+    color = sky(direction)
+    if hit.instance >= 0:
+        color = surface_color(instances, camera, hit, direction)
+    pane = nearest(instances, camera.eye, direction, True)
+    if pane.instance >= 0 and pane.distance < hit.distance:
+        color = wp.lerp(color, surface_color(instances, camera, pane, direction), GLASS_TINT)
+    return color
+
+
+@wp.kernel
+def find_hidden(
+    eye: wp.vec3,
+    instances: Instances,
+    wall: wp.array[int],
+    target: wp.array[wp.vec3],
+    hidden: wp.array2d[wp.bool],
+):
+    """Whether a wall lies between the eye and a target."""
+    k, t = wp.tid()
+    i = wall[k]
+    inverse = wp.quat_inverse(instances.orientation[i])
+    start = wp.quat_rotate(inverse, eye - instances.position[i])
+    way = wp.quat_rotate(inverse, target[t] - eye)
+    hidden[k, t] = wp.mesh_query_ray_anyhit(instances.mesh[i], start, way, 1.0)
+
+
 @wp.kernel
 def cast_rays(
     first: int,
@@ -179,11 +219,7 @@ def cast_rays(
     ray = first + wp.tid()
     at = place[ray]
     direction = wp.normalize(camera.forward + at[0] * camera.right + at[1] * camera.up)
-    hit = nearest(instances, camera.eye, direction)
-    if hit.instance < 0:
-        color[ray] = sky(direction)
-    else:
-        color[ray] = surface_color(instances, camera, hit, direction)
+    color[ray] = seen_color(instances, camera, direction)
 
 
 class RayCaster:
@@ -191,12 +227,15 @@ class RayCaster:
 
     Args:
         film: what to draw.
+        camera: where from. Walls that hide much from there are drawn as glass.
     """
 
-    def __init__(self, film: Film):
+    def __init__(self, film: Film, camera: Camera):
         """Build what is the same for all frames."""
-        self._film = film
+        self._film, self._camera = film, camera
         self._threads = min(os.cpu_count() or 1, 16)
+        corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])
+        self._corners = corners[film.mesh]
         with wp.ScopedDevice("cpu"):
             self._meshes = [
                 wp.Mesh(wp.array(m.vertices, dtype=wp.vec3), wp.array(m.faces.reshape(-1)))
@@ -213,21 +252,35 @@ class RayCaster:
             self._instances.color = wp.array(film.color, dtype=wp.vec3)
             normals = np.concatenate([mesh.normals for mesh in film.meshes])
             self._instances.normals = wp.array(normals, dtype=wp.vec3)
-        corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])
-        self._corners = corners[film.mesh]
+            self._instances.glass = wp.array(self._hiding_walls(~film.moving & ~flat))
 
-    def draw(self, frame: int, camera: Camera, width: int, height: int) -> np.ndarray:
+    def draw(self, frame: int, width: int, height: int) -> np.ndarray:
         """One frame as a picture, (height, width, 3) uint8 (sRGB)."""
         self._place_instances(frame)
         x = (2.0 * np.arange(width) + 1.0) / width - 1.0
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height
         centers = np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1)
-        picture = self._cast(camera, centers.reshape(-1, 2)).reshape(height, width, 3)
+        picture = self._cast(centers.reshape(-1, 2)).reshape(height, width, 3)
         edges = _edges(on_screen(picture))
         turns = np.array(EDGE_RAYS) * (2.0 / width, 2.0 / height)
-        finer = self._cast(camera, (centers[edges][:, None] + turns).reshape(-1, 2))
+        finer = self._cast((centers[edges][:, None] + turns).reshape(-1, 2))
         picture[edges] = finer.reshape(-1, len(EDGE_RAYS), 3).mean(axis=1)
         return np.round(255.0 * on_screen(picture)).astype(np.uint8)
+
+    def _hiding_walls(self, fixed: np.ndarray) -> np.ndarray:
+        """(instances,) True for walls that hide much of what moves."""
+        size = np.sort(np.ptp(self._corners, axis=1), axis=1)
+        walls = np.flatnonzero(fixed & (size[:, 0] < WALL_THICKNESS * size[:, 1]))
+        targets = self._film.position[:: max(1, self._film.num_frames // 8), self._film.moving]
+        glass = np.zeros(len(fixed), dtype=bool)
+        if len(walls) and targets.size:
+            self._place_instances(0)
+            targets = wp.array(targets.reshape(-1, 3), dtype=wp.vec3)
+            hidden = wp.zeros((len(walls), len(targets)), dtype=wp.bool)
+            arguments = [self._camera.eye, self._instances, wp.array(walls, dtype=int), targets]
+            wp.launch(find_hidden, hidden.shape, arguments, outputs=[hidden])
+            glass[walls] = hidden.numpy().mean(axis=1) > HIDDEN_PART
+        return glass
 
     def _place_instances(self, frame: int) -> None:
         position, orientation = self._film.position[frame], self._film.orientation[frame]
@@ -241,7 +294,7 @@ class RayCaster:
             )
         self._instances.tree = self._tree.id
 
-    def _cast(self, camera: Camera, places: np.ndarray) -> np.ndarray:
+    def _cast(self, places: np.ndarray) -> np.ndarray:
         """Colours, in linear light, that rays through places of the picture meet."""
         count = len(places)
         place = wp.array(places, dtype=wp.vec2, device="cpu")
@@ -251,8 +304,9 @@ class RayCaster:
 
         # A launch on the CPU runs on the calling thread and lets other threads run meanwhile.
         def cast(part):
-            arguments = [int(cuts[part]), camera, self._instances, place, color]
-            wp.launch(cast_rays, int(cuts[part + 1] - cuts[part]), arguments, device="cpu")
+            first, end = int(cuts[part]), int(cuts[part + 1])
+            arguments = [first, self._camera, self._instances, place]
+            wp.launch(cast_rays, end - first, arguments, outputs=[color], device="cpu")
 
         with ThreadPoolExecutor(self._threads) as pool:
             list(pool.map(cast, range(len(cuts) - 1)))

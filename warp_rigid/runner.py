@@ -220,7 +220,8 @@ def _variants(demo: Demo, given: Assignments) -> dict[str, dict[str, Any]]:
     if not demo.variants:
         raise ValueError(f"--compare: {demo.name} has no variants to compare")
     if given.batched:
-        raise ValueError(f"--compare: must not be given with a list for {next(iter(given.batched))}")
+        name = next(iter(given.batched))
+        raise ValueError(f"--compare: must not be given with a list for {name}")
     return demo.variants
 
 

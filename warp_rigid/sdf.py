@@ -36,7 +36,7 @@ def grid_of_mesh(vertices, faces, resolution: int, simple: bool) -> Grid:
     origin, spacing, shape = grid_layout(vertices, resolution)
     values = _read(file, shape)
     if values is None:
-        values = _bake(vertices, faces, origin, spacing, shape, simple)
+        values = bake(vertices, faces, origin, spacing, shape, simple, _device())
         if not np.isfinite(values).all():
             raise ValueError("mesh: must have a triangle that is no sliver, got slivers only")
         _write(file, values)
@@ -53,11 +53,41 @@ def grid_layout(vertices, resolution: int) -> tuple[np.ndarray, float, tuple[int
     return origin, spacing, tuple((cells + 1).tolist())
 
 
+def bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -> np.ndarray:
+    """Signed distances on the nodes of a grid, computed on a Warp device.
+
+    Args:
+        vertices: (n, 3) [m].
+        faces: (m, 3), closed and facing outward.
+        origin: (3,) first node [m].
+        spacing: between nodes [m].
+        shape: (nx, ny, nz) nodes.
+        simple: as in `grid_of_mesh`.
+        device: a Warp device; on the CPU all cores work.
+
+    Returns:
+        (nx, ny, nz) float32 [m].
+    """
+    import warp as wp
+
+    from warp_rigid.kernels import bake as kernels
+
+    center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    tables, held = _mesh_tables(vertices - center, faces, simple, device)
+    values = wp.zeros(shape, dtype=float, device=device)
+    inputs = [tables, wp.vec3(*(origin - center)), float(spacing)]
+    _launch_slabs(kernels.distance_columns, shape[0] * shape[1], inputs, [values], device)
+    result = values.numpy()
+    del held
+    return result
+
+
 def interpolate(grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Trilinear distance (n,) and its gradient (n, 3) at (n, 3) points.
 
-    Outside the grid, the nearest place q on its border gives a surface point q - distance gradient,
-    and distance and direction are those from there.
+    Outside the grid, with q the nearest place on its border, the distance is
+    `sqrt(distance(q)^2 + |point - q|^2)`. As the grid is convex and holds the whole surface, this
+    never exceeds the true distance; far away both agree.
     """
     last = np.array(grid.values.shape) - 1
     place = (points - np.array(grid.origin)) / grid.spacing
@@ -75,27 +105,36 @@ def interpolate(grid: Grid, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
             others = weight[:, (axis + 1) % 3] * weight[:, (axis + 2) % 3]
             gradient[:, axis] += (2 * corner[axis] - 1) / grid.spacing * value * others
     outside = (place != clamped).any(axis=1)
-    if outside.any():
-        inward = gradient[outside] / np.linalg.norm(gradient[outside], axis=1, keepdims=True)
-        beyond = grid.spacing * (place - clamped)[outside]
-        arm = beyond + distance[outside, None] * inward
-        distance[outside] = np.linalg.norm(arm, axis=1)
-        gradient[outside] = arm / distance[outside, None]
+    away = grid.spacing * (place - clamped)[outside]
+    reach = np.hypot(distance[outside], np.linalg.norm(away, axis=1))
+    along = np.where(away != 0.0, away, distance[outside, None] * gradient[outside])
+    distance[outside], gradient[outside] = reach, along / reach[:, None]
     return distance, gradient
 
 
-def mesh_distance(vertices, faces, points, simple: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distance to the triangles (n,) and unit direction (n, 3) at (n, 3) points."""
+def mesh_distance(vertices, faces, points, simple: bool, device=None):
+    """Signed distance to the triangles of a closed mesh.
+
+    Args:
+        vertices: (n, 3) [m].
+        faces: (m, 3), closed and facing outward.
+        points: (k, 3) float64 [m].
+        simple: as in `grid_of_mesh`.
+        device: a Warp device; the first CUDA device, or else the CPU, if not given.
+
+    Returns:
+        Distance (k,) [m], and unit direction (k, 3), zero on the surface.
+    """
     import warp as wp
 
-    from warp_rigid.kernels import bake
+    from warp_rigid.kernels import bake as kernels
 
-    device = _device()
+    device = device or _device()
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     tables, held = _mesh_tables(vertices - center, faces, simple, device)
     positions = wp.array((points - center).astype(np.float32), dtype=wp.vec3, device=device)
     found = wp.zeros(len(points), dtype=wp.vec4, device=device)
-    _launch_slabs(bake.distance_points, len(points), [tables, positions], [found], device)
+    _launch_slabs(kernels.distance_points, len(points), [tables, positions], [found], device)
     arms = found.numpy().astype(np.float64)
     del held
     length = np.linalg.norm(arms[:, :3], axis=1)
@@ -140,22 +179,6 @@ def _write(file: Path, values: np.ndarray) -> None:
     except OSError:
         if partial is not None:
             Path(partial).unlink(missing_ok=True)
-
-
-def _bake(vertices, faces, origin, spacing, shape, simple) -> np.ndarray:
-    import warp as wp
-
-    from warp_rigid.kernels import bake
-
-    device = _device()
-    center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    tables, held = _mesh_tables(vertices - center, faces, simple, device)
-    values = wp.zeros(shape, dtype=float, device=device)
-    inputs = [tables, wp.vec3(*(origin - center)), float(spacing)]
-    _launch_slabs(bake.distance_columns, shape[0] * shape[1], inputs, [values], device)
-    result = values.numpy()
-    del held
-    return result
 
 
 def _device():

@@ -1,5 +1,6 @@
 """The step as a sequence of kernel launches, recorded once and replayed."""
 
+import os
 from typing import Any
 
 import warp as wp
@@ -12,6 +13,7 @@ from warp_rigid.kernels import (
     data,
     impulses,
     integrate,
+    line_search,
     narrowphase,
     ordering,
     overlap,
@@ -64,7 +66,7 @@ class Stages:
         wp.capture_launch(self._graph)
 
     def step(self) -> None:
-        """One step of the method (Guendelman et al. 2003, section 4), with the remedies named in each stage's module."""
+        """One step of the method (Guendelman et al. 2003, section 4), with each stage's remedies."""
         self.predict(self.dt)
         self.find_pairs()
         self.find_contacts()
@@ -107,8 +109,16 @@ class Stages:
         self._per_pair(
             contacts.build_contacts,
             [
-                self.num_bodies, self.model.combine_rules, self.model.shapes, self.model.bodies, self.state,
-                self.motions, self.envs, pairs, self.pools.history,
+                self.dt,
+                self.num_bodies,
+                self.model.combine_rules,
+                self.model.shapes,
+                self.model.bodies,
+                self.state,
+                self.motions,
+                self.envs,
+                pairs,
+                self.pools.history,
             ],
             [records],
         )
@@ -116,9 +126,7 @@ class Stages:
     def build_graph(self) -> None:
         """Who rests on whom, levels, islands, and the order of solving."""
         pairs, graph, bodies = self.pools.pairs, self.pools.graph, self.model.bodies
-        self._per_pair(
-            support.find_support, [bodies, self.state, self.motions, pairs, self.pools.contacts], [graph]
-        )
+        self._per_pair(support.find_support, [bodies, self.state, self.motions, pairs, self.pools.contacts], [graph])
         self._per_env(support.list_incident_pairs, [self.num_bodies, pairs], [graph])
         self._per_env(support.find_levels, [self.num_bodies, bodies, pairs], [graph])
         self._per_env(support.find_islands, [self.num_bodies, bodies, pairs], [graph])
@@ -149,13 +157,13 @@ class Stages:
         """Shock propagation, and the line search that keeps it from gaining energy."""
         graph, pairs, records = self.pools.graph, self.pools.pairs, self.pools.contacts
         self._per_block(
-            shock.remember_start, [self.num_bodies, graph, pairs, records, self.motions, self.state], []
+            line_search.remember_start, [self.num_bodies, graph, pairs, records, self.motions, self.state], []
         )
         self._per_block(shock.propagate, [repetition, self.dt, *self._solver_inputs()], [])
-        self._per_env(shock.sum_energy, [self.dt, *self._solver_inputs()], [])
-        self._per_body(shock.accept_bodies, [self.num_bodies, self.envs, graph, self.motions], [self.state])
+        self._per_env(line_search.sum_energy, [self.dt, *self._solver_inputs()], [])
+        self._per_body(line_search.accept_bodies, [self.num_bodies, self.envs, graph, self.motions], [self.state])
         wp.launch(
-            shock.accept_impulses,
+            line_search.accept_impulses,
             dim=records.key.shape[0],
             inputs=[self.num_bodies, self.model.bodies, self.envs, graph, pairs],
             outputs=[records],
@@ -215,8 +223,14 @@ class Stages:
     def _solver_inputs(self) -> list:
         """What every solver kernel takes, in the same order."""
         return [
-            self.num_bodies, self.model.bodies, self.motions, self.envs, self.pools.graph, self.pools.pairs,
-            self.pools.contacts, self.state,
+            self.num_bodies,
+            self.model.bodies,
+            self.motions,
+            self.envs,
+            self.pools.graph,
+            self.pools.pairs,
+            self.pools.contacts,
+            self.state,
         ]
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
@@ -257,9 +271,7 @@ class Stages:
         model = self.model
         common = [model.small, model.wide, model.bodies, self.motions, self.envs]
         if self.grid is None:
-            self._per_body(
-                broadphase.pairs_by_trying_all, [write, self.num_bodies, *common], [self.pools.pairs]
-            )
+            self._per_body(broadphase.pairs_by_trying_all, [write, self.num_bodies, *common], [self.pools.pairs])
         else:
             self._per_body(
                 broadphase.pairs_by_grid,
@@ -292,13 +304,14 @@ class Stages:
         self.grid.build(self._points, self.model.grid_radius, groups=self._groups)
 
     def _load_modules(self) -> None:
-        """Compile before recording: a graph cannot hold a compilation."""
-        modules = [
-            broadphase, capacity, contacts, integrate, narrowphase, ordering, overlap, predict, support,
-        ]
-        for module in modules:
-            wp.load_module(module, device=self.device)
-        for module in (collisions, impulses, push_out, shock):
-            wp.load_module(module, device=self.device, block_dim=LANES if self.device.is_cuda else 1)
-        if self.device.is_cuda:
-            wp.load_module(shock, device=self.device)
+        """Compile before recording, since a graph cannot hold a compilation; several modules at a time."""
+        per_row = [broadphase, capacity, contacts, integrate, line_search, narrowphase, ordering, predict, support]
+        per_block = [collisions, impulses, line_search, push_out, shock]
+        loads = [(per_row, None), (per_block, LANES)] if self.device.is_cuda else [(per_row + per_block, 1)]
+        for modules, block_dim in loads:
+            wp.force_load(
+                self.device,
+                [wp.get_module(name) for name in {module.__name__: None for module in modules}],
+                block_dim=block_dim,
+                max_workers=os.cpu_count(),
+            )

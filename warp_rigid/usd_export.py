@@ -15,7 +15,7 @@ from warp_rigid.appearance import (
     bound_corners,
     continuous_signs,
     corner_normals,
-    drawn_surface,
+    drawn_surfaces,
     environment_offsets,
     environment_spacing,
     rotation_matrices,
@@ -64,9 +64,7 @@ def _animation(recording: Recording, rows: np.ndarray):
     stage.CreateClassPrim(SHAPES).SetTypeName("Scope")
 
     spacing = environment_spacing(recording)
-    surfaces = recording.surfaces
-    if len(rows) > 1:
-        surfaces = [drawn_surface(surface, spacing) for surface in surfaces]
+    surfaces = drawn_surfaces(recording, len(rows), spacing)
     for index, surface in enumerate(surfaces):
         _define_mesh(stage, f"{SHAPES}/shape_{index}", surface)
 

@@ -1,0 +1,180 @@
+"""Second stage: the pairs found are those of brute force over the swept boxes, in an order of the scene's own."""
+
+import numpy as np
+import pytest
+
+from tests.oracles import ground_scene, opened, pair_list, random_quaternion, rotation_matrix
+from warp_rigid import stages as stages_module
+from warp_rigid.scene import Motion, Scene
+from warp_rigid.settings import Settings
+from warp_rigid.shapes import Box, Capsule, Plane, Sphere
+
+
+@pytest.fixture(params=["all", "grid"])
+def search(request, monkeypatch):
+    """Both search kernels: trying all pairs, and the hash grid."""
+    monkeypatch.setattr(stages_module, "TRY_ALL_UP_TO", 10_000 if request.param == "all" else 0)
+    return request.param
+
+
+def mixed_scene(generator, count=120, spread=2.0):
+    """Bodies whose sizes differ by a factor of 100, between statics, kinematic bodies and a plane."""
+    scene = ground_scene()
+    scene.add_static(Plane(normal=(1, 0, 0), offset=-5.0))
+    scene.add_static(Box((spread, 0.1, 0.1)), position=(0, 0, 0.5))
+    scene.add_kinematic(Box((0.2, 0.2, 1.5)), position=(0.3, 0.2, 1), angular_velocity=(0, 0, 2))
+    for size in np.geomspace(0.01, 1.0, count):
+        shape = (Sphere(size), Box(size * generator.uniform(0.2, 1.0, 3)), Capsule(0.5 * size, 0.5 * size))
+        scene.add_body(
+            shape[generator.integers(3)],
+            position=generator.uniform(-spread, spread, 3),
+            orientation=random_quaternion(generator),
+        )
+    order = generator.permutation(len(scene.bodies))
+    scene.bodies[:] = [scene.bodies[k] for k in order]
+    return scene
+
+
+def overlapping(lower, upper):
+    """Pairs of boxes that overlap, as a set of sets."""
+    overlap = (lower[:, None] <= upper[None]).all(-1) & (lower[None] <= upper[:, None]).all(-1)
+    return {frozenset(pair) for pair in np.argwhere(np.triu(overlap, 1)).tolist()}
+
+
+def brute_force(stages):
+    """Overlapping pairs of the coming step's swept boxes within an environment of which one is dynamic."""
+    stages.predict(stages.dt)
+    dynamic = stages.model.bodies.motion.numpy() == int(Motion.DYNAMIC)
+    pairs = overlapping(stages.motions.lower.numpy(), stages.motions.upper.numpy())
+    return {
+        pair
+        for pair in pairs
+        if len({body // stages.num_bodies for body in pair}) == 1 and any(dynamic[body] for body in pair)
+    }
+
+
+def found_pairs(stages):
+    """What the stage lists, as a set of sets; no pair twice."""
+    stages.predict(stages.dt)
+    stages.find_pairs()
+    listed = pair_list(stages).tolist()
+    found = {frozenset(pair) for pair in listed}
+    assert len(found) == len(listed)
+    return found
+
+
+def scatter(sim, generator, spread, offset):
+    """Give every environment its own positions and velocities."""
+    shape = (sim.num_envs, sim.num_bodies, 3)
+    sim.set("position", generator.uniform(-spread, spread, shape) + offset)
+    sim.set("linear_velocity", generator.normal(size=shape))
+    sim.set("angular_velocity", 5.0 * generator.normal(size=shape))
+
+
+@pytest.mark.parametrize("offset", [0.0, -300.0, 1e4])
+def test_pairs_are_those_of_brute_force(device, search, offset):
+    generator = np.random.default_rng(1)
+    sim, stages = opened(mixed_scene(generator), device, num_envs=3)
+    assert (stages.grid is not None) == (search == "grid")
+    assert sim.get("position").max() < 100.0
+    scatter(sim, generator, 1.5, (offset, -offset, offset))
+    expected = brute_force(stages)
+    assert len(expected) > 1000
+    assert found_pairs(stages) == expected
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_of_dense_and_sparse_scenes(device, search, seed):
+    generator = np.random.default_rng(seed)
+    spread = (0.5, 2.0, 8.0, 40.0)[seed]
+    _, stages = opened(mixed_scene(generator, 60, spread), device, num_envs=2)
+    assert found_pairs(stages) == brute_force(stages)
+
+
+def test_order_does_not_depend_on_the_number_of_environments(device, search):
+    generator = np.random.default_rng(5)
+    scene = mixed_scene(generator, 60)
+    batch, batch_stages = opened(scene, device, num_envs=4)
+    scatter(batch, generator, 1.0, 0.0)
+    found_pairs(batch_stages)
+    listed = pair_list(batch_stages)
+    single, single_stages = opened(scene, device)
+    for env in range(4):
+        for name in ("position", "linear_velocity", "angular_velocity"):
+            single.set(name, batch.get(name)[env])
+        found_pairs(single_stages)
+        own = listed[listed[:, 0] // batch.num_bodies == env] - env * batch.num_bodies
+        assert own.tolist() == pair_list(single_stages).tolist()
+
+
+def test_both_searches_list_the_same_pairs(device, monkeypatch):
+    found = []
+    for limit in (0, 10_000):
+        monkeypatch.setattr(stages_module, "TRY_ALL_UP_TO", limit)
+        _, stages = opened(mixed_scene(np.random.default_rng(6), 60), device)
+        found.append(found_pairs(stages))
+    assert found[0] == found[1]
+
+
+def test_only_ordinary_dynamic_bodies_enter_the_grid(device, search):
+    scene = mixed_scene(np.random.default_rng(7))
+    _, stages = opened(scene, device)
+    small = stages.model.small.numpy()
+    wide = stages.model.wide.numpy()
+    assert sorted([*small, *wide]) == list(range(len(scene.bodies)))
+    assert all(scene.bodies[k].motion == Motion.DYNAMIC for k in small)
+    extent = [np.linalg.norm(np.ptp(scene.bodies[k].shape.bounds, axis=0)) for k in small]
+    assert stages.model.grid_radius >= max(extent)
+    assert max(extent) < 0.3 * np.linalg.norm([2, 2, 2])
+
+
+def test_halted_environments_have_no_pairs(device, search):
+    _, stages = opened(mixed_scene(np.random.default_rng(8), 60), device, num_envs=3)
+    stages.envs.failed.assign(np.array([0, 1, 0], np.int32))
+    found_pairs(stages)
+    env = pair_list(stages)[:, 0] // stages.num_bodies
+    assert set(env) == {0, 2}
+
+
+def box_corners(body):
+    """Corners of the box around a shape in its own frame, (8, 3)."""
+    lower, upper = body.shape.bounds
+    return lower + (upper - lower) * np.array(list(np.ndindex(2, 2, 2)))
+
+
+def true_boxes(scene, time, dt):
+    """World boxes (n, 3) of all bodies `time` into a step of straight flight and steady spin, in float64."""
+    lower, upper = [], []
+    for body in scene.bodies:
+        v = np.array(body.linear_velocity) + dt * np.array(scene.gravity)
+        w = np.array(body.angular_velocity)
+        angle = 0.5 * time * np.linalg.norm(w)
+        axis = w / max(np.linalg.norm(w), 1e-300)
+        spin = rotation_matrix((*(np.sin(angle) * axis), np.cos(angle)))
+        corners = box_corners(body) @ (spin @ rotation_matrix(body.orientation)).T
+        corners += np.array(body.position) + time * v
+        lower.append(corners.min(axis=0))
+        upper.append(corners.max(axis=0))
+    return np.array(lower), np.array(upper)
+
+
+def test_fast_movers_lose_no_pair(device, search):
+    """Bullets that cross several others within a step: whoever overlaps at any time of the step is listed."""
+    generator = np.random.default_rng(9)
+    scene = Scene()
+    for _ in range(80):
+        scene.add_body(
+            Box(generator.uniform(0.02, 0.2, 3)),
+            position=generator.uniform(-2, 2, 3),
+            orientation=random_quaternion(generator),
+            linear_velocity=generator.normal(scale=100.0, size=3),
+            angular_velocity=generator.normal(scale=60.0, size=3),
+        )
+    _, stages = opened(scene, device, settings=Settings(dt=1 / 60))
+    found = found_pairs(stages)
+    at_start = overlapping(*true_boxes(scene, 0.0, stages.dt))
+    ever = set(at_start)
+    for time in np.linspace(0.0, stages.dt, 41):
+        ever |= overlapping(*true_boxes(scene, time, stages.dt))
+    assert len(ever) > 2 * len(at_start)
+    assert ever <= found

@@ -1,0 +1,181 @@
+"""Mass properties against closed forms and against trimesh (V01, V02; capability 1)."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.geometry_oracles import (
+    TETRAHEDRON_FACES,
+    cube,
+    hollow_cube,
+    l_prism,
+    random_rotation,
+    star_prism,
+)
+from warp_rigid import mass_properties, meshes
+from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
+
+CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
+REGULAR = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) / 8.0**0.5
+BOX = cube()[0] * np.array([1.0, 2.0, 3.0])
+
+SOLIDS = {
+    "corner_tetra": (
+        CORNER, TETRAHEDRON_FACES, 1 / 6, (0.25, 0.25, 0.25),
+        np.full((3, 3), 1 / 480) + np.eye(3) * (1 / 80 - 1 / 480),
+    ),
+    "regular_tetra": (
+        REGULAR, TETRAHEDRON_FACES, 1 / (6 * 2**0.5), (0, 0, 0), np.eye(3) / (120 * 2**0.5),
+    ),
+    "box": (BOX, cube()[1], 6.0, (0, 0, 0), np.diag([6.5, 5.0, 2.5])),
+    "hollow_cube": (*hollow_cube(), 0.488, (0, 0, 0), np.eye(3) * (1 - 0.8**5) / 6),
+    "l_prism": (
+        *l_prism(), 5.0, (1.1, 1.1, 0.5),
+        np.array([[121 / 30, 1.8, 0], [1.8, 121 / 30, 0], [0, 0, 217 / 30]]),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_polyhedra_have_their_exact_mass_properties(name):
+    vertices, faces, volume, center, inertia = SOLIDS[name]
+    mesh = Mesh(vertices, faces)
+    assert mesh.repairs == []
+    assert mesh.volume == pytest.approx(volume, rel=1e-12)
+    np.testing.assert_allclose(mesh.center_of_mass, center, atol=1e-12)
+    np.testing.assert_allclose(mesh.inertia, inertia, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_mass_properties_move_with_the_mesh(name):
+    vertices, faces, volume, center, inertia = SOLIDS[name]
+    generator = np.random.default_rng(3)
+    for _ in range(5):
+        _, rotation = random_rotation(generator)
+        shift = generator.normal(scale=10.0, size=3)
+        moved = Mesh(vertices @ rotation.T + shift, faces)
+        assert moved.volume == pytest.approx(volume, rel=1e-10)
+        np.testing.assert_allclose(moved.center_of_mass, rotation @ center + shift, atol=1e-9)
+        np.testing.assert_allclose(moved.inertia, rotation @ inertia @ rotation.T, atol=1e-9 * np.abs(inertia).max())
+
+
+@pytest.mark.parametrize(
+    "tessellation",
+    [
+        lambda: trimesh.creation.icosphere(subdivisions=3),
+        lambda: trimesh.creation.torus(1.0, 0.3, major_sections=64, minor_sections=32),
+        lambda: trimesh.Trimesh(*star_prism(), process=False),
+    ],
+)
+def test_mesh_integrals_agree_with_trimesh(tessellation):
+    reference = tessellation()
+    reference.apply_translation([0.3, -0.2, 0.7])
+    mesh = Mesh.from_trimesh(reference)
+    assert mesh.volume == pytest.approx(reference.volume, rel=1e-12)
+    np.testing.assert_allclose(mesh.center_of_mass, reference.center_mass, atol=1e-12)
+    np.testing.assert_allclose(mesh.inertia, reference.moment_inertia, atol=1e-12)
+
+
+def test_torus_mesh_has_the_values_of_its_polyhedron():
+    torus = meshes.torus(1.0, 0.3, segments=64)
+    assert len(torus.vertices) == 64 * 32
+    assert torus.volume == pytest.approx(1.7623015, abs=1e-7)
+    np.testing.assert_allclose(np.diag(torus.inertia), [0.978136, 0.978136, 1.877477], atol=1e-6)
+
+
+def test_tessellations_converge_to_the_torus_at_second_order():
+    exact = np.array([1.7765288, 0.988194, 1.896445])
+    errors = []
+    for segments in (32, 64, 128):
+        torus = meshes.torus(1.0, 0.3, segments=segments)
+        values = np.array([torus.volume, torus.inertia[0, 0], torus.inertia[2, 2]])
+        errors.append(np.abs(values / exact - 1.0))
+    ratios = np.array(errors[:-1]) / np.array(errors[1:])
+    assert ((ratios > 3.9) & (ratios < 4.1)).all(), ratios
+
+
+def test_icospheres_have_the_known_volume_errors():
+    sphere = Sphere(1.0).volume
+    for level, percent in ((3, -0.86), (4, -0.216), (5, -0.054)):
+        mesh = Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=level))
+        assert 100.0 * (mesh.volume / sphere - 1.0) == pytest.approx(percent, rel=0.01)
+
+
+def test_cone_converges_to_its_closed_form():
+    sections = 512
+    angle = 2 * np.pi * np.arange(sections) / sections
+    rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sections)])
+    vertices = np.concatenate([rim, [[0, 0, 0], [0, 0, 2.0]]])
+    around = np.arange(sections)
+    after = (around + 1) % sections
+    faces = np.concatenate(
+        [
+            np.stack([after, around, np.full(sections, sections)], axis=1),
+            np.stack([around, after, np.full(sections, sections + 1)], axis=1),
+        ]
+    )
+    cone = Mesh(vertices, faces)
+    assert cone.volume == pytest.approx(2.0944, rel=1e-4)
+    assert cone.center_of_mass[2] == pytest.approx(0.5, abs=1e-9)
+    np.testing.assert_allclose(np.diag(cone.inertia), 0.6283185, rtol=2e-4)
+
+
+def test_cylinder_and_sphere_have_their_closed_forms():
+    cylinder = Cylinder(0.5, 1.0)
+    assert cylinder.volume == pytest.approx(1.5707963, abs=1e-7)
+    np.testing.assert_allclose(np.diag(cylinder.inertia), [0.6217736, 0.6217736, 0.1963495], atol=1e-7)
+    sphere = Sphere(2.0)
+    assert sphere.volume == pytest.approx(4 / 3 * math.pi * 8)
+    np.testing.assert_allclose(sphere.inertia, np.eye(3) * 0.4 * sphere.volume * 4)
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.3), Box((0.1, 0.2, 0.3)), Capsule(0.2, 0.35), Cylinder(0.2, 0.35)])
+def test_closed_forms_agree_with_random_points_of_the_solid(shape):
+    generator = np.random.default_rng(1)
+    lower, upper = shape.bounds
+    points = lower + generator.random((2_000_000, 3)) * (upper - lower)
+    distance, _ = shape.signed_distance(points)
+    inside = points[distance < 0.0]
+    volume = np.prod(upper - lower) * len(inside) / len(points)
+    second = inside.T @ inside / len(inside) * volume
+    inertia = np.trace(second) * np.eye(3) - second
+    assert shape.volume == pytest.approx(volume, rel=3e-3)
+    np.testing.assert_allclose(shape.inertia, inertia, atol=5e-3 * np.abs(inertia).max())
+
+
+def test_two_halves_make_a_whole():
+    generator = np.random.default_rng(5)
+    quaternion, rotation = random_rotation(generator)
+    shift = np.array([0.3, -1.0, 2.0])
+    half = Box((0.5, 0.3, 0.2))
+    places = [shift + rotation @ np.array([x, 0, 0]) for x in (-0.5, 0.5)]
+    joined = Compound([(half, place, quaternion) for place in places])
+    whole = Box((1.0, 0.3, 0.2))
+    assert joined.volume == pytest.approx(whole.volume, rel=1e-12)
+    np.testing.assert_allclose(joined.center_of_mass, shift, atol=1e-12)
+    np.testing.assert_allclose(joined.inertia, rotation @ whole.inertia @ rotation.T, atol=1e-12)
+
+
+def test_overlap_of_a_compound_counts_twice():
+    box = Box((1, 1, 1))
+    twice = Compound([(box, (0, 0, 0), (0, 0, 0, 1)), (box, (0, 0, 0), (0, 0, 0, 1))])
+    assert twice.volume == pytest.approx(2 * box.volume)
+    np.testing.assert_allclose(twice.inertia, 2 * box.inertia)
+
+
+def test_open_mesh_has_the_mass_of_its_lidded_solid():
+    vertices, faces = cube()
+    with_lid = Mesh(vertices, faces)
+    open_box = Mesh(vertices, faces[2:])  # one side is missing: a square hole
+    assert not open_box.watertight
+    assert open_box.volume == pytest.approx(with_lid.volume, rel=1e-12)
+    np.testing.assert_allclose(open_box.inertia, with_lid.inertia, atol=1e-12)
+
+
+def test_far_from_the_origin_nothing_is_lost():
+    vertices, faces = star_prism()
+    near, far = (mass_properties.polyhedron(vertices + shift, faces) for shift in (0.0, 1e4))
+    assert far.volume == pytest.approx(near.volume, rel=1e-9)
+    np.testing.assert_allclose(far.inertia, near.inertia, atol=1e-9)

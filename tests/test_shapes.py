@@ -1,0 +1,327 @@
+"""Simple shapes and compounds: distances, gradients, bounds, surfaces, refusals."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.geometry_oracles import (
+    cube,
+    distance_to_polyline,
+    distance_to_triangles,
+    numeric_gradient,
+    points_around,
+    random_rotation,
+)
+from warp_rigid.geometry import quaternion_matrix, quaternion_product
+from warp_rigid.shapes import (
+    Box,
+    Capsule,
+    Compound,
+    Cylinder,
+    Heightfield,
+    Mesh,
+    PartKind,
+    Plane,
+    Sphere,
+)
+
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+
+def turned_pair():
+    """An L of two boxes that touch without overlapping, the second one turned."""
+    quarter = (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
+    return Compound(
+        [
+            (Box((0.4, 0.1, 0.1)), (0.4, 0, 0), IDENTITY),
+            (Box((0.3, 0.1, 0.1)), (0, 0.2, 0), quarter),
+        ]
+    )
+
+
+SOLIDS = {
+    "sphere": Sphere(0.4),
+    "box": Box((0.5, 0.3, 0.2)),
+    "capsule": Capsule(0.2, 0.5),
+    "cylinder": Cylinder(0.3, 0.5),
+    "disc": Cylinder(0.5, 0.1),
+    "compound": turned_pair(),
+}
+
+
+def profile(shape):
+    """(distance from the axis, height) along the surface of a shape of revolution, pole to pole."""
+    arc = np.linspace(0.0, 0.5 * np.pi, 2001)
+    if isinstance(shape, Sphere):
+        arc = np.linspace(0.0, np.pi, 4001)
+        return shape.radius * np.column_stack([np.sin(arc), -np.cos(arc)])
+    if isinstance(shape, Capsule):
+        low = shape.radius * np.column_stack([np.sin(arc), -np.cos(arc)]) - [0, shape.half_height]
+        return np.concatenate([low, low[::-1] * [1, -1]])
+    r, h = shape.radius, shape.half_height
+    return np.array([[0, -h], [r, -h], [r, h], [0, h]])
+
+
+@pytest.mark.parametrize("name", ["sphere", "capsule", "cylinder", "disc"])
+def test_distance_to_solids_of_revolution(name):
+    shape = SOLIDS[name]
+    points = points_around(*shape.bounds, 2.0, 2000, np.random.default_rng(0))
+    flat = np.column_stack([np.linalg.norm(points[:, :2], axis=1), points[:, 2]])
+    expected = distance_to_polyline(flat, profile(shape))
+    distance, _ = shape.signed_distance(points)
+    np.testing.assert_allclose(np.abs(distance), expected, atol=2e-7)
+
+
+def test_distance_to_a_box():
+    box = SOLIDS["box"]
+    points = points_around(*box.bounds, 2.0, 2000, np.random.default_rng(0))
+    vertices, faces = cube()
+    triangles = (2.0 * vertices * box.half_extents)[faces]
+    distance, _ = box.signed_distance(points)
+    np.testing.assert_allclose(np.abs(distance), distance_to_triangles(points, triangles), atol=1e-12)
+    inside = (np.abs(points) < box.half_extents).all(axis=1)
+    np.testing.assert_array_equal(distance < 0.0, inside)
+
+
+@pytest.mark.parametrize("name", ["sphere", "capsule", "cylinder", "disc"])
+def test_sign_of_solids_of_revolution(name):
+    shape = SOLIDS[name]
+    points = points_around(*shape.bounds, 1.5, 5000, np.random.default_rng(1))
+    corners = profile(shape)
+    flat = np.column_stack([np.linalg.norm(points[:, :2], axis=1), points[:, 2]])
+    # the outline is convex: inside means left of each side, which runs from the lowest point up
+    side = np.diff(corners, axis=0)
+    arm = flat[:, None] - corners[None, :-1]
+    inside = (side[:, 0] * arm[..., 1] - side[:, 1] * arm[..., 0] > 0.0).all(axis=1)
+    distance, _ = shape.signed_distance(points)
+    clear = np.abs(distance) > 1e-6
+    np.testing.assert_array_equal((distance < 0.0)[clear], inside[clear])
+    assert 0.1 < inside.mean() < 0.9
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_gradient_is_that_of_the_distance(name):
+    shape = SOLIDS[name]
+    points = points_around(*shape.bounds, 1.6, 3000, np.random.default_rng(2))
+
+    def value(at):
+        return shape.signed_distance(at)[0]
+
+    coarse, fine = (numeric_gradient(value, points, step) for step in (2e-5, 1e-5))
+    smooth = np.abs(coarse - fine).max(axis=1) < 1e-4  # elsewhere a step crosses a crease
+    assert smooth.mean() > 0.98
+    _, gradient = shape.signed_distance(points)
+    np.testing.assert_allclose(gradient[smooth], fine[smooth], atol=2e-4)
+    np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_gradient_is_a_unit_vector_even_at_symmetric_points(name):
+    shape = SOLIDS[name]
+    axis = np.concatenate([np.zeros((1, 3)), np.eye(3) * 0.05, -np.eye(3) * 0.05])
+    distance, gradient = shape.signed_distance(axis)
+    assert np.isfinite(distance).all()
+    np.testing.assert_allclose(np.linalg.norm(gradient, axis=1), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_surface_is_closed_outward_and_on_the_shape(name):
+    shape = SOLIDS[name]
+    vertices, faces = shape.surface()
+    drawn = trimesh.Trimesh(vertices, faces, process=False)
+    assert drawn.is_watertight and drawn.is_winding_consistent
+    assert drawn.volume == pytest.approx(shape.volume, rel=0.03)
+    distance, _ = shape.signed_distance(vertices)
+    assert distance.max() < 1e-12
+    lower, upper = shape.bounds
+    assert (vertices >= lower - 1e-12).all() and (vertices <= upper + 1e-12).all()
+    if name in ("box", "compound"):
+        np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], [lower, upper])
+
+
+def test_bounds_are_the_tightest_for_turned_children():
+    generator = np.random.default_rng(4)
+    for shape in SOLIDS.values():
+        quaternion, rotation = random_rotation(generator)
+        place = generator.normal(size=3)
+        lower, upper = Compound([(shape, place, quaternion)]).bounds
+        direction = np.concatenate([-rotation, rotation])  # rows: world axes in the shape's frame
+        points = generator.normal(size=(200_000, 3))
+        distance, gradient = shape.signed_distance(points * 0.3)
+        on_surface = points * 0.3 - distance[:, None] * gradient
+        reach = (on_surface @ direction.T).max(axis=0)
+        np.testing.assert_allclose(place - lower, reach[:3], atol=0.01)
+        np.testing.assert_allclose(upper - place, reach[3:], atol=0.01)
+        assert (place - lower >= reach[:3] - 1e-9).all()
+        assert (upper - place >= reach[3:] - 1e-9).all()
+
+
+def test_size_is_the_smallest_extent():
+    assert Box((0.5, 0.1, 0.3)).size == pytest.approx(0.2)
+    assert Cylinder(0.5, 0.1).size == pytest.approx(0.2)
+    assert Capsule(0.2, 3.0).size == pytest.approx(0.4)
+    assert turned_pair().size == pytest.approx(0.2)
+    assert Plane().size == math.inf
+    assert Heightfield(np.zeros((2, 2)), (1, 1)).size == math.inf
+
+
+def test_plane():
+    plane = Plane(normal=(0, 3, 4), offset=2.0)
+    points = np.array([[0, 0, 0], [7, 1.2, 1.6], [0, 3, 4.0]])
+    distance, gradient = plane.signed_distance(points)
+    np.testing.assert_allclose(distance, [-2, 0, 3], atol=1e-12)
+    np.testing.assert_allclose(gradient, [[0, 0.6, 0.8]] * 3, atol=1e-12)
+    assert plane.static_only and plane.volume == 0.0 and len(plane.samples()) == 0
+    vertices, faces = plane.surface()
+    drawn = vertices[faces[0]]
+    normal = np.cross(drawn[1] - drawn[0], drawn[2] - drawn[0])
+    np.testing.assert_allclose(normal / np.linalg.norm(normal), plane.normal, atol=1e-12)
+    np.testing.assert_allclose(plane.signed_distance(vertices)[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.ptp(Plane().surface()[0], axis=0), [20, 20, 0])
+    assert Plane().bounds[1][2] == 0.0 and Plane((0, 0, -1), 1.0).bounds[0][2] == -1.0
+    assert np.isinf(Plane((1, 0, 1)).bounds).all()
+
+
+def test_heightfield_follows_its_bilinear_surface():
+    generator = np.random.default_rng(6)
+    heights = generator.normal(scale=0.3, size=(5, 4))
+    field = Heightfield(heights, (2.0, 3.0))
+    x, y = np.linspace(-1, 1, 5), np.linspace(-1.5, 1.5, 4)
+    for i in range(5):
+        for j in range(4):
+            distance, _ = field.signed_distance([[x[i], y[j], heights[i, j]]])
+            assert distance[0] == pytest.approx(0.0, abs=1e-12)
+    at = np.array([[x[1] + 0.3 * 0.5, y[2] + 0.7, 5.0]])
+    u, v = 0.3, 0.7
+    corner = heights[1:3, 2:4]
+    height = (1 - u) * ((1 - v) * corner[0, 0] + v * corner[0, 1]) + u * ((1 - v) * corner[1, 0] + v * corner[1, 1])
+    distance, gradient = field.signed_distance(at)
+    assert distance[0] / gradient[0, 2] == pytest.approx(5.0 - height)
+
+    def bilinear(points):
+        distance, gradient = field.signed_distance(points)
+        return distance / gradient[:, 2]  # vertical gap z - height
+
+    slope = numeric_gradient(bilinear, at, 1e-6)[0]
+    np.testing.assert_allclose(gradient[0], slope / np.linalg.norm(slope), atol=1e-6)
+
+
+def test_heightfield_of_a_slope_is_exact_and_ends_at_its_border():
+    x = np.linspace(-1, 1, 9)
+    slope = Heightfield(np.repeat(0.75 * x[:, None], 5, axis=1), (2, 2))
+    distance, gradient = slope.signed_distance([[0.1, 0.2, 2.0], [0.9, -0.9, -1.0], [1.01, 0, 0]])
+    normal = np.array([-0.6, 0, 0.8])
+    np.testing.assert_allclose(distance[:2], [0.8 * 2 - 0.06, -0.8 - 0.54], atol=1e-12)
+    np.testing.assert_allclose(gradient[:2], [normal, normal], atol=1e-12)
+    assert distance[2] == math.inf
+    vertices, faces = slope.surface()
+    assert len(faces) == 2 * 8 * 4
+    edge = vertices[faces]
+    up = np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0])
+    assert (up[:, 2] > 0).all()
+    part = slope.parts()[0]
+    assert part.kind == PartKind.HEIGHTFIELD and part.size == (2.0, 2.0, 0.0, 0.0)
+    assert part.grid.values.shape == (9, 5, 1)
+    np.testing.assert_allclose(part.grid.origin, (-1, -1, 0))
+
+
+def test_compound_distance_is_that_of_the_union():
+    shape = turned_pair()
+    outline = [shape.surface()[0][face] for face in shape.surface()[1]]
+    points = points_around(*shape.bounds, 2.0, 1500, np.random.default_rng(7))
+    distance, _ = shape.signed_distance(points)
+    first = (np.abs(points - [0.4, 0, 0]) < [0.4, 0.1, 0.1]).all(axis=1)
+    second = (np.abs(points - [0, 0.2, 0]) < [0.1, 0.3, 0.1]).all(axis=1)
+    np.testing.assert_array_equal(distance < 0.0, first | second)
+    exact = distance_to_triangles(points, np.array(outline))
+    outside = ~(first | second)
+    np.testing.assert_allclose(distance[outside], exact[outside], atol=1e-12)
+
+
+def test_nested_compounds_are_flattened_at_the_right_places():
+    generator = np.random.default_rng(8)
+    inner_turn, _ = random_rotation(generator)
+    outer_turn, _ = random_rotation(generator)
+    inner = Compound([(Capsule(0.1, 0.3), (0.2, 0, 0.1), inner_turn), (Sphere(0.2), (0, 1, 0), IDENTITY)])
+    outer = Compound([(inner, (1, 2, 3), outer_turn), (Box((0.1, 0.2, 0.3)), (0, 0, 0), IDENTITY)])
+    parts = outer.parts()
+    assert [part.kind for part in parts] == [PartKind.CAPSULE, PartKind.SPHERE, PartKind.BOX]
+    points = generator.normal(scale=2.0, size=(200, 3))
+    shapes = [Capsule(0.1, 0.3), Sphere(0.2), Box((0.1, 0.2, 0.3))]
+    nearest = np.min(
+        [
+            shape.signed_distance((points - part.position) @ quaternion_matrix(part.orientation))[0]
+            for part, shape in zip(parts, shapes, strict=True)
+        ],
+        axis=0,
+    )
+    np.testing.assert_allclose(outer.signed_distance(points)[0], nearest, atol=1e-12)
+
+
+def test_quaternion_product_turns_in_the_stated_order():
+    generator = np.random.default_rng(9)
+    (first, first_matrix), (second, second_matrix) = (random_rotation(generator) for _ in range(2))
+    np.testing.assert_allclose(quaternion_matrix(first), first_matrix, atol=1e-12)
+    np.testing.assert_allclose(
+        quaternion_matrix(quaternion_product(first, second)),
+        first_matrix @ second_matrix,
+        atol=1e-12,
+    )
+
+
+def test_parts_carry_the_kernels_sizes():
+    expected = {
+        PartKind.SPHERE: (Sphere(0.4), (0.4, 0, 0, 0)),
+        PartKind.BOX: (Box((1, 2, 3)), (1, 2, 3, 0)),
+        PartKind.CAPSULE: (Capsule(0.1, 0.2), (0.1, 0.2, 0, 0)),
+        PartKind.CYLINDER: (Cylinder(0.1, 0.2), (0.1, 0.2, 0, 0)),
+        PartKind.PLANE: (Plane((0, 0, 2), 0.5), (0, 0, 1, 0.5)),
+    }
+    for kind, (shape, size) in expected.items():
+        (part,) = shape.parts()
+        assert part.kind == kind and part.size == pytest.approx(size)
+        assert part.position == (0, 0, 0) and part.orientation == IDENTITY and part.grid is None
+
+
+def test_equal_shapes_share_a_key_and_shapes_cannot_be_changed():
+    assert Sphere(1).key == Sphere(1.0).key != Sphere(2).key
+    assert Box((1, 1, 1)) == Box([1, 1, 1]) != Sphere(1)
+    assert Capsule(1, 2).key != Cylinder(1, 2).key
+    assert turned_pair().key == turned_pair().key
+    assert Mesh(*cube()).key == Mesh(*cube()).key != Mesh(*cube(), sdf_resolution=32).key
+    assert Plane().key != Plane(offset=1).key
+    with pytest.raises(AttributeError):
+        Sphere(1).radius = 2.0
+    with pytest.raises(ValueError):
+        Box((1, 1, 1)).half_extents[0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: Sphere(0), "radius"),
+        (lambda: Sphere(math.nan), "radius"),
+        (lambda: Sphere("wide"), "radius"),
+        (lambda: Box((1, 2)), "half_extents"),
+        (lambda: Box((1, -2, 3)), "half_extents"),
+        (lambda: Capsule(1, -1), "half_height"),
+        (lambda: Cylinder(math.inf, 1), "radius"),
+        (lambda: Plane((0, 0, 0)), "normal"),
+        (lambda: Plane(offset=math.inf), "offset"),
+        (lambda: Heightfield([[1, 2]], (1, 1)), "heights"),
+        (lambda: Heightfield([[1, 2], [3, math.nan]], (1, 1)), "heights"),
+        (lambda: Heightfield(np.zeros((3, 3)), (1, 0)), "size"),
+        (lambda: Compound([]), "children"),
+        (lambda: Compound([Sphere(1)]), "children[0]"),
+        (lambda: Compound([(Plane(), (0, 0, 0), IDENTITY)]), "children[0]"),
+        (lambda: Compound([(Sphere(1), (0, 0, 0), (0, 0, 0, 0))]), "children[0]"),
+        (lambda: Sphere(1).signed_distance([[1, 2]]), "points"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line_that_names_the_field(make, field):
+    with pytest.raises(ValueError) as refusal:
+        make()
+    message = str(refusal.value)
+    assert message.startswith(field) and "\n" not in message

@@ -1,0 +1,262 @@
+"""Samples and their clusters: coverage, kinds, normals, bounding spheres (V09; capabilities 7, 8)."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from tests.geometry_oracles import cube, l_prism, random_surface_points, star_prism
+from warp_rigid import meshes
+from warp_rigid.shapes import (
+    Box,
+    Capsule,
+    Compound,
+    Cylinder,
+    Heightfield,
+    Mesh,
+    Plane,
+    SampleKind,
+    Sphere,
+)
+from warp_rigid.tessellation import geodesic
+
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+POINT, EDGE, RIM = SampleKind.POINT, SampleKind.EDGE, SampleKind.RIM
+
+
+def prism_mesh(build):
+    return Mesh(*build())
+
+
+SHAPES = {
+    "sphere": lambda: Sphere(0.4),
+    "box": lambda: Box((0.5, 0.3, 0.2)),
+    "capsule": lambda: Capsule(0.2, 0.5),
+    "cylinder": lambda: Cylinder(0.3, 0.5),
+    "disc": lambda: Cylinder(0.5, 0.1),
+    "heightfield": lambda: Heightfield(np.random.default_rng(0).normal(size=(12, 9)), (3, 2)),
+    "compound": lambda: Compound([(Box((1, 1, 1)), (0, 0, 0), IDENTITY), (Cylinder(0.3, 1), (0, 0, 1.5), IDENTITY)]),
+    "bunny": meshes.bunny,
+    "torus": meshes.torus,
+    "ring": meshes.ring,
+    "l_prism": lambda: prism_mesh(l_prism),
+    "star": lambda: prism_mesh(star_prism),
+    "cube_mesh": lambda: prism_mesh(cube),
+    "skull": meshes.skull_like,
+    "brain": meshes.brain_like,
+}
+MESHES = ["bunny", "torus", "ring", "l_prism", "star", "cube_mesh", "skull", "brain"]
+
+
+def end_points(samples, spacing):
+    """All sample points, EDGE segments replaced by points no farther apart than the spacing / 20."""
+    fractions = np.linspace(-1.0, 1.0, 41)
+    edge = samples.kind == EDGE
+    along = samples.point[edge, None] + fractions[:, None] * samples.slide[edge, None]
+    assert np.linalg.norm(samples.slide, axis=1).max(initial=0.0) <= 0.5 * spacing * (1 + 1e-5)
+    return np.concatenate([samples.point[~edge], along.reshape(-1, 3)])
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_arrays_fit_together_and_clusters_hold_their_samples(name):
+    samples = SHAPES[name]().samples()
+    count, clusters = len(samples), len(samples.cluster_radius)
+    for array in (samples.point, samples.normal, samples.slide):
+        assert array.shape == (count, 3) and array.dtype == np.float32
+    assert samples.radius.shape == (count,) and samples.radius.dtype == np.float32
+    assert samples.kind.shape == (count,) and samples.kind.dtype == np.int32
+    assert samples.cluster_start.dtype == np.int32
+    assert samples.cluster_start[0] == 0 and samples.cluster_start[-1] == count
+    sizes = np.diff(samples.cluster_start)
+    assert clusters == len(sizes) and 1 <= sizes.min() and sizes.max() <= 32
+    assert clusters == -(-count // 32)
+    length = np.linalg.norm(samples.normal, axis=1)
+    assert (np.isclose(length, 1.0, atol=1e-5) | (length == 0.0)).all()
+    owner = np.repeat(np.arange(clusters), sizes)
+    for sign in (-1.0, 1.0):
+        end = samples.point.astype(np.float64) + sign * samples.slide
+        reach = np.linalg.norm(end - samples.cluster_center[owner], axis=1) + samples.radius
+        assert (reach <= samples.cluster_radius[owner]).all()
+
+
+def test_plane_has_no_samples():
+    samples = Plane().samples()
+    assert len(samples) == 0 and samples.cluster_start.tolist() == [0]
+    assert samples.cluster_center.shape == (0, 3)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_every_surface_point_is_near_a_sample(name):
+    mesh = SHAPES[name]()
+    spacing = mesh.sample_spacing
+    assert spacing == pytest.approx(np.ptp(mesh.vertices, axis=0).max() / 16)
+    points = random_surface_points(mesh.vertices, mesh.faces, 20_000, np.random.default_rng(0))
+    gap, _ = cKDTree(end_points(mesh.samples(), spacing)).query(points)
+    assert gap.max() <= spacing
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_all_vertices_are_samples(name):
+    mesh = SHAPES[name]()
+    samples = mesh.samples()
+    gap, _ = cKDTree(samples.point[samples.kind == POINT]).query(mesh.vertices)
+    assert gap.max() < 1e-6
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_samples_lie_on_the_surface_with_outward_normals(name):
+    mesh = SHAPES[name]()
+    samples = mesh.samples()
+    if name in ("bunny", "torus"):
+        # on curved surfaces normals are means; on the others every step outward must leave the solid
+        np.testing.assert_allclose(np.linalg.norm(samples.normal, axis=1), 1.0, atol=1e-5)
+    step = 1e-3 * mesh.size
+    distance, _ = mesh.exact_signed_distance(samples.point)
+    assert np.abs(distance).max() < 1e-5 * mesh.size
+    outside, _ = mesh.exact_signed_distance(samples.point + step * samples.normal)
+    inside, _ = mesh.exact_signed_distance(samples.point - step * samples.normal)
+    # at saddles of a skull or a brain a mean normal may graze; an opening's rim has no inside
+    share = {"skull": 0.95, "brain": 0.97}.get(name, 1.0)
+    assert (outside > 0.0).mean() >= share and (inside < 0.0).mean() >= share
+
+
+def test_feature_edges_of_a_mesh_are_covered_by_segments():
+    mesh = Mesh(*l_prism())
+    samples = mesh.samples()
+    edge = samples.kind == EDGE
+    length = 2.0 * np.linalg.norm(samples.slide[edge], axis=1)
+    sides = [3, 1, 2, 2, 1, 3]  # around the L, twice; six uprights, one of them in the notch
+    assert length.sum() == pytest.approx(2 * sum(sides) + 6 - 1, rel=1e-5)
+    assert length.max() <= mesh.sample_spacing * (1 + 1e-5)
+    np.testing.assert_allclose(np.sort(np.abs(samples.normal[edge]), axis=1)[:, 1:], 0.5**0.5, atol=1e-5)
+
+
+def test_the_boundary_of_an_open_mesh_is_covered_by_segments():
+    vertices, faces = cube()
+    open_box = Mesh(vertices, faces[2:])
+    closed = Mesh(vertices, faces)
+    length = [
+        np.linalg.norm(mesh.samples().slide[mesh.samples().kind == EDGE], axis=1).sum() * 2
+        for mesh in (open_box, closed)
+    ]
+    np.testing.assert_allclose(length, 12.0, rtol=1e-5)
+
+
+def test_box_samples():
+    half = np.array([0.5, 0.3, 0.2])
+    samples = Box(half).samples()
+    point, edge = samples.kind == POINT, samples.kind == EDGE
+    assert point.sum() == 8 + 6 * 9 and edge.sum() == 12 * 4
+    at_limit = np.isclose(np.abs(samples.point), half.astype(np.float32))
+    corner = at_limit.all(axis=1)
+    assert corner.sum() == 8
+    np.testing.assert_allclose(samples.normal[corner], np.sign(samples.point[corner]) / 3**0.5, atol=1e-6)
+    assert (at_limit[edge].sum(axis=1) == 2).all()
+    assert (at_limit[point & ~corner].sum(axis=1) == 1).all()
+    # each edge is covered once from end to end
+    assert 2.0 * np.abs(samples.slide[edge]).sum() == pytest.approx(8 * half.sum(), rel=1e-6)
+    for owner in range(len(samples.cluster_radius)):
+        members = slice(*samples.cluster_start[owner : owner + 2])
+        first_other = np.argmin(np.append(corner[members], False))
+        assert not corner[members][first_other:].any()
+
+
+def test_round_shapes_carry_their_radius():
+    sphere = Sphere(0.4).samples()
+    assert len(sphere) == 1 and sphere.radius[0] == np.float32(0.4)
+    assert not sphere.point.any() and not sphere.normal.any()
+    assert sphere.cluster_radius[0] == pytest.approx(0.4, rel=1e-4)
+    capsule = Capsule(0.2, 0.5).samples()
+    assert (capsule.kind == POINT).sum() == 2 and not capsule.normal.any()
+    np.testing.assert_array_equal(capsule.radius, np.float32(0.2))
+    segments = capsule.slide[capsule.kind == EDGE]
+    assert 2.0 * np.abs(segments[:, 2]).sum() == pytest.approx(1.0)
+    assert capsule.cluster_radius[0] == pytest.approx(0.7, rel=1e-4)
+
+
+@pytest.mark.parametrize("shape", [Cylinder(0.3, 0.5), Cylinder(0.5, 0.1)])
+def test_cylinder_rims_points_and_sides(shape):
+    samples = shape.samples()
+    rim = samples.kind == RIM
+    assert rim.sum() == 2
+    np.testing.assert_allclose(samples.radius[rim], shape.radius)
+    np.testing.assert_allclose(samples.point[rim], samples.normal[rim] * shape.half_height, atol=1e-6)
+    from_axis = np.linalg.norm(samples.point[:, :2], axis=1)
+    corner = (samples.kind == POINT) & np.isclose(from_axis, shape.radius)
+    assert corner.sum() == 32
+    expected = samples.point[corner] * [1 / shape.radius, 1 / shape.radius, 1 / shape.half_height]
+    np.testing.assert_allclose(samples.normal[corner], expected / 2**0.5, atol=1e-5)
+    # nothing that a sample reaches sticks out, and the side's middle is reached all around
+    edge = samples.kind == EDGE
+    for sign in (-1.0, 0.0, 1.0):
+        end = samples.point[edge] + sign * samples.slide[edge]
+        distance, _ = shape.signed_distance(end)
+        np.testing.assert_allclose(distance + samples.radius[edge], 0.0, atol=1e-6)
+
+
+def test_edges_find_crossed_edges_that_vertices_miss():
+    quarter = math.pi / 4
+    lower = Box((1.0, 0.1, 0.1))
+    turn = np.array([[1, 0, 0], [0, math.cos(quarter), -math.sin(quarter)],
+                     [0, math.sin(quarter), math.cos(quarter)]])  # fmt: skip
+    across = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]) @ turn
+    lift = 2 * 0.1 * 2**0.5 - 0.01  # the two edges overlap by 1 cm
+    samples = lower.samples()
+
+    def depth(points):
+        upper_frame = (points @ across.T + [0, 0, lift]) @ turn
+        return lower.signed_distance(upper_frame)[0]
+
+    edge = samples.kind == EDGE
+    assert depth(samples.point[~edge]).min() > 0.0
+    along = np.linspace(-1.0, 1.0, 101)[:, None]
+    swept = samples.point[edge, None] + along * samples.slide[edge, None]
+    assert depth(swept.reshape(-1, 3)).min() == pytest.approx(-0.01 / 2**0.5, abs=1e-3)
+
+
+def test_compound_drops_what_is_hidden_and_keeps_the_rest():
+    box, offset = Box((0.5, 0.5, 0.5)), np.array([0.5, 0, 0])
+    flush = Compound([(box, -offset, IDENTITY), (box, offset, IDENTITY)])
+    samples = flush.samples()
+    face_points = (samples.kind == POINT) & (np.abs(samples.normal) > 0.99).any(axis=1)
+    assert face_points.sum() == 2 * 5 * 9  # the two faces that meet are gone
+    overlap = Compound([(box, -0.9 * offset, IDENTITY), (box, 0.9 * offset, IDENTITY)])
+    distance = [box.signed_distance(overlap.samples().point - sign * 0.9 * offset)[0] for sign in (-1, 1)]
+    assert np.min(distance) >= -1e-6
+    far = Compound([(box, -3 * offset, IDENTITY), (box, 3 * offset, IDENTITY)])
+    assert len(far.samples()) == 2 * len(box.samples())
+    swallowed = Compound([(box, (0, 0, 0), IDENTITY), (Cylinder(0.1, 0.2), (0, 0, 0), IDENTITY)])
+    assert len(swallowed.samples()) == len(box.samples())
+    with_ball = Compound([(box, (0, 0, 0), IDENTITY), (Sphere(0.3), (0.5, 0, 0), IDENTITY)])
+    assert (with_ball.samples().radius > 0).sum() == 1
+
+
+def test_compound_samples_turn_with_their_child():
+    turn = (0.5, 0.5, 0.5, 0.5)  # x to y, y to z, z to x
+    samples = Compound([(Cylinder(0.2, 0.5), (1, 2, 3), turn)]).samples()
+    rim = samples.kind == RIM
+    np.testing.assert_allclose(np.sort(samples.point[rim], axis=0), [[0.5, 2, 3], [1.5, 2, 3]])
+    np.testing.assert_allclose(np.abs(samples.normal[rim]), [[1, 0, 0], [1, 0, 0]], atol=1e-6)
+
+
+def test_clusters_save_nine_tenths_of_the_distance_queries():
+    vertices, faces = geodesic(45)  # 20 252 vertices
+    mesh = Mesh(0.5 * vertices, faces)
+    assert len(mesh.vertices) > 20_000
+    samples = mesh.samples()
+    floor, margin = Plane(offset=-0.499), 0.002
+    center_distance, _ = floor.signed_distance(samples.cluster_center)
+    near = center_distance <= samples.cluster_radius + margin
+    queries = len(near) + np.diff(samples.cluster_start)[near].sum()
+    distance, _ = floor.signed_distance(samples.point)
+    kept = np.repeat(near, np.diff(samples.cluster_start))
+    assert queries * 10 <= len(samples)
+    assert np.argmin(np.where(kept, distance, np.inf)) == np.argmin(distance)
+    np.testing.assert_array_equal(distance[~kept] > margin, True)
+
+
+def test_sampling_is_the_same_every_time():
+    first, second = (meshes.brain_like().samples() for _ in range(2))
+    for name in ("point", "normal", "slide", "kind", "cluster_start", "cluster_radius"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
