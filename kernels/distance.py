@@ -143,7 +143,11 @@ def cylinder_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
 
 @wp.func
 def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
-    """Trilinear interpolation in a part's grid, and its gradient; outside, the distance to the grid is added."""
+    """Trilinear interpolation in a part's grid, and its gradient.
+
+    Outside the grid, with d the distance at its nearest point c and a the way to c, every surface point is at least
+    sqrt(d^2 + a^2) away, since the grid's box is convex: a bound that never rejects too much.
+    """
     dims = shapes.parts[part].grid_dims
     top = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
     q = (p - shapes.parts[part].grid_origin) / shapes.parts[part].grid_spacing
@@ -175,8 +179,10 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     distance = v0 + x * gx
     away = (q - inside) * shapes.parts[part].grid_spacing
     if wp.length_sq(away) > 0.0:
-        n = direction_or_up(wp.max(distance, 0.0) * n + away)
-        distance = distance + wp.length(away)
+        for axis in range(3):
+            n[axis] = wp.where(away[axis] != 0.0, away[axis], distance * n[axis])
+        n = direction_or_up(n)
+        distance = wp.sqrt(wp.max(distance, 0.0) * wp.max(distance, 0.0) + wp.length_sq(away))
     return wp.vec4(n[0], n[1], n[2], distance)
 
 

@@ -317,15 +317,15 @@ def take_out_doubles(pair: int, size: float, pairs: Pairs):
     kept = int(0)
     for slot in range(pairs.patch_count[pair] * SLOTS):
         key = pairs.slot_key[pair, slot]
-        shallowest = pairs.slot_gap[pair, slot]
+        lowest = float(FAR)
         is_deepest = slot % SLOTS == DIRECTIONS
         for k in range(slot % SLOTS):
             earlier = slot - slot % SLOTS + k
             if pairs.slot_key[pair, earlier] == key and key >= 0:
                 pairs.slot_key[pair, slot] = -1
             if pairs.slot_key[pair, earlier] >= 0:
-                shallowest = wp.min(shallowest, pairs.slot_gap[pair, earlier])
-        if is_deepest and pairs.slot_gap[pair, slot] > shallowest - 0.1 * CONTACT_DISTANCE * size:
+                lowest = wp.min(lowest, pairs.slot_gap[pair, earlier])
+        if is_deepest and pairs.slot_gap[pair, slot] > lowest - 0.1 * CONTACT_DISTANCE * size:
             pairs.slot_key[pair, slot] = -1
         if pairs.slot_key[pair, slot] >= 0:
             kept += 1

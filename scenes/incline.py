@@ -18,11 +18,11 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     """Cube of 0.1 m flush on a platform inclined by 20 degrees, as in the 2003 authors' test.
 
     Args:
-        angle: slope [degree], 0 to 60; downhill is +x.
+        angle: slope [degree], 0 to 40, at which a cube does not tip; downhill is +x.
         friction: of block and platform, >= 0; the block stays where it exceeds tan(angle).
         restitution: of block and platform, 0 to 1.
     """
-    slope = math.radians(number_in("angle", angle, 0.0, 60.0))
+    slope = math.radians(number_in("angle", angle, 0.0, 40.0))
     surface = {
         "friction": number_in("friction", friction, 0.0),
         "restitution": number_in("restitution", restitution, 0.0, 1.0),

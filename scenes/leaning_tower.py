@@ -72,10 +72,10 @@ class TowerOutcome:
         else:
             text, passed = "stands: no box moved 2 cm", moved < 0.02
         # One pass never lets the lower joints feel the load above: its tower stands regardless.
-        # Without shock propagation a cold start cannot hold up any tower, one that balances either.
-        expected = {"default": True, "two_pass": True, "one_pass": not self.falls}
+        # From cold starts, few iterations may drop even a tower that balances.
+        expected = {"default": True, "one_pass": not self.falls}
         if self.falls:
-            expected["off"] = True
+            expected |= {"off": True, "two_pass": True}
         return [Verdict("top_height", top, text, passed, expected)]
 
 

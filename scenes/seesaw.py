@@ -69,6 +69,9 @@ class SeesawOutcome:
     def __init__(self, scene):
         """Find the plank."""
         (self.plank,) = indices(scene, "plank")
+        (large,), (small,) = indices(scene, "large"), indices(scene, "small")
+        moments = [scene.bodies[i].mass * scene.bodies[i].position[0] for i in (large, small)]
+        self.uneven = sum(moments) > 0.1 * moments[0]
         self.right = self.left = None
 
     def observe(self, sim):

@@ -1,10 +1,9 @@
 """A stand-in for the simulator whose motion is known in closed form."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
 from warp_rigid.scene import Motion
+from warp_rigid.settings import Settings
 
 
 class FakeSimulator:
@@ -20,7 +19,8 @@ class FakeSimulator:
         self.scene = scene
         self.num_envs = num_envs
         self.num_bodies = len(scene.bodies)
-        self.settings = SimpleNamespace(dt=dt)
+        self.settings = Settings(dt=dt)
+        self.device = "nowhere"
         self.steps = 0
 
     @property
@@ -33,6 +33,22 @@ class FakeSimulator:
     def get(self, name):
         return getattr(self, name)()
 
+    def penetration(self):
+        return np.full(self.num_envs, 0.001 * self.steps)
+
+    def status(self):
+        record = np.dtype([("status", "U10"), ("step", np.int64), ("body", np.int64)])
+        return np.array([("ok", -1, -1)] * self.num_envs, dtype=record)
+
+    def counts(self):
+        return {"pairs": 0, "contacts": 0, "levels": 0}
+
+    def asleep(self):
+        return np.full((self.num_envs, self.num_bodies), self.steps > 10)
+
+    def level(self):
+        return np.full((self.num_envs, self.num_bodies), self.steps)
+
     def position(self):
         start = np.array([body.position for body in self.scene.bodies])
         fall = np.array([body.motion == Motion.DYNAMIC for body in self.scene.bodies])
@@ -44,7 +60,7 @@ class FakeSimulator:
         half = 0.5 * self.SPIN * self.time * (np.arange(self.num_envs) + 1.0)
         turned = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
         # A simulator may give either sign of a quaternion.
-        turned *= np.where(np.arange(self.num_envs) + self.steps % 2 == 0, 1.0, -1.0)[:, None]
+        turned *= np.where((np.arange(self.num_envs) + self.steps // 7) % 2 == 0, 1.0, -1.0)[:, None]
         fixed = np.array([body.orientation for body in self.scene.bodies])
         moving = np.array([body.motion == Motion.DYNAMIC for body in self.scene.bodies])
         both = np.where(moving[None, :, None], turned[:, None], fixed[None])

@@ -4,6 +4,7 @@ Results go to stdout, everything else to stderr. Exit status: 0 done, 2 usage or
 3 capacity, 4 non-finite state, 130 interrupted.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -48,11 +49,8 @@ def main(argv: list[str] | None = None) -> int:
     Args:
         argv: the arguments; None takes those of the process.
     """
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr, force=True)
-    logging.getLogger("warp_rigid").setLevel(logging.INFO)
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
+        with _messages_on_stderr():
             _start_warp()
             return app(args=argv, prog_name="warp-rigid", standalone_mode=False) or 0
     except UsageError as error:
@@ -311,7 +309,7 @@ def _conclusion(verdicts: list[dict[str, Any]]) -> str:
         if expected is not None
     ]
     if not judged:
-        return "nothing is expected of changed settings"
+        return "nothing is expected of changed settings or a shortened run"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"
 
 
@@ -389,8 +387,21 @@ def _note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
-    _note(f"warning: {message}")
+@contextlib.contextmanager
+def _messages_on_stderr():
+    """Show the package's messages, and warnings as one line each."""
+    log = logging.getLogger("warp_rigid")
+    handler = logging.StreamHandler(sys.stderr)
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: _note(f"warning: {message}")
+        try:
+            yield
+        finally:
+            log.removeHandler(handler)
+            log.setLevel(level)
 
 
 def _console(stderr: bool = False) -> Console:

@@ -58,9 +58,7 @@ class Compound(Shape):
         return np.max(
             [
                 directions @ position + shape.support(directions @ rotation)
-                for (shape, position, _), rotation in zip(
-                    self.children, self._rotations, strict=True
-                )
+                for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True)
             ],
             axis=0,
         )
@@ -89,9 +87,7 @@ class Compound(Shape):
     def parts(self):
         """The children's parts, in order, at their poses."""
         flat = []
-        for (shape, position, orientation), rotation in zip(
-            self.children, self._rotations, strict=True
-        ):
+        for (shape, position, orientation), rotation in zip(self.children, self._rotations, strict=True):
             for part in shape.parts():
                 place = rotation @ np.array(part.position) + position
                 turned = quaternion_product(orientation, part.orientation)
@@ -164,7 +160,4 @@ def _rim_probes(columns) -> list[np.ndarray]:
     second = np.cross(normal, first)
     radius = columns["radius"][:, None] * rim
     angles = 2.0 * np.pi * np.arange(8) / 8
-    return [
-        columns["point"] + radius * (np.cos(angle) * first + np.sin(angle) * second)
-        for angle in angles
-    ]
+    return [columns["point"] + radius * (np.cos(angle) * first + np.sin(angle) * second) for angle in angles]

@@ -111,9 +111,7 @@ class Mesh(Shape):
     @cached_property
     def grid(self) -> Grid:
         """Signed distances: `sdf_resolution` cells on the longest side, and 3 more all around."""
-        return sdf.grid_of_mesh(
-            self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple
-        )
+        return sdf.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
 
     def signed_distance(self, points):
         """Trilinear interpolation of the grid.
@@ -128,9 +126,7 @@ class Mesh(Shape):
 
         The direction is undefined (zero) on the surface.
         """
-        return sdf.mesh_distance(
-            self._solid_vertices, self._solid_faces, point_array(points), self._simple
-        )
+        return sdf.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
 
     def parts(self):
         """One GRID."""

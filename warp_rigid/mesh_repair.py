@@ -138,9 +138,7 @@ def _agree_winding(faces, repairs):
         known[target] = True
     # of the two consistent choices, keep the one that changes fewer faces
     label = topology.components(pairs, len(faces))
-    mostly = np.bincount(label, flip, minlength=len(faces)) > 0.5 * np.bincount(
-        label, minlength=len(faces)
-    )
+    mostly = np.bincount(label, flip, minlength=len(faces)) > 0.5 * np.bincount(label, minlength=len(faces))
     flip ^= mostly[label]
     if not flip.any():
         return faces

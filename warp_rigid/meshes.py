@@ -34,9 +34,7 @@ def bunny(size: float = 0.2, sdf_resolution: int = 64) -> Mesh:
     return Mesh((vertices - solid.center_of_mass) @ axes, faces, sdf_resolution)
 
 
-def torus(
-    major: float = 0.07, minor: float = 0.03, segments: int = 32, sdf_resolution: int = 64
-) -> Mesh:
+def torus(major: float = 0.07, minor: float = 0.03, segments: int = 32, sdf_resolution: int = 64) -> Mesh:
     """Torus about z, its vertices on the smooth surface.
 
     Args:
@@ -130,7 +128,5 @@ def _centered(vertices, faces, size, sdf_resolution) -> Mesh:
     """Scale to a longest side and move the centre of mass of the solid to the origin."""
     vertices = vertices * (number_in("size", size, above=0) / np.ptp(vertices, axis=0).max())
     apexes, fans = topology.cap_boundaries(vertices, faces)
-    solid = mass_properties.polyhedron(
-        np.concatenate([vertices, apexes]), np.concatenate([faces, fans])
-    )
+    solid = mass_properties.polyhedron(np.concatenate([vertices, apexes]), np.concatenate([faces, fans]))
     return Mesh(vertices - solid.center_of_mass, faces, sdf_resolution)

@@ -69,9 +69,7 @@ def _snap(directions: np.ndarray, opening) -> np.ndarray:
     """Move directions that lie near an opening's rim toward it, so that the cut is smooth."""
     step = 1e-4
     value = opening(directions)
-    slope = np.stack(
-        [(opening(directions + step * axis) - value) / step for axis in np.eye(3)], axis=1
-    )
+    slope = np.stack([(opening(directions + step * axis) - value) / step for axis in np.eye(3)], axis=1)
     slope -= np.einsum("ij,ij->i", slope, directions)[:, None] * directions
     steepness = np.maximum(np.einsum("ij,ij->i", slope, slope), 1e-9)
     move = -(value / steepness)[:, None] * slope

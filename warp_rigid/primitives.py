@@ -217,9 +217,7 @@ class Cylinder(Shape):
         """Exact; on the axis radial means +x, and where side and cap tie, the side wins."""
         points = point_array(points)
         from_axis = np.linalg.norm(points[:, :2], axis=1)
-        excess = np.stack(
-            [from_axis - self.radius, np.abs(points[:, 2]) - self.half_height], axis=1
-        )
+        excess = np.stack([from_axis - self.radius, np.abs(points[:, 2]) - self.half_height], axis=1)
         upward = np.where(points[:, 2] < 0.0, -1.0, 1.0)
         distance, slope = _corner_distance(excess, np.ones_like(excess))
         radial = _directions(points[:, :2], from_axis, (1.0, 0.0))

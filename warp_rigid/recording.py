@@ -16,6 +16,9 @@ from warp_rigid.scene import Motion
 __all__ = ["Recorder", "Recording", "Surface", "record", "steps_per_frame"]
 
 FORMAT = 1
+CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
+"""What is kept of every frame, by its name in the simulator."""
+ARRAYS = ("time", *CAPTURED, "envs", "motion", "surface")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +44,8 @@ class Recording:
         time: (frames + 1,) float64 [s]; the first frame is the state before the first step.
         position: (frames + 1, envs, bodies, 3) float32, pose of the shape's frame [m].
         orientation: (frames + 1, envs, bodies, 4) float32, unit quaternions (x, y, z, w).
+        asleep: (frames + 1, envs, bodies) bool.
+        level: (frames + 1, envs, bodies) int32, level in the contact graph.
         fps: frames per simulated second.
         envs: (envs,) int64, which environments of the simulation these are.
         labels: a text for each of them; empty where nothing tells it apart.
@@ -53,6 +58,8 @@ class Recording:
     time: np.ndarray
     position: np.ndarray
     orientation: np.ndarray
+    asleep: np.ndarray
+    level: np.ndarray
     fps: float
     envs: np.ndarray
     labels: tuple[str, ...]
@@ -81,14 +88,7 @@ class Recording:
 
     def save(self, path) -> None:
         """Write everything to one .npz file, which holds plain arrays and text only."""
-        arrays = {
-            "time": self.time,
-            "position": self.position,
-            "orientation": self.orientation,
-            "envs": self.envs,
-            "motion": self.motion,
-            "surface": self.surface,
-        }
+        arrays = {name: getattr(self, name) for name in ARRAYS}
         for index, surface in enumerate(self.surfaces):
             arrays[f"vertices_{index}"] = surface.vertices
             arrays[f"faces_{index}"] = surface.faces
@@ -118,10 +118,7 @@ class Recording:
                 if text["format"] != FORMAT:
                     raise ValueError(f"format {text['format']} instead of {FORMAT}")
                 return Recording(
-                    **{
-                        name: arrays[name]
-                        for name in ("time", "position", "orientation", "envs", "motion", "surface")
-                    },
+                    **{name: arrays[name] for name in ARRAYS},
                     fps=text["fps"],
                     labels=tuple(text["labels"]),
                     names=tuple(text["names"]),
@@ -158,21 +155,21 @@ class Recorder:
             raise ValueError(f"labels: {len(self.labels)} for {len(self.envs)} environments")
         self.fps = float(fps)
         self._bodies = sim.scene.bodies
-        self._time, self._position, self._orientation = [], [], []
+        self._time = []
+        self._frames = {name: [] for name in CAPTURED}
 
     def capture(self, sim) -> None:
         """Append the state of now as a frame."""
         self._time.append(float(sim.time))
-        self._position.append(np.asarray(sim.get("position"), dtype=np.float32)[self.envs])
-        self._orientation.append(np.asarray(sim.get("orientation"), dtype=np.float32)[self.envs])
+        for name, dtype in CAPTURED.items():
+            self._frames[name].append(np.asarray(sim.get(name), dtype=dtype)[self.envs])
 
     def recording(self) -> Recording:
         """All frames captured so far."""
         surfaces, surface = _surfaces(self._bodies)
         return Recording(
             time=np.array(self._time),
-            position=np.stack(self._position),
-            orientation=np.stack(self._orientation),
+            **{name: np.stack(frames) for name, frames in self._frames.items()},
             fps=self.fps,
             envs=self.envs,
             labels=self.labels,

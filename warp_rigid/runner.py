@@ -33,7 +33,7 @@ class Plan:
         sim: the Simulator.
         labels: what tells the environments apart; empty texts if nothing does.
         variants: which of the demo's variants each environment runs; None where settings or
-            properties were changed, so that the demo expects nothing.
+            properties were changed or the run is cut short, so that the demo expects nothing.
         fps: frames per simulated second.
         frames: how many frames to simulate.
         parameters: what was set, by name, for the summary.
@@ -124,12 +124,16 @@ def plan_run(
     sim = Simulator(scene, num_envs=count, settings=settings, device=device, seed=seed or 0)
     _apply(sim, given, variants)
     changed = given.settings or given.properties or given.batched or substeps is not None
+    if changed or frames < round(demo.duration * fps):
+        expected = (None,) * count
+    else:
+        expected = tuple(variants) or ("default",) * count
     return Plan(
         demo=demo,
         scene=scene,
         sim=sim,
         labels=tuple(variants) or _labels(given, count),
-        variants=(None if changed else "default",) * count if not variants else tuple(variants),
+        variants=expected,
         fps=fps,
         frames=frames,
         parameters={**given.scene, **given.settings, **given.properties, **given.batched},

@@ -6,9 +6,7 @@ import numpy as np
 def box(half_extents) -> tuple[np.ndarray, np.ndarray]:
     """Cuboid of 8 vertices and 12 triangles; vertex 4 i + 2 j + k has the signs of (i, j, k)."""
     signs = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0
-    quads = np.array(
-        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    )
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     return signs * np.asarray(half_extents, dtype=np.float64), triangulate_quads(quads)
 
 
@@ -73,9 +71,7 @@ def geodesic(frequency: int) -> tuple[np.ndarray, np.ndarray]:
     upward = np.stack([place[low_i, low_j], place[low_i + 1, low_j], place[low_i, low_j + 1]], 1)
     two = low_i + low_j < frequency - 1
     low_i, low_j = low_i[two], low_j[two]
-    downward = np.stack(
-        [place[low_i + 1, low_j], place[low_i + 1, low_j + 1], place[low_i, low_j + 1]], 1
-    )
+    downward = np.stack([place[low_i + 1, low_j], place[low_i + 1, low_j + 1], place[low_i, low_j + 1]], 1)
     pattern = np.concatenate([upward, downward])
     triangles = pattern[None] + len(weight) * np.arange(len(faces))[:, None, None]
     vertices, merged = _merge(points.reshape(-1, 3))
@@ -85,9 +81,7 @@ def geodesic(frequency: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _merge(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distinct points (1e-9 apart), and the index among them of each."""
-    _, first, index = np.unique(
-        np.round(points * 1e9), axis=0, return_index=True, return_inverse=True
-    )
+    _, first, index = np.unique(np.round(points * 1e9), axis=0, return_index=True, return_inverse=True)
     return points[first], index.reshape(-1)
 
 
@@ -148,6 +142,4 @@ def lattice(rows: int, columns: int) -> np.ndarray:
     """Triangles of a (rows, columns) grid of vertices in C order; +z if x grows with the row."""
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     corner = (row * columns + column).reshape(-1)
-    return triangulate_quads(
-        np.stack([corner, corner + columns, corner + columns + 1, corner + 1], axis=1)
-    )
+    return triangulate_quads(np.stack([corner, corner + columns, corner + columns + 1, corner + 1], axis=1))

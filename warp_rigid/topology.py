@@ -103,9 +103,7 @@ def cap_boundaries(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
     used, local = np.unique(np.concatenate([start, end]), return_inverse=True)
     label = components(local.reshape(2, -1).T, len(used))
     loops, loop = np.unique(label, return_inverse=True)
-    apexes = np.stack(
-        [np.bincount(loop, vertices[used, axis]) / np.bincount(loop) for axis in range(3)], axis=1
-    )
+    apexes = np.stack([np.bincount(loop, vertices[used, axis]) / np.bincount(loop) for axis in range(3)], axis=1)
     apex = len(vertices) + loop[local.reshape(2, -1)[0]]
     return apexes, np.stack([start, end, apex], axis=1).astype(np.int32)
 
@@ -133,9 +131,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         sine = np.linalg.norm(np.cross(to_next, to_last), axis=1)
         angle = np.arctan2(sine, np.einsum("ij,ij->i", to_next, to_last))
         for axis in range(3):
-            total[:, axis] += np.bincount(
-                faces[:, corner], angle * normals[:, axis], minlength=len(vertices)
-            )
+            total[:, axis] += np.bincount(faces[:, corner], angle * normals[:, axis], minlength=len(vertices))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return total / np.where(length > 1e-12, length, np.inf)
 

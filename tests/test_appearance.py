@@ -1,0 +1,115 @@
+"""Normals, quaternions and layout against their definitions."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.fakes import FakeSimulator
+from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
+from warp_rigid.appearance import (
+    body_colors,
+    continuous_signs,
+    corner_normals,
+    drawn_surfaces,
+    environment_offsets,
+    environment_spacing,
+    rotate,
+    rotation_matrices,
+)
+from warp_rigid.recording import record
+from warp_rigid.scene import Motion
+
+
+def test_box_has_flat_faces():
+    vertices, faces = Box((0.1, 0.2, 0.3)).surface()
+    normals = corner_normals(vertices, faces)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    flat = np.cross(b - a, c - a)
+    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+    np.testing.assert_allclose(normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-7)
+
+
+def test_sphere_is_smooth():
+    vertices, faces = Sphere(0.5).surface()
+    normals = corner_normals(vertices, faces)
+    radial = vertices[faces] / np.linalg.norm(vertices[faces], axis=-1, keepdims=True)
+    assert (np.sum(normals * radial, axis=-1) > 0.999).all()
+
+
+def test_cylinder_is_smooth_around_and_sharp_at_the_rim():
+    vertices, faces = Cylinder(0.2, 0.5).surface()
+    normals = corner_normals(vertices, faces)
+    corners = vertices[faces]
+    cap = np.ptp(corners[..., 2], axis=1) < 1e-9
+    np.testing.assert_allclose(normals[cap], [[[0, 0, 1]]] * np.sign(corners[cap][..., 2:]), atol=1e-6)
+    radial = corners[~cap] * [1.0, 1.0, 0.0] / 0.2
+    assert (np.sum(normals[~cap] * radial, axis=-1) > 0.998).all()
+
+
+def test_seams_in_the_triangles_do_not_show():
+    vertices, faces = Sphere(0.5).surface()
+    split = vertices[faces].reshape(-1, 3)
+    apart = np.arange(len(split)).reshape(-1, 3)
+    np.testing.assert_allclose(corner_normals(split, apart), corner_normals(vertices, faces), atol=1e-6)
+
+
+def test_empty_and_degenerate_triangles():
+    assert corner_normals(np.zeros((0, 3)), np.zeros((0, 3), int)).shape == (0, 3, 3)
+    normals = corner_normals(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1.0)
+
+
+def test_rotation_agrees_with_scipy():
+    rotation = Rotation.random(50, random_state=3)
+    vector = np.random.default_rng(4).normal(size=(50, 3))
+    np.testing.assert_allclose(rotation_matrices(rotation.as_quat()), rotation.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(rotate(rotation.as_quat(), vector), rotation.apply(vector), atol=1e-12)
+
+
+def test_signs_become_continuous_and_nothing_else_changes():
+    rng = np.random.default_rng(0)
+    angle = np.cumsum(rng.uniform(0, 1.5, size=(100, 4)), axis=0)
+    smooth = np.stack([np.sin(angle / 2), 0 * angle, 0 * angle, np.cos(angle / 2)], axis=-1)
+    broken = smooth * rng.choice([-1.0, 1.0], size=(100, 4, 1))
+    mended = continuous_signs(broken)
+    assert (np.sum(mended[1:] * mended[:-1], axis=-1) > 0).all()
+    np.testing.assert_allclose(np.abs(np.sum(mended * broken, axis=-1)), 1.0)
+    np.testing.assert_array_equal(mended[0], broken[0])
+
+
+def test_kinds_of_motion_differ_in_colour():
+    colors = body_colors([Motion.STATIC, Motion.DYNAMIC, Motion.KINEMATIC, Motion.DYNAMIC])
+    assert len(np.unique(colors, axis=0)) == 4
+    assert colors.min() >= 0.0 and colors.max() <= 1.0
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 6, 16, 100])
+def test_environments_keep_their_distance(count):
+    offsets = environment_offsets(count, (2.0, 3.0))
+    assert offsets.shape == (count, 3)
+    difference = np.abs(offsets[:, None] - offsets[None]) + 10.0 * np.eye(count)[..., None]
+    assert ((difference[..., 0] > 1.999) | (difference[..., 1] > 2.999)).all()
+    if count in (1, 5, 16, 100):
+        np.testing.assert_allclose(offsets.mean(axis=0), 0.0, atol=1e-12)
+
+
+def test_environments_do_not_touch():
+    scene = Scene()
+    scene.add_static(Box((2.0, 0.5, 0.1)))
+    scene.add_body(Sphere(0.25), position=(0.0, 1.5, 1.0))
+    spacing = environment_spacing(record(FakeSimulator(scene, 2), frames=3))
+    assert spacing[0] > 4.0 and spacing[1] > 2.25
+
+
+def test_only_a_tilted_plane_shrinks():
+    scene = Scene()
+    scene.add_static(Plane((0, 0, 1), 0.5))
+    scene.add_static(Plane((1, 0, 1), 0.5))
+    scene.add_body(Sphere(0.25))
+    recording = record(FakeSimulator(scene, 2), frames=1)
+    level, tilted, ball = drawn_surfaces(recording, 2, (2.0, 3.0))
+    assert level is recording.surfaces[0] and ball is recording.surfaces[2]
+    np.testing.assert_allclose(np.ptp(tilted.vertices, axis=0).max(), 3.0, rtol=1e-5)
+    distance = tilted.vertices @ np.array([1, 0, 1]) / np.sqrt(2.0)
+    np.testing.assert_allclose(distance, 0.5, atol=1e-6)
+    assert drawn_surfaces(recording, 1, (2.0, 3.0)) == list(recording.surfaces)

@@ -1,0 +1,216 @@
+"""Signed distances of every kind of part against the shapes' own float64 answers, and the border rule."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.oracles import random_quaternion
+from warp_rigid import meshes
+from warp_rigid.kernels import distance
+from warp_rigid.kernels.data import Shapes
+from warp_rigid.model import build_model
+from warp_rigid.scene import Scene
+from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def evaluate(
+    shapes: Shapes, shape: int, points: wp.array[wp.vec3], normals: wp.array[wp.vec3], found: wp.array[wp.vec4]
+):
+    i = wp.tid()
+    found[i] = distance.contact_distance(shapes, shape, points[i], normals[i])
+
+
+def measure(shape, points, device, normals=None):
+    """Distances (n,) and directions (n, 3) by the kernels; without normals the plain signed distance."""
+    scene = Scene()
+    # Another shape before it, so that its parts and grids do not begin at the pool's first row.
+    scene.add_static(Compound([(meshes.tetrahedron(sdf_resolution=8), (0, 0, 0), (0, 0, 0, 1))]))
+    scene.add_static(shape)
+    model = build_model(scene, 1, wp.get_device(device))
+    points = wp.array(np.asarray(points, np.float32), dtype=wp.vec3, device=device)
+    plain = np.zeros((len(points), 3))
+    normals = wp.array(np.asarray(plain if normals is None else normals, np.float32), dtype=wp.vec3, device=device)
+    found = wp.zeros(len(points), dtype=wp.vec4, device=device)
+    wp.launch(evaluate, len(points), inputs=[model.shapes, 1, points, normals], outputs=[found], device=device)
+    found = found.numpy().astype(np.float64)
+    return found[:, 3], found[:, :3]
+
+
+def wavy_ground():
+    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 13), indexing="ij")
+    return Heightfield(0.3 * np.sin(2 * x) * np.cos(3 * y), size=(2.0, 3.0))
+
+
+def lopsided():
+    """Overlapping children of all kinds, at poses of their own."""
+    generator = np.random.default_rng(3)
+    children = (Sphere(0.3), Box((0.5, 0.1, 0.2)), Capsule(0.1, 0.4), Cylinder(0.2, 0.15), meshes.torus(0.3, 0.1))
+    return Compound([(child, generator.uniform(-0.5, 0.5, 3), random_quaternion(generator)) for child in children])
+
+
+SHAPES = {
+    "sphere": Sphere(0.3),
+    "box": Box((0.5, 0.3, 0.2)),
+    "needle": Box((1.0, 0.02, 0.02)),
+    "capsule": Capsule(0.2, 0.4),
+    "cylinder": Cylinder(0.3, 0.2),
+    "rod": Cylinder(0.05, 0.5),
+    "plane": Plane(normal=(1, 2, 3), offset=0.4),
+    "heightfield": wavy_ground(),
+    "torus": meshes.torus(0.3, 0.1),
+    "compound": lopsided(),
+}
+CLOSED_FORMS = [name for name in SHAPES if name not in ("torus", "compound")]
+
+
+def probe(shape, count=4000, seed=0):
+    """Points in a box twice as large as the shape."""
+    lower, upper = (np.clip(corner, -1.0, 1.0) for corner in shape.bounds)
+    middle, half = 0.5 * (lower + upper), upper - lower + 0.05
+    return (middle + np.random.default_rng(seed).uniform(-1, 1, (count, 3)) * half).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_distance_is_that_of_the_shape(device, name):
+    points = probe(SHAPES[name])
+    expected, _ = SHAPES[name].signed_distance(points)
+    found, _ = measure(SHAPES[name], points, device)
+    beyond = np.isinf(expected)
+    assert (found[beyond] == 1e10).all()
+    assert 10 < (expected[~beyond] < 0.0).sum() < 3900
+    np.testing.assert_allclose(found[~beyond], expected[~beyond], atol=2e-6)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_direction_is_the_unit_gradient(device, name):
+    points = probe(SHAPES[name], seed=1)
+    distances, expected = SHAPES[name].signed_distance(points)
+    found, direction = measure(SHAPES[name], points, device)
+    np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-5)
+    expected = expected / np.maximum(np.linalg.norm(expected, axis=1, keepdims=True), 1e-12)
+    aligned = np.einsum("ij,ij->i", direction, expected)
+    # A grid's gradient is not quite of unit length, and beyond the grid its share in the direction shows that.
+    assert aligned.min() > (1.0 - 1e-6 if name in CLOSED_FORMS else 1.0 - 1e-3)
+
+
+@pytest.mark.parametrize("name", [name for name in CLOSED_FORMS if name != "heightfield"])
+def test_following_the_direction_leads_to_the_surface(device, name):
+    """x - d n lies on the surface: ties the distance, its sign and the direction together."""
+    points = probe(SHAPES[name], seed=2)
+    found, direction = measure(SHAPES[name], points, device)
+    landed, _ = SHAPES[name].signed_distance(points - found[:, None] * direction)
+    np.testing.assert_allclose(landed, 0.0, atol=1e-5)
+
+
+def test_distance_outside_a_grid_is_a_lower_bound(device):
+    """Culling relies on it: nothing may be told farther away than it is."""
+    points = 3.0 * probe(SHAPES["torus"], seed=3)
+    exact, _ = SHAPES["torus"].exact_signed_distance(points)
+    found, _ = measure(SHAPES["torus"], points, device)
+    spacing = SHAPES["torus"].grid.spacing
+    assert (found <= exact + 0.5 * spacing).all()
+    assert (found >= 0.5 * exact - spacing)[exact > 0].all()
+
+
+@pytest.mark.parametrize("name", ["sphere", "box", "capsule", "cylinder", "torus"])
+def test_centres_and_axes_give_finite_answers(device, name):
+    """Where the gradient does not exist, some unit vector is given."""
+    points = np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, -0.1], [0, 0, 0.6], [0, 0.1, 0]], np.float32)
+    expected, _ = SHAPES[name].signed_distance(points)
+    found, direction = measure(SHAPES[name], points, device)
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+    np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-5)
+
+
+HALF = np.array([0.5, 0.3, 0.2])
+BORDER = 0.005 * 0.2
+CORNER = np.array([1.0, 1.0, -1.0]) / np.sqrt(3.0)
+
+
+def on_top(x, y, height):
+    """A point above or below the box's top face."""
+    return np.array([x, y, HALF[2] + height])
+
+
+def test_box_border_keeps_a_flush_corner_above_the_face(device):
+    """A downward corner at the rim of the top touches the top, from inside and up to BORDER beside it."""
+    for inset in (1e-4, 1e-6, 0.0, -1e-6, -0.9 * BORDER):
+        for height in (1e-4, 0.0, -1e-5, -1e-3, -0.15):
+            point = on_top(HALF[0] - inset, 0.1, height)
+            found, direction = measure(Box(HALF), [point], device, [CORNER])
+            assert found[0] == pytest.approx(height, abs=1e-7), (inset, height)
+            assert direction[0].tolist() == [0, 0, 1], (inset, height)
+
+
+def test_box_beyond_the_border_has_left_the_face(device):
+    for height in (-1e-5, -1e-3, -0.1):
+        point = on_top(HALF[0] + 1.1 * BORDER, 0.1, height)
+        found, direction = measure(Box(HALF), [point], device, [CORNER])
+        assert found[0] == pytest.approx(1.1 * BORDER, abs=1e-7)
+        assert direction[0].tolist() == [1, 0, 0]
+
+
+def test_box_measures_to_the_face_that_opposes_the_sample(device):
+    """Deep in the corner of three faces the sample's own normal decides."""
+    point = HALF - [0.01, 0.02, 0.03]
+    for axis, depth in enumerate((0.01, 0.02, 0.03)):
+        found, direction = measure(Box(HALF), [point], device, [-np.eye(3)[axis]])
+        assert found[0] == pytest.approx(-depth, abs=1e-7)
+        assert direction[0].tolist() == np.eye(3)[axis].tolist()
+
+
+def test_box_is_not_touched_from_within(device):
+    """No face opposes a sample that lies deep below all faces it looks away from."""
+    found, _ = measure(Box(HALF), [on_top(0, 0, -0.3)], device, [(0, 0, -1.0)])
+    assert found[0] == 1e10
+    found, _ = measure(Box(HALF), [on_top(0, 0, -0.161), on_top(0, 0, -0.159)], device, [(0, 0, -1.0)] * 2)
+    assert found[0] == 1e10
+    assert found[1] == pytest.approx(-0.159, abs=1e-7)
+
+
+@pytest.mark.parametrize("shape", [Box(HALF), Cylinder(0.4, 0.25)], ids=["box", "cylinder"])
+def test_border_rule_far_from_borders_is_the_plain_distance(device, shape):
+    """Outside two faces at once, or above the inner part of one that opposes the sample, nothing changes."""
+    points = probe(shape, seed=4)
+    half = np.array(shape.bounds[1])
+    if isinstance(shape, Box):
+        excess = np.abs(points) - half
+    else:
+        excess = np.stack([np.linalg.norm(points[:, :2], axis=1) - half[0], np.abs(points[:, 2]) - half[2]], axis=1)
+    border = 0.005 * half.min()
+    expected, gradient = shape.signed_distance(points)
+    opposing = -gradient + 0.3 * np.random.default_rng(5).normal(size=gradient.shape)
+    opposing /= np.linalg.norm(opposing, axis=1, keepdims=True)
+    several = (excess > border).sum(axis=1) > 1
+    one = (excess > border).sum(axis=1) == 1
+    alone = one & (np.sort(excess, axis=1)[:, -2] < -1.1 * border)
+    facing = np.einsum("ij,ij->i", gradient, opposing) < -0.2
+    found, direction = measure(shape, points, device, opposing)
+    for chosen in (several, alone & facing):
+        assert chosen.sum() > 200
+        np.testing.assert_allclose(found[chosen], expected[chosen], atol=1e-6)
+        np.testing.assert_allclose(direction[chosen], gradient[chosen], atol=1e-4)
+
+
+def test_cylinder_border_keeps_a_flush_rim_above_the_cap(device):
+    """A rim sample of an equal cylinder on top touches the cap, all around, up to BORDER beside it."""
+    angle = np.linspace(0, 2 * np.pi, 33)[:-1]
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    down = (ring + [0, 0, -1]) / np.sqrt(2)
+    for inset in (1e-5, 0.0, -0.9 * 0.005 * 0.25):
+        found, direction = measure(Cylinder(0.4, 0.25), (0.4 - inset) * ring + [0, 0, 0.25 - 1e-3], device, down)
+        np.testing.assert_allclose(found, -1e-3, atol=1e-7)
+        np.testing.assert_allclose(direction, np.tile([0, 0, 1.0], (32, 1)), atol=1e-6)
+
+
+def test_border_rule_holds_for_parts_at_their_own_pose(device):
+    """The sample's normal is turned into the part's frame too."""
+    turn = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+    turned = Compound([(Box((0.2, 0.3, 0.5)), (1.0, 0.0, 0.0), turn)])
+    point = np.array([1.0 + 0.5, 0.1, 0.2 - 1e-3])
+    found, direction = measure(turned, [point], device, [CORNER])
+    assert found[0] == pytest.approx(-1e-3, abs=1e-6)
+    np.testing.assert_allclose(direction[0], [0, 0, 1], atol=1e-6)

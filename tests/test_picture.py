@@ -1,0 +1,239 @@
+"""Pictures against projections worked out by hand, and the same from memory and from USD."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.fakes import FakeSimulator
+from warp_rigid import Box, Plane, Scene, Sphere
+from warp_rigid.film import film_from_recording, film_from_usd
+from warp_rigid.picture import fit_camera, points_to_see, save_contact_sheet, save_gif, save_picture
+from warp_rigid.raycast import RayCaster, on_screen
+from warp_rigid.recording import record
+from warp_rigid.usd_export import export_usd
+
+RADIUS = 0.5
+
+
+def film_of(scene, frames=6, num_envs=1):
+    return film_from_recording(record(FakeSimulator(scene, num_envs), frames))
+
+
+def camera_of(film, width=160, height=120, frame=0):
+    return fit_camera(points_to_see(film, [frame]), width / height, height)
+
+
+def rays(camera, width, height):
+    """Unit directions through the pixels' centres, (height, width, 3), from the camera's fields."""
+    forward, right, up = (np.array(v) for v in (camera.forward, camera.right, camera.up))
+    x = (2 * np.arange(width) + 1) / width - 1
+    y = 1 - (2 * np.arange(height) + 1) / height
+    direction = forward + x[None, :, None] * right + y[:, None, None] * up
+    return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+
+
+def passes_sphere(start, direction, center):
+    """Whether rays come within RADIUS of a centre that lies ahead of them."""
+    ahead = (center - start) @ np.moveaxis(direction, -1, 0) if direction.ndim > 1 else None
+    offset = center - start - ahead[..., None] * direction
+    return (np.linalg.norm(offset, axis=-1) < RADIUS) & (ahead > 0)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    scene = Scene()
+    scene.add_static(Plane(), name="ground")
+    scene.add_body(Sphere(RADIUS), position=(0.3, -0.2, 2.0), name="ball")
+    return film_of(scene)
+
+
+@pytest.fixture(scope="module")
+def ball_picture(ball):
+    camera = camera_of(ball, 320, 240)
+    return camera, RayCaster(ball, camera).draw(0, 320, 240).astype(float) / 255.0
+
+
+def is_colourful(picture):
+    """Bodies are; ground and sky are nearly grey."""
+    return np.ptp(picture, axis=-1) > 0.15
+
+
+def test_sphere_is_drawn_where_geometry_puts_it(ball_picture):
+    camera, picture = ball_picture
+    expected = passes_sphere(np.array(camera.eye), rays(camera, 320, 240), np.array([0.3, -0.2, 2.0]))
+    assert 0.05 < expected.mean() < 0.7
+    # The sphere's triangles cut its rim a little short.
+    assert (is_colourful(picture) != expected).mean() < 0.01
+
+
+def test_shadow_lies_where_the_light_is_hidden():
+    scene = Scene()
+    scene.add_static(Plane(), name="ground")
+    scene.add_body(Sphere(RADIUS), position=(0.0, 0.0, 0.8))
+    scene.add_body(Sphere(RADIUS), position=(3.0, 0.0, 3.0))
+    film = film_of(scene)
+    camera = camera_of(film)
+    camera.grid = 1e6  # no lines
+    camera.haze = 1e6
+    picture = RayCaster(film, camera).draw(0, 160, 120).astype(float) / 255.0
+    eye, direction, light = np.array(camera.eye), rays(camera, 160, 120), np.array(camera.light)
+    with np.errstate(divide="ignore"):
+        point = eye - (eye[2] / direction[..., 2])[..., None] * direction
+    ground = (direction[..., 2] < 0) & (np.abs(point[..., :2]) < 10.0).all(axis=-1)
+    dark = np.zeros_like(ground)
+    for center in ([0.0, 0.0, 0.8], [3.0, 0.0, 3.0]):
+        center = np.array(center)
+        ground &= ~passes_sphere(eye, direction, center)
+        ahead = (center - point) @ light
+        dark |= np.linalg.norm(center - point - ahead[..., None] * light, axis=-1) < RADIUS
+    brightness = picture.mean(axis=-1)
+    bright, shadow = brightness[ground & ~dark], brightness[ground & dark]
+    assert len(shadow) > 100
+    middle = 0.5 * (np.median(bright) + np.median(shadow))
+    assert np.median(shadow) < np.median(bright) - 0.1
+    assert (shadow < middle).mean() > 0.97 and (bright > middle).mean() > 0.99
+
+
+def test_side_toward_the_light_is_brighter(ball_picture):
+    camera, picture = ball_picture
+    rows, columns = np.nonzero(is_colourful(picture))
+    brightness = picture[rows, columns].mean(axis=-1)
+    upper = rows < np.percentile(rows, 25)
+    lower = rows > np.percentile(rows, 75)
+    assert brightness[upper].mean() > 1.3 * brightness[lower].mean()
+
+
+def test_camera_holds_everything_and_no_more():
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(100, 3)) * [3.0, 1.0, 0.5] + [10.0, -5.0, 2.0]
+    camera = fit_camera(points, 4 / 3, 480)
+    offset = points - np.array(camera.eye)
+    depth = offset @ np.array(camera.forward)
+    right, up = np.array(camera.right), np.array(camera.up)
+    x, y = offset @ right / (right @ right) / depth, offset @ up / (up @ up) / depth
+    assert (depth > 0).all()
+    assert max(np.abs(x).max(), np.abs(y).max()) == pytest.approx(1 / 1.12, abs=1e-3)
+    # In the tighter direction both borders are reached.
+    tight = x if np.abs(x).max() > np.abs(y).max() else y
+    assert tight.min() == pytest.approx(-tight.max(), abs=1e-3)
+
+
+def test_few_that_fly_off_do_not_guide_the_camera():
+    scene = Scene()
+    for i in range(10):
+        scene.add_body(Sphere(0.1), position=(0.3 * i, 0, 0))
+    scene.add_body(Sphere(0.1), position=(500.0, 0, 0))
+    assert np.abs(points_to_see(film_of(scene), [0])).max() < 10.0
+
+
+def test_threads_and_repetition_change_nothing(ball):
+    camera = camera_of(ball)
+    caster = RayCaster(ball, camera)
+    first = caster.draw(3, 160, 120)
+    caster._threads = 1
+    assert (caster.draw(3, 160, 120) == first).all()
+    assert (RayCaster(ball, camera).draw(3, 160, 120) == first).all()
+
+
+def scene_behind_wall(thickness):
+    scene = Scene()
+    scene.add_static(Plane())
+    scene.add_static(Box((3.0, thickness, 2.0)), position=(0, -1.5 - thickness, 2.0))
+    scene.add_body(Sphere(RADIUS), position=(0.0, 0.0, 1.0))
+    return film_of(scene)
+
+
+def test_thin_wall_shows_what_it_hides_and_a_thick_one_does_not():
+    for thickness, shows in ((0.1, True), (1.5, False)):
+        film = scene_behind_wall(thickness)
+        camera = fit_camera(np.array([[-2.0, -1, 0], [2, 1, 0], [-2, 1, 2], [2, -1, 2]]), 1.0, 120)
+        picture = RayCaster(film, camera).draw(0, 120, 120) / 255.0
+        assert (is_colourful(picture).mean() > 0.02) == shows
+
+
+@pytest.fixture(scope="module")
+def two_envs():
+    scene = Scene()
+    scene.add_static(Plane(), name="ground")
+    scene.add_body(Box((0.1, 0.2, 0.3)), position=(0, 0, 3), name="brick")
+    scene.add_body(Sphere(0.2), position=(0.5, 0, 3), name="ball")
+    return record(FakeSimulator(scene, 2), frames=10)
+
+
+def test_film_from_the_file_is_the_film_from_memory(two_envs, tmp_path):
+    export_usd(two_envs, tmp_path / "film.usdc")
+    memory, file = film_from_recording(two_envs), film_from_usd(tmp_path / "film.usdc")
+    assert file.fps == memory.fps and file.labels == memory.labels
+    np.testing.assert_allclose(file.offset, memory.offset, atol=1e-6)
+
+    def sorted_by_place(film):
+        order = np.lexsort(film.position[0].round(4).T)
+        meshes = [film.meshes[index] for index in film.mesh[order]]
+        return film.position[:, order], film.orientation[:, order], film.color[order], meshes
+
+    for one, other in zip(sorted_by_place(memory)[:3], sorted_by_place(file)[:3], strict=True):
+        same = np.minimum(np.abs(one - other), np.abs(one + other))
+        assert same.max() < 2e-6
+    for one, other in zip(sorted_by_place(memory)[3], sorted_by_place(file)[3], strict=True):
+        assert (one.vertices == other.vertices).all() and (one.faces == other.faces).all()
+        np.testing.assert_allclose(one.normals, other.normals, atol=1e-6)
+
+
+def test_picture_from_the_file_is_the_picture_from_memory(two_envs, tmp_path):
+    export_usd(two_envs, tmp_path / "film.usdc")
+    save_picture(film_from_recording(two_envs), tmp_path / "a.png", 5, 160, 120)
+    save_picture(film_from_usd(tmp_path / "film.usdc"), tmp_path / "b.png", 5, 160, 120)
+    a, b = (np.asarray(Image.open(tmp_path / name)).astype(int) for name in ("a.png", "b.png"))
+    assert a.shape == (120, 2 * 160, 3)
+    assert (np.abs(a - b).max(axis=-1) > 3).mean() < 1e-3
+
+
+def test_one_environment_alone_is_that_environment(two_envs):
+    both = film_from_recording(two_envs)
+    alone = both.alone(1)
+    np.testing.assert_allclose(alone.position, two_envs.position[:, 1], atol=1e-6)
+    assert (alone.orientation == two_envs.orientation[:, 1]).all()
+
+
+def test_contact_sheet_and_gif(two_envs, tmp_path):
+    film = film_from_recording(two_envs)
+    save_contact_sheet(film, tmp_path / "deep" / "sheet.png", count=3)
+    assert Image.open(tmp_path / "deep" / "sheet.png").size == (3 * 400, 2 * 300)
+    save_contact_sheet(film.alone(0), tmp_path / "one.png", count=4)
+    assert Image.open(tmp_path / "one.png").size == (2 * 400, 2 * 300)
+    save_gif(film.alone(0), tmp_path / "film.gif", 80, 60)
+    gif = Image.open(tmp_path / "film.gif")
+    # 11 frames at 60 a second, every third: 20 a second.
+    assert gif.size == (80, 60) and gif.n_frames == 4 and gif.info["duration"] == 50
+
+
+def test_many_environments_are_drawn_in_one_view(tmp_path):
+    scene = Scene()
+    scene.add_body(Sphere(0.2))
+    save_picture(film_of(scene, 1, num_envs=10), tmp_path / "many.png", 0, 80, 60)
+    assert Image.open(tmp_path / "many.png").size == (80, 60)
+
+
+def test_nothing_moves(tmp_path):
+    scene = Scene()
+    scene.add_static(Plane())
+    save_picture(film_of(scene, 0), tmp_path / "still.png", 0, 80, 60)
+    assert Image.open(tmp_path / "still.png").size == (80, 60)
+
+
+def test_bad_arguments_are_named(two_envs, tmp_path):
+    with pytest.raises(ValueError, match="frame: must be from 0 to 10, or -1, got 11"):
+        save_picture(film_from_recording(two_envs), tmp_path / "a.png", 11)
+    with pytest.raises(FileNotFoundError):
+        film_from_usd(tmp_path / "none.usdc")
+    (tmp_path / "bad.usdc").write_text("no film")
+    with pytest.raises(ValueError, match=r"bad.usdc: not a readable USD file"):
+        film_from_usd(tmp_path / "bad.usdc")
+    (tmp_path / "empty.usda").write_text("#usda 1.0\n")
+    with pytest.raises(ValueError, match=r"empty.usda: holds no environment"):
+        film_from_usd(tmp_path / "empty.usda")
+
+
+def test_screen_values_follow_the_standard():
+    np.testing.assert_allclose(on_screen(np.array([0.0, 0.0031308, 0.2140, 1.0, 2.0])),
+                               [0.0, 0.04045, 0.5, 1.0, 1.0], atol=1e-4)

@@ -1,0 +1,127 @@
+"""What is recorded is what the simulator had, and it survives the disk."""
+
+import numpy as np
+import pytest
+
+from tests.fakes import FakeSimulator
+from warp_rigid import Box, Plane, Scene, Sphere
+from warp_rigid.recording import Recorder, Recording, record, steps_per_frame
+
+
+@pytest.fixture
+def scene():
+    scene = Scene()
+    scene.add_static(Plane(), name="ground")
+    scene.add_body(Box((0.1, 0.2, 0.3)), position=(1.0, 2.0, 30.0), name="brick")
+    scene.add_body(Sphere(0.1), position=(0.0, 0.0, 20.0), name="ball")
+    scene.add_body(Box((0.1, 0.2, 0.3)), position=(-1.0, 0.0, 25.0), name="brick")
+    return scene
+
+
+def test_frames_are_the_simulators_states_at_their_times(scene):
+    sim = FakeSimulator(scene, num_envs=3)
+    seen = []
+    recording = record(sim, frames=30, fps=60.0, on_frame=lambda i, s: seen.append((i, s.steps)))
+    assert recording.num_frames == 30
+    assert seen == [(i, 4 * i) for i in range(31)]
+    time = np.arange(31) / 60.0
+    np.testing.assert_allclose(recording.time, time, rtol=0, atol=1e-12)
+    height = 30.0 - 0.5 * sim.GRAVITY * time**2
+    np.testing.assert_allclose(recording.position[:, 2, 1, 2], height, rtol=1e-6)
+    assert (recording.position[:, :, 1, :2] == [1.0, 2.0]).all()
+    half = 0.5 * sim.SPIN * 2.0 * time
+    np.testing.assert_allclose(np.abs(recording.orientation[:, 1, 2, 3]), np.abs(np.cos(half)), atol=1e-6)
+    assert recording.position.dtype == recording.orientation.dtype == np.float32
+    assert recording.level[7].tolist() == [[28] * 4] * 3
+    assert recording.asleep[:, 0, 0].tolist() == [4 * i > 10 for i in range(31)]
+
+
+def test_equal_shapes_share_a_surface(scene):
+    recording = record(FakeSimulator(scene), frames=0)
+    assert recording.surface.tolist() == [0, 1, 2, 1]
+    assert [surface.endless for surface in recording.surfaces] == [True, False, False]
+    np.testing.assert_allclose(np.ptp(recording.surfaces[1].vertices, axis=0), [0.2, 0.4, 0.6])
+
+
+def test_some_environments_only(scene):
+    whole = record(FakeSimulator(scene, num_envs=4), frames=5)
+    some = record(FakeSimulator(scene, num_envs=4), frames=5, envs=[3, 1])
+    assert some.envs.tolist() == [3, 1]
+    assert (some.position == whole.position[:, [3, 1]]).all()
+    assert (some.orientation == whole.orientation[:, [3, 1]]).all()
+    assert some.rows([1]).tolist() == [1]
+    with pytest.raises(ValueError, match=r"envs: \[0\] were not recorded"):
+        some.rows([0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"frames": -1}, "frames: must be >= 0"),
+        ({"frames": 1, "fps": 0.0}, "fps: must be > 0"),
+        ({"frames": 1, "fps": 100.0}, "nearest rate that is: 120"),
+        ({"frames": 1, "fps": 1000.0}, "nearest rate that is: 240"),
+        ({"frames": 1, "envs": [2]}, "envs: must be from 0 to 1"),
+    ],
+)
+def test_bad_arguments_are_named(scene, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        record(FakeSimulator(scene, num_envs=2), **arguments)
+
+
+@pytest.mark.parametrize(("dt", "fps", "steps"), [(1 / 240, 60, 4), (1 / 1000, 25, 40), (0.01, 100, 1)])
+def test_steps_per_frame(dt, fps, steps):
+    assert steps_per_frame(dt, fps) == steps
+
+
+def test_labels_belong_to_environments(scene):
+    sim = FakeSimulator(scene, num_envs=2)
+    assert Recorder(sim, 60, envs=[1], labels=["b"]).labels == ("b",)
+    with pytest.raises(ValueError, match="labels: 1 for 2"):
+        Recorder(sim, 60, labels=["a"])
+
+
+def test_disk_keeps_every_bit(scene, tmp_path):
+    sim = FakeSimulator(scene, num_envs=2)
+    recorder = Recorder(sim, 60.0, labels=["off", "on"])
+    for _ in range(4):
+        recorder.capture(sim)
+        sim.step(4)
+    before = recorder.recording()
+    path = tmp_path / "new" / "run.npz"
+    before.save(path)
+    after = Recording.load(path)
+    for name in ("time", "position", "orientation", "asleep", "level", "envs", "motion", "surface"):
+        one, other = getattr(before, name), getattr(after, name)
+        assert one.dtype == other.dtype and one.tobytes() == other.tobytes(), name
+    assert (after.fps, after.labels, after.names) == (60.0, ("off", "on"), before.names)
+    for one, other in zip(before.surfaces, after.surfaces, strict=True):
+        assert one.vertices.tobytes() == other.vertices.tobytes()
+        assert one.faces.tobytes() == other.faces.tobytes()
+        assert one.endless == other.endless
+
+
+def test_file_needs_no_pickle(scene, tmp_path):
+    record(FakeSimulator(scene), frames=1).save(tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz", allow_pickle=False) as arrays:
+        assert all(arrays[name].dtype != object for name in arrays.files)
+
+
+@pytest.mark.parametrize("content", [b"", b"no zip", b"PK\x03\x04 broken"])
+def test_foreign_file_is_refused_in_one_line(tmp_path, content):
+    path = tmp_path / "run.npz"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"run.npz: not a recording") as error:
+        Recording.load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_other_arrays_are_no_recording(tmp_path):
+    np.savez(tmp_path / "run.npz", a=np.zeros(3))
+    with pytest.raises(ValueError, match="not a recording"):
+        Recording.load(tmp_path / "run.npz")
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Recording.load(tmp_path / "none.npz")
