@@ -6,12 +6,12 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT := out
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint format clean
 
 demo: $(READY)
 	$(BIN)/warp-rigid run bunny_pile -o $(OUT)/bunny_pile.usdc --picture $(OUT)/bunny_pile.png
 	$(BIN)/warp-rigid run box_stack --compare -o $(OUT)/box_stack.usdc \
-		--picture $(OUT)/box_stack.png
+		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
 
 test: $(READY)
 	$(BIN)/python -m pytest -q
@@ -19,10 +19,13 @@ test: $(READY)
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .ruff_cache .mypy_cache
+	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(READY): requirements.lock pyproject.toml

@@ -113,6 +113,7 @@ ClusterRecord = record(
     "A few neighbouring samples and the sphere that holds their reach.",
     center=Field(wp.vec3, "", "m", "centre of the sphere, in the shape's frame"),
     radius=Field(float, "", "m", "its radius"),
+    kind=Field(int, "", "", "kind of its samples; rims go with points"),
     sample_start=Field(int, "", "", "first sample"),
     sample_end=Field(int, "", "", "one past the last"),
 )
@@ -124,7 +125,7 @@ SampleRecord = record(
     normal=Field(wp.vec3, "", "", "outward unit normal; zero for the centre of a ball"),
     slide=Field(wp.vec3, "", "m", "an edge sample may slide this far either way"),
     radius=Field(float, "", "m", "of a ball around the sample, or of a rim"),
-    kind=Field(int, "", "", "point, edge or rim (narrowphase.py)"),
+    kind=Field(int, "", "", "point, edge, rim or face (narrowphase.py)"),
 )
 
 ShapeRecord = record(
@@ -132,6 +133,7 @@ ShapeRecord = record(
     "Where a shape's parts and clusters lie in the pool, and its box.",
     part_start=Field(int, "", "", "first part"),
     part_end=Field(int, "", "", "one past the last"),
+    convex=Field(int, "", "", "1: one convex part with an exact distance"),
     cluster_start=Field(int, "", "", "first cluster"),
     cluster_end=Field(int, "", "", "one past the last"),
     lower=Field(wp.vec3, "", "m", "lower corner of the box"),

@@ -31,9 +31,6 @@ OPPOSING = wp.constant(-0.1)
 BORDER = wp.constant(0.005)
 """A sample counts as above a face until it has left it sideways by this part of the smallest half-extent."""
 
-DEEP = wp.constant(0.8)
-"""How far below a face, as a part of the smallest half-extent, a sample can still be held to touch it."""
-
 
 @wp.func
 def direction_or_up(v: wp.vec3):
@@ -89,7 +86,7 @@ def facing_slab_distance(
 ):
     """`slab_distance`, but within the border measured to the nearest face that opposes the sample's normal.
 
-    `half` is the smallest half-extent; a sample deeper than DEEP of it below all such faces touches none of them.
+    `half` is the smallest half-extent.
     """
     border = BORDER * half
     beyond = int(0)
@@ -99,7 +96,7 @@ def facing_slab_distance(
     if beyond > 1 or wp.length_sq(sample_normal) == 0.0:
         return slab_distance(separation, n0, n1, n2)
     result = wp.vec4(n0[0], n0[1], n0[2], FAR)
-    nearest = -DEEP * half
+    nearest = -FAR
     for i in range(3):
         n = n0
         if i == 1:

@@ -23,7 +23,7 @@ from warp_rigid.kernels.data import (
     Shapes,
     State,
 )
-from warp_rigid.kernels.distance import FAR, PLANE, contact_distance, direction_or_up, signed_distance
+from warp_rigid.kernels.distance import BORDER, FAR, PLANE, SPHERE, contact_distance, direction_or_up, signed_distance
 from warp_rigid.kernels.predict import CONTACT_DISTANCE
 from warp_rigid.kernels.tangents import tangent_of
 
@@ -32,6 +32,7 @@ wp.set_module_options({"enable_backward": False})
 POINT = wp.constant(0)
 EDGE = wp.constant(1)
 RIM = wp.constant(2)
+FACE = wp.constant(3)
 
 DIRECTIONS = wp.constant(EXTREME_DIRECTIONS)
 SLOTS = wp.constant(PATCH_SLOTS)
@@ -90,57 +91,66 @@ def slope_along(shapes: Shapes, shape: int, p: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3, reach: float):
-    """Where on the segment p +- slide the distance has an inner minimum: vec4(point, 1); w = 0 if none within reach.
+    """Where on the segment p +- slide an edge touches between its ends: vec4(point, distance), FAR if nowhere near.
 
-    The tangents at both ends meet below the curve; their meeting point replaces the end on its side. This is exact
-    at once for two crossing straight edges, where the distance is a V. Neighbouring segments overlap a little, so that
-    no minimum falls between them.
+    That is the distance's inner minimum, or, for an edge that lies flat, the place where it leaves the face. In both
+    cases the slope jumps there. The tangents at both ends meet below the curve; their meeting point replaces the end
+    on its side: exact at once where two straight edges cross and the distance is a V. Neighbouring segments overlap a
+    little, so that nothing falls between them.
     """
+    nowhere = wp.vec4(0.0, 0.0, 0.0, FAR)
     half = wp.length(slide)
     along = slide / half
     middle = signed_distance(shapes, shape, p)
     if middle[3] > OVERLAP * half + reach:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+        return nowhere
     left = -OVERLAP * half
     right = OVERLAP * half
     low = slope_along(shapes, shape, p + left * along, along)
     high = slope_along(shapes, shape, p + right * along, along)
-    if low[0] > -FLAT or high[0] < FLAT:
-        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if low[0] > FLAT or high[0] < -FLAT or high[0] - low[0] < 2.0 * FLAT:
+        return nowhere
+    turning = 0.5 * (wp.min(low[0] + FLAT, 0.0) + wp.max(high[0] - FLAT, 0.0))
+    if low[0] < -FLAT and high[0] > FLAT:
+        turning = 0.0
     t = float(0.0)
+    distance = float(0.0)
     for _ in range(5):
         t = (low[1] - high[1] + high[0] * right - low[0] * left) / wp.max(high[0] - low[0], 1.0e-6)
         t = wp.clamp(t, left, right)
         here = slope_along(shapes, shape, p + t * along, along)
-        if here[0] < 0.0:
+        distance = here[1]
+        if here[0] < turning:
             left = t
             low = here
         else:
             right = t
             high = here
     q = p + wp.clamp(t, -half, half) * along
-    return wp.vec4(q[0], q[1], q[2], 1.0)
+    return wp.vec4(q[0], q[1], q[2], distance)
 
 
 @wp.func
 def lowest_on_rim(shapes: Shapes, shape: int, center: wp.vec3, axis: wp.vec3, radius: float):
-    """The deepest point of a circle: vec4(point, 1), or w = 0 where the circle lies flat on the surface."""
+    """The deepest point of a circle: vec4(point, distance); FAR where the circle lies flat on the surface."""
     p = center
+    d = wp.vec4(0.0, 0.0, 1.0, 0.0)
     for _ in range(3):
         d = signed_distance(shapes, shape, p)
         n = wp.vec3(d[0], d[1], d[2])
         down = wp.dot(n, axis) * axis - n
         if wp.length(down) < 0.05:
-            return wp.vec4(0.0, 0.0, 0.0, 0.0)
+            return wp.vec4(0.0, 0.0, 0.0, FAR)
         p = center + radius * wp.normalize(down)
-    return wp.vec4(p[0], p[1], p[2], 1.0)
+    return wp.vec4(p[0], p[1], p[2], d[3])
 
 
 @wp.func
 def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
     """Bring sample s to its touching place; turn and shift map its shape's frame to that of the other `shape`.
 
-    What is further than `reach` from the shape may be told as infinitely far.
+    What is further than `reach` from the shape may be told as infinitely far. An edge that ends at a face without
+    crossing its border is no contact: its distance to the faces that it opposes is not its distance.
     """
     result = Sample()
     result.gap = FAR
@@ -148,19 +158,23 @@ def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.ve
     normal = wp.quat_rotate(turn, shapes.samples[s].normal)
     radius = shapes.samples[s].radius
     kind = shapes.samples[s].kind
-    found = wp.vec4(p[0], p[1], p[2], 1.0)
+    found = wp.vec4(p[0], p[1], p[2], 0.0)
+    least = -FAR
     if kind == EDGE:
         found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius + reach)
+        least = found[3] - BORDER * shapes.shapes[shape].size
     if kind == RIM:
         found = lowest_on_rim(shapes, shape, p, normal, radius)
         normal = direction_or_up(wp.vec3(found[0], found[1], found[2]) - p)
         radius = 0.0
-    if found[3] == 0.0:
+    if found[3] == FAR:
         return result
     p = wp.vec3(found[0], found[1], found[2])
     d = contact_distance(shapes, shape, p, normal)
     n = wp.vec3(d[0], d[1], d[2])
-    if wp.dot(n, normal) > OPPOSED and shapes.parts[shapes.shapes[shape].part_start].kind != PLANE:
+    if d[3] < least or (
+        wp.dot(n, normal) > OPPOSED and shapes.parts[shapes.shapes[shape].part_start].kind != PLANE
+    ):
         return result
     result.point = p - radius * n
     result.normal = normal
@@ -273,6 +287,22 @@ def approach_reach(a: int, b: int, size: float, dt: float, state: State, motions
 
 
 @wp.func
+def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
+    """Whether samples of a kind can tell something of a contact that the others do not.
+
+    Between convex shapes a point inside a face never touches first, nothing but a point touches a plane first, and a
+    ball is found exactly by its own centre.
+    """
+    if shapes.shapes[shape].convex == 0:
+        return kind != EDGE or edges == 1
+    other = shapes.parts[shapes.shapes[shape].part_start].kind
+    if kind == POINT:
+        own = shapes.parts[shapes.shapes[own_shape].part_start].kind
+        return other != SPHERE or own == SPHERE or shapes.shapes[own_shape].convex == 0
+    return kind == EDGE and edges == 1 and other != PLANE and other != SPHERE
+
+
+@wp.func
 def try_samples(
     pair: int,
     side: int,
@@ -301,11 +331,11 @@ def try_samples(
     if far[3] > motions.radius[own] + reach:
         return
     for cluster in range(shapes.shapes[own_shape].cluster_start, shapes.shapes[own_shape].cluster_end):
-        c = wp.quat_rotate(turn, shapes.clusters[cluster].center) + shift
-        d = signed_distance(shapes, shape, c)
-        if d[3] < shapes.clusters[cluster].radius + reach:
-            for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-                if edges == 1 or shapes.samples[s].kind != EDGE:
+        if matters(shapes.clusters[cluster].kind, own_shape, shape, edges, shapes):
+            c = wp.quat_rotate(turn, shapes.clusters[cluster].center) + shift
+            d = signed_distance(shapes, shape, c)
+            if d[3] < shapes.clusters[cluster].radius + reach:
+                for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
                     placed = place_sample(shapes, s, shape, turn, shift, reach)
                     if placed.gap < reach:
                         keep_if_touching(pair, 2 * s + side, placed, dt, size, state, motions, pairs)

@@ -9,6 +9,7 @@ from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
     Verdict,
+    below,
     indices,
     overlap_verdict,
     rest_verdict,
@@ -50,7 +51,7 @@ def build(height: int = 10) -> Scene:
 
 
 def _add_projectile(scene, top):
-    """A box of twice the size on a shelf whose top has the height `top` [m]."""
+    """A larger box on a shelf whose top has the height `top` [m]."""
     half = PROJECTILE_HALF
     scene.add_static(Box((0.3, 0.3, 0.5 * top)), position=(SHELF_X, 0, 0.5 * top), friction=0.5, name="shelf")
     scene.add_body(Box((half,) * 3), position=(SHELF_X, 0, top + half), friction=0.5, name="projectile")
@@ -98,9 +99,9 @@ class StackOutcome:
         if len(self.boxes) >= ENOUGH_TO_FALL:
             stands["off"] = False
         verdicts = [
-            _below("drift", self.drift, "drift < 1 mm before the hit", stands),
-            _below("sink", self.sink, "heights right to 1 mm before the hit", stands),
-            _below("depth", self.depth, "never 1 mm inside another before the hit", stands),
+            below("drift", self.drift, 1e-3, "drift < 1 mm before the hit", stands),
+            below("sink", self.sink, 1e-3, "heights right to 1 mm before the hit", stands),
+            below("depth", self.depth, 1e-3, "never 1 mm inside another before the hit", stands),
         ]
         if sim.time > LAUNCH_TIME + 1.0:
             moved = np.linalg.norm(sim.get("position")[:, self.boxes[-1]] - self.top, axis=-1)
@@ -111,10 +112,6 @@ class StackOutcome:
                 rest_verdict(sim, self.movable, {"default": True}),
             ]
         return verdicts
-
-
-def _below(name, values, limit, expected):
-    return Verdict(name, values, limit, values < 1e-3, expected)
 
 
 DEMO = Demo(

@@ -16,6 +16,9 @@ ONE_PASS_2003 = {"shock_propagation": "one_pass", "warm_starting": False}
 OFF_2003 = {"shock_propagation": "off", "warm_starting": False}
 """The same without shock propagation."""
 
+AT_REST = 0.05
+"""Speed below which a body counts as come to rest [m/s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
@@ -111,10 +114,9 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     smallest = np.full(len(position), np.inf)
     for a, b in ((first, second), (second, first)):
         samples, target = sim.scene.bodies[a].shape.samples(), sim.scene.bodies[b].shape
-        points = np.concatenate([samples.point, samples.point - samples.slide, samples.point + samples.slide]).astype(
-            np.float64
-        )
-        ball = np.tile(np.where(samples.kind == SampleKind.RIM, 0.0, samples.radius), 3)
+        # The middle of each segment of an edge and its one end: the other is the next one's, or a vertex.
+        points = np.concatenate([samples.point, samples.point + samples.slide]).astype(np.float64)
+        ball = np.tile(np.where(samples.kind == SampleKind.RIM, 0.0, samples.radius), 2)
         if not len(points):
             continue
         world = turn(orientation[:, a, None], points[None]) + position[:, a, None]
@@ -125,14 +127,18 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     return smallest
 
 
+def below(name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool]) -> Verdict:
+    """That the values are below `limit`; what is not a number is not."""
+    return Verdict(name, values, text, values < limit, expected)
+
+
 def overlap_verdict(sim: Any, limit: float, expected: dict[str, bool]) -> Verdict:
     """That no body is deeper than `limit` [m] inside another now."""
-    depth = sim.penetration()
     text = f"overlap < {1e3 * limit:g} mm at the end"
-    return Verdict("overlap", depth, text, depth < limit, expected)
+    return below("overlap", sim.penetration(), limit, text, expected)
 
 
-def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool], limit: float = 0.05) -> Verdict:
-    """That no body's centre of mass moves faster than `limit` [m/s] now."""
+def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+    """That no body's centre of mass moves faster than AT_REST now."""
     speed = np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1).max(axis=1)
-    return Verdict("speed", speed, f"speed < {limit:g} m/s at the end", speed < limit, expected)
+    return below("speed", speed, AT_REST, f"speed < {AT_REST:g} m/s at the end", expected)

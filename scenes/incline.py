@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene import Scene
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, clearance, indices
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, below, clearance, indices
 from warp_rigid.shapes import Box, Plane
 
 HALF = 0.05
@@ -77,14 +77,10 @@ class InclineOutcome:
         chatters = {"collisions_last": False} if self.chatters else {}
         sinks = {"no_contact": False}
         return [
-            _below("slide", slide, "downhill < 1 mm at the end", stays | slips | chatters),
-            _below("lift", self.lift, "never 1 mm off the platform", stays | chatters),
-            _below("depth", self.depth, "never 1 mm inside the platform", sound | sinks),
+            below("slide", slide, 1e-3, "downhill < 1 mm at the end", stays | slips | chatters),
+            below("lift", self.lift, 1e-3, "never 1 mm off the platform", stays | chatters),
+            below("depth", self.depth, 1e-3, "never 1 mm inside the platform", sound | sinks),
         ]
-
-
-def _below(name, values, limit, expected):
-    return Verdict(name, values, limit, values < 1e-3, expected)
 
 
 DEMO = Demo(

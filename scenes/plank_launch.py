@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene import Scene
-from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, clearance, indices
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, below, clearance, indices
 from warp_rigid.shapes import Box, Plane
 
 BASE_HALF = (1.0, 0.25, 0.5)
@@ -75,17 +75,14 @@ class LaunchOutcome:
             return []
         least = self.rise.min(axis=1)
         limit = 0.02 * 2.0 * PLANK_HALF[2]
+        text = f"plank in base < {1e3 * limit:g} mm during the launch"
         sound = {"default": True, "one_pass": True}
-        return [
+        verdicts = [
             Verdict("rise", least, "every small box thrown > 0.3 m up", least > 0.3, sound),
-            Verdict(
-                "depth",
-                self.depth,
-                f"plank in base < {1e3 * limit:g} mm during the launch",
-                self.depth < limit,
-                sound | {"off": False},
-            ),
         ]
+        if self.depth is not None:
+            verdicts.append(below("depth", self.depth, limit, text, sound | {"off": False}))
+        return verdicts
 
 
 DEMO = Demo(

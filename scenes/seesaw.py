@@ -90,21 +90,13 @@ class SeesawOutcome:
         """Both tilts against 10 degrees."""
         if self.right is None:
             return []
+        # Nothing is claimed where the blocks nearly balance or the small one is the heavier.
+        tips = {"default": True, "one_pass": True, "no_contact": True} if self.uneven else {}
+        back = tips | {"no_contact": False} if self.uneven else {}
+        text = f"tips right > {TIPPED:g} degrees", f"then left > {TIPPED:g} degrees"
         return [
-            Verdict(
-                "tips",
-                self.right,
-                f"tips right > {TIPPED:g} degrees",
-                self.right > TIPPED,
-                {"default": True, "one_pass": True, "no_contact": True},
-            ),
-            Verdict(
-                "tips_back",
-                self.left,
-                f"then left > {TIPPED:g} degrees",
-                self.left > TIPPED,
-                {"default": True, "one_pass": True, "no_contact": False},
-            ),
+            Verdict("tips", self.right, text[0], self.right > TIPPED, tips),
+            Verdict("tips_back", self.left, text[1], self.left > TIPPED, back),
         ]
 
 

@@ -10,23 +10,25 @@ from warp_rigid.scene import Scene
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
-    Verdict,
+    below,
     clearance,
     indices,
+    overlap_verdict,
     rest_verdict,
 )
 from warp_rigid.shapes import Box, Mesh, Plane
 
 SKULL_SIZE = 0.25
 BRAIN_SIZE = 0.18
-PLATFORM_TOP = 0.2
+PLATFORM_TOP = 0.03
 SKULL_DROP = 0.1
 BRAIN_DROP = 0.3
-PLATFORM_HALF = 0.1
+PLATFORM_HALF = 0.06
 SLOPE = math.radians(35.0)
 SIDE = 0.35
 THIN = 0.02
 TOUCHING = 1e-3
+CELL = SKULL_SIZE / 64.0
 
 
 def build(skull: str | None = None, brain: str | None = None) -> Scene:
@@ -40,12 +42,13 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
     """
     lower = meshes.skull_like(SKULL_SIZE) if skull is None else _own("skull", skull, SKULL_SIZE)
     upper = meshes.brain_like(BRAIN_SIZE) if brain is None else _own("brain", brain, BRAIN_SIZE)
+    names = ("skull" if skull is None else "skull_own", "brain" if brain is None else "brain_own")
     scene = Scene()
     surface = {"friction": 0.5, "restitution": 0.3}
     scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="ground", **surface)
     _add_dish(scene, surface)
     z = PLATFORM_TOP + SKULL_DROP
-    for name, mesh, x in (("skull", lower, 0.0), ("brain", upper, 0.02)):
+    for name, mesh, x in zip(names, (lower, upper), (0.0, 0.02), strict=True):
         bottom, top = mesh.bounds
         middle = 0.5 * (bottom + top)
         scene.add_body(
@@ -106,6 +109,9 @@ class MeetingOutcome:
         """Find the two."""
         (self.skull,) = indices(scene, "skull")
         (self.brain,) = indices(scene, "brain")
+        # Two meshes of the user's may come to rest apart, each on a face of its own.
+        own = indices(scene, "skull_own") or indices(scene, "brain_own")
+        self.touch = {} if own else {"default": True}
         self.depth = 0.0
 
     def observe(self, sim):
@@ -113,13 +119,15 @@ class MeetingOutcome:
         self.depth = np.maximum(self.depth, sim.penetration())
 
     def verdicts(self, sim):
-        """Distance between the two at the end, deepest overlap ever, and rest."""
+        """Distance between the two, overlap and rest at the end; deepest overlap ever."""
+        depth = np.maximum(self.depth, sim.penetration())
         gap = clearance(sim, self.skull, self.brain)
         sound = {"default": True}
         text = f"skull and brain touch within {1e3 * TOUCHING:g} mm at the end"
         return [
-            Verdict("gap", gap, text, gap < TOUCHING, sound),
-            Verdict("overlap", self.depth, "never 1 mm inside another", self.depth < 1e-3, sound),
+            below("gap", gap, TOUCHING, text, self.touch),
+            below("impact", depth, CELL, "never a grid cell (4 mm) deep", sound),
+            overlap_verdict(sim, 1e-3, sound),
             rest_verdict(sim, [self.skull, self.brain], sound),
         ]
 

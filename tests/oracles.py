@@ -58,7 +58,7 @@ def pair_list(stages):
 
 
 CONTACT_FIELDS = (
-    "body_a", "body_b", "key", "position", "normal", "arm_a", "arm_b", "gap", "friction", "restitution",
+    "body_a", "body_b", "key", "position", "normal", "arm_a", "arm_b", "gap", "closing", "friction", "restitution",
     "normal_a", "normal_b", "tangent_a", "tangent_b", "impulse",
 )  # fmt: skip
 
@@ -127,7 +127,7 @@ class ContactProblem:
             arm = self.contacts["position"] - self.center[body]
             self.jacobian[each, :, body, :3] = sign * basis
             self.jacobian[each, :, body, 3:] = sign * np.cross(arm[:, None, :], basis)
-        self.bias = np.maximum(self.contacts["gap"].astype(np.float64), 0.0) / stages.dt
+        self.bias = self.contacts["closing"].astype(np.float64)
         self.inverse_mass_matrix = np.zeros((rows, 6, 6))
         self.inverse_mass_matrix[:, range(3), range(3)] = self.inverse_mass[:, None]
         self.inverse_mass_matrix[:, 3:, 3:] = self.inverse_inertia
@@ -221,14 +221,16 @@ def distance_outside(points, hull):
 
 
 def random_pile(generator, count=24, friction=0.6):
-    """Boxes and spheres of different sizes over level ground, some touching, most of them falling."""
+    """Boxes and spheres of different sizes over level ground between four walls, some touching, most falling."""
     scene = ground_scene(friction=friction)
+    for normal in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
+        scene.add_static(Plane(normal=normal, offset=-0.3), friction=friction)
     for k in range(count):
         size = generator.uniform(0.05, 0.12)
         shape = Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.4, 3))
         scene.add_body(
             shape,
-            position=(*generator.uniform(-0.25, 0.25, 2), 0.15 + 0.11 * k),
+            position=(*generator.uniform(-0.2, 0.2, 2), 0.15 + 0.09 * k),
             orientation=random_quaternion(generator),
             friction=friction,
         )

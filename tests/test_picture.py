@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import binary_erosion
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, Sphere
@@ -33,10 +34,9 @@ def rays(camera, width, height):
 
 
 def passes_sphere(start, direction, center):
-    """Whether rays come within RADIUS of a centre that lies ahead of them."""
-    ahead = (center - start) @ np.moveaxis(direction, -1, 0) if direction.ndim > 1 else None
-    offset = center - start - ahead[..., None] * direction
-    return (np.linalg.norm(offset, axis=-1) < RADIUS) & (ahead > 0)
+    """Whether rays, from one point or many, come within RADIUS of a centre."""
+    ahead = np.sum((center - start) * direction, axis=-1, keepdims=True)
+    return np.linalg.norm(center - start - ahead * direction, axis=-1) < RADIUS
 
 
 @pytest.fixture(scope="module")
@@ -82,16 +82,14 @@ def test_shadow_lies_where_the_light_is_hidden():
     ground = (direction[..., 2] < 0) & (np.abs(point[..., :2]) < 10.0).all(axis=-1)
     dark = np.zeros_like(ground)
     for center in ([0.0, 0.0, 0.8], [3.0, 0.0, 3.0]):
-        center = np.array(center)
-        ground &= ~passes_sphere(eye, direction, center)
-        ahead = (center - point) @ light
-        dark |= np.linalg.norm(center - point - ahead[..., None] * light, axis=-1) < RADIUS
+        ground &= ~passes_sphere(eye, direction, np.array(center))
+        dark |= passes_sphere(point, light, np.array(center))
     brightness = picture.mean(axis=-1)
-    bright, shadow = brightness[ground & ~dark], brightness[ground & dark]
-    assert len(shadow) > 100
-    middle = 0.5 * (np.median(bright) + np.median(shadow))
-    assert np.median(shadow) < np.median(bright) - 0.1
-    assert (shadow < middle).mean() > 0.97 and (bright > middle).mean() > 0.99
+    # Pixels on a border mix both sides: only those with all neighbours on their own side count.
+    shadow = brightness[binary_erosion(ground & dark, np.ones((3, 3)))]
+    bright = brightness[binary_erosion(ground & ~dark, np.ones((3, 3)))]
+    assert len(shadow) > 100 and len(bright) > 1000
+    assert shadow.max() < bright.min() - 0.02
 
 
 def test_side_toward_the_light_is_brighter(ball_picture):
@@ -235,5 +233,6 @@ def test_bad_arguments_are_named(two_envs, tmp_path):
 
 
 def test_screen_values_follow_the_standard():
-    np.testing.assert_allclose(on_screen(np.array([0.0, 0.0031308, 0.2140, 1.0, 2.0])),
-                               [0.0, 0.04045, 0.5, 1.0, 1.0], atol=1e-4)
+    np.testing.assert_allclose(
+        on_screen(np.array([0.0, 0.0031308, 0.2140, 1.0, 2.0])), [0.0, 0.04045, 0.5, 1.0, 1.0], atol=1e-4
+    )

@@ -6,18 +6,15 @@ import numpy as np
 import pytest
 
 from warp_rigid.fields import PointField, UniformField
+from warp_rigid.geometry import Shape
 from warp_rigid.scene import Motion, Scene
 
 
-class Lump:
+class Lump(Shape):
     """Stands in for a shape: half a litre, with the inertia of a 0.1 x 0.1 x 0.05 m box."""
 
     volume = 5e-4
     inertia = np.diag([5e-4 * (0.1**2 + 0.05**2) / 12] * 2 + [5e-4 * 0.1**2 / 6])
-    static_only = False
-
-    def parts(self):
-        return []
 
 
 class Ground(Lump):

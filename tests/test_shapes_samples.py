@@ -22,7 +22,7 @@ from warp_rigid.shapes import (
 from warp_rigid.tessellation import geodesic
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-POINT, EDGE, RIM = SampleKind.POINT, SampleKind.EDGE, SampleKind.RIM
+POINT, EDGE, RIM, FACE = SampleKind
 
 
 def prism_mesh(build):
@@ -70,7 +70,11 @@ def test_arrays_fit_together_and_clusters_hold_their_samples(name):
     assert samples.cluster_start[0] == 0 and samples.cluster_start[-1] == count
     sizes = np.diff(samples.cluster_start)
     assert clusters == len(sizes) and 1 <= sizes.min() and sizes.max() <= 32
-    assert clusters == -(-count // 32)
+    first = samples.kind[samples.cluster_start[:-1]]
+    for family in ((POINT, RIM), (EDGE,), (FACE,)):
+        members = np.isin(samples.kind, family)
+        assert np.isin(first, family).sum() == -(-members.sum() // 32)
+        assert (np.isin(np.repeat(first, sizes), family) == members).all()
     length = np.linalg.norm(samples.normal, axis=1)
     assert (np.isclose(length, 1.0, atol=1e-5) | (length == 0.0)).all()
     owner = np.repeat(np.arange(clusters), sizes)
@@ -146,14 +150,14 @@ def test_the_boundary_of_an_open_mesh_is_covered_by_segments():
 def test_box_samples():
     half = np.array([0.5, 0.3, 0.2])
     samples = Box(half).samples()
-    point, edge = samples.kind == POINT, samples.kind == EDGE
-    assert point.sum() == 8 + 6 * 9 and edge.sum() == 12 * 4
+    point, edge, face = (samples.kind == kind for kind in (POINT, EDGE, FACE))
+    assert point.sum() == 8 and face.sum() == 6 * 9 and edge.sum() == 12 * 4
     at_limit = np.isclose(np.abs(samples.point), half.astype(np.float32))
     corner = at_limit.all(axis=1)
     assert corner.sum() == 8
     np.testing.assert_allclose(samples.normal[corner], np.sign(samples.point[corner]) / 3**0.5, atol=1e-6)
     assert (at_limit[edge].sum(axis=1) == 2).all()
-    assert (at_limit[point & ~corner].sum(axis=1) == 1).all()
+    assert (at_limit[face].sum(axis=1) == 1).all()
     # each edge is covered once from end to end
     assert 2.0 * np.abs(samples.slide[edge]).sum() == pytest.approx(8 * half.sum(), rel=1e-6)
     for owner in range(len(samples.cluster_radius)):
@@ -219,7 +223,7 @@ def test_compound_drops_what_is_hidden_and_keeps_the_rest():
     box, offset = Box((0.5, 0.5, 0.5)), np.array([0.5, 0, 0])
     flush = Compound([(box, -offset, IDENTITY), (box, offset, IDENTITY)])
     samples = flush.samples()
-    face_points = (samples.kind == POINT) & (np.abs(samples.normal) > 0.99).any(axis=1)
+    face_points = samples.kind == FACE
     assert face_points.sum() == 2 * 5 * 9  # the two faces that meet are gone
     overlap = Compound([(box, -0.9 * offset, IDENTITY), (box, 0.9 * offset, IDENTITY)])
     distance = [box.signed_distance(overlap.samples().point - sign * 0.9 * offset)[0] for sign in (-1, 1)]

@@ -40,9 +40,7 @@ def stage(path):
 
 
 def instancers(stage):
-    return [
-        UsdGeom.PointInstancer(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.PointInstancer)
-    ]
+    return [UsdGeom.PointInstancer(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.PointInstancer)]
 
 
 def poses(stage, time):
@@ -77,8 +75,7 @@ def test_stage_tells_units_and_times(stage):
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0.0, FRAMES)
     assert stage.GetDefaultPrim().GetPath() == "/World"
     assert all(
-        stage.HasAuthoredMetadata(name)
-        for name in ("upAxis", "metersPerUnit", "kilogramsPerUnit", "framesPerSecond")
+        stage.HasAuthoredMetadata(name) for name in ("upAxis", "metersPerUnit", "kilogramsPerUnit", "framesPerSecond")
     )
 
 
@@ -169,11 +166,7 @@ def test_still_bodies_have_no_samples(stage):
 
 
 def test_bodies_of_one_shape_share_an_instancer(stage):
-    groups = sorted(
-        sorted(i.GetIdsAttr().Get())
-        for i in instancers(stage)
-        if i.GetPath().HasPrefix("/World/env_0000")
-    )
+    groups = sorted(sorted(i.GetIdsAttr().Get()) for i in instancers(stage) if i.GetPath().HasPrefix("/World/env_0000"))
     assert groups == [[0], [1], [2, 4], [3], [5]]
 
 

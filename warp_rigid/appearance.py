@@ -86,10 +86,7 @@ def corner_normals(vertices, faces) -> np.ndarray:
 
     smooth = np.einsum("ij,ij->i", unit[face], unit[other]) >= math.cos(CREASE_ANGLE)
     total = np.stack(
-        [
-            np.bincount(corner, np.where(smooth, area[other, axis], 0.0), len(place))
-            for axis in range(3)
-        ],
+        [np.bincount(corner, np.where(smooth, area[other, axis], 0.0), len(place)) for axis in range(3)],
         axis=1,
     )
     normals = _normalised(total, fallback=np.repeat(unit, 3, axis=0))
@@ -143,9 +140,10 @@ def environment_spacing(recording: Recording) -> np.ndarray:
         bodies = np.flatnonzero(recording.surface == index)
         if len(surface.vertices) == 0 or (surface.endless and not moving[bodies].any()):
             continue
-        corners = rotate(
-            recording.orientation[0][:, bodies, None], bound_corners(surface.vertices)
-        ) + recording.position[0][:, bodies, None]
+        corners = (
+            rotate(recording.orientation[0][:, bodies, None], bound_corners(surface.vertices))
+            + recording.position[0][:, bodies, None]
+        )
         lower.append(corners.min(axis=(0, 1, 2)))
         upper.append(corners.max(axis=(0, 1, 2)))
     if moving.any():

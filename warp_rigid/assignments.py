@@ -78,9 +78,7 @@ def sort_assignments(texts, build) -> Assignments:
         several = len(values) > 1
         if name in parameters and not (several and name in PROPERTIES):
             if several:
-                raise ValueError(
-                    f"--set {name}: is a parameter of the scene and takes one value, not a list"
-                )
+                raise ValueError(f"--set {name}: is a parameter of the scene and takes one value, not a list")
             result.scene[name] = values[0]
         elif name not in settings and name not in PROPERTIES:
             raise ValueError(_unknown(name, parameters + settings + PROPERTIES))

@@ -27,7 +27,7 @@ from warp_rigid.usd_export import export_usd
 
 __all__ = ["main"]
 
-USAGE, CAPACITY, NON_FINITE, INTERRUPTED = 2, 3, 4, 130
+USAGE, CAPACITY, NON_FINITE = 2, 3, 4
 UsageError = typer.BadParameter.__bases__[0]
 PLAIN_WIDTH = 120
 """Width of tables where there is no terminal."""
@@ -57,8 +57,6 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(USAGE, error.format_message())
     except (ValueError, FileNotFoundError, ModuleNotFoundError, OSError) as error:
         return _fail(USAGE, _explain(error))
-    except KeyboardInterrupt:
-        return _fail(INTERRUPTED, "interrupted")
 
 
 @app.callback()
@@ -119,15 +117,9 @@ def run(
             "A list NAME=A,B,C gives one value to each environment.",
         ),
     ] = None,
-    compare: Annotated[
-        bool, typer.Option("--compare", help="One environment for each variant of the scene.")
-    ] = False,
-    output: Annotated[
-        str | None, typer.Option("-o", "--output", help="Film: .usdc, .usda or .usdz.")
-    ] = None,
-    usd_envs: Annotated[
-        str | None, typer.Option(help="Environments in films and pictures: 0,5,7 or all.")
-    ] = None,
+    compare: Annotated[bool, typer.Option("--compare", help="One environment for each variant of the scene.")] = False,
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Film: .usdc, .usda or .usdz.")] = None,
+    usd_envs: Annotated[str | None, typer.Option(help="Environments in films and pictures: 0,5,7 or all.")] = None,
     picture: Annotated[str | None, typer.Option(help="The last frame, .png.")] = None,
     film: Annotated[str | None, typer.Option(help="The film, .gif.")] = None,
     contact_sheet: Annotated[str | None, typer.Option(help="Eight frames, .png.")] = None,
@@ -149,10 +141,8 @@ def run(
     )
     written = [path for path in (output, picture, film, contact_sheet) if path]
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
-    stderr = _console(stderr=True)
-    with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as progress:
-        task = progress.add_task(plan.demo.name, total=plan.frames)
-        result = runner.execute(plan, chosen, lambda done: progress.update(task, completed=done))
+    with _progress(plan.demo.name, plan.frames) as advance:
+        result = runner.execute(plan, chosen, advance)
     if output:
         export_usd(result.recording, output)
     if picture or film or contact_sheet:
@@ -168,12 +158,8 @@ def run(
 @app.command("inspect")
 def inspect_command(
     mesh: Annotated[str, typer.Argument(help="A mesh file, or a shape such as bunny or torus.")],
-    output: Annotated[
-        str | None, typer.Option("-o", "--output", help="Picture of a slice, .png.")
-    ] = None,
-    cut: Annotated[
-        str | None, typer.Option("--slice", help="Where, such as z=0.05; else through the middle.")
-    ] = None,
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Picture of a slice, .png.")] = None,
+    cut: Annotated[str | None, typer.Option("--slice", help="Where, such as z=0.05; else through the middle.")] = None,
     sdf_resolution: Annotated[int, typer.Option(help="Cells along the longest side.")] = 64,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
@@ -248,12 +234,10 @@ def _print_summary(summary: dict[str, Any]) -> None:
         f"{summary['frames']} frames ({summary['time']:.4g} s) on {summary['device']}",
         f"{summary['contacts']} contacts, {summary['levels']} levels; deepest overlap "
         f"{1e3 * deepest:.3g} mm, at the end {1e3 * at_end:.3g} mm",
-        f"{summary['env_frames_per_second']:.4g} env-frames/s "
-        f"(first frame {summary['first_frame_seconds']:.2g} s)",
+        f"{summary['env_frames_per_second']:.4g} env-frames/s (set-up {summary['setup_seconds']:.2g} s)",
     ]
     lines += [
-        f"environment {record['env']}: {record['status']} since step {record['step']}, "
-        f"body {record['body']}"
+        f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
         for record in summary["failed"]
     ]
     for line in lines:
@@ -277,9 +261,7 @@ def _verdict_table(summary: dict[str, Any]) -> Table:
         table.add_column("from")
         table.add_column("to")
     for verdict in summary["verdicts"]:
-        rows = list(
-            zip(verdict["values"], verdict["passed"], verdict["expected"], strict=True)
-        )
+        rows = list(zip(verdict["values"], verdict["passed"], verdict["expected"], strict=True))
         if few:
             cells = [_cell(*row) for row in rows]
         else:
@@ -324,12 +306,9 @@ def _print_mesh(name: str, figures: dict[str, Any]) -> None:
         "size": f"{triple(*size)} m",
         "volume": f"{figures['volume']:.5g} m^3",
         "center of mass": "({:.4g}, {:.4g}, {:.4g}) m".format(*figures["center_of_mass"]),
-        "inertia": "{:.4g}, {:.4g}, {:.4g} m^5 at unit density".format(
-            *figures["principal_inertia"]
-        ),
+        "inertia": "{:.4g}, {:.4g}, {:.4g} m^5 at unit density".format(*figures["principal_inertia"]),
         "samples": ", ".join(f"{n} {kind}" for kind, n in figures["samples"].items() if n),
-        "distance grid": f"{triple(*figures['grid'])} nodes, cell {1e3 * cell:.3g} mm, "
-        f"{figures['grid_seconds']:.2g} s",
+        "distance grid": f"{triple(*figures['grid'])} nodes, cell {1e3 * cell:.3g} mm, {figures['grid_seconds']:.2g} s",
         "distance error": f"mean {figures['distance_error_mean'] / cell:.2g}, "
         f"largest {figures['distance_error_largest'] / cell:.2g} cells; "
         f"{figures['wrong_signs']} wrong signs",
@@ -344,11 +323,20 @@ def _status(failed: list[dict[str, Any]]) -> int:
     if not failed:
         return 0
     first = failed[0]
-    _note(
-        f"{len(failed)} environment(s) failed, first {first['env']}: {first['status']} "
-        f"since step {first['step']}"
-    )
+    _note(f"{len(failed)} environment(s) failed, first {first['env']}: {first['status']} since step {first['step']}")
     return CAPACITY if first["status"] == "capacity" else NON_FINITE
+
+
+@contextlib.contextmanager
+def _progress(name: str, total: int):
+    """A bar on stderr where that is a terminal; yields the function that moves it."""
+    console = _console(stderr=True)
+    if not console.is_terminal:
+        yield None
+        return
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task(name, total=total)
+        yield lambda done: progress.update(task, completed=done)
 
 
 def _start_warp() -> None:

@@ -101,9 +101,7 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
     offsets = environment_offsets(len(rows), spacing).astype(np.float32)
     frames, count = len(recording.time), len(rows) * len(recording.surface)
     return Film(
-        meshes=tuple(
-            DrawnMesh(s.vertices, s.faces, corner_normals(s.vertices, s.faces)) for s in surfaces
-        ),
+        meshes=tuple(DrawnMesh(s.vertices, s.faces, corner_normals(s.vertices, s.faces)) for s in surfaces),
         mesh=np.tile(recording.surface, len(rows)),
         color=np.tile(body_colors(recording.motion), (len(rows), 1)),
         position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),

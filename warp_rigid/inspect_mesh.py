@@ -86,10 +86,7 @@ def save_slice(mesh: Mesh, path, axis: int, place: float) -> None:
     lower = np.asarray(mesh.grid.origin)
     upper = lower + mesh.grid.spacing * (np.array(mesh.grid.values.shape) - 1)
     if not lower[axis] <= place <= upper[axis]:
-        raise ValueError(
-            f"--slice: {'xyz'[axis]} must be from {lower[axis]:.4g} to {upper[axis]:.4g}, "
-            f"got {place:g}"
-        )
+        raise ValueError(f"--slice: {'xyz'[axis]} must be from {lower[axis]:.4g} to {upper[axis]:.4g}, got {place:g}")
     across, up = [k for k in range(3) if k != axis]
     figure = Figure(figsize=(8.0, 6.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)

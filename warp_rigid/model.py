@@ -10,7 +10,7 @@ from warp_rigid.fields import PointField
 from warp_rigid.kernels import data
 from warp_rigid.scene import COMBINE_RULES, Body, Motion, Scene
 from warp_rigid.settings import PER_ENVIRONMENT, Settings, check_setting
-from warp_rigid.shapes import Shape
+from warp_rigid.shapes import PartKind, SampleKind, Shape
 
 UNBOUNDED = 2.0e9
 """Stands for the infinite extents of planes [m]; float32 multiplies it without overflow."""
@@ -195,6 +195,7 @@ def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
     part_start = _starts([len(group) for group in parts])
     cluster_start = _starts([len(s.cluster_radius) for s in samples])
     rows["part_start"], rows["part_end"] = part_start[:-1], part_start[1:]
+    rows["convex"] = [len(group) == 1 and group[0].kind not in (PartKind.GRID, PartKind.HEIGHTFIELD) for group in parts]
     rows["cluster_start"], rows["cluster_end"] = cluster_start[:-1], cluster_start[1:]
     rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
@@ -224,6 +225,8 @@ def _cluster_rows(samples: list) -> np.ndarray:
     if len(rows):
         rows["center"] = np.concatenate([s.cluster_center for s in samples])
         rows["radius"] = np.concatenate([s.cluster_radius for s in samples])
+        kind = np.concatenate([s.kind[s.cluster_start[:-1]] for s in samples])
+        rows["kind"] = np.where(kind == SampleKind.RIM, SampleKind.POINT, kind)
         rows["sample_start"] = np.concatenate(
             [s.cluster_start[:-1] + f for s, f in zip(samples, first_sample, strict=False)]
         )

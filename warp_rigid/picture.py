@@ -216,9 +216,7 @@ def _write(image, text: str, place: tuple[float, float], anchor: str) -> None:
 
     font = ImageFont.load_default(size=max(12, image.height // 26))
     pen = ImageDraw.Draw(image)
-    pen.text(
-        place, text, fill="#20242a", font=font, anchor=anchor, stroke_width=2, stroke_fill="#f4f4f2"
-    )
+    pen.text(place, text, fill="#20242a", font=font, anchor=anchor, stroke_width=2, stroke_fill="#f4f4f2")
 
 
 def _arranged(panels: list):

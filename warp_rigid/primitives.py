@@ -102,7 +102,7 @@ class Box(Shape):
         return [Part(PartKind.BOX, (*self.half_extents.tolist(), 0.0))]
 
     def sample_list(self):
-        """8 vertices, 4 EDGE segments on each edge, and 9 points inside each face."""
+        """8 vertices, 4 EDGE segments on each edge, and 9 FACE points on each face."""
         half = self.half_extents
         collected = SampleList()
         corners = tessellation.box(half)[0]
@@ -125,7 +125,7 @@ class Box(Shape):
                 point[:, axis] = sign * half[axis]
                 point[:, others[0]] = np.repeat(inner, 3) * half[others[0]]
                 point[:, others[1]] = np.tile(inner, 3) * half[others[1]]
-                collected.add(SampleKind.POINT, point, sign * np.eye(3)[axis])
+                collected.add(SampleKind.FACE, point, sign * np.eye(3)[axis])
         return collected
 
     def surface(self):
@@ -242,8 +242,8 @@ class Cylinder(Shape):
             normals = (circle + cap) / 2.0**0.5
             collected.add(SampleKind.POINT, radius * circle + height * cap, normals, rank=VERTEX)
             collected.add(SampleKind.RIM, height * cap, cap, radius=radius)
-            collected.add(SampleKind.POINT, height * cap, cap)
-            collected.add(SampleKind.POINT, 0.5 * radius * circle[::2] + height * cap, cap)
+            collected.add(SampleKind.FACE, height * cap, cap)
+            collected.add(SampleKind.FACE, 0.5 * radius * circle[::2] + height * cap, cap)
         if height > radius:
             _add_axis(collected, height - radius, radius)
         else:

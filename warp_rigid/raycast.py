@@ -28,8 +28,8 @@ LIGHT_COLOR = wp.constant(wp.vec3(0.86, 0.82, 0.76))
 WALL_THICKNESS = 0.3
 """A fixed body is a wall if it is thinner than this part of its height and width."""
 HIDDEN_PART = 0.1
-"""A wall that hides more of the moving bodies is drawn as glass."""
-EDGE_CONTRAST = 0.04
+"""A wall that hides more of an environment's moving bodies is drawn as glass."""
+EDGE_CONTRAST = 0.1
 """Pixels that differ from a neighbour by more, on screen, get more rays."""
 EDGE_RAYS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
 """Where in a pixel they go [pixel], from its centre: a turned square."""
@@ -238,8 +238,7 @@ class RayCaster:
         self._corners = corners[film.mesh]
         with wp.ScopedDevice("cpu"):
             self._meshes = [
-                wp.Mesh(wp.array(m.vertices, dtype=wp.vec3), wp.array(m.faces.reshape(-1)))
-                for m in film.meshes
+                wp.Mesh(wp.array(m.vertices, dtype=wp.vec3), wp.array(m.faces.reshape(-1))) for m in film.meshes
             ]
             faces = np.array([len(mesh.faces) for mesh in film.meshes])
             first_face = (np.cumsum(faces) - faces)[film.mesh]
@@ -279,7 +278,8 @@ class RayCaster:
             hidden = wp.zeros((len(walls), len(targets)), dtype=wp.bool)
             arguments = [self._camera.eye, self._instances, wp.array(walls, dtype=int), targets]
             wp.launch(find_hidden, hidden.shape, arguments, outputs=[hidden])
-            glass[walls] = hidden.numpy().mean(axis=1) > HIDDEN_PART
+            part = hidden.numpy().mean(axis=1) * len(self._film.labels)
+            glass[walls] = part > HIDDEN_PART
         return glass
 
     def _place_instances(self, frame: int) -> None:

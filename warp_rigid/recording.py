@@ -13,7 +13,7 @@ import numpy as np
 
 from warp_rigid.scene import Motion
 
-__all__ = ["Recorder", "Recording", "Surface", "record", "steps_per_frame"]
+__all__ = ["Recorder", "Recording", "Surface", "is_moving", "record", "steps_per_frame"]
 
 FORMAT = 1
 CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
@@ -227,6 +227,11 @@ def steps_per_frame(dt: float, fps: float) -> int:
     return steps
 
 
+def is_moving(motion: np.ndarray) -> np.ndarray:
+    """Which bodies can move, by their Motion."""
+    return np.asarray(motion) != Motion.STATIC
+
+
 def _surfaces(bodies) -> tuple[tuple[Surface, ...], np.ndarray]:
     """The different surfaces of a scene's bodies, and which of them each body has."""
     surfaces, index_of = [], {}
@@ -242,8 +247,3 @@ def _surfaces(bodies) -> tuple[tuple[Surface, ...], np.ndarray]:
                 )
             )
     return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
-
-
-def is_moving(motion: np.ndarray) -> np.ndarray:
-    """Which bodies can move, by their Motion."""
-    return np.asarray(motion) != Motion.STATIC

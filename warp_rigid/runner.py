@@ -37,6 +37,7 @@ class Plan:
         fps: frames per simulated second.
         frames: how many frames to simulate.
         parameters: what was set, by name, for the summary.
+        setup_seconds: what building the scene and the simulator took, kernels included.
     """
 
     demo: Demo
@@ -47,6 +48,7 @@ class Plan:
     fps: float
     frames: int
     parameters: dict[str, Any]
+    setup_seconds: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +79,7 @@ def find_scene(source: str) -> Demo:
         return _scene_of_file(Path(source))
     if source not in scenes.names():
         raise ValueError(
-            f"scene: must be a .py file with a function scene() or one of "
-            f"{', '.join(scenes.names())}; got {source!r}"
+            f"scene: must be a .py file with a function scene() or one of {', '.join(scenes.names())}; got {source!r}"
         )
     return scenes.get(source)
 
@@ -110,6 +111,7 @@ def plan_run(
     Raises:
         ValueError: An argument does not fit the scene or another argument.
     """
+    start = time.perf_counter()
     given = sort_assignments(assignments, demo.build)
     if seed is not None and "seed" in demo.parameters:
         given.scene.setdefault("seed", seed)
@@ -137,6 +139,7 @@ def plan_run(
         fps=fps,
         frames=frames,
         parameters={**given.scene, **given.settings, **given.properties, **given.batched},
+        setup_seconds=time.perf_counter() - start,
     )
 
 
@@ -267,10 +270,7 @@ def _bodies(sim: Simulator, name: str) -> list[int] | None:
 
 def _labels(given: Assignments, count: int) -> tuple[str, ...]:
     """Texts such as "friction=0.1" for each environment."""
-    return tuple(
-        ", ".join(f"{name}={values[env]}" for name, values in given.batched.items())
-        for env in range(count)
-    )
+    return tuple(", ".join(f"{name}={values[env]}" for name, values in given.batched.items()) for env in range(count))
 
 
 def _step_frame(sim: Simulator, steps: int, events: list) -> None:
@@ -293,7 +293,7 @@ def _summary(
     import warp_rigid
 
     sim = plan.sim
-    # The first frame compiles or loads the kernels: it tells nothing of the speed.
+    # The first frame may still load kernels or grow pools: it tells little of the speed.
     warm = seconds[1:] or seconds
     return {
         "scene": plan.demo.name,
@@ -314,7 +314,7 @@ def _summary(
             {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names}
             for env in np.flatnonzero(status["status"] != "ok")
         ],
-        "first_frame_seconds": seconds[0] if seconds else 0.0,
+        "setup_seconds": plan.setup_seconds,
         "seconds": sum(seconds),
         "env_frames_per_second": sim.num_envs * len(warm) / sum(warm) if warm else 0.0,
         "verdicts": [_verdict(verdict, plan.variants) for verdict in verdicts],

@@ -17,8 +17,13 @@ class SampleKind(IntEnum):
     """What a surface sample stands for."""
 
     POINT = 0
+    """A vertex, or the centre of a ball."""
     EDGE = 1
+    """A segment of an edge; its lowest point is looked for along it."""
     RIM = 2
+    """A circle; its lowest point is looked for around it."""
+    FACE = 3
+    """A point inside a face: only something hollow can touch there and nowhere else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +82,7 @@ class SampleList:
 
 
 def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
-    """Group samples into spatially tight clusters of at most 32.
+    """Group samples into spatially tight clusters of at most 32; points and rims, edges, and faces apart.
 
     Args:
         point: (n, 3) as in `Samples`.
@@ -87,7 +92,11 @@ def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
         kind: (n,) as in `Samples`.
         rank: (n,) order inside a cluster; where equal, samples stay as they were given.
     """
-    groups = _bisect(point) if len(point) else []
+    groups = []
+    for family in ((SampleKind.POINT, SampleKind.RIM), (SampleKind.EDGE,), (SampleKind.FACE,)):
+        members = np.flatnonzero(np.isin(kind, family))
+        if len(members):
+            groups += [members[group] for group in _bisect(point[members])]
     groups = [group[np.lexsort((group, rank[group]))] for group in groups]
     order = np.concatenate(groups) if groups else np.zeros(0, dtype=np.int64)
     start = np.concatenate([[0], np.cumsum([len(group) for group in groups])])
@@ -193,7 +202,7 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     point = start[chosen] + fraction[:, None] * (end - start)[chosen]
     collected.add(SampleKind.POINT, point, edge_normal[chosen])
     point, face = _inner_points(vertices, faces, length[edges.face_edge].max(axis=1), spacing)
-    collected.add(SampleKind.POINT, point, normals[face])
+    collected.add(SampleKind.FACE, point, normals[face])
     return collected
 
 

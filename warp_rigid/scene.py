@@ -4,6 +4,7 @@ A scene is described once and simulated many times over; it holds nothing of the
 value is checked when it is given, so that a mistake is reported at the line that made it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -11,8 +12,11 @@ import numpy as np
 
 from warp_rigid.checks import LARGEST, finite_vector, number_in, one_of, unit_quaternion
 from warp_rigid.fields import PointField, UniformField
+from warp_rigid.geometry import Shape
 
 __all__ = ["COMBINE_RULES", "Body", "Motion", "Scene"]
+
+Vector = Sequence[float] | np.ndarray
 
 COMBINE_RULES = ("min", "average", "multiply", "max")
 
@@ -49,7 +53,7 @@ class Body:
         name: a label for tables and files; need not be unique.
     """
 
-    shape: object
+    shape: Shape
     motion: Motion
     position: tuple[float, float, float]
     orientation: tuple[float, float, float, float]
@@ -84,8 +88,11 @@ class Scene:
     """
 
     def __init__(
-        self, gravity=(0.0, 0.0, -9.81), friction_combine="min", restitution_combine="min"
-    ):
+        self,
+        gravity: Vector = (0.0, 0.0, -9.81),
+        friction_combine: str = "min",
+        restitution_combine: str = "min",
+    ) -> None:
         """Start an empty scene."""
         self.gravity = finite_vector("gravity", gravity)
         self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
@@ -93,27 +100,27 @@ class Scene:
         self.bodies: list[Body] = []
         self.force_fields: list[UniformField | PointField] = []
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         """Tell how many bodies of each kind the scene holds."""
         counts = [sum(body.motion == motion for body in self.bodies) for motion in Motion]
         return f"Scene({counts[2]} dynamic, {counts[1]} kinematic, {counts[0]} static bodies)"
 
     def add_body(
         self,
-        shape,
+        shape: Shape,
         *,
-        position=(0.0, 0.0, 0.0),
-        orientation=(0.0, 0.0, 0.0, 1.0),
-        linear_velocity=(0.0, 0.0, 0.0),
-        angular_velocity=(0.0, 0.0, 0.0),
-        density=None,
-        mass=None,
-        friction=0.5,
-        restitution=0.0,
-        rolling_friction=0.0,
-        spinning_friction=0.0,
-        name=None,
-    ):
+        position: Vector = (0.0, 0.0, 0.0),
+        orientation: Vector = (0.0, 0.0, 0.0, 1.0),
+        linear_velocity: Vector = (0.0, 0.0, 0.0),
+        angular_velocity: Vector = (0.0, 0.0, 0.0),
+        density: float | None = None,
+        mass: float | None = None,
+        friction: float = 0.5,
+        restitution: float = 0.0,
+        rolling_friction: float = 0.0,
+        spinning_friction: float = 0.0,
+        name: str | None = None,
+    ) -> int:
         """Add a body that forces and contacts move.
 
         Args:
@@ -148,16 +155,16 @@ class Scene:
 
     def add_static(
         self,
-        shape,
+        shape: Shape,
         *,
-        position=(0.0, 0.0, 0.0),
-        orientation=(0.0, 0.0, 0.0, 1.0),
-        friction=0.5,
-        restitution=0.0,
-        rolling_friction=0.0,
-        spinning_friction=0.0,
-        name=None,
-    ):
+        position: Vector = (0.0, 0.0, 0.0),
+        orientation: Vector = (0.0, 0.0, 0.0, 1.0),
+        friction: float = 0.5,
+        restitution: float = 0.0,
+        rolling_friction: float = 0.0,
+        spinning_friction: float = 0.0,
+        name: str | None = None,
+    ) -> int:
         """Add a body that never moves. Arguments, result and errors as in add_body."""
         self._check_shape(shape, Motion.STATIC)
         return self._add(
@@ -171,18 +178,18 @@ class Scene:
 
     def add_kinematic(
         self,
-        shape,
+        shape: Shape,
         *,
-        position=(0.0, 0.0, 0.0),
-        orientation=(0.0, 0.0, 0.0, 1.0),
-        linear_velocity=(0.0, 0.0, 0.0),
-        angular_velocity=(0.0, 0.0, 0.0),
-        friction=0.5,
-        restitution=0.0,
-        rolling_friction=0.0,
-        spinning_friction=0.0,
-        name=None,
-    ):
+        position: Vector = (0.0, 0.0, 0.0),
+        orientation: Vector = (0.0, 0.0, 0.0, 1.0),
+        linear_velocity: Vector = (0.0, 0.0, 0.0),
+        angular_velocity: Vector = (0.0, 0.0, 0.0),
+        friction: float = 0.5,
+        restitution: float = 0.0,
+        rolling_friction: float = 0.0,
+        spinning_friction: float = 0.0,
+        name: str | None = None,
+    ) -> int:
         """Add a body that moves with its own velocity, whatever it meets.
 
         Arguments, result and errors as in add_body.
@@ -197,7 +204,7 @@ class Scene:
             name,
         )
 
-    def add_force_field(self, field):
+    def add_force_field(self, field: UniformField | PointField) -> None:
         """Add a UniformField or PointField, which acts on all dynamic bodies beside gravity.
 
         Raises:
@@ -208,7 +215,7 @@ class Scene:
         self.force_fields.append(field)
 
     def _check_shape(self, shape, motion):
-        if isinstance(shape, type) or not hasattr(shape, "parts"):
+        if not isinstance(shape, Shape):
             raise ValueError(f"shape: must be a shape such as Box or Mesh, got {shape!r}")
         if shape.static_only and motion != Motion.STATIC:
             kind = type(shape).__name__

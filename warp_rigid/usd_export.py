@@ -190,9 +190,11 @@ def _save(stage, path: Path) -> None:
     from pxr import Tf
 
     try:
-        stage.GetRootLayer().Export(str(path))
-    except Tf.ErrorException as error:
-        raise OSError(f"{path}: cannot be written") from error
+        written = stage.GetRootLayer().Export(str(path))
+    except Tf.ErrorException:
+        written = False
+    if not written:
+        raise OSError(f"{path}: cannot be written")
 
 
 def _save_package(stage, path: Path) -> None:

@@ -1,0 +1,41 @@
+"""Every kernel compiles for a GPU of compute capability 9.0 on a machine that has none."""
+
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from warp_rigid import kernels, stages
+
+ARCHITECTURE = 90
+
+SLOW_TO_ASSEMBLE = "narrowphase"
+"""Its assembly takes most of a minute, the compilation before it a fifth of that."""
+
+NAMES = sorted(file.stem for file in Path(kernels.__path__[0]).glob("*.py") if file.stem != "__init__")
+MODULES = {name: import_module(f"{kernels.__name__}.{name}") for name in NAMES}
+
+
+def kernels_of(name):
+    """Names of the kernels in a module's compilation unit."""
+    return set(wp.get_module(MODULES[name].__name__).kernels)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if kernels_of(name)])
+def test_module_compiles_for_compute_capability_90(name, tmp_path):
+    ptx = name == SLOW_TO_ASSEMBLE
+    (binary,) = wp.compile_aot_module(MODULES[name].__name__, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=ptx)
+    assert binary.suffix == (".ptx" if ptx else ".cubin")
+    content = binary.read_bytes()
+    assert [kernel for kernel in kernels_of(name) if f"{kernel}_".encode() not in content] == []
+
+
+def test_every_stage_of_a_step_is_among_the_compiled():
+    """The modules that `stages` uses are those of the test above, and the borrowed kernels lie in a unit of theirs."""
+    used = {name for name, value in vars(stages).items() if value in MODULES.values()}
+    without_kernels = {name for name in used if not kernels_of(name)}
+    assert without_kernels == {"data", "overlap"}
+    assert used - without_kernels >= {"predict", "broadphase", "narrowphase", "contacts", "support", "ordering"}
+    assert used - without_kernels >= {"collisions", "impulses", "shock", "line_search", "push_out", "integrate"}
+    assert kernels_of("narrowphase") >= {"find_contacts", "build_contacts", "deepest_overlap"}

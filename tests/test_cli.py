@@ -1,0 +1,256 @@
+"""The command line: what it writes where, and its exit status."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from pxr import Usd
+
+import warp_rigid
+from warp_rigid import cli, scenes
+
+ROOT = Path(__file__).resolve().parents[1]
+
+SCENE = """
+import warp_rigid as wr
+
+def scene(speed=0.0):
+    made = wr.Scene()
+    made.add_static(wr.Plane(), name="ground")
+    made.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1), linear_velocity=(speed, 0, 0))
+    return made
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(SCENE)
+    return str(path)
+
+
+def run(capsys, *arguments):
+    """Exit status, stdout and stderr of a command line."""
+    status = cli.main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_run_tells_its_figures_as_one_json_object(capsys, scene_file):
+    status, out, _ = run(capsys, "run", scene_file, "--envs", 3, "--frames", 4, "--json")
+    summary = json.loads(out)
+    assert status == 0
+    assert (summary["scene"], summary["envs"], summary["bodies"]) == ("mine", 3, 2)
+    assert (summary["frames"], summary["fps"]) == (4, 60.0)
+    assert summary["time"] == pytest.approx(4 / 60)
+    assert summary["settings"]["dt"] == pytest.approx(1 / 240)
+    assert summary["contacts"] >= 3 * 3
+    assert len(summary["penetration"]) == len(summary["deepest_penetration"]) == 3
+    assert summary["env_frames_per_second"] > 0
+    assert summary["failed"] == summary["verdicts"] == summary["files"] == []
+
+
+def test_all_of_stdout_is_the_object(scene_file):
+    """Warp's own greeting and progress must not get into it; only a fresh process shows that."""
+    command = [sys.executable, "-m", "warp_rigid.cli", "run", scene_file, "--frames", "1", "--json"]
+    done = subprocess.run([*command, "--device", "cpu"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["scene"] == "mine"
+    assert done.stderr == ""
+
+
+def test_run_writes_what_is_asked(capsys, scene_file, tmp_path):
+    paths = {
+        flag: tmp_path / "out" / name
+        for flag, name in (
+            ("-o", "film.usdc"),
+            ("--picture", "last.png"),
+            ("--film", "film.gif"),
+            ("--contact-sheet", "sheet.png"),
+        )
+    }
+    flags = [part for pair in paths.items() for part in pair]
+    status, out, _ = run(capsys, "run", scene_file, "--frames", 3, "--envs", 2, *flags)
+    assert status == 0
+    stage = Usd.Stage.Open(str(paths["-o"]))
+    assert stage.GetEndTimeCode() == 3 and stage.GetPrimAtPath("/World/env_0001")
+    for flag in ("--picture", "--film", "--contact-sheet"):
+        assert Image.open(paths[flag]).size[0] > 100
+    assert all(f"wrote {path}" in out.replace("\n", "") for path in paths.values())
+
+
+def test_film_holds_the_chosen_environments(capsys, scene_file, tmp_path):
+    def envs(*flags):
+        arguments = ("run", scene_file, "--frames", 1, "--envs", 20, "-o", tmp_path / "f.usdc")
+        status, _, err = run(capsys, *arguments, *flags)
+        assert status == 0
+        stage = Usd.Stage.Open(str(tmp_path / "f.usdc"))
+        names = [prim.GetName() for prim in stage.GetDefaultPrim().GetChildren()]
+        return [int(name[4:]) for name in names if name.startswith("env_")], err
+
+    assert envs("--usd-envs", "5,19")[0] == [5, 19]
+    assert envs("--usd-envs", "all")[0] == list(range(20))
+    first, told = envs()
+    assert first == list(range(16)) and "recording the first 16 environments" in told
+
+
+def test_compare_prints_variants_and_expectations(capsys):
+    status, out, _ = run(capsys, "run", "incline", "--compare", "--frames", 2)
+    assert status == 0
+    assert all(name in out for name in scenes.get("incline").variants)
+
+
+def test_verdicts_name_what_is_not_as_expected(capsys):
+    summary = {
+        "scene": "s", "envs": 3, "bodies": 1, "frames": 1, "time": 1.0, "device": "cpu",
+        "contacts": 0, "levels": 0, "penetration": [0.0], "deepest_penetration": [0.001],
+        "env_frames_per_second": 1.0, "setup_seconds": 0.0, "failed": [], "files": [],
+        "labels": ["default", "off", "on"],
+        "verdicts": [
+            {
+                "name": "drift", "limit": "drift < 1", "values": [0.5, 2.0, 3.0],
+                "passed": [True, False, False], "expected": [True, False, True],
+            }
+        ],
+    }  # fmt: skip
+    cli._print_summary(summary)
+    out = capsys.readouterr().out
+    assert "0.5 yes" in out and "2 no, as expected" in out and "3 no, NOT AS EXPECTED" in out
+    assert "2 of 3 verdicts as expected" in out
+    summary["envs"] = 100
+    cli._print_summary(summary)
+    assert "1 of 3" in capsys.readouterr().out
+
+
+def test_lists_run_side_by_side(capsys, scene_file):
+    arguments = ("--frames", 30, "--set", "speed=1", "--set", "friction=0.0,0.9", "--json")
+    status, out, _ = run(capsys, "run", scene_file, *arguments)
+    summary = json.loads(out)
+    assert status == 0 and summary["labels"] == ["friction=0.0", "friction=0.9"]
+    assert summary["set"] == {"speed": 1, "friction": [0.0, 0.9]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "box_stak"], "scene: must be"),
+        (["run"], "Missing argument"),
+        (["nothing"], "No such command"),
+        (["run", "box_stack", "--frames", "many"], "Invalid value for '--frames'"),
+        (["run", "box_stack", "--device", "cuda:99"], "device: must be one of"),
+        (["run", "box_stack", "--set", "heigth=3"], "did you mean height?"),
+        (["run", "box_stack", "--set", "height=0"], "height: must be"),
+        (["run", "box_stack", "--fps", "7"], "fps: a frame at 7 frames/s"),
+        (["run", "box_stack", "-o", "film.mp4"], "-o: must end in"),
+        (["run", "box_stack", "--picture", "film.bmp"], "film.bmp: must end in .png"),
+        (["run", "box_stack", "--film", "a.gif", "--usd-envs", "x"], "--usd-envs: must be numbers"),
+        (["run", "missing.py"], "missing.py: no such file"),
+        (["inspect", "missing.obj"], "missing.obj: no such file"),
+        (["inspect", "bunny", "--slice", "z=0"], "--slice: needs -o"),
+        (["inspect", "bunny", "--slice", "w=0", "-o", "a.png"], "--slice: must be x=, y= or z="),
+        (["inspect", "bunny", "--slice", "z=9", "-o", "a.png"], "--slice: z must be from"),
+        (["inspect", "bunny", "--sdf-resolution", "1"], "sdf_resolution: must be"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(capsys, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(capsys, *arguments)
+    assert status == 2 and out == ""
+    lines = [line for line in err.splitlines() if "simulating on" not in line]
+    assert len(lines) == 1 and message in lines[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_place_is_one_line(capsys, scene_file, tmp_path):
+    target = tmp_path / "mine.py" / "film.usdc"
+    status, _, err = run(capsys, "run", scene_file, "--frames", 1, "-o", target)
+    assert status == 2 and str(tmp_path / "mine.py") in err.splitlines()[-1]
+
+
+def test_non_finite_state_is_status_4(capsys, scene_file):
+    arguments = ("--frames", 3, "--set", "linear_velocity=(0,0,0),(3e38,0,0)")
+    status, out, err = run(capsys, "run", scene_file, *arguments)
+    assert status == 4
+    assert "environment 1: non-finite since step" in out
+    assert "1 environment(s) failed, first 1: non-finite" in err
+
+
+def test_capacity_is_status_3(capsys):
+    assert cli._status([{"env": 2, "status": "capacity", "step": 7, "body": 1}]) == 3
+    assert "first 2: capacity since step 7" in capsys.readouterr().err
+
+
+def test_interruption_is_status_130(capsys, scene_file, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.runner, "execute", interrupt)
+    assert run(capsys, "run", scene_file)[0] == 130
+
+
+def test_missing_library_is_named_with_its_remedy(capsys, scene_file, monkeypatch):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    status, _, err = run(capsys, "run", scene_file, "--picture", "a.png")
+    assert status == 2 and "pip install 'warp-rigid[picture]'" in err
+
+
+def test_scenes_are_listed(capsys):
+    status, out, _ = run(capsys, "scenes")
+    assert status == 0 and all(name in out for name in scenes.names())
+    status, out, _ = run(capsys, "scenes", "--json")
+    listed = json.loads(out)
+    assert status == 0 and list(listed) == scenes.names()
+    assert listed["box_stack"]["parameters"] == {"height": 10}
+    assert "off" in listed["box_stack"]["variants"]
+
+
+def test_version_and_help(capsys):
+    assert run(capsys, "--version")[:2] == (0, f"warp-rigid {warp_rigid.__version__}\n")
+    for arguments in ([], ["--help"], ["run", "--help"]):
+        status, out, _ = run(capsys, *arguments)
+        assert status == 0 and "Usage: warp-rigid" in out
+
+
+def test_inspect_knows_a_box(capsys, tmp_path):
+    """Figures of a box have closed forms: 0.2 x 0.4 x 0.6 m."""
+    lines = [f"v {x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.2, 0.2) for z in (-0.3, 0.3)]
+    quads = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    lines += [f"f {a} {b} {c} {d}" for a, b, c, d in quads]
+    (tmp_path / "box.obj").write_text("\n".join(lines))
+    arguments = ("inspect", tmp_path / "box.obj", "--sdf-resolution", 24, "--json")
+    status, out, _ = run(capsys, *arguments)
+    figures = json.loads(out)
+    assert status == 0 and figures["watertight"] and figures["repairs"] == []
+    assert (figures["vertices"], figures["triangles"]) == (8, 12)
+    np.testing.assert_allclose(figures["upper"], [0.1, 0.2, 0.3], rtol=1e-6)
+    volume = 0.2 * 0.4 * 0.6
+    assert figures["volume"] == pytest.approx(volume, rel=1e-6)
+    squares = np.array([0.2, 0.4, 0.6]) ** 2
+    moments = sorted(volume / 12 * (squares.sum() - squares))
+    np.testing.assert_allclose(figures["principal_inertia"], moments, rtol=1e-6)
+    np.testing.assert_allclose(figures["center_of_mass"], 0.0, atol=1e-9)
+    assert figures["cell"] == pytest.approx(0.6 / 24, rel=1e-6)
+    # Rounding of edges by linear interpolation: less than a cell, and much less on average.
+    assert figures["distance_error_largest"] < figures["cell"]
+    assert figures["distance_error_mean"] < 0.1 * figures["cell"]
+    assert figures["wrong_signs"] == 0
+
+
+def test_inspect_tells_of_holes_and_draws_a_slice(capsys, tmp_path):
+    lines = ["v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1", "f 1 3 2", "f 1 2 4", "f 1 4 3"]
+    (tmp_path / "open.obj").write_text("\n".join(lines))
+    picture = tmp_path / "out" / "slice.png"
+    status, out, _ = run(
+        capsys, "inspect", tmp_path / "open.obj", "--sdf-resolution", 16, "-o", picture,
+        "--slice", "z=0.2",
+    )  # fmt: skip
+    assert status == 0 and "open" in out.splitlines()[0]
+    assert Image.open(picture).size[0] > 400
+
+
+def test_ready_made_meshes_have_names(capsys):
+    status, out, _ = run(capsys, "inspect", "tetrahedron", "--sdf-resolution", 16)
+    assert status == 0 and "4 vertices, 4 triangles, watertight" in out

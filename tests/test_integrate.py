@@ -1,0 +1,218 @@
+"""Last stage: exact rotation, the torque-free top (V10) and Dzhanibekov's flip (V11), and drift of what must not."""
+
+import numpy as np
+import pytest
+
+from tests.oracles import opened, random_quaternion, rotate_about, rotation_matrix
+from warp_rigid.scene import Scene
+from warp_rigid.settings import Settings
+from warp_rigid.shapes import Box, Compound, Sphere
+
+DT = 1 / 240
+
+
+def free_body(device, inertia, spin, orientation=(0, 0, 0, 1), dt=DT):
+    """One body in free space with a given diagonal inertia; spin in its own frame."""
+    scene = Scene(gravity=(0, 0, 0))
+    turned = rotation_matrix(orientation) @ spin
+    scene.add_body(Sphere(1.0), mass=1.0, orientation=orientation, angular_velocity=turned)
+    sim, stages = opened(scene, device, settings=Settings(dt=dt))
+    stages.model.bodies.inertia.assign(np.diag(inertia).astype(np.float32)[None])
+    stages.model.bodies.inverse_inertia.assign(np.diag(1.0 / np.array(inertia)).astype(np.float32)[None])
+    return sim
+
+
+def follow(sim, steps):
+    """Rotation matrices (n, 3, 3) and angular velocities (n, 3) of the only body at the start and after each step."""
+    turns, spins = [sim.get("orientation")[0, 0]], [sim.get("angular_velocity")[0, 0]]
+    for _ in range(steps):
+        sim.step()
+        turns.append(sim.get("orientation")[0, 0])
+        spins.append(sim.get("angular_velocity")[0, 0])
+    return rotation_matrix(np.array(turns, np.float64)), np.array(spins, np.float64)
+
+
+def momentum(turns, spins, inertia):
+    body = np.einsum("nji,nj->ni", turns, spins)
+    return np.einsum("nij,nj->ni", turns, body * inertia)
+
+
+def energy(turns, spins, inertia):
+    body = np.einsum("nji,nj->ni", turns, spins)
+    return 0.5 * (body**2) @ inertia
+
+
+def axis_and_momentum(device, inertia, tilted):
+    """Symmetry axis after each step of ten seconds, and the direction of the angular momentum (V10's tops)."""
+    orientation = random_quaternion(np.random.default_rng(1)) if tilted else (0, 0, 0, 1)
+    turns, spins = follow(free_body(device, inertia, (1.0, 0.0, 10.0), orientation), 2400)
+    total = momentum(turns[:1], spins[:1], inertia)[0]
+    return turns[:, :, 2], total / np.linalg.norm(total)
+
+
+DISC, ROD = (1.0, 1.0, 2.0), (2.0, 2.0, 1.0)
+
+
+@pytest.mark.parametrize("tilted", [False, True])
+@pytest.mark.parametrize(("inertia", "precession"), [(DISC, 20.02498), (ROD, 5.0990195)], ids=["disc", "rod"])
+def test_torque_free_top_goes_round(device, inertia, precession, tilted):
+    """V10: the symmetry axis goes round the angular momentum at L / I1, fitted over ten seconds."""
+    axis, up = axis_and_momentum(device, inertia, tilted)
+    east = axis[0] - (axis[0] @ up) * up
+    east /= np.linalg.norm(east)
+    azimuth = np.unwrap(np.arctan2(axis @ np.cross(up, east), axis @ east))
+    rate = np.polyfit(DT * np.arange(len(azimuth)), azimuth, 1)[0]
+    assert rate == pytest.approx(precession, rel=1e-3)
+
+
+ANGLE_GROWS = pytest.mark.xfail(strict=True, reason="grows from 2.8624 to 2.8745 degrees (0.42 %) in ten seconds")
+
+
+@pytest.mark.parametrize("tilted", [False, True])
+@pytest.mark.parametrize(
+    ("inertia", "degrees"),
+    [pytest.param(DISC, 2.86241, marks=ANGLE_GROWS), (ROD, 11.3099)],
+    ids=["disc", "rod"],
+)
+def test_torque_free_top_keeps_its_angle(device, inertia, degrees, tilted):
+    """V10: at every step the axis is at the same angle to the angular momentum."""
+    axis, up = axis_and_momentum(device, inertia, tilted)
+    np.testing.assert_allclose(np.degrees(np.arccos(axis @ up)), degrees, rtol=1e-3)
+
+
+def crossings(values):
+    """Times at which a series changes its sign, by linear interpolation [steps]."""
+    k = np.flatnonzero(np.sign(values[:-1]) != np.sign(values[1:]))
+    return k + values[k] / (values[k] - values[k + 1])
+
+
+MIDDLE = np.array([1.0, 2.0, 3.0])
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the flips are 4.890 and 4.772 s apart (2.7 and 5.1 % short); this update in float64 gives 5.623 and "
+    "5.179 s, a midpoint update in float64 5.0260 s, the same kept in float32 4.96 s",
+)
+def test_dzhanibekov_flips_on_time(device):
+    """V11: a spin about the middle axis flips every 5.025929 s, within 0.2 %."""
+    turns, spins = follow(free_body(device, MIDDLE, (0.01, 5.0, 0.01)), 3800)
+    flips = DT * crossings(np.einsum("ni,ni->n", turns[:, :, 1], spins))
+    assert len(flips) == 3
+    np.testing.assert_allclose(np.diff(flips), 5.025929, rtol=2e-3)
+
+
+def test_dzhanibekov_keeps_energy_and_momentum(device):
+    """V11: over ten seconds the energy stays within 2e-4 and the angular momentum's size within 1e-5."""
+    turns, spins = follow(free_body(device, MIDDLE, (0.01, 5.0, 0.01)), 2400)
+    assert len(crossings(np.einsum("ni,ni->n", turns[:, :, 1], spins))) == 2
+    size = np.linalg.norm(momentum(turns, spins, MIDDLE), axis=1)
+    assert np.abs(size / size[0] - 1.0).max() < 1e-5
+    total = energy(turns, spins, MIDDLE)
+    assert np.abs(total / total[0] - 1.0).max() < 2e-4
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="9.6e-5: the inverse inertia is that of float32, not the exact inverse of the inertia beside it, so that "
+    "each step scales the spin a little; with the inverse taken in float64 it is 2e-6",
+)
+def test_angular_momentum_over_ten_thousand_steps(device):
+    """Capability 48: |L| of a tumbling body stays within 1e-5 over 1e4 steps."""
+    inertia = np.array([1.0, 2.0, 2.5])
+    sim = free_body(device, inertia, (3.0, 4.0, 5.0), random_quaternion(np.random.default_rng(2)))
+    turns, spins = follow(sim, 1)
+    start = momentum(turns, spins, inertia)[0]
+    sim.step(9998)
+    turns, spins = follow(sim, 1)
+    end = momentum(turns, spins, inertia)[1]
+    assert np.linalg.norm(end) == pytest.approx(np.linalg.norm(start), rel=1e-5)
+
+
+def test_momentum_keeps_its_direction(device):
+    """A tumbling body's angular momentum turns by no more than rounding, and its quaternion keeps its length."""
+    inertia = np.array([1.0, 2.0, 2.5])
+    sim = free_body(device, inertia, (3.0, 4.0, 5.0), random_quaternion(np.random.default_rng(2)))
+    turns, spins = follow(sim, 2000)
+    total = momentum(turns, spins, inertia)
+    direction = total / np.linalg.norm(total, axis=1, keepdims=True)
+    assert np.linalg.norm(direction - direction[0], axis=1).max() < 1e-5
+    assert np.linalg.norm(sim.get("orientation")[0, 0]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_second_order_in_the_time_step(device):
+    """Halving dt divides the energy error of a tumble by about four (measured where float32 does not yet show)."""
+    inertia = np.array([1.0, 2.0, 3.0])
+    errors = []
+    for dt in (1 / 30, 1 / 60):
+        turns, spins = follow(free_body(device, inertia, (1.0, 5.0, 1.0), dt=dt), round(2 / dt))
+        total = energy(turns, spins, inertia)
+        errors.append(np.abs(total / total[0] - 1.0).max())
+    assert 3.0 < errors[0] / errors[1] < 6.0
+
+
+def test_steady_spin_is_exact(device):
+    """About a principal axis, a turn of 0.35 rad a step or of 3 rad: the angle is that of omega t."""
+    for spin in (0.001, 3.0, 83.0, 720.0):
+        sim = free_body(device, (1.0, 2.0, 3.0), (0.0, 0.0, spin))
+        sim.step(48)
+        x, y, z, w = sim.get("orientation")[0, 0].astype(np.float64)
+        angle = 2.0 * np.arctan2(z, w)
+        assert np.angle(np.exp(1j * (angle - spin * 0.2))) == pytest.approx(0.0, abs=2e-6 + 2e-7 * spin)
+        assert sim.get("angular_velocity")[0, 0] == pytest.approx([0, 0, spin], rel=1e-5, abs=1e-9)
+
+
+def test_kinematic_bodies_move_as_told(device):
+    """Screw motion at given velocities, unmoved by gravity and by what lands on them; statics do not move at all."""
+    scene = Scene()
+    turn = rotate_about((1, 2, 3), 50)
+    table = scene.add_kinematic(
+        Box((1, 1, 0.1)),
+        position=(0, 0, 1),
+        orientation=turn,
+        linear_velocity=(0.1, 0, 0.2),
+        angular_velocity=(0, 0, 2),
+    )
+    block = scene.add_static(Box((1, 1, 0.1)), position=(0, 0, -1), orientation=turn)
+    scene.add_body(Sphere(0.1), position=(0, 0, 1.5), mass=1e4)
+    sim, _ = opened(scene, device)
+    sim.step(120)
+    np.testing.assert_allclose(sim.get("position")[0, table], [0.05, 0, 1.1], atol=1e-5)
+    expected = rotation_matrix(rotate_about((0, 0, 1), np.degrees(1.0))) @ rotation_matrix(turn)
+    np.testing.assert_allclose(rotation_matrix(sim.get("orientation")[0, table]), expected, atol=1e-5)
+    assert sim.get("linear_velocity")[0, table] == pytest.approx([0.1, 0, 0.2])
+    assert sim.get("position")[0, block].tolist() == [0, 0, -1]
+    assert sim.get("orientation")[0, block] == pytest.approx(turn, abs=1e-7)
+
+
+def test_a_body_turns_about_its_centre_of_mass(device):
+    """Its origin, away from the centre of mass, goes round; the centre of mass flies straight."""
+    dumbbell = Compound([(Sphere(0.1), (0.5, 0, 0), (0, 0, 0, 1)), (Sphere(0.2), (-0.2, 0.1, 0), (0, 0, 0, 1))])
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(
+        dumbbell, orientation=rotate_about((3, 2, 1), 77), linear_velocity=(1, 2, -1), angular_velocity=(5, 3, 9)
+    )
+    sim, _ = opened(scene, device)
+    start = sim.get("center_of_mass")[0, 0].astype(np.float64)
+    origin = sim.get("position")[0, 0].astype(np.float64)
+    assert np.linalg.norm(start - origin) > 0.05
+    sim.step(240)
+    np.testing.assert_allclose(sim.get("center_of_mass")[0, 0], start + [1, 2, -1], atol=1e-5)
+    assert np.linalg.norm(sim.get("position")[0, 0] - origin - [1, 2, -1]) > 0.02
+
+
+def test_held_force_and_torque(device):
+    """A constant force and torque on a free body: the discrete sums, until they are changed."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(Sphere(0.5), mass=2.0)
+    sim, _ = opened(scene, device)
+    sim.set("force", (3.0, 0.0, 0.0))
+    sim.set("torque", (0.0, 0.0, 0.4))
+    sim.step(100)
+    inertia = 0.4 * 2.0 * 0.25
+    assert sim.get("linear_velocity")[0, 0] == pytest.approx([3.0 / 2.0 * 100 * DT, 0, 0], rel=1e-5)
+    assert sim.get("angular_velocity")[0, 0] == pytest.approx([0, 0, 0.4 / inertia * 100 * DT], rel=1e-5)
+    assert sim.get("position")[0, 0, 0] == pytest.approx(1.5 * DT**2 * 100 * 101 / 2, rel=1e-5)
+    sim.set("force", 0.0)
+    sim.step(10)
+    assert sim.get("linear_velocity")[0, 0, 0] == pytest.approx(1.5 * 100 * DT, rel=1e-5)

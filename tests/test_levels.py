@@ -1,0 +1,225 @@
+"""Fifth stage: who rests on whom, levels against networkx's condensation, islands against connected components."""
+
+import networkx as nx
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.oracles import GROUND, find_contacts, ground_scene, opened, pair_list, rotate_about
+from warp_rigid.fields import PointField
+from warp_rigid.kernels import data, support
+from warp_rigid.scene import Motion, Scene
+from warp_rigid.shapes import Box, Sphere
+
+A_ON_B, B_ON_A = 1, 2
+
+
+class HandMadeGraph:
+    """Touching pairs and support relations of several environments, put straight into the arrays.
+
+    Args:
+        motions: kind of motion of each body of an environment.
+        envs: for each environment a list of (a, b, rests, touches).
+    """
+
+    def __init__(self, motions, envs, device):
+        self.per_env, self.count, self.device = len(motions), len(envs), device
+        rows = [
+            (e * self.per_env + a, e * self.per_env + b, rests, touches)
+            for e, pairs in enumerate(envs)
+            for a, b, rests, touches in sorted(pairs)
+        ]
+        sizes = {
+            "envs": self.count,
+            "bodies": self.count * self.per_env,
+            "levels": self.count * (self.per_env + 2),
+            "pairs": max(1, len(rows)),
+            "contacts": 1,
+        }
+        self.bodies = data.allocate(data.Bodies, sizes, device)
+        self.pairs = data.allocate(data.Pairs, sizes, device)
+        self.graph = data.allocate(data.Graph, sizes, device)
+        self.bodies.motion.assign(np.tile(np.array(motions, np.int32), self.count))
+        a, b, rests, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
+        first = np.bincount(a, minlength=sizes["bodies"] + 1)
+        self.pairs.start.assign(np.concatenate([[0], np.cumsum(first)])[:-1].astype(np.int32))
+        self.pairs.body_a.assign(a)
+        self.pairs.body_b.assign(b)
+        self.pairs.contact_start.assign(np.concatenate([[0], np.cumsum(touches)]).astype(np.int32))
+        self.graph.rests.assign(rests)
+
+    def launch(self, kernel, *arrays):
+        wp.launch(kernel, self.count, inputs=[self.per_env, *arrays], device=self.device)
+
+    def solve(self):
+        """Levels and islands, (envs, bodies) each."""
+        self.launch(support.list_incident_pairs, self.pairs, self.graph)
+        self.launch(support.find_levels, self.bodies, self.pairs, self.graph)
+        self.launch(support.find_islands, self.bodies, self.pairs, self.graph)
+        shape = (self.count, self.per_env)
+        return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)
+
+
+def supports(pairs, motions):
+    """Edges (upper, lower) of an environment; only what is dynamic rests on anything."""
+    for a, b, rests, touches in pairs:
+        if touches and rests & A_ON_B and motions[a] == Motion.DYNAMIC:
+            yield a, b
+        if touches and rests & B_ON_A and motions[b] == Motion.DYNAMIC:
+            yield b, a
+
+
+def oracle_levels(pairs, motions):
+    """Longest path over the condensation: 0 for what is not dynamic, else one more than the highest support."""
+    graph = nx.DiGraph()
+    graph.add_nodes_from(range(len(motions)))
+    graph.add_edges_from(supports(pairs, motions))
+    condensed = nx.condensation(graph)
+    level = {}
+    for node in reversed(list(nx.topological_sort(condensed))):
+        members = condensed.nodes[node]["members"]
+        if any(motions[body] != Motion.DYNAMIC for body in members):
+            level[node] = 0
+        else:
+            level[node] = 1 + max((level[below] for below in condensed.successors(node)), default=0)
+    return [level[condensed.graph["mapping"][body]] for body in range(len(motions))]
+
+
+def oracle_islands(pairs, motions):
+    """Lowest body of each component of touching dynamic bodies."""
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(motions)))
+    dynamic = [motion == Motion.DYNAMIC for motion in motions]
+    graph.add_edges_from((a, b) for a, b, _, touches in pairs if touches and dynamic[a] and dynamic[b])
+    lowest = {body: min(component) for component in nx.connected_components(graph) for body in component}
+    return [lowest[body] for body in range(len(motions))]
+
+
+def random_pairs(generator, motions, density, upward):
+    """Random touching pairs; with `upward` the later body rests on the earlier one, otherwise either or both."""
+    pairs = []
+    for a in range(len(motions)):
+        for b in range(a + 1, len(motions)):
+            if generator.random() < density and Motion.DYNAMIC in (motions[a], motions[b]):
+                rests = B_ON_A if upward else int(generator.integers(4))
+                rests &= (A_ON_B if motions[a] == Motion.DYNAMIC else 0) | (
+                    B_ON_A if motions[b] == Motion.DYNAMIC else 0
+                )
+                pairs.append((a, b, rests, int(generator.random() < 0.8)))
+    return pairs
+
+
+@pytest.mark.parametrize("upward", [True, False], ids=["acyclic", "cyclic"])
+@pytest.mark.parametrize("density", [0.02, 0.05, 0.15])
+def test_levels_and_islands_of_random_graphs(device, density, upward):
+    generator = np.random.default_rng(int(1000 * density) + upward)
+    motions = [Motion.STATIC, Motion.KINEMATIC, *[Motion.DYNAMIC] * 46, Motion.STATIC, *[Motion.DYNAMIC] * 11]
+    envs = [random_pairs(generator, motions, density, upward) for _ in range(8)]
+    level, island = HandMadeGraph(motions, envs, device).solve()
+    deepest = 0
+    for env, pairs in enumerate(envs):
+        expected = oracle_levels(pairs, motions)
+        assert level[env].tolist() == expected
+        first = env * len(motions)
+        assert (island[env] - first).tolist() == oracle_islands(pairs, motions)
+        deepest = max(deepest, *expected)
+    assert deepest > 2
+
+
+def test_cycles_share_a_level(device):
+    """0 static; 1, 2, 3 rest on each other in a ring, of which 1 also rests on 0; 4 rests on the ring."""
+    motions = [Motion.STATIC, *[Motion.DYNAMIC] * 4]
+    ring = [(0, 1, B_ON_A, 1), (1, 2, A_ON_B, 1), (2, 3, A_ON_B, 1), (1, 3, B_ON_A, 1), (3, 4, B_ON_A, 1)]
+    level, island = HandMadeGraph(motions, [ring], device).solve()
+    assert level[0].tolist() == [0, 1, 1, 1, 2]
+    assert island[0].tolist() == [0, 1, 1, 1, 1]
+
+
+def test_a_long_chain_needs_no_recursion(device):
+    """A tower of 3000 bodies, listed from the top down: the longest path a depth-first search can meet."""
+    count = 3000
+    motions = [*[Motion.DYNAMIC] * count, Motion.STATIC]
+    tower = [(k, k + 1, A_ON_B, 1) for k in range(count)]
+    level, island = HandMadeGraph(motions, [tower, tower[::2]], device).solve()
+    assert level[0].tolist() == [count - k for k in range(count + 1)]
+    assert set(level[1].tolist()) == {0, 1, 2}
+    assert (island[0][:-1] == 0).all()
+
+
+def support_of(scene, device):
+    """Directed edges (upper, lower) that the stage finds in a scene, and the levels."""
+    sim, stages = opened(scene, device)
+    find_contacts(stages)
+    stages.build_graph()
+    rests = stages.pools.graph.rests.numpy()
+    edges = set()
+    for (a, b), bits in zip(pair_list(stages).tolist(), rests, strict=False):
+        edges |= ({(a, b)} if bits & A_ON_B else set()) | ({(b, a)} if bits & B_ON_A else set())
+    return edges, sim.get("level")[0].tolist()
+
+
+def test_a_tower_rests_downwards(device):
+    scene = Scene()
+    for k in (3, 1, 0, 2):
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k))
+    scene.add_static(GROUND)
+    edges, level = support_of(scene, device)
+    assert edges == {(2, 4), (1, 2), (3, 1), (0, 3)}
+    assert level == [4, 2, 1, 3, 0]
+
+
+def test_neighbours_do_not_carry_each_other(device):
+    scene = ground_scene()
+    for k in range(3):
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0.2 * k, 0, 0.1))
+    edges, level = support_of(scene, device)
+    assert edges == {(1, 0), (2, 0), (3, 0)}
+    assert level == [0, 1, 1, 1]
+
+
+def test_a_bridge_is_above_the_higher_pillar(device):
+    """Pillars of one and of two bodies carry one beam: it counts from the longer way."""
+    scene = ground_scene()
+    scene.add_body(Box((0.1, 0.1, 0.2)), position=(-0.5, 0, 0.2))
+    scene.add_body(Box((0.1, 0.1, 0.1)), position=(0.5, 0, 0.1))
+    scene.add_body(Box((0.1, 0.1, 0.1)), position=(0.5, 0, 0.3))
+    scene.add_body(Box((0.7, 0.1, 0.05)), position=(0, 0, 0.45))
+    edges, level = support_of(scene, device)
+    assert edges == {(1, 0), (2, 0), (3, 2), (4, 1), (4, 3)}
+    assert level == [0, 1, 1, 2, 3]
+
+
+def test_support_follows_any_force_field(device):
+    """Around a planet everything rests toward its centre."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_static(Sphere(1.0))
+    scene.add_force_field(PointField(center=(0, 0, 0), strength=10.0))
+    directions = ((1, 0, 0), (0, -1, 0), (0, 0, -1), (0.6, 0, 0.8))
+    for direction in directions:
+        for radius in (1.1, 1.3):
+            scene.add_body(Sphere(0.1), position=radius * np.array(direction))
+    edges, level = support_of(scene, device)
+    assert edges == {(k, 0) for k in (1, 3, 5, 7)} | {(k + 1, k) for k in (1, 3, 5, 7)}
+    assert level == [0, 1, 2, 1, 2, 1, 2, 1, 2]
+
+
+def test_without_acceleration_the_approach_decides(device):
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_static(Box((0.1, 0.1, 0.1)))
+    scene.add_body(Sphere(0.1), position=(0.2, 0, 0), linear_velocity=(-1, 0, 0))
+    scene.add_body(Sphere(0.1), position=(-0.2, 0, 0), linear_velocity=(-1, 0, 0))
+    scene.add_body(Sphere(0.1), position=(0, 0.2, 0))
+    edges, _ = support_of(scene, device)
+    assert edges == {(1, 0)}
+
+
+def test_a_tilted_tower_still_rests_on_its_base(device):
+    """On an incline the weight is not along the normals; the order is the same."""
+    scene = Scene(gravity=(9.81 * np.sin(np.radians(30)), 0, -9.81 * np.cos(np.radians(30))))
+    scene.add_static(GROUND)
+    for k in range(3):
+        turn = rotate_about((0, 0, 1), 20 * k)
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k), orientation=turn)
+    edges, level = support_of(scene, device)
+    assert edges == {(1, 0), (2, 1), (3, 2)}
+    assert level == [0, 1, 2, 3]

@@ -1,0 +1,137 @@
+"""Push-out: overlaps shrink at the stated rate, from the ground up, and no velocity comes of it."""
+
+import numpy as np
+import pytest
+
+from tests.oracles import GROUND, ground_scene, opened, random_pile, rotate_about
+from warp_rigid.scene import Scene
+from warp_rigid.settings import Settings
+from warp_rigid.shapes import Box, Capsule, Sphere
+
+DT = 1 / 240
+RECOVERY, SLOP, FASTEST = 0.25, 1e-4, 2.0
+
+
+def depths_after(depth, size, steps):
+    """The overlap after each step: a quarter of what exceeds the slop goes, at no more than FASTEST."""
+    series = []
+    for _ in range(steps):
+        depth -= min(RECOVERY * max(depth - SLOP * size, 0.0), FASTEST * DT)
+        series.append(depth)
+    return series
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.2), Box((0.2, 0.2, 0.2))], ids=["ball", "box"])
+@pytest.mark.parametrize("depth", [1e-3, 0.02, 0.1])
+@pytest.mark.parametrize("gravity", [0.0, -9.81])
+def test_overlap_with_the_ground_shrinks_geometrically(device, shape, depth, gravity):
+    scene = Scene(gravity=(0, 0, gravity))
+    scene.add_static(GROUND)
+    scene.add_body(shape, position=(0.3, 0.1, 0.2 - depth))
+    sim, _ = opened(scene, device)
+    found = []
+    for _ in range(25):
+        sim.step()
+        found.append(0.2 - sim.get("position")[0, 1, 2])
+        np.testing.assert_allclose(sim.get("linear_velocity")[0, 1], 0.0, atol=1e-6)
+        np.testing.assert_allclose(sim.get("angular_velocity")[0, 1], 0.0, atol=1e-5)
+    np.testing.assert_allclose(found, depths_after(depth, 0.4, 25), atol=2e-6)
+    assert sim.get("position")[0, 1, :2] == pytest.approx([0.3, 0.1], abs=1e-6)
+
+
+def test_overlap_within_the_slop_is_left_alone(device):
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_static(GROUND)
+    scene.add_body(Sphere(0.2), position=(0, 0, 0.2 - 0.9 * SLOP * 0.4))
+    sim, _ = opened(scene, device)
+    before = sim.get("position")
+    sim.step(20)
+    assert sim.get("position").tolist() == before.tolist()
+
+
+def test_free_bodies_part_by_their_masses(device):
+    """Two balls that overlap in free space: the pushes are equal and opposite, and their centre of mass stays."""
+    depth, masses = 0.01, (1.0, 3.0)
+    scene = Scene(gravity=(0, 0, 0))
+    for x, mass in zip((0.0, 0.4 - depth), masses, strict=True):
+        scene.add_body(Sphere(0.2), position=(x, 0, 0), mass=mass)
+    sim, _ = opened(scene, device)
+    start = sim.get("position")[0, :, 0].astype(np.float64)
+    sim.step()
+    moved = sim.get("position")[0, :, 0] - start
+    assert moved @ masses == pytest.approx(0.0, abs=1e-7)
+    assert moved[1] - moved[0] == pytest.approx(depth - depths_after(depth, 0.4, 1)[0], abs=1e-6)
+    sim.step(30)
+    assert sim.get("linear_velocity").tolist() == [[[0, 0, 0], [0, 0, 0]]]
+
+
+@pytest.mark.parametrize("top_first", [False, True], ids=["ground_up", "top_down"])
+def test_a_tower_is_set_right_from_the_ground_up(device, top_first):
+    """Every joint overlaps; no body is pushed down, however heavy the load, and all overlaps shrink together."""
+    depth = 0.01
+    scene = ground_scene()
+    order = list(range(6))[:: -1 if top_first else 1]
+    for k in order:
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k - depth * (k + 1)), mass=5.0**k)
+    sim, _ = opened(scene, device)
+    series = depths_after(depth, 0.2, 12)
+    rows = 1 + np.argsort(order)
+    last = sim.get("position")[0, rows, 2]
+    for step in range(12):
+        sim.step()
+        height = sim.get("position")[0, rows, 2]
+        assert (height >= last - 1e-6).all()
+        joints = 0.2 - np.diff(height, prepend=-0.1)
+        np.testing.assert_allclose(joints, series[step], atol=2e-4 * series[0] + 1e-5)
+        last = height
+    np.testing.assert_allclose(sim.get("linear_velocity"), 0.0, atol=1e-4)
+
+
+CUBE = Box((0.1, 0.1, 0.1))
+STUCK = pytest.mark.xfail(
+    strict=True,
+    reason="boxes that share half of their side stay so: no sample deeper than 0.8 half-extents touches",
+)
+
+
+@pytest.mark.parametrize(
+    ("shape", "overlap", "degrees"),
+    [
+        (Sphere(0.1), 0.9, 0),
+        (Capsule(0.1, 0.2), 0.9, 0),
+        (CUBE, 0.1, 0),
+        (CUBE, 0.3, 0),
+        (CUBE, 0.2, 35),
+        pytest.param(CUBE, 0.5, 0, marks=STUCK),
+        pytest.param(CUBE, 0.8, 35, marks=STUCK),
+    ],
+)
+def test_overlapping_bodies_separate_within_half_a_second(device, shape, overlap, degrees):
+    """Capability 35, for two equal bodies sharing a part of their width: parted, and no velocity comes of it."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(shape)
+    scene.add_body(shape, position=(0.2 * (1.0 - overlap), 0.01, 0.02), orientation=rotate_about((1, 2, 3), degrees))
+    sim, _ = opened(scene, device)
+    assert sim.penetration()[0] > 0.015
+    sim.step(120)
+    assert sim.penetration()[0] < 1.1 * SLOP * 0.2
+    assert np.abs(sim.get("linear_velocity")).max() < 1e-6
+
+
+def test_velocity_after_the_step_does_not_know_of_the_push(device):
+    """The same pile with and without overlap to push: the velocities of the contact stage alone."""
+    scene = random_pile(np.random.default_rng(5))
+    sim, stages = opened(scene, device, settings=Settings(warm_starting=False))
+    sim.step(120)
+    stages.predict(stages.dt)
+    stages.find_pairs()
+    stages.find_contacts()
+    stages.build_graph()
+    stages.accelerate(before_collisions=False)
+    stages.solve_contacts()
+    before = sim.get("linear_velocity"), sim.get("angular_velocity")
+    stages.push_out()
+    pushed = stages.motions.push_linear.numpy()
+    assert np.linalg.norm(pushed, axis=1).max() > 1e-4
+    assert sim.get("linear_velocity").tolist() == before[0].tolist()
+    assert sim.get("angular_velocity").tolist() == before[1].tolist()

@@ -1,0 +1,359 @@
+"""The scenes' outcomes, on states that the test writes: each must be able to say yes and no."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.scene_oracles import StillSimulator, about, rotation
+from warp_rigid import scenes
+from warp_rigid.scene import Scene
+from warp_rigid.scenes import box_stack, leaning_tower, skull_and_brain
+from warp_rigid.scenes.demo import clearance, turn
+from warp_rigid.shapes import Box, Capsule, Cylinder, Plane, Sphere
+
+
+def by_name(verdicts):
+    return {verdict.name: verdict for verdict in verdicts}
+
+
+def check(verdict, values, passed, **tolerance):
+    np.testing.assert_allclose(verdict.values, values, **(tolerance or {"atol": 1e-9}))
+    assert list(verdict.passed) == passed
+    assert np.asarray(verdict.passed).dtype == bool
+
+
+def start(name, num_envs=1, **parameters):
+    """The scene's outcome and a simulator that stands still at its start."""
+    scene = scenes.load(name, **parameters)
+    return scenes.get(name).outcome(scene), StillSimulator(scene, num_envs)
+
+
+@pytest.mark.parametrize("name", scenes.names())
+def test_verdicts_before_the_first_frame_and_after(name):
+    outcome, sim = start(name, num_envs=2)
+    for _ in range(2):
+        for verdict in outcome.verdicts(sim):
+            assert verdict.values.shape == verdict.passed.shape == (2,)
+            assert set(verdict.expected) <= set(scenes.get(name).variants)
+            assert verdict.limit and "\n" not in verdict.limit
+        outcome.observe(sim)
+
+
+# ---------------------------------------------------------------- helpers
+
+
+def test_turn_matches_the_rotation_matrix():
+    rng = np.random.default_rng(1)
+    quaternions = rng.normal(size=(20, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    vectors = rng.normal(size=(20, 3))
+    expected = [rotation(q) @ v for q, v in zip(quaternions, vectors, strict=True)]
+    np.testing.assert_allclose(turn(quaternions, vectors), expected, atol=1e-12)
+
+
+CLEARANCES = [
+    # A box above a plane: flat, on its edge, on its corner.
+    (Plane((0, 0, 1), 0.2), (0, 0, 0), Box((0.1,) * 3), (0, 0, 0.5), (0, 0, 0, 1), 0.2),
+    (Plane((0, 0, 1), 0.2), (0, 0, 0), Box((0.1,) * 3), (0, 0, 0.5), about((0, 1, 0), 45), 0.3 - 0.1 * 2**0.5),
+    (
+        Plane((0, 0, 1), 0.2),
+        (0, 0, 0),
+        Box((0.1,) * 3),
+        (0, 0, 0.3),
+        about((math.sqrt(0.5), -math.sqrt(0.5), 0), math.degrees(math.atan(math.sqrt(2)))),
+        0.1 - 0.1 * 3**0.5,
+    ),
+    # Boxes face to face, apart and inside; a large one whose corners do not meet the small one.
+    (Box((0.1,) * 3), (0, 0, 0), Box((0.1,) * 3), (0, 0, 0.25), (0, 0, 0, 1), 0.05),
+    (Box((1, 1, 0.1)), (0, 0, 0), Box((0.1,) * 3), (0.3, 0.2, 0.197), (0, 0, 0, 1), -0.003),
+    (Box((0.1,) * 3), (0.3, 0.2, 0.197), Box((1, 1, 0.1)), (0, 0, 0), (0, 0, 0, 1), -0.003),
+    # A long beam that lies across another with its edge, which touches between the vertices.
+    (
+        Box((1, 0.05, 0.05)),
+        (0, 0, 0),
+        Box((0.05, 1, 0.05)),
+        (0.1, 0, 0.15),
+        about((0, 1, 0), 45),
+        0.1 - 0.05 * 2**0.5,
+    ),
+    # Balls and a capsule.
+    (Sphere(0.3), (0, 0, 0), Sphere(0.2), (0.4, 0.3, 0), (0, 0, 0, 1), 0.0),
+    (Plane((1, 0, 0), -1.0), (0, 0, 0), Sphere(0.2), (-0.9, 3, 0), (0, 0, 0, 1), -0.1),
+    (Box((0.5,) * 3), (0, 0, 0), Capsule(0.1, 0.2), (0, 0, 0.9), (0, 0, 0, 1), 0.1),
+]
+
+
+@pytest.mark.parametrize(("first", "place", "second", "position", "orientation", "expected"), CLEARANCES)
+def test_clearance_matches_geometry(first, place, second, position, orientation, expected):
+    scene = Scene()
+    scene.add_static(first, position=place)
+    scene.add_body(second, position=position, orientation=orientation)
+    # The samples are kept in single precision.
+    np.testing.assert_allclose(clearance(StillSimulator(scene), 0, 1), [expected], atol=1e-7)
+    np.testing.assert_allclose(clearance(StillSimulator(scene), 1, 0), [expected], atol=1e-7)
+
+
+def test_clearance_is_one_number_an_environment():
+    scene = Scene()
+    scene.add_static(Plane((0, 0, 1), 0.0))
+    scene.add_body(Cylinder(0.1, 0.2), position=(0, 0, 0.2))
+    sim = StillSimulator(scene, 3)
+    sim.arrays["position"][:, 1, 2] += [0.0, 0.1, -0.01]
+    np.testing.assert_allclose(clearance(sim, 0, 1), [0.0, 0.1, -0.01], atol=1e-7)
+
+
+# ---------------------------------------------------------------- box_stack
+
+
+def standing_stack(num_envs):
+    """A simulator in which the ten boxes stand as they should."""
+    outcome, sim = start("box_stack", num_envs)
+    boxes = [sim.index(f"box_{i}") for i in range(10)]
+    sim.arrays["position"][:, boxes] = [(0, 0, 0.6 + 0.2 * i) for i in range(10)]
+    sim.time = 4.5
+    return outcome, sim, boxes
+
+
+def test_stack_drift_sink_and_depth():
+    outcome, sim, boxes = standing_stack(5)
+    sim.arrays["position"][1, boxes[7], :2] += (0.0012, 0.0016)
+    sim.arrays["position"][2, boxes[0], 2] -= 0.0015
+    sim.arrays["position"][3, boxes[9], 2] = np.nan
+    outcome.observe(sim)
+    sim.time, sim.depth = 5.0, np.array([0.0, 0.0, 0.0, 0.0, 0.003])
+    outcome.observe(sim)
+    verdicts = by_name(outcome.verdicts(sim))
+    assert list(verdicts) == ["drift", "sink", "depth"]
+    check(verdicts["drift"], [0, 0.002, 0, 0, 0], [True, False, True, True, True])
+    check(verdicts["sink"], [0, 0, 0.0015, np.nan, 0], [True, True, False, False, True])
+    check(verdicts["depth"], [0, 0, 0, 0, 0.003], [True, True, True, True, False])
+    assert verdicts["sink"].expected == {"default": True, "one_pass": True, "off": False}
+
+
+def test_stack_deviations_count_only_in_the_second_before_the_hit():
+    outcome, sim, boxes = standing_stack(1)
+    for time, sideways in ((3.9, 0.1), (4.2, 0.0002), (5.1, 0.3)):
+        sim.time = time
+        sim.arrays["position"][0, boxes[3], 0] = sideways
+        outcome.observe(sim)
+    check(by_name(outcome.verdicts(sim))["drift"], [0.0002], [True])
+
+
+def test_stack_after_the_hit():
+    outcome, sim, boxes = standing_stack(4)
+    outcome.observe(sim)
+    sim.time = 10.0
+    sim.arrays["position"][0, boxes] += (1.0, 0.0, -0.3)
+    sim.arrays["position"][1, boxes[9], 0] += 0.19
+    sim.arrays["position"][2:, boxes[9], 0] += 0.21
+    sim.depth = np.array([0.0, 0.0, 0.002, 0.0])
+    sim.arrays["linear_velocity"][3, sim.index("projectile")] = (0.0, 0.06, 0.0)
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["thrown"], [math.hypot(1, 0.3), 0.19, 0.21, 0.21], [True, False, True, True])
+    check(verdicts["overlap"], [0, 0, 0.002, 0], [True, True, False, True])
+    check(verdicts["speed"], [0, 0, 0, 0.06], [True, True, True, False])
+    check(verdicts["drift"], [0, 0, 0, 0], [True] * 4)
+
+
+def test_a_low_stack_may_stand_without_shock_propagation():
+    outcome, sim = start("box_stack", height=2)
+    sim.time = 4.5
+    outcome.observe(sim)
+    assert "off" not in by_name(outcome.verdicts(sim))["sink"].expected
+
+
+def test_projectile_is_launched_once():
+    scene = scenes.load("box_stack")
+    ((time, launch),) = box_stack.events(scene)
+    assert time == 5.0
+    sim = StillSimulator(scene)
+    launch(sim)
+    assert sim.calls == [("linear_velocity", (8.0, 0.0, 2.0), [sim.index("projectile")])]
+
+
+def test_projectile_hits_the_upper_half_of_the_stack():
+    for height in (5, 10, 50):
+        scene = scenes.load("box_stack", height=height)
+        sim = StillSimulator(scene)
+        start_x, _, start_z = scene.bodies[sim.index("projectile")].position
+        flight = (-0.1 - 0.15 - start_x) / 8.0
+        z = start_z + 2.0 * flight - 0.5 * 9.81 * flight**2
+        stack = 0.2 * height
+        assert 0.5 * stack < z - 0.5 < stack
+
+
+# ---------------------------------------------------------------- leaning_tower
+
+
+@pytest.mark.parametrize("height", [2, 3, 4, 7, 10, 20, 50])
+def test_statics_agrees_with_the_closed_form(height):
+    # The boxes above the lowest one balance over its edge where height * offset = 1.
+    for offset in (0.99 / height, 1.01 / height):
+        if offset <= 0.45:
+            falls = leaning_tower.statics_says_falls(leaning_tower.build(height, offset))
+            assert falls == (height * offset > 1.0)
+
+
+def test_tower_that_must_fall():
+    outcome, sim = start("leaning_tower", num_envs=3)
+    top = sim.index("box_9")
+    sim.arrays["position"][0, top, 2] = 0.6
+    # Standing, and sunk by a tenth of a box, are both no fall.
+    sim.arrays["position"][2, :, 2] -= 0.02
+    (verdict,) = outcome.verdicts(sim)
+    check(verdict, [0.1, 1.9, 1.88], [True, False, False])
+    assert verdict.expected == {"default": True, "off": True, "two_pass": True, "one_pass": False}
+
+
+def test_tower_that_must_stand():
+    outcome, sim = start("leaning_tower", num_envs=3, offset=0.09)
+    sim.arrays["position"][1, sim.index("box_9"), 2] = 0.6
+    sim.arrays["position"][2, sim.index("box_4"), 1] += 0.021
+    (verdict,) = outcome.verdicts(sim)
+    check(verdict, [1.9, 0.1, 1.9], [True, False, False])
+    assert verdict.expected == {"default": True, "one_pass": True}
+
+
+# ---------------------------------------------------------------- incline
+
+
+def test_incline_measures_slide_lift_and_depth():
+    outcome, sim = start("incline", num_envs=4)
+    outcome.observe(sim)
+    slope = math.radians(20.0)
+    downhill = np.array([math.cos(slope), 0.0, -math.sin(slope)])
+    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
+    block = sim.index("block")
+    for env, shift in ((1, 0.002 * downhill), (2, 0.003 * normal), (3, -0.004 * normal)):
+        sim.arrays["position"][env, block] += shift
+    outcome.observe(sim)
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["slide"], [0, 0.002, 0, 0], [True, False, True, True], atol=1e-12)
+    check(verdicts["lift"], [0, 0, 0.003, 0], [True, True, False, True], atol=1e-7)
+    check(verdicts["depth"], [0, 0, 0, 0.004], [True, True, True, False], atol=1e-7)
+
+
+def test_incline_keeps_the_extremes_but_judges_the_slide_at_the_end():
+    outcome, sim = start("incline")
+    block = sim.index("block")
+    place = sim.arrays["position"][0, block].copy()
+    for height in (0.01, -0.01, 0.0):
+        sim.arrays["position"][0, block] = place + (0, 0, height)
+        outcome.observe(sim)
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["slide"], [0.0], [True], atol=1e-12)
+    check(verdicts["lift"], [0.01 * math.cos(math.radians(20))], [False], atol=1e-7)
+    check(verdicts["depth"], [0.01 * math.cos(math.radians(20))], [False], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("friction", "expected"),
+    [
+        (0.5, {"default": True, "one_pass": True, "collisions_last": False}),
+        (0.2, {"default": False, "one_pass": False, "collisions_last": False}),
+        # tan(20 degrees) = 0.364: too near to say.
+        (0.365, {"collisions_last": False}),
+    ],
+)
+def test_incline_expects_what_friction_says(friction, expected):
+    outcome, sim = start("incline", friction=friction)
+    outcome.observe(sim)
+    assert by_name(outcome.verdicts(sim))["slide"].expected == expected
+
+
+# ---------------------------------------------------------------- plank_launch
+
+
+def test_launch_measures_the_least_of_the_greatest_rises():
+    outcome, sim = start("plank_launch", num_envs=2)
+    small = [sim.index(f"small_{i}") for i in range(7)]
+    begin = sim.arrays["position"][:, small, 2].copy()
+    # In the first environment each box has its moment; in the second one box hardly rises.
+    for peak in range(7):
+        sim.arrays["position"][:, small, 2] = begin
+        sim.arrays["position"][0, small[peak], 2] += 1.0 + 0.1 * peak
+        sim.arrays["position"][1, small[peak], 2] += 0.29 + 0.1 * peak
+        outcome.observe(sim)
+    check(by_name(outcome.verdicts(sim))["rise"], [1.0, 0.29], [True, False], atol=1e-9)
+
+
+def test_launch_measures_the_depth_only_during_the_launch():
+    outcome, sim = start("plank_launch", num_envs=2, drop=1.0)
+    plank = sim.index("plank")
+    impact = math.sqrt(2.0 * 1.0 / 9.81)
+    for time, depth in ((impact - 0.1, 0.001), (impact + 0.2, 0.0015), (impact + 0.3, 0.1)):
+        sim.time = time
+        sim.arrays["position"][:, plank, 2] = 1.05 - depth
+        sim.arrays["position"][1, plank, 2] -= 0.002
+        outcome.observe(sim)
+    check(by_name(outcome.verdicts(sim))["depth"], [0.0015, 0.0035], [True, False], atol=1e-7)
+
+
+def test_launch_that_was_never_seen_has_no_depth():
+    outcome, sim = start("plank_launch")
+    sim.time = 2.0
+    outcome.observe(sim)
+    assert list(by_name(outcome.verdicts(sim))) == ["rise"]
+
+
+# ---------------------------------------------------------------- seesaw
+
+
+def tilt_through(outcome, sim, *degrees):
+    """Let the plank pass through tilts, one list an environment; to the right is positive."""
+    plank = sim.index("plank")
+    for tilts in zip(*degrees, strict=True):
+        sim.arrays["orientation"][:, plank] = [about((0, 1, 0), tilt) for tilt in tilts]
+        outcome.observe(sim)
+
+
+def test_seesaw_tilts():
+    outcome, sim = start("seesaw", num_envs=4)
+    tilt_through(outcome, sim, (0, 17, -17), (0, 17, -9), (-17, 17, 0), (0, 9, -17))
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["tips"], [17, 17, 17, 9], [True, True, True, False], atol=1e-9)
+    # To the left first, or left alone, is no tipping back.
+    check(verdicts["tips_back"], [17, 9, 0, 0], [True, False, False, False], atol=1e-9)
+    assert verdicts["tips_back"].expected["no_contact"] is False
+
+
+def test_seesaw_expects_nothing_of_a_balance():
+    outcome, sim = start("seesaw", large_mass=5.0, small_mass=4.0)
+    outcome.observe(sim)
+    assert [verdict.expected for verdict in outcome.verdicts(sim)] == [{}, {}]
+
+
+# ---------------------------------------------------------------- skull_and_brain, bunny_pile
+
+
+def test_meeting_of_two_boxes():
+    scene = Scene()
+    scene.add_body(Box((0.1,) * 3), position=(0, 0, 0), name="skull")
+    scene.add_body(Box((0.1,) * 3), position=(0, 0, 0.2), name="brain")
+    outcome, sim = skull_and_brain.MeetingOutcome(scene), StillSimulator(scene, 4)
+    sim.arrays["position"][1, 1, 2] += 0.0011
+    sim.depth = np.array([0.0, 0.0, 0.005, 0.0])
+    outcome.observe(sim)
+    sim.depth = np.array([0.0, 0.0, 0.0, 0.002])
+    sim.arrays["linear_velocity"][0, 1] = (0.04, 0.04, 0.0)
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["gap"], [0, 0.0011, 0, 0], [True, False, True, True], atol=1e-7)
+    check(verdicts["impact"], [0, 0, 0.005, 0.002], [True, True, False, True])
+    check(verdicts["overlap"], [0, 0, 0, 0.002], [True, True, True, False])
+    check(verdicts["speed"], [0.04 * 2**0.5, 0, 0, 0], [False, True, True, True])
+
+
+def test_pile_counts_who_left_the_box():
+    outcome, sim = start("bunny_pile", num_envs=4)
+    position = sim.arrays["position"]
+    position[1, sim.index("bunny_2"), 0] = 0.41
+    position[1, sim.index("bunny_5"), 1] = -3.0
+    position[2, sim.index("bunny_0"), 2] = -0.2
+    position[3, sim.index("bunny_7")] = np.nan
+    sim.depth = np.array([0.0019, 0.0021, 0.0, 0.0])
+    sim.arrays["linear_velocity"][3, sim.index("bunny_1"), 2] = -0.2
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["escaped"], [0, 2, 1, 1], [True, False, False, False])
+    check(verdicts["overlap"], [0.0019, 0.0021, 0, 0], [True, False, True, True])
+    check(verdicts["speed"], [0, 0, 0, 0.2], [True, True, True, False])

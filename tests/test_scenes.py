@@ -1,0 +1,257 @@
+"""The built-in scenes: what they hold, that nothing overlaps at the start, and what they refuse."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.scene_oracles import about, body_separation, rotation
+from warp_rigid import meshes, scenes
+from warp_rigid.scene import Motion, Scene
+from warp_rigid.scenes import bunny_pile
+from warp_rigid.settings import Settings
+from warp_rigid.shapes import Box, Plane
+
+NAMES = [
+    "box_stack",
+    "leaning_tower",
+    "incline",
+    "plank_launch",
+    "seesaw",
+    "skull_and_brain",
+    "bunny_pile",
+]
+
+VARIED = [
+    ("box_stack", {"height": 1}),
+    ("box_stack", {"height": 50}),
+    ("leaning_tower", {"height": 50, "offset": 0.01}),
+    ("leaning_tower", {"offset": 0.45}),
+    ("incline", {"angle": 0}),
+    ("incline", {"angle": 40}),
+    ("plank_launch", {"blocks": 20, "drop": 5}),
+    ("plank_launch", {"drop": 0.1}),
+    ("bunny_pile", {"bodies": 20, "seed": 7}),
+]
+
+
+def test_names():
+    assert set(NAMES) <= set(scenes.names())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_demo_is_complete(name):
+    demo = scenes.get(name)
+    assert demo.name == name
+    assert demo.summary and "\n" not in demo.summary and len(demo.summary) < 100
+    assert demo.duration > 0.0
+    assert next(iter(demo.variants.items())) == ("default", {})
+    for variant in demo.variants.values():
+        assert "dt" not in variant, "one simulator has one dt"
+        Settings(**demo.settings, **variant)
+    assert isinstance(demo.build(**demo.parameters), Scene)
+
+
+MASSES = {
+    "box_stack": [8.0] * 10 + [27.0],
+    "leaning_tower": [8.0] * 10,
+    "incline": [1.0],
+    "plank_launch": [10.0] + [1.0] * 7 + [100.0],
+    "seesaw": [10.0, 10.0, 5.0],
+}
+STATICS = {
+    "box_stack": 3,
+    "leaning_tower": 2,
+    "incline": 2,
+    "plank_launch": 2,
+    "seesaw": 2,
+    "skull_and_brain": 6,
+    "bunny_pile": 5,
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_counts_and_masses(name):
+    scene = scenes.load(name)
+    dynamic = [body for body in scene.bodies if body.motion == Motion.DYNAMIC]
+    static = [body for body in scene.bodies if body.motion == Motion.STATIC]
+    assert len(static) == STATICS[name]
+    assert len(dynamic) + len(static) == len(scene.bodies)
+    if name in MASSES:
+        np.testing.assert_allclose([body.mass for body in dynamic], MASSES[name], rtol=1e-12)
+    else:
+        np.testing.assert_allclose(
+            [body.mass for body in dynamic],
+            [1000.0 * body.shape.volume for body in dynamic],
+            rtol=1e-12,
+        )
+
+
+def test_parameters_count():
+    assert len(scenes.load("box_stack", height=3).bodies) == 3 + 4
+    assert len(scenes.load("leaning_tower", height=4).bodies) == 4 + 2
+    assert len(scenes.load("plank_launch", blocks=2).bodies) == 2 + 4
+    assert len(scenes.load("bunny_pile", bodies=5).bodies) == 5 + 5
+    seesaw = scenes.load("seesaw", large_mass=3, small_mass=2)
+    assert [body.mass for body in seesaw.bodies] == [0, 0, 10, 3, 2]
+
+
+def gap_above_plane(body, plane):
+    points = np.asarray(body.shape.surface()[0]) @ rotation(body.orientation).T
+    heights = (points + np.array(body.position)) @ plane.normal - plane.offset
+    return heights.min()
+
+
+@pytest.mark.parametrize(("name", "parameters"), [(name, {}) for name in NAMES] + VARIED)
+def test_nothing_overlaps_at_the_start(name, parameters):
+    scene = scenes.load(name, **parameters)
+    for first, second in itertools.combinations(scene.bodies, 2):
+        if Motion.DYNAMIC not in (first.motion, second.motion):
+            continue
+        if isinstance(first.shape, Plane):
+            gap = gap_above_plane(second, first.shape)
+        elif np.linalg.norm(np.subtract(first.position, second.position)) > 8.0:
+            continue
+        else:
+            gap = body_separation(first, second)
+        assert gap > -1e-12, (first.name, second.name, gap)
+
+
+def test_the_overlap_test_sees_an_overlap():
+    scene = Scene()
+    for position, orientation in (
+        ((0, 0, 0), (0, 0, 0, 1)),
+        ((0.99, 0.99, 0), (0, 0, 0, 1)),
+        ((1.001, 0, 0), (0, 0, 0, 1)),
+        # Turned by 45 degrees, its edge reaches sqrt(1/2) toward the first.
+        ((1.2, 0, 0), about((0, 0, 1), 45)),
+        ((1.21, 0, 0), about((0, 0, 1), 45)),
+    ):
+        scene.add_body(Box((0.5, 0.5, 0.5)), position=position, orientation=orientation)
+    gaps = [body_separation(scene.bodies[0], body) for body in scene.bodies[1:]]
+    expected = [-0.01, 0.001, 1.2 - 0.5 - 0.5**0.5, 1.21 - 0.5 - 0.5**0.5]
+    np.testing.assert_allclose(gaps, expected, atol=1e-12)
+    scene.add_static(Plane(normal=(0, 0, 1), offset=-0.4))
+    assert gap_above_plane(scene.bodies[0], scene.bodies[-1].shape) == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_builders_are_deterministic(name):
+    first, second = scenes.load(name), scenes.load(name)
+    assert first.bodies == second.bodies
+    assert first.gravity == second.gravity
+
+
+def test_leaning_tower_leans_by_its_offset():
+    boxes = scenes.load("leaning_tower", height=4, offset=0.25).bodies[2:]
+    np.testing.assert_allclose([body.position[0] for body in boxes], [0.0, 0.05, 0.1, 0.15])
+    np.testing.assert_allclose([body.position[2] for body in boxes], [0.6, 0.8, 1.0, 1.2])
+
+
+def test_box_stack_lands_one_after_another():
+    boxes = [body for body in scenes.load("box_stack").bodies if body.name.startswith("box_")]
+    fall = np.array([body.position[2] - 0.6 - 0.2 * i for i, body in enumerate(boxes)])
+    landing = np.sqrt(2.0 * fall / 9.81)
+    assert (np.diff(landing) > 1.0 / 60.0).all()
+    assert landing[-1] < 2.0
+
+
+def test_block_on_the_incline_is_flush_and_tilted_by_the_angle():
+    platform, block = scenes.load("incline", angle=20, friction=0.3, restitution=0.9).bodies[1:]
+    assert body_separation(platform, block) == pytest.approx(0.0, abs=1e-12)
+    normal = rotation(block.orientation)[:, 2]
+    assert np.degrees(np.arctan2(normal[0], normal[2])) == pytest.approx(20.0)
+    for body in (platform, block):
+        assert (body.friction, body.restitution) == (0.3, 0.9)
+
+
+def test_seesaw_starts_as_one_rigid_body():
+    for body in scenes.load("seesaw").bodies[2:]:
+        arm = np.array(body.position) - [0, 0, 0.35]
+        np.testing.assert_allclose(body.linear_velocity, np.cross((0, 0.2, 0), arm), atol=1e-15)
+        assert body.angular_velocity == (0.0, 0.2, 0.0)
+
+
+def test_bunnies_start_at_the_benchmarks_lattice():
+    # Written down from an independent program that fills the same box (seed 1000 + environment).
+    position, orientation = bunny_pile.starts(8, 1000)
+    np.testing.assert_allclose(position[0], [-0.18914457, -0.185846326, 0.248837672], atol=1e-9)
+    np.testing.assert_allclose(position[-1], [0.176157295, 0.197963571, 0.627889658], atol=1e-9)
+    np.testing.assert_allclose(orientation[0], [0.741349809, 0.131383825, -0.625464517, 0.204775214], atol=1e-9)
+    position, orientation = bunny_pile.starts(8, 1003)
+    np.testing.assert_allclose(position[5], [0.1745904231257773, -0.18857666197610481, 0.6311208090925049], rtol=1e-12)
+    position, _ = bunny_pile.starts(100, 1000)
+    np.testing.assert_allclose(position[-1], [0.570765429, -0.554429619, 2.511820688], atol=1e-9)
+
+
+def test_bunnies_and_walls_are_placed_by_their_centres():
+    scene = scenes.load("bunny_pile", bodies=100)
+    position, orientation = bunny_pile.starts(100, 1000)
+    bunnies = [body for body in scene.bodies if body.name.startswith("bunny_")]
+    for body, place, turned in zip(bunnies, position, orientation, strict=True):
+        center = rotation(body.orientation) @ body.shape.center_of_mass + body.position
+        np.testing.assert_allclose(center, place, atol=1e-12)
+        np.testing.assert_allclose(body.orientation, turned, atol=1e-12)
+    walls = [body for body in scene.bodies if body.name.startswith("wall_")]
+    np.testing.assert_allclose(walls[0].position, (-0.83, 0, 1.048))
+    np.testing.assert_allclose(walls[0].shape.half_extents, (0.05, 0.88, 1.048))
+    np.testing.assert_allclose(walls[3].position, (0, 0.83, 1.048))
+
+
+def test_seeds_differ():
+    first, second = bunny_pile.starts(8, 1), bunny_pile.starts(8, 2)
+    assert np.abs(first[0] - second[0]).max() > 1e-3
+    assert np.abs(first[1] - second[1]).max() > 1e-3
+
+
+def test_own_meshes_take_the_places_of_skull_and_brain(tmp_path):
+    vertices, faces = meshes.tetrahedron(radius=3.0).surface()
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices + 5.0]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    file = tmp_path / "solid.obj"
+    file.write_text("\n".join(lines) + "\n")
+    scene = scenes.load("skull_and_brain", skull=str(file), brain=file)
+    skull, brain = scene.bodies[-2:]
+    assert (skull.name, brain.name) == ("skull_own", "brain_own")
+    for body, size in ((skull, 0.25), (brain, 0.18)):
+        lower, upper = body.shape.bounds
+        assert (upper - lower).max() == pytest.approx(size)
+    skull_world = skull.shape.surface()[0] + skull.position
+    brain_world = brain.shape.surface()[0] + brain.position
+    assert skull_world[:, 2].min() == pytest.approx(0.13)
+    assert brain_world[:, 2].min() - skull_world[:, 2].max() == pytest.approx(0.3)
+    middle = 0.5 * (brain_world.min(axis=0) + brain_world.max(axis=0))
+    np.testing.assert_allclose(middle[:2], (0.02, 0.0), atol=1e-12)
+
+
+BAD = [
+    ("box_stack", {"height": 0}, r"^height: must be a whole number from 1 to 50, got 0$"),
+    ("box_stack", {"height": 51}, "^height: "),
+    ("box_stack", {"height": 2.5}, "^height: "),
+    ("box_stack", {"height": "ten"}, "^height: "),
+    ("leaning_tower", {"height": 1}, "^height: must be a whole number from 2 to 50"),
+    ("leaning_tower", {"offset": -0.1}, "^offset: must be a number from 0 to 0.45"),
+    ("leaning_tower", {"offset": 0.5}, "^offset: "),
+    ("leaning_tower", {"offset": float("nan")}, "^offset: "),
+    ("incline", {"angle": 41}, "^angle: must be a number from 0 to 40"),
+    ("incline", {"friction": -1}, "^friction: must be a finite number >= 0"),
+    ("incline", {"restitution": 1.5}, "^restitution: must be a number from 0 to 1"),
+    ("plank_launch", {"blocks": 0}, "^blocks: must be a whole number from 1 to 20"),
+    ("plank_launch", {"drop": 0}, "^drop: must be a number from 0.1 to 5"),
+    ("seesaw", {"large_mass": 0}, "^large_mass: must be a finite number > 0"),
+    ("seesaw", {"small_mass": float("inf")}, "^small_mass: must be a finite number > 0"),
+    ("skull_and_brain", {"skull": "nowhere.obj"}, r"^skull: nowhere\.obj: no such file$"),
+    ("skull_and_brain", {"brain": "brain.txt"}, r"^brain: brain\.txt: must be a mesh file"),
+    ("skull_and_brain", {"skull": 3}, "^skull: must be the path of a mesh file, got 3$"),
+    ("bunny_pile", {"bodies": 0}, "^bodies: must be a whole number from 1 to 4096"),
+    ("bunny_pile", {"seed": -1}, "^seed: must be a whole number from 0 to 4294967295"),
+    ("bunny_pile", {"speed": 1}, "^speed: no parameter of bunny_pile, which has bodies, seed$"),
+    ("card_house", {}, "^scene: must be one of box_stack, leaning_tower, .*got 'card_house'$"),
+]
+
+
+@pytest.mark.parametrize(("name", "parameters", "message"), BAD)
+def test_bad_parameters_are_refused_in_one_line(name, parameters, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        scenes.load(name, **parameters)
+    assert "\n" not in str(refusal.value)

@@ -1,0 +1,217 @@
+"""Shock propagation and its line search: never more energy, weight felt below, and what one pass leaves out."""
+
+import numpy as np
+import pytest
+
+from tests.oracles import ContactProblem, contact_list, find_contacts, ground_scene, opened, random_pile, rotate_about
+from warp_rigid.settings import Settings
+from warp_rigid.shapes import Box, Sphere
+
+DT = 1 / 240
+COLD = {"collision_iterations": 0, "contact_iterations": 0, "warm_starting": False}
+
+
+class Search:
+    """What the line search does in the coming step of a simulator, in float64.
+
+    Attributes:
+        problem: the contact problem.
+        before, after: velocities and impulses around the guarded two passes.
+    """
+
+    def __init__(self, stages, warm=True, sweeps=True):
+        find_contacts(stages)
+        stages.build_graph()
+        stages.accelerate(before_collisions=False)
+        self.problem = ContactProblem(stages)
+        self.free = self.problem.velocity(stages)
+        if not warm:
+            stages.pools.contacts.impulse.zero_()
+        start = contact_list(stages)["impulse"].astype(np.float64)
+        self.apply(stages, self.free + self.problem.change(start))
+        self.before = self.read(stages)
+        stages.propagate_shock(0)
+        self.after = self.read(stages)
+        self.island = stages.pools.graph.island.numpy()
+
+    def apply(self, stages, velocity):
+        """Put velocities into the state."""
+        stages.state.linear_velocity.assign(velocity[:, :3].astype(np.float32))
+        stages.state.angular_velocity.assign(velocity[:, 3:].astype(np.float32))
+
+    def read(self, stages):
+        return self.problem.velocity(stages), contact_list(stages)["impulse"].astype(np.float64)
+
+    def islands(self):
+        """Each island as a mask over bodies, those without contacts left out."""
+        busy = {*self.problem.contacts["body_a"], *self.problem.contacts["body_b"]}
+        for root in np.unique(self.island):
+            chosen = (self.island == root) & (self.problem.inverse_mass > 0.0)
+            if chosen.any() and busy & set(np.flatnonzero(chosen)):
+                yield chosen
+
+
+def piles(device, count=3):
+    """Piles at several stages of falling together, with impulses remembered and without."""
+    for seed in range(count):
+        sim, stages = opened(random_pile(np.random.default_rng(seed)), device)
+        for steps in (60, 40, 40):
+            sim.step(steps)
+            sim_state = {name: sim.get(name) for name in ("linear_velocity", "angular_velocity")}
+            for warm in (True, False):
+                for name, value in sim_state.items():
+                    sim.set(name, value)
+                yield Search(stages, warm)
+            for name, value in sim_state.items():
+                sim.set(name, value)
+
+
+def test_energy_never_rises_in_any_island(device):
+    """f = v.Mv / 2 + b.l, in float64, before and after the guarded passes."""
+    moved = 0
+    for search in piles(device):
+        for chosen in search.islands():
+            before = search.problem.energy_of(*search.before, chosen)
+            after = search.problem.energy_of(*search.after, chosen)
+            assert after <= before + 1e-5 * abs(before)
+            moved += after < 0.99 * before
+    assert moved > 20
+
+
+def test_the_share_taken_is_the_best_along_the_way(device):
+    """The parabola's slope where the search stops: zero, or still falling at the end of the way, never rising."""
+    ends = inner = 0
+    for search in piles(device):
+        problem = search.problem
+        velocity, impulse = search.after
+        change = velocity - search.before[0], impulse - search.before[1]
+        for chosen in search.islands():
+            rows = np.flatnonzero(chosen)
+            mass = np.linalg.inv(problem.inverse_mass_matrix[rows])
+            counted = np.isin(problem.contacts["body_a"], rows) | np.isin(problem.contacts["body_b"], rows)
+            slope = np.einsum("bi,bij,bj->", velocity[rows], mass, change[0][rows])
+            slope += (problem.bias * change[1][:, 0])[counted].sum()
+            bend = np.einsum("bi,bij,bj->", change[0][rows], mass, change[0][rows])
+            if bend < 1e-6:
+                continue
+            rounding = 2e-5 * max(bend, 0.1)
+            assert slope < rounding
+            inner += slope > -rounding
+            ends += slope <= -rounding
+    assert inner > 10
+    assert ends > 3
+
+
+def test_velocities_stay_those_of_the_impulses(device):
+    """Whatever share is taken, v = v_free + M^-1 J^T l still holds: nothing is lost between the levels."""
+    for search in piles(device, count=1):
+        velocity, impulse = search.after
+        expected = search.free + search.problem.change(impulse)
+        np.testing.assert_allclose(velocity, expected, atol=2e-4 * max(1.0, np.abs(expected).max()))
+
+
+def tower(weights, friction=0.6, top_first=False):
+    """Cubes of given masses on each other; they are listed from the ground up, or from the top down."""
+    scene = ground_scene(friction=friction)
+    order = range(len(weights))
+    for k in reversed(order) if top_first else order:
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k), mass=weights[k], friction=friction)
+    return scene
+
+
+def joints(loads, count, top_first):
+    """Normal impulse in each joint of a tower, from the ground up."""
+    bodies = [0, *(range(count, 0, -1) if top_first else range(1, count + 1))]
+    return [loads[tuple(sorted(pair))] for pair in zip(bodies[:-1], bodies[1:], strict=True)]
+
+
+def step_cold(device, scene, mode, **settings):
+    """Velocities after one contact stage with nothing but shock propagation, and impulses by (lower, upper)."""
+    sim, stages = opened(scene, device, settings=Settings(shock_propagation=mode, **{**COLD, **settings}))
+    find_contacts(stages)
+    stages.build_graph()
+    stages.accelerate(before_collisions=False)
+    stages.solve_contacts()
+    contacts = contact_list(stages)
+    loads = {}
+    for a, b, impulse in zip(contacts["body_a"], contacts["body_b"], contacts["impulse"], strict=True):
+        pair = tuple(sorted((int(a), int(b))))
+        loads[pair] = loads.get(pair, 0.0) + float(impulse[0])
+    velocity = np.concatenate([sim.get("linear_velocity")[0], sim.get("angular_velocity")[0]], axis=1)
+    return velocity, loads
+
+
+LISTED = pytest.mark.parametrize("top_first", [False, True], ids=["ground_up", "top_down"])
+
+
+@LISTED
+@pytest.mark.parametrize("weights", [(1.0, 1.0), (1.0, 1000.0), (1000.0, 1.0), (1.0, 2.0, 50.0, 3.0)])
+def test_two_passes_carry_the_whole_weight_at_once(device, weights, top_first):
+    """Cold, without a single sweep: every joint of a tower carries what is above it, and all is at rest."""
+    velocity, loads = step_cold(device, tower(weights, top_first=top_first), "two_pass")
+    above = 9.81 * DT * np.cumsum(weights[::-1])[::-1]
+    np.testing.assert_allclose(joints(loads, len(weights), top_first), above, rtol=1e-3)
+    np.testing.assert_allclose(velocity, 0.0, atol=2e-4)
+
+
+@LISTED
+@pytest.mark.parametrize("weights", [(1.0, 1.0), (1.0, 1000.0), (1.0, 2.0, 50.0, 3.0)])
+def test_one_pass_carries_only_what_is_directly_above(device, weights, top_first):
+    """The 2003 method: at rest too, but each joint carries its own body alone."""
+    velocity, loads = step_cold(device, tower(weights, top_first=top_first), "one_pass")
+    np.testing.assert_allclose(joints(loads, len(weights), top_first), 9.81 * DT * np.array(weights), rtol=1e-3)
+    np.testing.assert_allclose(velocity, 0.0, atol=2e-4)
+
+
+@pytest.mark.parametrize("mode", ["off", "two_pass"])
+def test_one_pass_alone_leaves_the_lower_body_untouched(device, mode):
+    """A ball lands on a tilted, sliding box: in one pass the box moves bit for bit as it would without the ball."""
+
+    def lower(with_ball, passes):
+        scene = ground_scene(friction=0.3)
+        turn = rotate_about((0, 0, 1), 20)
+        scene.add_body(
+            Box((0.2, 0.2, 0.1)), position=(0, 0, 0.1), orientation=turn, linear_velocity=(0.7, 0.1, 0), friction=0.3
+        )
+        height = 0.25 if with_ball else 2.0
+        scene.add_body(Sphere(0.05), position=(0.1, 0.05, height), mass=50.0, linear_velocity=(0, 0, -2), friction=0.3)
+        return step_cold(device, scene, passes)[0]
+
+    alone = lower(False, "one_pass")
+    below = lower(True, "one_pass")
+    assert below[1].tolist() == alone[1].tolist()
+    assert below[2, 2] > -0.1
+    if mode == "two_pass":
+        assert np.abs(lower(True, mode)[1] - lower(False, mode)[1]).max() > 0.01
+
+
+def test_off_and_no_iterations_do_nothing(device):
+    for settings in ({"mode": "off"}, {"mode": "two_pass", "shock_iterations": 0}):
+        velocity, loads = step_cold(device, tower((1.0, 1.0)), **settings)
+        assert velocity[1:, 2] == pytest.approx([-9.81 * DT] * 2, rel=1e-5)
+        assert sum(loads.values()) == 0.0
+
+
+def test_modes_differ_between_the_environments_of_a_batch(device):
+    """Each environment keeps to its own mode, as if it were alone."""
+    scene = tower((1.0, 10.0, 1.0))
+    modes = ["off", "one_pass", "two_pass"]
+    sim, _ = opened(scene, device, num_envs=3)
+    sim.set("shock_propagation", modes)
+    sim.step(20)
+    for env, mode in enumerate(modes):
+        single, _ = opened(scene, device, settings=Settings(shock_propagation=mode))
+        single.step(20)
+        assert sim.get("position")[env].tolist() == single.get("position")[0].tolist()
+        assert sim.get("linear_velocity")[env].tolist() == single.get("linear_velocity")[0].tolist()
+
+
+@pytest.mark.parametrize(("mode", "sinks"), [("off", True), ("two_pass", False)])
+def test_a_heavy_load_on_light_bodies(device, mode, sinks):
+    """V35's point in short: 1000 times the weight on top stands with shock propagation, and sinks without."""
+    sim, _ = opened(tower((1.0, 1.0, 1000.0)), device, settings=Settings(shock_propagation=mode))
+    sim.step(120)
+    lost = 0.5 - sim.get("position")[0, 3, 2]
+    assert (lost > 5e-3) == sinks
+    if not sinks:
+        assert abs(lost) < 1e-4
