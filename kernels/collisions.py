@@ -36,7 +36,7 @@ def rebound(c: int, dt: float, first: int, contacts: Contacts, motions: Motions,
     a = contacts.body_a[c]
     b = contacts.body_b[c]
     pull = float(first) * wp.max(wp.dot(motions.acceleration[b] - motions.acceleration[a], n), 0.0)
-    if speed < SLOWEST or contacts.gap[c] > dt * (speed + dt * pull):
+    if speed < SLOWEST or contacts.closing[c] > speed + dt * pull:
         return -1.0e10
     e = contacts.restitution[c]
     if e == 0.0:

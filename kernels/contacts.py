@@ -19,7 +19,8 @@ COMBINE_MAX = wp.constant(3)
 TOUCHING = wp.constant(1.0e-4)
 """Gaps up to this part of the smaller body's size carry load as they are.
 
-If every gap of a rounding error had to close first, the load would jump from contact to contact at each step."""
+If every gap of a rounding error had to close first, the load would jump from contact to contact at each step: a pyramid
+of 20 rows that keeps to 0.02 mm so creeps by millimetres with a fifth of it."""
 
 
 @wp.func

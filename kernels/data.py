@@ -177,6 +177,8 @@ State = layout(
     angular_velocity=Field(wp.vec3, "bodies", "rad/s", "in the world frame"),
     force=Field(wp.vec3, "bodies", "N", "held by the user until changed, at the centre of mass"),
     torque=Field(wp.vec3, "bodies", "N m", "held by the user until changed"),
+    turn_rest=Field(wp.vec4, "bodies", "", "what rounding left over of the orientation"),
+    spin_rest=Field(wp.vec3, "bodies", "rad/s", "what rounding left over of the angular velocity"),
 )
 
 Motions = layout(

@@ -82,11 +82,12 @@ def slab_distance(separation: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3):
 
 @wp.func
 def facing_slab_distance(
-    separation: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, sample_normal: wp.vec3, half: float
+    separation: wp.vec3, thickness: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, sample_normal: wp.vec3, half: float
 ):
     """`slab_distance`, but within the border measured to the nearest face that opposes the sample's normal.
 
-    `half` is the smallest half-extent.
+    The far face of a slab, a thickness away, counts too: a sample that has passed the middle of a thin wall is held to
+    touch the face through which it came. `half` is the smallest half-extent.
     """
     border = BORDER * half
     beyond = int(0)
@@ -103,9 +104,14 @@ def facing_slab_distance(
             n = n1
         if i == 2:
             n = n2
-        if separation[i] > nearest and (separation[i] > border or wp.dot(n, sample_normal) < OPPOSING):
+        facing = wp.dot(n, sample_normal)
+        behind = -separation[i] - thickness[i]
+        if separation[i] > nearest and (separation[i] > border or facing < OPPOSING):
             nearest = separation[i]
             result = wp.vec4(n[0], n[1], n[2], nearest)
+        elif beyond == 0 and behind > nearest and facing > -OPPOSING:
+            nearest = behind
+            result = wp.vec4(-n[0], -n[1], -n[2], nearest)
     return result
 
 
@@ -123,7 +129,7 @@ def box_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
     ny = outward(p[1], wp.vec3(0.0, 1.0, 0.0))
     nz = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
     separation = wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2])) - half
-    return facing_slab_distance(separation, nx, ny, nz, sample_normal, wp.min(half))
+    return facing_slab_distance(separation, 2.0 * half, nx, ny, nz, sample_normal, wp.min(half))
 
 
 @wp.func
@@ -135,7 +141,9 @@ def cylinder_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
         side = wp.vec3(1.0, 0.0, 0.0)
     cap = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
     separation = wp.vec3(wp.length(radial) - size[0], -FAR, wp.abs(p[2]) - size[1])
-    return facing_slab_distance(separation, side, wp.cross(cap, side), cap, sample_normal, wp.min(size[0], size[1]))
+    thickness = wp.vec3(FAR, FAR, 2.0 * size[1])
+    around = wp.cross(cap, side)
+    return facing_slab_distance(separation, thickness, side, around, cap, sample_normal, wp.min(size[0], size[1]))
 
 
 @wp.func

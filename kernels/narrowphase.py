@@ -39,10 +39,10 @@ SLOTS = wp.constant(PATCH_SLOTS)
 MOST_PATCHES = wp.constant(PATCHES)
 MOST_SLOTS = wp.constant(PAIR_SLOTS)
 
-OPPOSED = wp.constant(0.3)
-"""A sample counts only if its normal's component along the contact normal is below this (vertices have wide cones).
+CAP = wp.constant(4)
 
-What is below a plane touches it in any case: a plane has no far side."""
+OPPOSED = wp.constant(0.1)
+"""A vertex or edge counts only if its normal's cosine with the contact normal is below this: their cones are wide."""
 
 SAME_PATCH = wp.constant(0.94)
 """Cosine (20 degrees) above which two contact normals belong to one patch."""
@@ -59,6 +59,9 @@ EIGHTH_TURN = wp.constant(0.70710678)
 OVERLAP = wp.constant(1.05)
 """Edge segments are searched this much longer than they are."""
 
+STEEP = wp.constant(0.05)
+"""Slope beyond which an edge crosses another and does not lie along it."""
+
 FLAT = wp.constant(0.01)
 """Slope of the distance along an edge below which the edge lies flat."""
 
@@ -68,7 +71,6 @@ class Sample:
     """A sample brought to its touching place, in the frame of the other body's shape."""
 
     point: wp.vec3
-    normal: wp.vec3
     direction: wp.vec3
     gap: float
 
@@ -82,52 +84,76 @@ class Touch:
     gap: float
 
 
-@wp.func
-def slope_along(shapes: Shapes, shape: int, p: wp.vec3, direction: wp.vec3):
-    """Distance at p and its slope along a direction: vec2(slope, distance)."""
-    d = signed_distance(shapes, shape, p)
-    return wp.vec2(wp.dot(wp.vec3(d[0], d[1], d[2]), direction), d[3])
+@wp.struct
+class EdgeTouch:
+    """Where an edge touches a shape: point, unit direction and distance, FAR if nowhere near."""
+
+    point: wp.vec3
+    direction: wp.vec3
+    distance: float
+    crossing: int
 
 
 @wp.func
 def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3, reach: float):
-    """Where on the segment p +- slide an edge touches between its ends: vec4(point, distance), FAR if nowhere near.
+    """Where on the segment p +- slide an edge touches between its ends.
 
     That is the distance's inner minimum, or, for an edge that lies flat, the place where it leaves the face. In both
-    cases the slope jumps there. The tangents at both ends meet below the curve; their meeting point replaces the end
-    on its side: exact at once where two straight edges cross and the distance is a V. Neighbouring segments overlap a
-    little, so that nothing falls between them.
+    cases the slope along the edge jumps there, from s1 with the gradient g1 to s2 with g2. The tangents at both ends
+    meet below the curve; their meeting point replaces the end on its side: exact at once where two straight edges cross
+    and the distance is a V. Neighbouring segments overlap a little, so that nothing falls between them.
+
+    On a convex shape the direction is the mixture s2 g1 - s1 g2 without slope along the edge: perpendicular to both
+    crossing edges. Along it the edge is d / (g1 . n) away where both faces are d away.
     """
-    nowhere = wp.vec4(0.0, 0.0, 0.0, FAR)
+    result = EdgeTouch()
+    result.distance = FAR
     half = wp.length(slide)
     along = slide / half
     middle = signed_distance(shapes, shape, p)
     if middle[3] > OVERLAP * half + reach:
-        return nowhere
+        return result
     left = -OVERLAP * half
     right = OVERLAP * half
-    low = slope_along(shapes, shape, p + left * along, along)
-    high = slope_along(shapes, shape, p + right * along, along)
-    if low[0] > FLAT or high[0] < -FLAT or high[0] - low[0] < 2.0 * FLAT:
-        return nowhere
-    turning = 0.5 * (wp.min(low[0] + FLAT, 0.0) + wp.max(high[0] - FLAT, 0.0))
-    if low[0] < -FLAT and high[0] > FLAT:
+    low = signed_distance(shapes, shape, p + left * along)
+    high = signed_distance(shapes, shape, p + right * along)
+    slope_low = slope(low, along)
+    slope_high = slope(high, along)
+    if slope_low > FLAT or slope_high < -FLAT or slope_high - slope_low < 2.0 * FLAT:
+        return result
+    turning = 0.5 * (wp.min(slope_low + FLAT, 0.0) + wp.max(slope_high - FLAT, 0.0))
+    if slope_low < -STEEP and slope_high > STEEP:
         turning = 0.0
+    g = wp.vec3(low[0], low[1], low[2])
+    mixture = wp.max(slope_high, 0.0) * g + wp.max(-slope_low, 0.0) * wp.vec3(high[0], high[1], high[2])
     t = float(0.0)
-    distance = float(0.0)
     for _ in range(5):
-        t = (low[1] - high[1] + high[0] * right - low[0] * left) / wp.max(high[0] - low[0], 1.0e-6)
+        t = (low[3] - high[3] + slope_high * right - slope_low * left) / wp.max(slope_high - slope_low, 1.0e-6)
         t = wp.clamp(t, left, right)
-        here = slope_along(shapes, shape, p + t * along, along)
-        distance = here[1]
-        if here[0] < turning:
+        here = signed_distance(shapes, shape, p + t * along)
+        result.distance = here[3]
+        result.direction = wp.vec3(here[0], here[1], here[2])
+        if slope(here, along) < turning:
             left = t
             low = here
+            slope_low = slope(here, along)
         else:
             right = t
             high = here
-    q = p + wp.clamp(t, -half, half) * along
-    return wp.vec4(q[0], q[1], q[2], distance)
+            slope_high = slope(here, along)
+    result.point = p + wp.clamp(t, -half, half) * along
+    result.crossing = wp.where(turning == 0.0, 1, 0)
+    if shapes.shapes[shape].convex == 1 and result.crossing == 1:
+        result.direction = direction_or_up(mixture)
+        if result.distance < 0.0:
+            result.distance = result.distance / wp.max(wp.dot(g, result.direction), 0.3)
+    return result
+
+
+@wp.func
+def slope(d: wp.vec4, along: wp.vec3):
+    """Slope of a distance along a direction."""
+    return d[0] * along[0] + d[1] * along[1] + d[2] * along[2]
 
 
 @wp.func
@@ -142,7 +168,22 @@ def lowest_on_rim(shapes: Shapes, shape: int, center: wp.vec3, axis: wp.vec3, ra
         if wp.length(down) < 0.05:
             return wp.vec4(0.0, 0.0, 0.0, FAR)
         p = center + radius * wp.normalize(down)
+    d = signed_distance(shapes, shape, p)
     return wp.vec4(p[0], p[1], p[2], d[3])
+
+
+@wp.func
+def ball_touch(shapes: Shapes, shape: int, center: wp.vec3, radius: float):
+    """Distance from a ball's surface to a shape, at the ball's deepest point.
+
+    Beyond a grid the distance is only a bound, and a ball's centre may lie there; its deepest point does not.
+    """
+    d = signed_distance(shapes, shape, center)
+    if shapes.shapes[shape].convex == 1:
+        return wp.vec4(d[0], d[1], d[2], d[3] - radius)
+    for _ in range(4):
+        d = signed_distance(shapes, shape, center - radius * wp.vec3(d[0], d[1], d[2]))
+    return d
 
 
 @wp.func
@@ -150,7 +191,7 @@ def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.ve
     """Bring sample s to its touching place; turn and shift map its shape's frame to that of the other `shape`.
 
     What is further than `reach` from the shape may be told as infinitely far. An edge that ends at a face without
-    crossing its border is no contact: its distance to the faces that it opposes is not its distance.
+    leaving it is no contact: its distance to the faces that it opposes is not its distance.
     """
     result = Sample()
     result.gap = FAR
@@ -158,29 +199,47 @@ def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.ve
     normal = wp.quat_rotate(turn, shapes.samples[s].normal)
     radius = shapes.samples[s].radius
     kind = shapes.samples[s].kind
-    found = wp.vec4(p[0], p[1], p[2], 0.0)
-    least = -FAR
+    d = wp.vec4(0.0, 0.0, 1.0, FAR)
     if kind == EDGE:
-        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius + reach)
-        least = found[3] - BORDER * shapes.shapes[shape].size
-    if kind == RIM:
+        edge = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius + reach)
+        p = edge.point - radius * edge.direction
+        d = wp.vec4(edge.direction[0], edge.direction[1], edge.direction[2], edge.distance - radius)
+        if edge.crossing == 0 and edge.distance < FAR:
+            d = contact_distance(shapes, shape, p, normal)
+            if d[3] < edge.distance - radius - BORDER * shapes.shapes[shape].size:
+                d[3] = FAR
+    elif kind == RIM:
         found = lowest_on_rim(shapes, shape, p, normal, radius)
-        normal = direction_or_up(wp.vec3(found[0], found[1], found[2]) - p)
-        radius = 0.0
-    if found[3] == FAR:
-        return result
-    p = wp.vec3(found[0], found[1], found[2])
-    d = contact_distance(shapes, shape, p, normal)
+        if found[3] < FAR:
+            normal = direction_or_up(wp.vec3(found[0], found[1], found[2]) - p)
+            p = wp.vec3(found[0], found[1], found[2])
+            d = contact_distance(shapes, shape, p, normal)
+    elif radius > 0.0:
+        d = ball_touch(shapes, shape, p, radius)
+        p = p - radius * wp.vec3(d[0], d[1], d[2])
+    else:
+        d = contact_distance(shapes, shape, p, normal)
     n = wp.vec3(d[0], d[1], d[2])
-    if d[3] < least or (
-        wp.dot(n, normal) > OPPOSED and shapes.parts[shapes.shapes[shape].part_start].kind != PLANE
-    ):
+    if d[3] >= FAR or not opposed(wp.dot(n, normal), kind, shapes.parts[shapes.shapes[shape].part_start].kind):
         return result
-    result.point = p - radius * n
-    result.normal = normal
+    result.point = p
     result.direction = n
-    result.gap = d[3] - radius
+    result.gap = d[3]
     return result
+
+
+@wp.func
+def opposed(cosine: float, kind: int, other: int):
+    """Whether a sample's normal, by its cosine with the contact normal, allows it to touch there.
+
+    The points of a cap stand for it only while it lies nearly flat; else its rim does, without corners. What is below
+    a plane touches it in any case: a plane has no far side.
+    """
+    if kind == CAP:
+        return cosine < -0.95
+    if kind == FACE:
+        return cosine < -0.5
+    return cosine < OPPOSED or other == PLANE
 
 
 @wp.func

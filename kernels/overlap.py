@@ -3,8 +3,8 @@
 import warp as wp
 
 from warp_rigid.kernels.data import Bodies, Pairs, Shapes, State
-from warp_rigid.kernels.distance import FAR, signed_distance
-from warp_rigid.kernels.narrowphase import EDGE, RIM, lowest_on_edge, lowest_on_rim
+from warp_rigid.kernels.distance import signed_distance
+from warp_rigid.kernels.narrowphase import EDGE, RIM, ball_touch, lowest_on_edge, lowest_on_rim
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,16 +17,18 @@ def sample_depth(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.ve
     """Depth of a sample inside a shape [m], negative outside; turn and shift map the sample's frame to the shape's."""
     p = wp.quat_rotate(turn, shapes.samples[s].point) + shift
     radius = shapes.samples[s].radius
-    found = wp.vec4(p[0], p[1], p[2], 0.0)
-    if shapes.samples[s].kind == EDGE:
-        found = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius)
-    if shapes.samples[s].kind == RIM:
+    kind = shapes.samples[s].kind
+    if kind == EDGE:
+        edge = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius)
+        return radius - edge.distance
+    if kind == RIM:
         found = lowest_on_rim(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].normal), radius)
-        radius = 0.0
-    if found[3] == FAR:
-        return -FAR
-    d = signed_distance(shapes, shape, wp.vec3(found[0], found[1], found[2]))
-    return radius - d[3]
+        return -found[3]
+    if radius > 0.0:
+        d = ball_touch(shapes, shape, p, radius)
+        return -d[3]
+    d = signed_distance(shapes, shape, p)
+    return -d[3]
 
 
 @wp.func

@@ -162,13 +162,12 @@ def test_box_measures_to_the_face_that_opposes_the_sample(device):
         assert direction[0].tolist() == np.eye(3)[axis].tolist()
 
 
-def test_box_is_not_touched_from_within(device):
-    """No face opposes a sample that lies deep below all faces it looks away from."""
-    found, _ = measure(Box(HALF), [on_top(0, 0, -0.3)], device, [(0, 0, -1.0)])
-    assert found[0] == 1e10
-    found, _ = measure(Box(HALF), [on_top(0, 0, -0.161), on_top(0, 0, -0.159)], device, [(0, 0, -1.0)] * 2)
-    assert found[0] == 1e10
-    assert found[1] == pytest.approx(-0.159, abs=1e-7)
+def test_box_is_touched_on_the_side_that_a_sample_came_through(device):
+    """A sample deep inside is held to the nearest face that opposes it, also when it has passed the box's middle."""
+    for depth in (0.05, 0.15, 0.25, 0.35):
+        found, direction = measure(Box(HALF), [on_top(0, 0, -depth)], device, [(0, 0, -1.0)])
+        assert found[0] == pytest.approx(-depth, abs=1e-6)
+        assert direction[0].tolist() == [0, 0, 1]
 
 
 @pytest.mark.parametrize("shape", [Box(HALF), Cylinder(0.4, 0.25)], ids=["box", "cylinder"])

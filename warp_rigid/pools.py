@@ -76,6 +76,9 @@ class Pools:
         )
         pools = Pools.allocate(num_envs, bodies_per_env, sizes["pairs"], sizes["contacts"], self.wanted.device)
         copy_arrays(self.history, pools.history, data.History)
+        copy_arrays(self.contacts, pools.contacts, data.Contacts)
+        wp.copy(pools.graph.level, self.graph.level)
+        wp.copy(pools.graph.level_count, self.graph.level_count)
         wp.copy(pools.wanted, self.wanted)
         return pools
 

@@ -228,7 +228,7 @@ class Cylinder(Shape):
         return [Part(PartKind.CYLINDER, (self.radius, self.half_height, 0.0, 0.0))]
 
     def sample_list(self):
-        """For each cap a RIM, 16 points on its circle and 9 within it; for the side, EDGE segments.
+        """For each cap a RIM, 16 CAP points on its circle and 9 FACE points; for the side, EDGE segments.
 
         The side of a cylinder longer than wide is sampled by the axis of the capsule that it holds
         (exact on the side); that of a disc by 16 lines.
@@ -239,8 +239,7 @@ class Cylinder(Shape):
         collected = SampleList()
         for sign in (-1.0, 1.0):
             cap = np.array([0.0, 0.0, sign])
-            normals = (circle + cap) / 2.0**0.5
-            collected.add(SampleKind.POINT, radius * circle + height * cap, normals, rank=VERTEX)
+            collected.add(SampleKind.CAP, radius * circle + height * cap, cap, rank=VERTEX)
             collected.add(SampleKind.RIM, height * cap, cap, radius=radius)
             collected.add(SampleKind.FACE, height * cap, cap)
             collected.add(SampleKind.FACE, 0.5 * radius * circle[::2] + height * cap, cap)

@@ -24,6 +24,8 @@ class SampleKind(IntEnum):
     """A circle; its lowest point is looked for around it."""
     FACE = 3
     """A point inside a face: only something hollow can touch there and nowhere else."""
+    CAP = 4
+    """A point on the rim of a cylinder's cap, for the cap lying flat; the RIM serves when it is tilted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,7 @@ def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
         rank: (n,) order inside a cluster; where equal, samples stay as they were given.
     """
     groups = []
-    for family in ((SampleKind.POINT, SampleKind.RIM), (SampleKind.EDGE,), (SampleKind.FACE,)):
+    for family in ((SampleKind.POINT, SampleKind.RIM, SampleKind.CAP), (SampleKind.EDGE,), (SampleKind.FACE,)):
         members = np.flatnonzero(np.isin(kind, family))
         if len(members):
             groups += [members[group] for group in _bisect(point[members])]
