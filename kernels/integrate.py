@@ -47,8 +47,8 @@ def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float6
     """Orientation after a torque-free time dt: the angular momentum stays, the orientation follows.
 
     Fourth order and made of rotations only, so that a steady spin is exact (Celledoni, Marthinsen and Owren 2003,
-    commutator-free method). The second-order update of Guendelman et al. 2003, section 3, keeps the energy to 4e-5, and a
-    body that flips about its middle axis needs more.
+    commutator-free method). The second-order update of Guendelman et al. 2003, section 3, keeps the energy to 4e-5;
+    a body that flips about its middle axis needs more.
     """
     parts = 1 + int(wp.min(dt * wp.length(spin_of(turn, momentum, inverse)) * wp.float64(2.0), wp.float64(63.0)))
     h = dt / wp.float64(parts)

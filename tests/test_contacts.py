@@ -41,14 +41,14 @@ def settling_pile(device, steps=150, seed=0):
 def off_surface(scene, state, body, points):
     """How far points (n, 3) of the world lie off the surfaces of their bodies (n,), in parts of what is allowed.
 
-    A mesh's grid is exact to a fraction of its cells; where edges meet, 0.3 % of the size is allowed.
+    A mesh's grid is exact to half a cell; where edges meet, 0.3 % of the size is allowed.
     """
     off = np.zeros(len(points))
     turn = rotation_matrix(state.orientation.numpy())
     for k, (row, point) in enumerate(zip(body, points, strict=True)):
         shape = scene.bodies[row].shape
         distance, _ = shape.signed_distance((point - state.position.numpy()[row]) @ turn[row])
-        off[k] = distance[0] / (0.2 * shape.grid.spacing if isinstance(shape, Mesh) else 3e-3 * min(shape.size, 1.0))
+        off[k] = distance[0] / (0.5 * shape.grid.spacing if isinstance(shape, Mesh) else 3e-3 * min(shape.size, 1.0))
     return off
 
 
@@ -93,15 +93,16 @@ def test_masses_seen_by_contacts(device):
         assert (contacts[f"normal_{end}"][fixed] == 0.0).all()
 
 
-def test_gaps_beyond_the_tolerance_may_close_within_the_step(device):
-    """The approach that a contact leaves alone: what of its gap exceeds a part of the smaller body, within dt."""
+def test_gaps_may_close_within_the_step_and_no_faster(device):
+    """The approach that a contact leaves alone closes its gap, less at most a small part of the smaller body."""
     _, stages = settling_pile(device)
     contacts = contact_list(stages)
     sizes = np.array([min(body.shape.size, 1e9) for body in stages.model.scene.bodies])
     size = np.minimum(sizes[contacts["body_a"]], sizes[contacts["body_b"]])
-    expected = np.maximum(contacts["gap"] - TOUCHING * size, 0.0) / stages.dt
-    assert (expected > 0.0).sum() > 5
-    np.testing.assert_allclose(contacts["closing"], expected, atol=1e-5, rtol=1e-4)
+    gap = np.maximum(contacts["gap"].astype(np.float64), 0.0)
+    assert (gap > TOUCHING * size).sum() > 5
+    assert (contacts["closing"] <= gap / stages.dt * (1 + 1e-5)).all()
+    assert (contacts["closing"] >= np.maximum(gap - TOUCHING * size, 0.0) / stages.dt * (1 - 1e-5) - 1e-6).all()
 
 
 COMBINE = {

@@ -181,7 +181,7 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     """Samples of a triangle mesh that leave no surface point farther away than the spacing.
 
     All vertices (angle-weighted normals); EDGE segments, no longer than the spacing, on boundary
-    edges and convex edges of more than 30 degrees if longer than half of the spacing; points
+    edges and convex edges of more than 30 degrees if longer than half of the spacing; FACE points
     on the other edges and inside triangles that are longer than the spacing. Concave edges need no
     EDGE: what enters a notch is the other body's edge.
     """
@@ -202,7 +202,7 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     edge, fraction = _inner_fractions(pieces)
     chosen = plain[edge]
     point = start[chosen] + fraction[:, None] * (end - start)[chosen]
-    collected.add(SampleKind.POINT, point, edge_normal[chosen])
+    collected.add(SampleKind.FACE, point, edge_normal[chosen])
     point, face = _inner_points(vertices, faces, length[edges.face_edge].max(axis=1), spacing)
     collected.add(SampleKind.FACE, point, normals[face])
     return collected

@@ -13,7 +13,8 @@ from warp_rigid.model import build_model, initial_environments, initial_state
 from warp_rigid.pools import Pools, copy_arrays
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
-from warp_rigid.stages import Stages
+from warp_rigid.shapes import Compound, Mesh
+from warp_rigid.stages import Stages, load_kernels
 
 log = logging.getLogger("warp_rigid")
 
@@ -60,6 +61,7 @@ class Simulator:
         self.settings = settings or Settings()
         self.device = choose_device(device)
         self.seed = whole_in("seed", seed, 0, 2**63 - 1)
+        load_kernels(self.device, baking=any(isinstance(b.shape, Mesh | Compound) for b in scene.bodies))
         self._model = build_model(scene, num_envs, self.device)
         self._state = initial_state(scene, num_envs, self.device)
         self._start = initial_state(scene, num_envs, self.device)

@@ -6,6 +6,7 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.kernels import (
+    bake,
     broadphase,
     capacity,
     collisions,
@@ -34,6 +35,31 @@ LANES = 32
 PAIRS, CONTACTS = 0, 1
 
 
+def load_kernels(device: Any, baking: bool) -> None:
+    """Compile all kernels, several modules at a time, the longest first: a graph cannot hold a compilation."""
+    per_row = [
+        narrowphase,
+        *([bake] if baking else []),
+        integrate,
+        ordering,
+        support,
+        line_search,
+        predict,
+        broadphase,
+        contacts,
+        capacity,
+    ]
+    per_block = [collisions, push_out, shock, impulses, line_search]
+    loads = [(per_row, None), (per_block, LANES)] if device.is_cuda else [(per_row + per_block, 1)]
+    for modules, block_dim in loads:
+        wp.force_load(
+            device,
+            [wp.get_module(name) for name in {module.__name__: None for module in modules}],
+            block_dim=block_dim,
+            max_workers=os.cpu_count(),
+        )
+
+
 class Stages:
     """The stages of a step over one set of arrays; a change of the pools needs a new object.
 
@@ -47,7 +73,7 @@ class Stages:
     """
 
     def __init__(self, model: Model, state: Any, envs: Any, pools: Pools, dt: float, repetitions: int) -> None:
-        """Compile, and record the step."""
+        """Record the step; `load_kernels` has been called."""
         self.model, self.state, self.envs, self.pools = model, state, envs, pools
         self.dt, self.repetitions = dt, repetitions
         self.device = pools.wanted.device
@@ -56,7 +82,6 @@ class Stages:
         self.rows = self.num_envs * self.num_bodies
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.grid = self._make_grid()
-        self._load_modules()
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -302,16 +327,3 @@ class Stages:
             device=self.device,
         )
         self.grid.build(self._points, self.model.grid_radius, groups=self._groups)
-
-    def _load_modules(self) -> None:
-        """Compile before recording, since a graph cannot hold a compilation; several modules at a time."""
-        per_row = [broadphase, capacity, contacts, integrate, line_search, narrowphase, ordering, predict, support]
-        per_block = [collisions, impulses, line_search, push_out, shock]
-        loads = [(per_row, None), (per_block, LANES)] if self.device.is_cuda else [(per_row + per_block, 1)]
-        for modules, block_dim in loads:
-            wp.force_load(
-                self.device,
-                [wp.get_module(name) for name in {module.__name__: None for module in modules}],
-                block_dim=block_dim,
-                max_workers=os.cpu_count(),
-            )
