@@ -10,8 +10,7 @@ Symplectic Euler's velocity lags half a step of acceleration behind, and the imp
 the surfaces meet. Reflecting the velocity as it is changes the height of a bounce by |v| dt. So the velocity is centred
 in time, carried down the gap, reflected there and carried back: with v the centred approach, p the pull that closes
 the gap g, the rebound is sqrt(e^2 (v^2 + 2 p g) - 2 p g). The centring fades out for the slowest impacts so that rest
-stays rest; an impact too weak to come back up the gap, or without restitution, is left to the contact stage, which
-lets it land first.
+stays rest; an impact too weak to come back up the gap is left to the contact stage, and bounces when it has landed.
 """
 
 import warp as wp
@@ -41,7 +40,7 @@ def rebound(c: int, dt: float, first: int, contacts: Contacts, motions: Motions,
         return -1.0e10
     e = contacts.restitution[c]
     if e == 0.0:
-        return wp.where(contacts.closing[c] > 0.0, -1.0e10, 0.0)
+        return 0.0
     lag = 0.5 * dt * pull * wp.min(speed / wp.max(dt * pull, 1.0e-9), 1.0)
     fall = 2.0 * pull * wp.max(contacts.gap[c], 0.0)
     squared = e * e * ((speed + lag) * (speed + lag) + fall) - fall

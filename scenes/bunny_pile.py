@@ -124,6 +124,14 @@ class PileOutcome:
         ]
 
 
+def vary(sim, bodies, seed, **_):
+    """Start environment e as the scene of seed + e does."""
+    bunnies = indices(sim.scene, "bunny_")
+    position, orientation = zip(*(starts(bodies, seed + env) for env in range(sim.num_envs)), strict=True)
+    sim.set("position", np.array(position), bodies=bunnies)
+    sim.set("orientation", np.array(orientation), bodies=bunnies)
+
+
 DEMO = Demo(
     name="bunny_pile",
     summary="bunnies fall into an open box and settle",
@@ -131,4 +139,5 @@ DEMO = Demo(
     outcome=PileOutcome,
     duration=4.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
+    vary=vary,
 )

@@ -73,6 +73,8 @@ class Demo:
         events: function(scene) -> list of (time [s], function(sim)), which a run calls when the
             simulated time reaches them.
         settings: what all variants of this scene need to differ from `Settings()`.
+        vary: function(sim, **parameters) that gives each environment of a batch a start of its own; None if all
+            start alike. A run that compares settings leaves the starts alike.
     """
 
     name: str
@@ -83,6 +85,7 @@ class Demo:
     variants: dict[str, dict[str, Any]]
     events: Callable[[Scene], list[tuple[float, Callable[[Any], None]]]] = no_events
     settings: dict[str, Any] = field(default_factory=dict)
+    vary: Callable[..., None] | None = None
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -360,19 +360,12 @@ def test_boxes_do_not_pass_a_thin_wall(device, share):
     assert sim.get("position")[:, box, 0].max() < -0.02
 
 
-SNAGS = pytest.mark.xfail(
-    strict=True,
-    reason="a sample of the mesh's flat top meets the slab's front side: a contact with a level normal takes most of "
-    "the speed (83 to 96 %)",
-)
-
-
 @pytest.mark.parametrize(
     "floor",
     [
         pytest.param(GROUND, id="plane"),
         pytest.param(Box((4, 2, 0.5)), id="box"),
-        pytest.param(Mesh(cube(1.0)[0] * [4, 2, 0.5], cube(1.0)[1]), id="mesh", marks=SNAGS),
+        pytest.param(Mesh(cube(1.0)[0] * [4, 2, 0.5], cube(1.0)[1]), id="mesh"),
     ],
 )
 def test_sliding_over_a_flat_floor_does_not_snag(device, floor):

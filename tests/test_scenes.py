@@ -11,6 +11,7 @@ from warp_rigid.scene import Motion, Scene
 from warp_rigid.scenes import bunny_pile
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Plane
+from warp_rigid.simulator import Simulator
 
 NAMES = [
     "box_stack",
@@ -255,3 +256,15 @@ def test_bad_parameters_are_refused_in_one_line(name, parameters, message):
     with pytest.raises(ValueError, match=message) as refusal:
         scenes.load(name, **parameters)
     assert "\n" not in str(refusal.value)
+
+
+def test_bunnies_of_a_batch_start_each_in_its_own_way():
+    """Environment e starts as the scene of seed + e; comparisons leave all starts alike."""
+    demo = scenes.get("bunny_pile")
+    sim = Simulator(demo.build(bodies=3, seed=5), num_envs=3, device="cpu")
+    demo.vary(sim, bodies=3, seed=5)
+    for env in range(3):
+        single = demo.build(bodies=3, seed=5 + env)
+        expected = [body.position for body in single.bodies if body.name.startswith("bunny_")]
+        np.testing.assert_allclose(sim.get("position")[env, 5:], expected, atol=1e-6)
+    assert not np.allclose(sim.get("position")[0], sim.get("position")[1])

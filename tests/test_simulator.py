@@ -323,9 +323,6 @@ def test_measuring_penetration_does_not_change_the_run(device, monkeypatch):
     assert runs[0] == runs[1]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="when the look makes the pools grow, the last step's 48 contacts are told as none"
-)
 def test_measuring_penetration_does_not_change_the_records(device, monkeypatch):
     monkeypatch.setattr(Simulator, "_estimated_pools", tiny_pools)
     sim = crowded_after_five_steps(device)

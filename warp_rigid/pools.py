@@ -75,17 +75,13 @@ class Pools:
             sizes["contacts"],
         )
         pools = Pools.allocate(num_envs, bodies_per_env, sizes["pairs"], sizes["contacts"], self.wanted.device)
+        pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, data.History)
-        pools.history.contact_start[self.history.contact_start.size :].fill_(self._touching())
         copy_arrays(self.contacts, pools.contacts, data.Contacts)
         wp.copy(pools.graph.level, self.graph.level)
         wp.copy(pools.graph.level_count, self.graph.level_count)
         wp.copy(pools.wanted, self.wanted)
         return pools
-
-    def _touching(self) -> int:
-        """Contacts of the last step (waits for the device)."""
-        return int(self.history.contact_start.numpy()[-1])
 
 
 def copy_arrays(source: Any, target: Any, struct: Any) -> None:

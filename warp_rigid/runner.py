@@ -124,6 +124,8 @@ def plan_run(
         raise ValueError(f"--frames: must be >= 0, got {frames}")
     scene = demo.build(**given.scene)
     sim = Simulator(scene, num_envs=count, settings=settings, device=device, seed=seed or 0)
+    if demo.vary and count > 1 and not variants and not given.batched:
+        demo.vary(sim, **{**demo.parameters, **given.scene})
     _apply(sim, given, variants)
     changed = given.settings or given.properties or given.batched or substeps is not None
     if changed or frames < round(demo.duration * fps):
