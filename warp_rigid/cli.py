@@ -360,7 +360,8 @@ def _start_warp() -> None:
 def _explain(error: Exception) -> str:
     """One line on what went wrong."""
     if isinstance(error, ModuleNotFoundError):
-        return f"{error.name} is not installed; pip install 'warp-rigid[picture]' brings it"
+        package = "'warp-rigid[picture]'" if error.name in ("PIL", "matplotlib") else "--force-reinstall warp-rigid"
+        return f"{error.name} is not installed; pip install {package} brings it"
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split())
