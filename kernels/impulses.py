@@ -131,7 +131,6 @@ def visit_contact(
     c: int,
     share_a: float,
     share_b: float,
-    dt: float,
     bodies: Bodies,
     motions: Motions,
     contacts: Contacts,
@@ -194,7 +193,6 @@ def warm_start(
 @wp.kernel
 def sweep_contacts(
     after_shock: int,
-    dt: float,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -213,5 +211,5 @@ def sweep_contacts(
             for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
                 pair = graph.order[k]
                 for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                    visit_contact(c, 1.0, 1.0, dt, bodies, motions, contacts, state)
+                    visit_contact(c, 1.0, 1.0, bodies, motions, contacts, state)
             meet()

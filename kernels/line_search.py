@@ -69,7 +69,6 @@ def start_slip(c: int, contacts: Contacts, motions: Motions):
 
 @wp.kernel
 def sum_energy(
-    dt: float,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,

@@ -92,12 +92,10 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
 
 
 @wp.kernel
-def accelerate(
-    share: float, dt: float, when: int, bodies_per_env: int, motions: Motions, envs: Environments, state: State
-):
-    """Velocity update: add `share` of a step's acceleration where the environment's stage order is `when`."""
+def accelerate(dt: float, when: int, bodies_per_env: int, motions: Motions, envs: Environments, state: State):
+    """Velocity update: add a step's acceleration where the environment's stage order is `when`."""
     b = wp.tid()
     if envs.collision_first[b / bodies_per_env] != when:
         return
-    state.linear_velocity[b] = state.linear_velocity[b] + share * dt * motions.acceleration[b]
-    state.angular_velocity[b] = state.angular_velocity[b] + share * dt * motions.spin_acceleration[b]
+    state.linear_velocity[b] = state.linear_velocity[b] + dt * motions.acceleration[b]
+    state.angular_velocity[b] = state.angular_velocity[b] + dt * motions.spin_acceleration[b]

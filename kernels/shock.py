@@ -42,7 +42,6 @@ def solve_level(
     lane: int,
     level: int,
     bodies_per_env: int,
-    dt: float,
     bodies: Bodies,
     motions: Motions,
     graph: Graph,
@@ -65,7 +64,7 @@ def solve_level(
                 share_a = wp.where(graph.level[pairs.body_a[pair]] == level, 1.0, 0.0)
                 share_b = wp.where(graph.level[pairs.body_b[pair]] == level, 1.0, 0.0)
                 for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                    change = visit_contact(c, share_a, share_b, dt, bodies, motions, contacts, state)
+                    change = visit_contact(c, share_a, share_b, bodies, motions, contacts, state)
                     largest = wp.max(largest, change)
             meet()
         wp.atomic_max(graph.residual, env, iteration % 3, largest)
@@ -107,7 +106,6 @@ def hand_down(
 @wp.kernel
 def propagate(
     repetition: int,
-    dt: float,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -124,9 +122,9 @@ def propagate(
         return
     levels = graph.level_count[env]
     for level in range(1, levels + 1):
-        solve_level(env, lane, level, bodies_per_env, dt, bodies, motions, graph, pairs, contacts, state)
+        solve_level(env, lane, level, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
     if mode == TWO_PASS:
         for up in range(levels):
             level = levels - up
-            solve_level(env, lane, level, bodies_per_env, dt, bodies, motions, graph, pairs, contacts, state)
+            solve_level(env, lane, level, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
             hand_down(env, lane, level, bodies_per_env, bodies, motions, graph, pairs, contacts, state)

@@ -162,7 +162,7 @@ class Stages:
         """Velocity update, in the environments whose stage order has it here."""
         self._per_body(
             predict.accelerate,
-            [1.0, self.dt, 0 if before_collisions else 1, self.num_bodies, self.motions, self.envs],
+            [self.dt, 0 if before_collisions else 1, self.num_bodies, self.motions, self.envs],
             [self.state],
         )
 
@@ -173,10 +173,10 @@ class Stages:
     def solve_contacts(self) -> None:
         """Contact impulses: warm start, sweeps, shock propagation, sweeps."""
         self._per_block(impulses.warm_start, self._solver_inputs(), [])
-        self._per_block(impulses.sweep_contacts, [0, self.dt, *self._solver_inputs()], [])
+        self._per_block(impulses.sweep_contacts, [0, *self._solver_inputs()], [])
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
-        self._per_block(impulses.sweep_contacts, [1, self.dt, *self._solver_inputs()], [])
+        self._per_block(impulses.sweep_contacts, [1, *self._solver_inputs()], [])
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
@@ -184,8 +184,8 @@ class Stages:
         self._per_block(
             line_search.remember_start, [self.num_bodies, graph, pairs, records, self.motions, self.state], []
         )
-        self._per_block(shock.propagate, [repetition, self.dt, *self._solver_inputs()], [])
-        self._per_env(line_search.sum_energy, [self.dt, *self._solver_inputs()], [])
+        self._per_block(shock.propagate, [repetition, *self._solver_inputs()], [])
+        self._per_env(line_search.sum_energy, self._solver_inputs(), [])
         self._per_body(line_search.accept_bodies, [self.num_bodies, self.envs, graph, self.motions], [self.state])
         wp.launch(
             line_search.accept_impulses,
