@@ -11,7 +11,8 @@ from PIL import Image
 from pxr import Usd
 
 import warp_rigid
-from warp_rigid import cli, scenes
+from warp_rigid import cli, runner, scenes
+from warp_rigid.commands import run as run_module
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -116,12 +117,12 @@ def test_verdicts_name_what_is_not_as_expected(capsys):
             }
         ],
     }  # fmt: skip
-    cli._print_summary(summary)
+    run_module._print_summary(summary)
     out = capsys.readouterr().out
     assert "0.5 yes" in out and "2 no, as expected" in out and "3 no, NOT AS EXPECTED" in out
     assert "2 of 3 verdicts as expected" in out
     summary["envs"] = 100
-    cli._print_summary(summary)
+    run_module._print_summary(summary)
     assert "1 of 3" in capsys.readouterr().out
 
 
@@ -179,7 +180,7 @@ def test_non_finite_state_is_status_4(capsys, scene_file):
 
 
 def test_capacity_is_status_3(capsys):
-    assert cli._status([{"env": 2, "status": "capacity", "step": 7, "body": 1}]) == 3
+    assert run_module._status([{"env": 2, "status": "capacity", "step": 7, "body": 1}]) == 3
     assert "first 2: capacity since step 7" in capsys.readouterr().err
 
 
@@ -187,7 +188,7 @@ def test_interruption_is_status_130(capsys, scene_file, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli.runner, "execute", interrupt)
+    monkeypatch.setattr(runner, "execute", interrupt)
     assert run(capsys, "run", scene_file)[0] == 130
 
 

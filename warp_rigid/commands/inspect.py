@@ -1,0 +1,70 @@
+"""`warp-rigid inspect`: how the simulator sees a mesh."""
+
+import json
+import os
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from warp_rigid import meshes
+from warp_rigid.inspect_mesh import inspect_mesh, parse_slice, save_slice
+from warp_rigid.shapes import Mesh
+from warp_rigid.terminal import check_outputs, console
+
+
+def inspect_command(
+    mesh: Annotated[str, typer.Argument(help="A mesh file, or a shape such as bunny or torus.")],
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Picture of a slice, .png.")] = None,
+    cut: Annotated[str | None, typer.Option("--slice", help="Where, such as z=0.05; else through the middle.")] = None,
+    sdf_resolution: Annotated[int, typer.Option(help="Cells along the longest side.")] = 64,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """Tell how the simulator sees a mesh: solid, repairs, samples, error of its distances."""
+    if cut and not output:
+        raise ValueError("--slice: needs -o FILE.png for the picture")
+    check_outputs(None, {output: ".png"} if output else {})
+    solid = _find_mesh(mesh, sdf_resolution)
+    if output:
+        lower, upper = solid.bounds
+        axis, place = parse_slice(cut) if cut else (2, float(lower[2] + upper[2]) / 2.0)
+        save_slice(solid, output, axis, place)
+    figures = inspect_mesh(solid)
+    if as_json:
+        print(json.dumps(figures))
+    else:
+        _print_mesh(mesh, figures)
+
+
+def _find_mesh(name: str, sdf_resolution: int) -> Mesh:
+    """A mesh file, or one of the ready-made meshes."""
+    ready = getattr(meshes, name, None)
+    if getattr(ready, "__module__", None) == meshes.__name__ and not name.startswith("_"):
+        return ready(sdf_resolution=sdf_resolution)
+    if not os.path.isfile(name):
+        raise FileNotFoundError(f"{name}: no such file")
+    return Mesh.from_file(name, sdf_resolution=sdf_resolution)
+
+
+def _print_mesh(name: str, figures: dict[str, Any]) -> None:
+    size = [upper - lower for lower, upper in zip(figures["lower"], figures["upper"], strict=True)]
+    triple = "{:.4g} x {:.4g} x {:.4g}".format
+    cell = figures["cell"]
+    rows = {
+        "mesh": f"{name}: {figures['vertices']} vertices, {figures['triangles']} triangles, "
+        f"{'watertight' if figures['watertight'] else 'open'}",
+        "repairs": "; ".join(figures["repairs"]) or "none",
+        "size": f"{triple(*size)} m",
+        "volume": f"{figures['volume']:.5g} m^3",
+        "center of mass": "({:.4g}, {:.4g}, {:.4g}) m".format(*figures["center_of_mass"]),
+        "inertia": "{:.4g}, {:.4g}, {:.4g} m^5 at unit density".format(*figures["principal_inertia"]),
+        "samples": ", ".join(f"{n} {kind}" for kind, n in figures["samples"].items() if n),
+        "distance grid": f"{triple(*figures['grid'])} nodes, cell {1e3 * cell:.3g} mm, {figures['grid_seconds']:.2g} s",
+        "distance error": f"mean {figures['distance_error_mean'] / cell:.2g}, "
+        f"largest {figures['distance_error_largest'] / cell:.2g} cells; "
+        f"{figures['wrong_signs']} wrong signs",
+    }
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for label, text in rows.items():
+        table.add_row(label, text)
+    console().print(table, highlight=False)

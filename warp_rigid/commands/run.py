@@ -1,0 +1,174 @@
+"""`warp-rigid run`: a scene, its outcome, films and pictures of it."""
+
+import json
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from warp_rigid import runner
+from warp_rigid.terminal import check_outputs, console, note, progress
+from warp_rigid.usd_export import export_usd
+
+CAPACITY, NON_FINITE = 3, 4
+MOST_RECORDED = 16
+"""So many environments go into a film unless told otherwise."""
+MOST_COLUMNS = 8
+"""Up to so many environments have a column each in the table of verdicts."""
+
+
+def run_command(
+    scene: Annotated[str, typer.Argument(help="A built-in scene, or a .py file with scene().")],
+    envs: Annotated[int | None, typer.Option(help="Environments.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Frames; the scene's own if left out.")] = None,
+    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
+    substeps: Annotated[int | None, typer.Option(help="Steps a frame; sets dt.")] = None,
+    device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the scene's random numbers.")] = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A scene's parameter, a setting or a property of the bodies; repeatable. "
+            "A list NAME=A,B,C gives one value to each environment.",
+        ),
+    ] = None,
+    compare: Annotated[bool, typer.Option("--compare", help="One environment for each variant of the scene.")] = False,
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Film: .usdc, .usda or .usdz.")] = None,
+    usd_envs: Annotated[str | None, typer.Option(help="Environments in films and pictures: 0,5,7 or all.")] = None,
+    picture: Annotated[str | None, typer.Option(help="The last frame, .png.")] = None,
+    film: Annotated[str | None, typer.Option(help="The film, .gif.")] = None,
+    contact_sheet: Annotated[str | None, typer.Option(help="Eight frames, .png.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> int:
+    """Run a scene, measure its outcome, and write films and pictures of it."""
+    pictures = {picture: ".png", film: ".gif", contact_sheet: ".png"}
+    check_outputs(output, {path: suffix for path, suffix in pictures.items() if path})
+    plan = runner.plan_run(
+        runner.find_scene(scene),
+        assignments or (),
+        num_envs=envs,
+        compare=compare,
+        frames=frames,
+        fps=fps,
+        substeps=substeps,
+        device=device,
+        seed=seed,
+    )
+    written = [path for path in (output, picture, film, contact_sheet) if path]
+    chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
+    with progress(plan.demo.name, plan.frames) as advance:
+        result = runner.execute(plan, chosen, advance)
+    if output:
+        export_usd(result.recording, output)
+    if picture or film or contact_sheet:
+        _draw(result.recording, output, picture, film, contact_sheet)
+    summary = {**result.summary, "files": written}
+    if as_json:
+        print(json.dumps(summary))
+    else:
+        _print_summary(summary)
+    return _status(summary["failed"])
+
+
+def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
+    """Which environments films and pictures show; None for all."""
+    if text == "all" or (text is None and num_envs <= MOST_RECORDED):
+        return None
+    if text is None:
+        note(f"recording the first {MOST_RECORDED} environments; --usd-envs chooses others")
+        return list(range(MOST_RECORDED))
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise ValueError(f"--usd-envs: must be numbers such as 0,5,7 or all, got {text}") from None
+
+
+def _draw(recording, usd, picture, film, contact_sheet) -> None:
+    """Pictures of the exported file where there is one, so that they show what was written."""
+    from warp_rigid.film import film_from_recording, film_from_usd
+    from warp_rigid.picture import save_contact_sheet, save_gif, save_picture
+
+    drawn = film_from_usd(usd) if usd else film_from_recording(recording)
+    for save, path in ((save_picture, picture), (save_gif, film), (save_contact_sheet, contact_sheet)):
+        if path:
+            save(drawn, path)
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    out = console()
+    deepest = max(summary["deepest_penetration"], default=0.0)
+    at_end = max(summary["penetration"], default=0.0)
+    lines = [
+        f"{summary['scene']}: {summary['envs']} environment(s) of {summary['bodies']} bodies, "
+        f"{summary['frames']} frames ({summary['time']:.4g} s) on {summary['device']}",
+        f"{summary['contacts']} contacts, {summary['levels']} levels; deepest overlap "
+        f"{1e3 * deepest:.3g} mm, at the end {1e3 * at_end:.3g} mm",
+        f"{summary['env_frames_per_second']:.4g} env-frames/s (set-up {summary['setup_seconds']:.2g} s)",
+    ]
+    lines += [
+        f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
+        for record in summary["failed"]
+    ]
+    for line in lines:
+        out.print(line, highlight=False, markup=False)
+    if summary["verdicts"]:
+        out.print(_verdict_table(summary), highlight=False)
+        out.print(_conclusion(summary["verdicts"]), highlight=False, markup=False)
+    for path in summary["files"]:
+        out.print(f"wrote {path}", highlight=False, markup=False)
+
+
+def _verdict_table(summary: dict[str, Any]) -> Table:
+    """A row for each verdict; a column for each environment, if they are few."""
+    table = Table("verdict", "condition", box=None, pad_edge=False)
+    few = summary["envs"] <= MOST_COLUMNS
+    if few:
+        for env, label in enumerate(summary["labels"]):
+            table.add_column(label or (f"env {env}" if summary["envs"] > 1 else "measured"))
+    else:
+        table.add_column("holds in")
+        table.add_column("from")
+        table.add_column("to")
+    for verdict in summary["verdicts"]:
+        rows = list(zip(verdict["values"], verdict["passed"], verdict["expected"], strict=True))
+        if few:
+            cells = [_cell(*row) for row in rows]
+        else:
+            passed = sum(verdict["passed"])
+            color = "green" if passed == len(rows) else "red"
+            cells = [f"[{color}]{passed} of {len(rows)}[/]"]
+            cells += [f"{pick(verdict['values']):.3g}" for pick in (min, max)]
+        table.add_row(verdict["name"], verdict["limit"], *cells)
+    return table
+
+
+def _cell(value: float, passed: bool, expected: bool | None) -> str:
+    answer = "yes" if passed else "no"
+    if expected is None:
+        return f"{value:.3g} {answer}"
+    if passed == expected:
+        return f"{value:.3g} [green]{answer}{'' if passed else ', as expected'}[/]"
+    return f"{value:.3g} [red]{answer}, NOT AS EXPECTED[/]"
+
+
+def _conclusion(verdicts: list[dict[str, Any]]) -> str:
+    """How many verdicts are as the scene expects them."""
+    judged = [
+        passed == expected
+        for verdict in verdicts
+        for passed, expected in zip(verdict["passed"], verdict["expected"], strict=True)
+        if expected is not None
+    ]
+    if not judged:
+        return "nothing is expected of changed settings or a shortened run"
+    return f"{sum(judged)} of {len(judged)} verdicts as expected"
+
+
+def _status(failed: list[dict[str, Any]]) -> int:
+    if not failed:
+        return 0
+    first = failed[0]
+    note(f"{len(failed)} environment(s) failed, first {first['env']}: {first['status']} since step {first['step']}")
+    return CAPACITY if first["status"] == "capacity" else NON_FINITE

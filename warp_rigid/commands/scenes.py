@@ -1,0 +1,37 @@
+"""`warp-rigid scenes`: the built-in scenes."""
+
+import json
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from warp_rigid import scenes
+from warp_rigid.terminal import console
+
+
+def scenes_command(
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> None:
+    """List the built-in scenes, their parameters and the variants of --compare."""
+    demos = [scenes.get(name) for name in scenes.names()]
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    demo.name: {
+                        "summary": demo.summary,
+                        "parameters": demo.parameters,
+                        "variants": list(demo.variants),
+                        "duration": demo.duration,
+                    }
+                    for demo in demos
+                }
+            )
+        )
+        return
+    table = Table("scene", "shows", "parameters", "variants", box=None, pad_edge=False)
+    for demo in demos:
+        parameters = "\n".join(f"{name}={value}" for name, value in demo.parameters.items())
+        table.add_row(demo.name, demo.summary, parameters, "\n".join(demo.variants))
+    console().print(table)

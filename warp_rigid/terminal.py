@@ -1,0 +1,95 @@
+"""What the commands share: the console, progress, messages and one-line errors."""
+
+import contextlib
+import logging
+import os
+import sys
+import tempfile
+import warnings
+
+import warp as wp
+from rich.console import Console
+from rich.progress import Progress
+
+PLAIN_WIDTH = 120
+"""Width of tables where there is no terminal."""
+
+
+def console(stderr: bool = False) -> Console:
+    """The terminal, or a plain one of fixed width where the output goes elsewhere."""
+    found = Console(stderr=stderr)
+    return found if found.is_terminal else Console(stderr=stderr, width=PLAIN_WIDTH)
+
+
+def note(text: str) -> None:
+    """A line on stderr."""
+    print(text, file=sys.stderr)
+
+
+def check_outputs(usd: str | None, pictures: dict[str, str]) -> None:
+    """Refuse names and missing libraries before the simulation runs, not after it."""
+    if usd and not usd.endswith((".usdc", ".usda", ".usdz", ".usd")):
+        raise ValueError(f"-o: must end in .usdc, .usda, .usdz or .usd, got {usd}")
+    for path, suffix in pictures.items():
+        if not path.endswith(suffix):
+            raise ValueError(f"{path}: must end in {suffix}")
+    if pictures:
+        import matplotlib  # noqa: F401
+        import PIL  # noqa: F401
+
+
+@contextlib.contextmanager
+def progress(name: str, total: int):
+    """A bar on stderr where that is a terminal; yields the function that moves it."""
+    terminal = console(stderr=True)
+    if not terminal.is_terminal:
+        yield None
+        return
+    with Progress(console=terminal, transient=True) as bar:
+        task = bar.add_task(name, total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def start_warp() -> None:
+    """Start Warp without its greeting; other messages of its native part still come through."""
+    wp.config.log_level = wp.LOG_WARNING
+    with tempfile.TemporaryFile() as told:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(told.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        told.seek(0)
+        for line in told.read().decode(errors="replace").splitlines():
+            if "Could not find or load the NVIDIA CUDA driver" not in line:
+                note(line)
+
+
+def explain(error: Exception) -> str:
+    """One line on what went wrong."""
+    if isinstance(error, ModuleNotFoundError):
+        package = "'warp-rigid[picture]'" if error.name in ("PIL", "matplotlib") else "--force-reinstall warp-rigid"
+        return f"{error.name} is not installed; pip install {package} brings it"
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+@contextlib.contextmanager
+def messages_on_stderr():
+    """Show the package's messages, and warnings as one line each."""
+    log = logging.getLogger("warp_rigid")
+    handler = logging.StreamHandler(sys.stderr)
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: note(f"warning: {message}")
+        try:
+            yield
+        finally:
+            log.removeHandler(handler)
+            log.setLevel(level)
