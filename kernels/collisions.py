@@ -15,110 +15,89 @@ stays rest; an impact too weak to come back up the gap is left to the contact st
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, Pairs, State
-from warp_rigid.kernels.impulses import friction_impulse, meet, push_both, slip_velocity
-from warp_rigid.kernels.tangents import tangent_of
+from warp_rigid.kernels.data import Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Pairs, State
+from warp_rigid.kernels.impulses import (
+    SETTLED,
+    Couple,
+    first_of_group,
+    friction_impulse,
+    put_down,
+    slip_between,
+    stride_of_group,
+    take_up,
+    with_impulse,
+)
+from warp_rigid.kernels.tangents import world_vector
+from warp_rigid.kernels.team import any_of_team, meet
 
 wp.set_module_options({"enable_backward": False})
 
 INNER_ITERATIONS = wp.constant(8)
-"""Rounds over the contacts of one pair."""
+"""Most rounds over the contacts of one pair."""
 
 SLOWEST = wp.constant(1.0e-4)
 """Approach below which a contact is no collision [m/s]."""
 
+NO_IMPACT = wp.constant(-1.0e10)
+"""Target of a contact that does not collide in this step [m/s]."""
+
 
 @wp.func
-def rebound(c: int, dt: float, first: int, contacts: Contacts, motions: Motions, state: State):
-    """Normal velocity that the contact aims at, or -1e10 if it does not collide in this step."""
-    n = contacts.normal[c]
-    speed = -wp.dot(slip_velocity(c, contacts, state), n)
-    a = contacts.body_a[c]
-    b = contacts.body_b[c]
-    pull = float(first) * wp.max(wp.dot(motions.acceleration[b] - motions.acceleration[a], n), 0.0)
-    if speed < SLOWEST or contacts.closing[c] > speed + dt * pull:
-        return -1.0e10
-    e = contacts.restitution[c]
+def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
+    """Normal velocity that a contact approaching at `speed` aims at, or NO_IMPACT. `pull`: acceleration together."""
+    if speed < SLOWEST or row.closing > speed + dt * pull:
+        return NO_IMPACT
+    e = row.restitution
     if e == 0.0:
         return 0.0
     lag = 0.5 * dt * pull * wp.min(speed / wp.max(dt * pull, 1.0e-9), 1.0)
-    fall = 2.0 * pull * wp.max(contacts.gap[c], 0.0)
+    fall = 2.0 * pull * wp.max(row.gap, 0.0)
     squared = e * e * ((speed + lag) * (speed + lag) + fall) - fall
     if squared <= 0.0:
-        return -1.0e10
+        return NO_IMPACT
     return wp.sqrt(squared) + lag
 
 
 @wp.func
-def collide_contact(c: int, bodies: Bodies, motions: Motions, contacts: Contacts, state: State):
-    """One visit inside a pair: bring the normal velocity to its target, the slip to zero within the cone."""
-    n = contacts.normal[c]
-    u = tangent_of(n)
-    v = wp.cross(n, u)
-    old = contacts.reaction[c]
-    missing = contacts.target[c] - wp.dot(slip_velocity(c, contacts, state), n)
-    normal = wp.max(old[0] + missing / (contacts.normal_a[c] + contacts.normal_b[c]), 0.0)
-    push_both(c, (normal - old[0]) * n, 1.0, 1.0, bodies, motions, contacts, state)
-    slip = slip_velocity(c, contacts, state)
-    k = contacts.tangent_a[c] + contacts.tangent_b[c]
-    before = wp.vec2(old[1], old[2])
-    after = friction_impulse(before, wp.vec2(wp.dot(slip, u), wp.dot(slip, v)), k, contacts.friction[c] * normal)
-    push_both(c, (after[0] - old[1]) * u + (after[1] - old[2]) * v, 1.0, 1.0, bodies, motions, contacts, state)
-    contacts.reaction[c] = wp.vec3(normal, after[0], after[1])
-
-
-@wp.func
-def collide_pair(
-    first_contact: int,
-    last_contact: int,
-    dt: float,
-    first: int,
-    bodies: Bodies,
-    motions: Motions,
-    contacts: Contacts,
-    state: State,
-):
-    """Let the contacts of a pair collide together. Returns 1 if any did."""
+def set_targets(begin: int, end: int, couple: Couple, relative_pull: wp.vec3, dt: float, contacts: Contacts):
+    """Give the pair's contacts their targets. Returns 1 if any collides."""
     colliding = int(0)
-    for c in range(first_contact, last_contact):
-        target = rebound(c, dt, first, contacts, motions, state)
-        contacts.target[c] = target
-        contacts.reaction[c] = wp.vec3(0.0, 0.0, 0.0)
-        if target > -1.0e9:
+    for c in range(begin, end):
+        row = contacts.rows[c]
+        speed = -wp.dot(slip_between(row, couple), row.normal)
+        target = rebound(row, speed, wp.max(-wp.dot(relative_pull, row.normal), 0.0), dt)
+        contacts.loads[c].target = target
+        if target > NO_IMPACT:
             colliding = 1
-    if colliding == 0:
-        return 0
-    a = contacts.body_a[first_contact]
-    b = contacts.body_b[first_contact]
-    va = state.linear_velocity[a]
-    wa = state.angular_velocity[a]
-    vb = state.linear_velocity[b]
-    wb = state.angular_velocity[b]
-    for _ in range(INNER_ITERATIONS):
-        for c in range(first_contact, last_contact):
-            if contacts.target[c] > -1.0e9:
-                collide_contact(c, bodies, motions, contacts, state)
-    lag = 0.5 * dt * float(first) * (motions.acceleration[a] - motions.acceleration[b])
-    keep = energy_neutral_share(first_contact, last_contact, va, wa, vb, wb, lag, contacts, state)
-    state.linear_velocity[a] = va + keep * (state.linear_velocity[a] - va)
-    state.angular_velocity[a] = wa + keep * (state.angular_velocity[a] - wa)
-    state.linear_velocity[b] = vb + keep * (state.linear_velocity[b] - vb)
-    state.angular_velocity[b] = wb + keep * (state.angular_velocity[b] - wb)
-    return 1
+            contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
+    return colliding
 
 
 @wp.func
-def energy_neutral_share(
-    first_contact: int,
-    last_contact: int,
-    va: wp.vec3,
-    wa: wp.vec3,
-    vb: wp.vec3,
-    wb: wp.vec3,
-    lag: wp.vec3,
-    contacts: Contacts,
-    state: State,
-):
+def collide_contact(c: int, couple: Couple, contacts: Contacts):
+    """One visit inside a pair: bring the normal velocity to its target, the slip to zero within the cone."""
+    row = contacts.rows[c]
+    n = row.normal
+    u = row.tangent
+    v = wp.cross(n, u)
+    old = contacts.loads[c].reaction
+    slip = slip_between(row, couple)
+    k_normal = row.normal_a + row.normal_b
+    normal = wp.max(old[0] + (contacts.loads[c].target - wp.dot(slip, n)) / k_normal, 0.0)
+    gained = normal - old[0]
+    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (row.coupling_a + row.coupling_b)
+    k = row.tangent_a + row.tangent_b
+    before = wp.vec2(old[1], old[2])
+    after = friction_impulse(before, sliding, k, row.friction * normal)
+    couple = with_impulse(row, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, couple)
+    contacts.loads[c].reaction = wp.vec3(normal, after[0], after[1])
+    change = k_normal * wp.abs(gained) + wp.sqrt((k[0] + k[2]) * k_normal) * wp.length(after - before)
+    couple.change = wp.max(couple.change, change)
+    return couple
+
+
+@wp.func
+def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, lag: wp.vec3, contacts: Contacts):
     """Largest share in [0, 1] of the pair's impulse that gains no kinetic energy.
 
     With the share s the energy changes by s J.u + s^2 J.du / 2, u the time-centred relative velocities before (which
@@ -126,22 +105,59 @@ def energy_neutral_share(
     """
     linear = float(0.0)
     quadratic = float(0.0)
-    for c in range(first_contact, last_contact):
-        n = contacts.normal[c]
-        t = tangent_of(n)
-        j = contacts.reaction[c]
-        impulse = j[0] * n + j[1] * t + j[2] * wp.cross(n, t)
-        before = va + wp.cross(wa, contacts.arm_a[c]) - vb - wp.cross(wb, contacts.arm_b[c])
-        linear += wp.dot(impulse, before + lag)
-        quadratic += 0.5 * wp.dot(impulse, slip_velocity(c, contacts, state) - before)
+    for c in range(begin, end):
+        if contacts.loads[c].target > NO_IMPACT:
+            row = contacts.rows[c]
+            impulse = world_vector(row.normal, row.tangent, contacts.loads[c].reaction)
+            slip = slip_between(row, before)
+            linear += wp.dot(impulse, slip + lag)
+            quadratic += 0.5 * wp.dot(impulse, slip_between(row, after) - slip)
     if linear + quadratic <= 0.0 or quadratic <= 0.0:
         return 1.0
     return wp.clamp(-linear / quadratic, 0.0, 1.0)
 
 
+@wp.func
+def collide_pair(
+    pair: int,
+    dt: float,
+    first: int,
+    bodies: Bodies,
+    motions: Motions,
+    pairs: Pairs,
+    contacts: Contacts,
+    state: State,
+):
+    """Let the contacts of a pair collide together. Returns 1 if any did."""
+    begin = pairs.contact_start[pair]
+    end = pairs.contact_start[pair + 1]
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    before = take_up(a, b, 1.0, 1.0, bodies, motions, state)
+    relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
+    if set_targets(begin, end, before, relative_pull, dt, contacts) == 0:
+        return 0
+    after = before
+    left = int(INNER_ITERATIONS)
+    while left > 0:
+        after.change = 0.0
+        for c in range(begin, end):
+            if contacts.loads[c].target > NO_IMPACT:
+                after = collide_contact(c, after, contacts)
+        left = wp.where(after.change > SETTLED, left - 1, 0)
+    keep = energy_neutral_share(begin, end, before, after, 0.5 * dt * relative_pull, contacts)
+    after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
+    after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
+    after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
+    after.angular_b = before.angular_b + keep * (after.angular_b - before.angular_b)
+    put_down(a, b, after, state)
+    return 1
+
+
 @wp.kernel
 def collide(
     dt: float,
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -151,21 +167,17 @@ def collide(
     contacts: Contacts,
     state: State,
 ):
-    """One block an environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
-    env, lane = wp.tid()
+    """A team an environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
     rows = env * (bodies_per_env + 2)
-    for iteration in range(envs.collision_iterations[env]):
-        if lane == 0:
-            graph.residual[env, (iteration + 1) % 3] = 0.0
-            if iteration == 0:
-                graph.residual[env, 0] = 0.0
-        meet()
+    first = envs.collision_first[env]
+    left = int(envs.collision_iterations[env])
+    while left > 0:
+        collided = int(0)
         for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
-            for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
-                begin = pairs.contact_start[graph.order[k]]
-                end = pairs.contact_start[graph.order[k] + 1]
-                if collide_pair(begin, end, dt, envs.collision_first[env], bodies, motions, contacts, state) == 1:
-                    wp.atomic_max(graph.residual, env, iteration % 3, 1.0)
-            meet()
-        if graph.residual[env, iteration % 3] == 0.0:
-            return
+            stride = stride_of_group(group, lanes, graph)
+            for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
+                collided |= collide_pair(graph.order[k], dt, first, bodies, motions, pairs, contacts, state)
+            meet(lanes)
+        left = any_of_team(collided, lanes) * (left - 1)

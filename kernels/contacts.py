@@ -2,10 +2,20 @@
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, Contacts, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.data import (
+    Bodies,
+    ContactRecord,
+    Contacts,
+    Environments,
+    History,
+    Motions,
+    Pairs,
+    Shapes,
+    State,
+)
 from warp_rigid.kernels.distance import FAR
-from warp_rigid.kernels.narrowphase import SLOTS, Touch, place_sample, touch_of
-from warp_rigid.kernels.tangents import in_world, tangent_of
+from warp_rigid.kernels.narrowphase import SLOTS, place_sample, touch_of
+from warp_rigid.kernels.tangents import tangent_of, world_vector
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,10 +52,8 @@ def seen_along(arm: wp.vec3, d: wp.vec3, e: wp.vec3, inverse_mass: float, invers
 
 
 @wp.func
-def tangential(arm: wp.vec3, n: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
+def tangential(arm: wp.vec3, u: wp.vec3, v: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
     """The tangential block of K: entries 11, 12, 22."""
-    u = tangent_of(n)
-    v = wp.cross(n, u)
     return wp.vec3(
         seen_along(arm, u, u, inverse_mass, inverse_inertia),
         seen_along(arm, u, v, inverse_mass, inverse_inertia),
@@ -65,59 +73,57 @@ def last_contact(a: int, b: int, key: int, history: History):
 
 
 @wp.func
-def write_masses(c: int, a: int, b: int, bodies: Bodies, motions: Motions, contacts: Contacts):
+def with_masses(row: ContactRecord, bodies: Bodies, motions: Motions):
     """Inverse masses that the contact sees along its normal and in its tangent plane."""
-    n = contacts.normal[c]
-    r = contacts.arm_a[c]
-    contacts.normal_a[c] = seen_along(r, n, n, bodies.inverse_mass[a], motions.inverse_inertia[a])
-    contacts.tangent_a[c] = tangential(r, n, bodies.inverse_mass[a], motions.inverse_inertia[a])
-    r = contacts.arm_b[c]
-    contacts.normal_b[c] = seen_along(r, n, n, bodies.inverse_mass[b], motions.inverse_inertia[b])
-    contacts.tangent_b[c] = tangential(r, n, bodies.inverse_mass[b], motions.inverse_inertia[b])
+    n = row.normal
+    u = row.tangent
+    v = wp.cross(n, u)
+    mass = bodies.inverse_mass[row.body_a]
+    inertia = motions.inverse_inertia[row.body_a]
+    r = row.arm_a
+    row.normal_a = seen_along(r, n, n, mass, inertia)
+    row.coupling_a = wp.vec2(seen_along(r, u, n, mass, inertia), seen_along(r, v, n, mass, inertia))
+    row.tangent_a = tangential(r, u, v, mass, inertia)
+    mass = bodies.inverse_mass[row.body_b]
+    inertia = motions.inverse_inertia[row.body_b]
+    r = row.arm_b
+    row.normal_b = seen_along(r, n, n, mass, inertia)
+    row.coupling_b = wp.vec2(seen_along(r, u, n, mass, inertia), seen_along(r, v, n, mass, inertia))
+    row.tangent_b = tangential(r, u, v, mass, inertia)
+    return row
 
 
 @wp.func
-def write_contact(c: int, a: int, b: int, key: int, touch: Touch, motions: Motions, contacts: Contacts):
-    """Geometry of a contact record."""
-    contacts.body_a[c] = a
-    contacts.body_b[c] = b
-    contacts.key[c] = key
-    contacts.position[c] = touch.position
-    contacts.normal[c] = touch.normal
-    contacts.arm_a[c] = touch.position - motions.center[a]
-    contacts.arm_b[c] = touch.position - motions.center[b]
-    contacts.gap[c] = touch.gap
+def with_coefficients(row: ContactRecord, rules: wp.vec2i, bodies: Bodies):
+    """Coefficients of the pair."""
+    a = row.body_a
+    b = row.body_b
+    row.friction = combine(bodies.friction[a], bodies.friction[b], rules[0])
+    row.rolling_friction = combine(bodies.rolling_friction[a], bodies.rolling_friction[b], rules[0])
+    row.spinning_friction = combine(bodies.spinning_friction[a], bodies.spinning_friction[b], rules[0])
+    row.restitution = combine(bodies.restitution[a], bodies.restitution[b], rules[1])
+    return row
 
 
 @wp.func
-def in_contact_frame(c: int, world: wp.vec3, contacts: Contacts):
+def in_contact_frame(row: ContactRecord, world: wp.vec3):
     """Components of a world vector along a contact's normal and tangents."""
-    n = contacts.normal[c]
-    u = tangent_of(n)
-    return wp.vec3(wp.dot(world, n), wp.dot(world, u), wp.dot(world, wp.cross(n, u)))
+    v = wp.cross(row.normal, row.tangent)
+    return wp.vec3(wp.dot(world, row.normal), wp.dot(world, row.tangent), wp.dot(world, v))
 
 
 @wp.func
-def start_from_history(c: int, warm: int, contacts: Contacts, history: History):
+def start_from_history(c: int, row: ContactRecord, warm: int, contacts: Contacts, history: History):
     """Start from the last step's impulses, turned into today's tangent plane, or from zero."""
     impulse = wp.vec3(0.0, 0.0, 0.0)
     twist = wp.vec3(0.0, 0.0, 0.0)
     if warm == 1:
-        last = last_contact(contacts.body_a[c], contacts.body_b[c], contacts.key[c], history)
+        last = last_contact(row.body_a, row.body_b, contacts.key[c], history)
         if last >= 0:
-            impulse = in_contact_frame(c, history.impulse[last], contacts)
-            twist = in_contact_frame(c, history.twist[last], contacts)
-    contacts.impulse[c] = wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2])
-    contacts.twist[c] = twist
-
-
-@wp.func
-def write_coefficients(c: int, a: int, b: int, rules: wp.vec2i, bodies: Bodies, contacts: Contacts):
-    """Coefficients of the pair."""
-    contacts.friction[c] = combine(bodies.friction[a], bodies.friction[b], rules[0])
-    contacts.rolling_friction[c] = combine(bodies.rolling_friction[a], bodies.rolling_friction[b], rules[0])
-    contacts.spinning_friction[c] = combine(bodies.spinning_friction[a], bodies.spinning_friction[b], rules[0])
-    contacts.restitution[c] = combine(bodies.restitution[a], bodies.restitution[b], rules[1])
+            impulse = in_contact_frame(row, history.impulse[last])
+            twist = in_contact_frame(row, history.twist[last])
+    contacts.loads[c].impulse = wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2])
+    contacts.loads[c].twist = twist
 
 
 @wp.func
@@ -151,18 +157,24 @@ def build_contacts(
     c = pairs.contact_start[pair]
     if pairs.contact_start[pair + 1] == c:
         return
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
-    size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
+    row = ContactRecord()
+    row.body_a = pairs.body_a[pair]
+    row.body_b = pairs.body_b[pair]
+    size = wp.min(shapes.shapes[bodies.shape[row.body_a]].size, shapes.shapes[bodies.shape[row.body_b]].size)
     for slot in range(pairs.patch_count[pair] * SLOTS):
         key = pairs.slot_key[pair, slot]
         if key >= 0:
-            touch = touch_again(key, a, b, shapes, bodies, state)
-            write_contact(c, a, b, key, touch, motions, contacts)
-            contacts.closing[c] = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
-            write_masses(c, a, b, bodies, motions, contacts)
-            write_coefficients(c, a, b, rules, bodies, contacts)
-            start_from_history(c, envs.warm_starting[a / bodies_per_env], contacts, history)
+            touch = touch_again(key, row.body_a, row.body_b, shapes, bodies, state)
+            contacts.key[c] = key
+            contacts.position[c] = touch.position
+            row.normal = touch.normal
+            row.tangent = tangent_of(touch.normal)
+            row.arm_a = touch.position - motions.center[row.body_a]
+            row.arm_b = touch.position - motions.center[row.body_b]
+            row.gap = touch.gap
+            row.closing = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
+            contacts.rows[c] = with_coefficients(with_masses(row, bodies, motions), rules, bodies)
+            start_from_history(c, row, envs.warm_starting[row.body_a / bodies_per_env], contacts, history)
             c += 1
 
 
@@ -185,5 +197,6 @@ def keep_impulses(contacts: Contacts, pairs: Pairs, history: History):
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return
     history.key[c] = contacts.key[c]
-    history.impulse[c] = in_world(contacts.normal[c], contacts.impulse[c])
-    history.twist[c] = in_world(contacts.normal[c], contacts.twist[c])
+    row = contacts.rows[c]
+    history.impulse[c] = world_vector(row.normal, row.tangent, contacts.loads[c].impulse)
+    history.twist[c] = world_vector(row.normal, row.tangent, contacts.loads[c].twist)

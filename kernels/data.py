@@ -9,6 +9,9 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+COLORS = 32
+"""Colours of pairs; those of the last one are solved one after another."""
+
 EXTREME_DIRECTIONS = 8
 """Directions in a patch's tangent plane whose furthest sample is kept."""
 
@@ -239,33 +242,48 @@ Pairs = layout(
     slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
 )
 
+ContactRecord = record(
+    "ContactRecord",
+    "What is fixed about a contact while it is solved. The normal points from the second body to the first.",
+    body_a=Field(int, "", "", "first body"),
+    body_b=Field(int, "", "", "second body"),
+    normal=Field(wp.vec3, "", "", "unit normal in the world"),
+    tangent=Field(wp.vec3, "", "", "first unit tangent in the world; the second is normal x tangent"),
+    arm_a=Field(wp.vec3, "", "m", "from the first body's centre of mass"),
+    arm_b=Field(wp.vec3, "", "m", "from the second body's centre of mass"),
+    gap=Field(float, "", "m", "distance at the start of the step, negative inside"),
+    closing=Field(float, "", "m/s", "speed at which the bodies may still approach: the gap allows it"),
+    friction=Field(float, "", "", "of the pair"),
+    restitution=Field(float, "", "", "of the pair"),
+    rolling_friction=Field(float, "", "m", "of the pair"),
+    spinning_friction=Field(float, "", "m", "of the pair"),
+    normal_a=Field(float, "", "1/kg", "the first body's part of the inverse mass seen along the normal"),
+    normal_b=Field(float, "", "1/kg", "the second body's part"),
+    coupling_a=Field(wp.vec2, "", "1/kg", "how a normal impulse moves the first body along the two tangents"),
+    coupling_b=Field(wp.vec2, "", "1/kg", "the second body"),
+    tangent_a=Field(wp.vec3, "", "1/kg", "the first body's tangential inverse mass: 11, 12, 22"),
+    tangent_b=Field(wp.vec3, "", "1/kg", "the second body's"),
+)
+
+LoadRecord = record(
+    "LoadRecord",
+    "What a contact carries, as the solver changes it. Components are along the normal and the two tangents.",
+    impulse=Field(wp.vec3, "", "N s", "accumulated impulse"),
+    twist=Field(wp.vec3, "", "N m s", "accumulated angular impulse"),
+    start_impulse=Field(wp.vec3, "", "N s", "impulse before shock propagation"),
+    start_twist=Field(wp.vec3, "", "N m s", "angular impulse before shock propagation"),
+    reaction=Field(wp.vec3, "", "N s", "world impulse that a frozen body has not taken yet; an impact's impulse"),
+    twist_reaction=Field(wp.vec3, "", "N m s", "world angular impulse that a frozen body has not taken yet"),
+    target=Field(float, "", "m/s", "normal velocity that an impact or the push-out aims at"),
+)
+
 Contacts = layout(
     "Contacts",
-    "Contact points. The normal points from the second body to the first.",
-    body_a=Field(int, "contacts", "", "first body"),
-    body_b=Field(int, "contacts", "", "second body"),
+    "Contact points. Records keep together what a visit of the solver reads together.",
+    rows=Field(ContactRecord, "contacts", "", "what is fixed during the step"),
+    loads=Field(LoadRecord, "contacts", "", "what the solver changes"),
     key=Field(int, "contacts", "", "identity within the pair: 2 * sample + side"),
     position=Field(wp.vec3, "contacts", "m", "in the world"),
-    normal=Field(wp.vec3, "contacts", "", "unit normal in the world"),
-    arm_a=Field(wp.vec3, "contacts", "m", "from the first body's centre of mass"),
-    arm_b=Field(wp.vec3, "contacts", "m", "from the second body's centre of mass"),
-    gap=Field(float, "contacts", "m", "distance at the start of the step, negative inside"),
-    closing=Field(float, "contacts", "m/s", "speed at which the bodies may still approach: the gap allows it"),
-    friction=Field(float, "contacts", "", "of the pair"),
-    restitution=Field(float, "contacts", "", "of the pair"),
-    normal_a=Field(float, "contacts", "1/kg", "the first body's part of the inverse mass seen along the normal"),
-    normal_b=Field(float, "contacts", "1/kg", "the second body's part"),
-    tangent_a=Field(wp.vec3, "contacts", "1/kg", "the first body's tangential inverse mass: 11, 12, 22"),
-    tangent_b=Field(wp.vec3, "contacts", "1/kg", "the second body's"),
-    impulse=Field(wp.vec3, "contacts", "N s", "accumulated along the normal and the two tangents"),
-    start_impulse=Field(wp.vec3, "contacts", "N s", "impulse before shock propagation"),
-    reaction=Field(wp.vec3, "contacts", "N s", "world impulse that a frozen body has not taken yet"),
-    rolling_friction=Field(float, "contacts", "m", "of the pair"),
-    spinning_friction=Field(float, "contacts", "m", "of the pair"),
-    twist=Field(wp.vec3, "contacts", "N m s", "accumulated angular impulse about the normal and the two tangents"),
-    start_twist=Field(wp.vec3, "contacts", "N m s", "angular impulse before shock propagation"),
-    twist_reaction=Field(wp.vec3, "contacts", "N m s", "world angular impulse that a frozen body has not taken yet"),
-    target=Field(float, "contacts", "m/s", "normal velocity that a collision aims at"),
 )
 
 History = layout(
@@ -283,24 +301,26 @@ Graph = layout(
     "Graph",
     "The contact graph: who rests on whom, levels, islands, and the order in which contacts are solved.",
     rests=Field(int, "pairs", "", "1: the first body rests on the second, 2: the other way, 3: both"),
-    incident_start=Field(int, "bodies + envs", "", "first incident pair of a body; one row more an environment"),
-    incident_pair=Field(int, "pairs + pairs", "", "touching pairs of a body"),
     level=Field(int, "bodies", "", "0 for statics, else 1 + the highest support (cycles share a level)"),
-    component=Field(int, "bodies", "", "strongly connected component, by its root"),
-    visit=Field(int, "bodies", "", "order of discovery, from 1"),
-    low=Field(int, "bodies", "", "earliest body that can be reached"),
-    stack=Field(int, "bodies", "", "bodies whose component is open"),
-    path=Field(int, "bodies", "", "bodies on the current path"),
-    cursor=Field(int, "bodies", "", "next incident pair to follow"),
+    waiting=Field(int, "bodies", "", "1: rests on a body whose level is not known yet"),
+    highest=Field(int, "bodies", "", "highest level among its supports that have one"),
+    cycle=Field(int, "bodies", "", "highest body that it reaches through supports without a level"),
+    within=Field(int, "bodies", "", "1: that body reaches this one too: both are in a cycle, or the same"),
     island=Field(int, "bodies", "", "lowest body among those connected through dynamic bodies"),
     numerator=Field(float, "bodies", "J", "of an island's line search"),
     denominator=Field(float, "bodies", "J", "of an island's line search"),
-    colors=Field(int, "bodies", "", "colours taken at a body in the level at hand"),
-    pair_color=Field(int, "pairs", "", "colour within the level"),
-    pair_level=Field(int, "pairs", "", "level of the upper body; -1 for a pair that does not touch"),
+    pair_numerator=Field(float, "pairs", "J", "a pair's part of its island's sum"),
+    pair_denominator=Field(float, "pairs", "J", "a pair's part of its island's sum"),
+    colors=Field(wp.uint32, "bodies", "", "bit mask of the colours taken at a body"),
+    bid=Field(int, "bodies", "", "highest pair that asks for a colour at a body"),
+    pair_color=Field(int, "pairs", "", "colour; -1 for a pair that does not touch or has none yet"),
+    pair_level=Field(int, "pairs", "", "level of the upper body"),
+    tally=Field(int, "levels, 32", "", "pairs of a level and colour, then where they go in `order`"),
     order=Field(int, "pairs", "", "touching pairs by level and colour"),
     group_start=Field(int, "pairs + envs", "", "first entry of `order` of a group: one level, one colour"),
+    group_color=Field(int, "pairs + envs", "", "colour of a group"),
     level_start=Field(int, "levels", "", "first group of a level; bodies + 2 rows an environment"),
     level_count=Field(int, "envs", "", "levels in use, statics not counted"),
-    residual=Field(float, "envs, 3", "m/s", "largest velocity change of an iteration, in turn"),
+    settled=Field(int, "envs", "", "1: the contacts are solved, nothing is left to propagate"),
+    overlapping=Field(int, "envs", "", "1: something is to be pushed out"),
 )

@@ -5,59 +5,91 @@ approach remains beyond the gap, never pulling; then the tangential part takes a
 friction times normal part. Sticking is tried with the full tangential matrix, as in Guendelman et al. 2003, section 7;
 if it leaves the disk, a projected step of the smallest safe length is taken, whose fixed point opposes the slip.
 
-A solver kernel runs with one block an environment. A block's lanes share the pairs of a group, which no body has in
-common, and meet before the next group. On the CPU a block has one lane and the same code is a plain loop.
+A team of lanes solves an environment. Its lanes share the pairs of a group, which no body has in common, and meet
+before the next group; a lane keeps the two bodies of its pair at hand while it visits their contacts.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, Pairs, State
-from warp_rigid.kernels.tangents import in_world, tangent_of
+from warp_rigid.kernels.data import COLORS, Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Pairs, State
+from warp_rigid.kernels.tangents import world_vector
+from warp_rigid.kernels.team import any_of_team, meet
 
 wp.set_module_options({"enable_backward": False})
 
+SETTLED = wp.constant(1.0e-6)
+"""Contacts are solved when no visit changes a velocity by more than this [m/s]."""
 
-@wp.func_native("WP_TILE_SYNC();")
-def meet():
-    """Let all lanes of a block arrive before any goes on."""
-    ...
-
-
-@wp.func
-def slip_velocity(c: int, contacts: Contacts, state: State):
-    """Velocity of the first body relative to the second at the contact."""
-    a = contacts.body_a[c]
-    b = contacts.body_b[c]
-    va = state.linear_velocity[a] + wp.cross(state.angular_velocity[a], contacts.arm_a[c])
-    vb = state.linear_velocity[b] + wp.cross(state.angular_velocity[b], contacts.arm_b[c])
-    return va - vb
+IN_TURN = wp.constant(COLORS - 1)
+"""The colour of pairs that have to be solved one after another."""
 
 
-@wp.func
-def push(body: int, arm: wp.vec3, impulse: wp.vec3, bodies: Bodies, motions: Motions, state: State):
-    """Apply a world impulse at an arm from the centre of mass. Static and kinematic bodies do not answer."""
-    if bodies.inverse_mass[body] > 0.0:
-        state.linear_velocity[body] = state.linear_velocity[body] + bodies.inverse_mass[body] * impulse
-        spin = motions.inverse_inertia[body] * wp.cross(arm, impulse)
-        state.angular_velocity[body] = state.angular_velocity[body] + spin
+@wp.struct
+class Couple:
+    """The two bodies of a pair at hand. A body that does not answer has no inverse mass."""
+
+    linear_a: wp.vec3
+    angular_a: wp.vec3
+    linear_b: wp.vec3
+    angular_b: wp.vec3
+    inverse_mass_a: float
+    inverse_mass_b: float
+    inverse_inertia_a: wp.mat33
+    inverse_inertia_b: wp.mat33
+    change: float
 
 
 @wp.func
-def push_both(
-    c: int,
-    impulse: wp.vec3,
-    share_a: float,
-    share_b: float,
-    bodies: Bodies,
-    motions: Motions,
-    contacts: Contacts,
-    state: State,
-):
-    """Apply an impulse to the first body and its opposite to the second; a frozen body (share 0) takes nothing."""
+def take_up(a: int, b: int, share_a: float, share_b: float, bodies: Bodies, motions: Motions, state: State):
+    """Fetch two bodies; one whose share is 0 is frozen."""
+    couple = Couple()
+    couple.linear_a = state.linear_velocity[a]
+    couple.angular_a = state.angular_velocity[a]
+    couple.linear_b = state.linear_velocity[b]
+    couple.angular_b = state.angular_velocity[b]
     if share_a > 0.0:
-        push(contacts.body_a[c], contacts.arm_a[c], impulse, bodies, motions, state)
+        couple.inverse_mass_a = bodies.inverse_mass[a]
+        couple.inverse_inertia_a = motions.inverse_inertia[a]
     if share_b > 0.0:
-        push(contacts.body_b[c], contacts.arm_b[c], -impulse, bodies, motions, state)
+        couple.inverse_mass_b = bodies.inverse_mass[b]
+        couple.inverse_inertia_b = motions.inverse_inertia[b]
+    return couple
+
+
+@wp.func
+def put_down(a: int, b: int, couple: Couple, state: State):
+    """Store the velocities of the bodies that answer."""
+    if couple.inverse_mass_a > 0.0:
+        state.linear_velocity[a] = couple.linear_a
+        state.angular_velocity[a] = couple.angular_a
+    if couple.inverse_mass_b > 0.0:
+        state.linear_velocity[b] = couple.linear_b
+        state.angular_velocity[b] = couple.angular_b
+
+
+@wp.func
+def slip_between(row: ContactRecord, couple: Couple):
+    """Velocity of the first body relative to the second at a contact."""
+    va = couple.linear_a + wp.cross(couple.angular_a, row.arm_a)
+    return va - couple.linear_b - wp.cross(couple.angular_b, row.arm_b)
+
+
+@wp.func
+def with_impulse(row: ContactRecord, impulse: wp.vec3, couple: Couple):
+    """The bodies after a world impulse on the first at a contact, and its opposite on the second."""
+    couple.linear_a += couple.inverse_mass_a * impulse
+    couple.angular_a += couple.inverse_inertia_a * wp.cross(row.arm_a, impulse)
+    couple.linear_b -= couple.inverse_mass_b * impulse
+    couple.angular_b -= couple.inverse_inertia_b * wp.cross(row.arm_b, impulse)
+    return couple
+
+
+@wp.func
+def with_twist(twist: wp.vec3, couple: Couple):
+    """The bodies after a world angular impulse on the first, and its opposite on the second."""
+    couple.angular_a += couple.inverse_inertia_a * twist
+    couple.angular_b -= couple.inverse_inertia_b * twist
+    return couple
 
 
 @wp.func
@@ -78,94 +110,102 @@ def friction_impulse(old: wp.vec2, slip: wp.vec2, k: wp.vec3, limit: float):
 
 
 @wp.func
-def twist_both(
-    c: int,
-    twist: wp.vec3,
-    share_a: float,
-    share_b: float,
-    motions: Motions,
-    contacts: Contacts,
-    state: State,
-):
-    """Apply an angular impulse to the first body and its opposite to the second; frozen bodies take nothing."""
-    a = contacts.body_a[c]
-    b = contacts.body_b[c]
-    state.angular_velocity[a] = state.angular_velocity[a] + share_a * (motions.inverse_inertia[a] * twist)
-    state.angular_velocity[b] = state.angular_velocity[b] - share_b * (motions.inverse_inertia[b] * twist)
-
-
-@wp.func
-def resist_turning(
-    c: int,
-    share_a: float,
-    share_b: float,
-    motions: Motions,
-    contacts: Contacts,
-    state: State,
-):
+def resist_turning(c: int, row: ContactRecord, couple: Couple, contacts: Contacts):
     """Rolling and spinning friction: torques up to a coefficient [m] times the normal impulse."""
-    a = contacts.body_a[c]
-    b = contacts.body_b[c]
-    n = contacts.normal[c]
-    u = tangent_of(n)
+    n = row.normal
+    u = row.tangent
     v = wp.cross(n, u)
-    k = share_a * motions.inverse_inertia[a] + share_b * motions.inverse_inertia[b]
-    old = contacts.twist[c]
-    spin = state.angular_velocity[a] - state.angular_velocity[b]
-    limit = contacts.spinning_friction[c] * contacts.impulse[c][0]
-    about_normal = wp.clamp(old[0] - wp.dot(spin, n) / wp.max(wp.dot(n, k * n), 1.0e-30), -limit, limit)
-    twist_both(c, (about_normal - old[0]) * n, share_a, share_b, motions, contacts, state)
-    spin = state.angular_velocity[a] - state.angular_velocity[b]
+    k = couple.inverse_inertia_a + couple.inverse_inertia_b
+    old = contacts.loads[c].twist
+    load = contacts.loads[c].impulse[0]
+    limit = row.spinning_friction * load
+    spin = wp.dot(couple.angular_a - couple.angular_b, n)
+    about_normal = wp.clamp(old[0] - spin / wp.max(wp.dot(n, k * n), 1.0e-30), -limit, limit)
+    couple = with_twist((about_normal - old[0]) * n, couple)
+    spins = couple.angular_a - couple.angular_b
     matrix = wp.vec3(wp.dot(u, k * u), wp.dot(u, k * v), wp.dot(v, k * v))
-    limit = contacts.rolling_friction[c] * contacts.impulse[c][0]
-    rolling = friction_impulse(wp.vec2(old[1], old[2]), wp.vec2(wp.dot(spin, u), wp.dot(spin, v)), matrix, limit)
-    twist_both(c, (rolling[0] - old[1]) * u + (rolling[1] - old[2]) * v, share_a, share_b, motions, contacts, state)
+    slip = wp.vec2(wp.dot(spins, u), wp.dot(spins, v))
+    rolling = friction_impulse(wp.vec2(old[1], old[2]), slip, matrix, row.rolling_friction * load)
+    couple = with_twist((rolling[0] - old[1]) * u + (rolling[1] - old[2]) * v, couple)
     new = wp.vec3(about_normal, rolling[0], rolling[1])
-    contacts.twist[c] = new
-    if share_a * share_b == 0.0:
-        contacts.twist_reaction[c] = contacts.twist_reaction[c] + in_world(n, new - old)
+    contacts.loads[c].twist = new
+    if couple.inverse_mass_a * couple.inverse_mass_b == 0.0:
+        contacts.loads[c].twist_reaction += world_vector(n, u, new - old)
+    return couple
 
 
 @wp.func
-def visit_contact(
-    c: int,
+def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contacts: Contacts):
+    """Solve one contact against the velocities at hand; notes by how much it changed them [m/s].
+
+    A share of 0 freezes that body: it weighs nothing in the contact, and what it did not take goes to `reaction`.
+    """
+    row = contacts.rows[c]
+    k_normal = share_a * row.normal_a + share_b * row.normal_b
+    if k_normal < 1.0e-12:
+        return couple
+    n = row.normal
+    u = row.tangent
+    v = wp.cross(n, u)
+    old = contacts.loads[c].impulse
+    slip = slip_between(row, couple)
+    normal = wp.max(old[0] - (wp.dot(slip, n) + row.closing) / k_normal, 0.0)
+    gained = normal - old[0]
+    coupling = gained * (share_a * row.coupling_a + share_b * row.coupling_b)
+    k = share_a * row.tangent_a + share_b * row.tangent_b
+    before = wp.vec2(old[1], old[2])
+    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + coupling
+    after = friction_impulse(before, sliding, k, row.friction * normal)
+    impulse = gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v
+    couple = with_impulse(row, impulse, couple)
+    contacts.loads[c].impulse = wp.vec3(normal, after[0], after[1])
+    if share_a * share_b == 0.0:
+        contacts.loads[c].reaction += impulse
+    if row.rolling_friction + row.spinning_friction > 0.0:
+        couple = resist_turning(c, row, couple, contacts)
+    change = k_normal * wp.abs(gained) + wp.sqrt((k[0] + k[2]) * k_normal) * wp.length(after - before)
+    couple.change = wp.max(couple.change, change)
+    return couple
+
+
+@wp.func
+def visit_pair(
+    pair: int,
     share_a: float,
     share_b: float,
     bodies: Bodies,
     motions: Motions,
+    pairs: Pairs,
     contacts: Contacts,
     state: State,
 ):
-    """Solve one contact against the velocities at hand. Returns by how much it changed them [m/s].
+    """Visit the contacts of a pair, one after another. Returns 1 if they changed a velocity."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    couple = take_up(a, b, share_a, share_b, bodies, motions, state)
+    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+        couple = visit_contact(c, share_a, share_b, couple, contacts)
+    put_down(a, b, couple, state)
+    return wp.where(couple.change > SETTLED, 1, 0)
 
-    A share of 0 freezes that body: it weighs nothing in the contact, and what it did not take goes to `reaction`.
-    """
-    k_normal = share_a * contacts.normal_a[c] + share_b * contacts.normal_b[c]
-    if k_normal < 1.0e-12:
-        return 0.0
-    n = contacts.normal[c]
-    u = tangent_of(n)
-    v = wp.cross(n, u)
-    old = contacts.impulse[c]
-    approach = wp.dot(slip_velocity(c, contacts, state), n) + contacts.closing[c]
-    normal = wp.max(old[0] - approach / k_normal, 0.0)
-    push_both(c, (normal - old[0]) * n, share_a, share_b, bodies, motions, contacts, state)
-    slip = slip_velocity(c, contacts, state)
-    k = share_a * contacts.tangent_a[c] + share_b * contacts.tangent_b[c]
-    before = wp.vec2(old[1], old[2])
-    after = friction_impulse(before, wp.vec2(wp.dot(slip, u), wp.dot(slip, v)), k, contacts.friction[c] * normal)
-    tangential = (after[0] - old[1]) * u + (after[1] - old[2]) * v
-    push_both(c, tangential, share_a, share_b, bodies, motions, contacts, state)
-    contacts.impulse[c] = wp.vec3(normal, after[0], after[1])
-    if share_a * share_b == 0.0:
-        contacts.reaction[c] = contacts.reaction[c] + (normal - old[0]) * n + tangential
-    if contacts.rolling_friction[c] + contacts.spinning_friction[c] > 0.0:
-        resist_turning(c, share_a, share_b, motions, contacts, state)
-    return k_normal * wp.abs(normal - old[0]) + wp.sqrt((k[0] + k[2]) * k_normal) * wp.length(after - before)
+
+@wp.func
+def first_of_group(group: int, lane: int, graph: Graph):
+    """Where in the order a lane begins with a group. Pairs that have to be solved in turn are the first lane's."""
+    if graph.group_color[group] == IN_TURN and lane > 0:
+        return graph.group_start[group + 1]
+    return graph.group_start[group] + lane
+
+
+@wp.func
+def stride_of_group(group: int, lanes: int, graph: Graph):
+    """How far a lane goes from one pair of a group to its next."""
+    return wp.where(graph.group_color[group] == IN_TURN, 1, lanes)
 
 
 @wp.kernel
 def warm_start(
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -175,24 +215,31 @@ def warm_start(
     contacts: Contacts,
     state: State,
 ):
-    """One block an environment: apply the impulses that the contacts start from."""
-    env, lane = wp.tid()
+    """A team an environment: apply the impulses that the contacts start from."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
     if envs.warm_starting[env] == 0:
         return
     rows = env * (bodies_per_env + 2)
     for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
-        for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
+        stride = stride_of_group(group, lanes, graph)
+        for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
             pair = graph.order[k]
+            a = pairs.body_a[pair]
+            b = pairs.body_b[pair]
+            couple = take_up(a, b, 1.0, 1.0, bodies, motions, state)
             for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                world = in_world(contacts.normal[c], contacts.impulse[c])
-                push_both(c, world, 1.0, 1.0, bodies, motions, contacts, state)
-                twist_both(c, in_world(contacts.normal[c], contacts.twist[c]), 1.0, 1.0, motions, contacts, state)
-        meet()
+                row = contacts.rows[c]
+                couple = with_impulse(row, world_vector(row.normal, row.tangent, contacts.loads[c].impulse), couple)
+                couple = with_twist(world_vector(row.normal, row.tangent, contacts.loads[c].twist), couple)
+            put_down(a, b, couple, state)
+        meet(lanes)
 
 
 @wp.kernel
 def sweep_contacts(
     after_shock: int,
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -202,14 +249,25 @@ def sweep_contacts(
     contacts: Contacts,
     state: State,
 ):
-    """One block an environment: half the contact iterations, before or after shock propagation, from the ground up."""
-    env, lane = wp.tid()
+    """A team an environment: half the contact iterations, before or after shock propagation, from the ground up.
+
+    They end early when a sweep changes nothing; what is settled before shock propagation needs none.
+    """
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
     rows = env * (bodies_per_env + 2)
-    sweeps = (envs.contact_iterations[env] + 1 - after_shock) / 2
-    for _sweep in range(sweeps):
+    left = (envs.contact_iterations[env] + 1 - after_shock) / 2
+    if after_shock == 1:
+        left = left * (1 - graph.settled[env])
+    settled = int(0)
+    while left > 0:
+        changed = int(0)
         for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
-            for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
-                pair = graph.order[k]
-                for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                    visit_contact(c, 1.0, 1.0, bodies, motions, contacts, state)
-            meet()
+            stride = stride_of_group(group, lanes, graph)
+            for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
+                changed |= visit_pair(graph.order[k], 1.0, 1.0, bodies, motions, pairs, contacts, state)
+            meet(lanes)
+        settled = 1 - any_of_team(changed, lanes)
+        left = (1 - settled) * (left - 1)
+    if after_shock == 0 and lane == 0:
+        graph.settled[env] = settled

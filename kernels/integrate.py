@@ -3,6 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.data import MOTION_DYNAMIC, MOTION_STATIC, Bodies, Environments, Motions, State
+from warp_rigid.kernels.team import any_of_team
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,19 +75,34 @@ def is_finite(v: wp.vec3):
     return wp.isfinite(v[0]) and wp.isfinite(v[1]) and wp.isfinite(v[2])
 
 
+@wp.func
+def body_is_finite(b: int, state: State):
+    """Whether a body's velocity and place are finite."""
+    return is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b]) and is_finite(state.position[b])
+
+
 @wp.kernel
-def watch(bodies_per_env: int, envs: Environments, state: State):
-    """One thread an environment: halt it if a body's velocity or pose is not finite, and note which body and when."""
-    env = wp.tid()
+def watch(lanes: int, bodies_per_env: int, envs: Environments, state: State):
+    """A team an environment: halt it if a body's velocity or pose is not finite, and note which body and when."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
     if envs.failed[env] == 1:
         return
     first = env * bodies_per_env
-    for b in range(first, first + bodies_per_env):
-        finite = is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b])
-        if not (finite and is_finite(state.position[b])) and envs.failed[env] == 0:
-            envs.failed[env] = 1
-            envs.failed_body[env] = b - first
-            envs.failed_step[env] = envs.step[env]
+    broken = int(0)
+    for b in range(first + lane, first + bodies_per_env, lanes):
+        if not body_is_finite(b, state):
+            broken = 1
+    broken = any_of_team(broken, lanes)
+    if lane > 0:
+        return
+    if broken == 1:
+        body = int(0)
+        while body_is_finite(first + body, state):
+            body += 1
+        envs.failed[env] = 1
+        envs.failed_body[env] = body
+        envs.failed_step[env] = envs.step[env]
     envs.step[env] = envs.step[env] + 1
 
 

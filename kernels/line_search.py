@@ -22,8 +22,9 @@ from warp_rigid.kernels.data import (
     Pairs,
     State,
 )
-from warp_rigid.kernels.impulses import slip_velocity
-from warp_rigid.kernels.tangents import in_world
+from warp_rigid.kernels.impulses import slip_between, take_up
+from warp_rigid.kernels.tangents import world_vector
+from warp_rigid.kernels.team import meet
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,44 +32,15 @@ DYNAMIC = wp.constant(MOTION_DYNAMIC)
 TWO_PASS = wp.constant(SHOCK_TWO_PASS)
 
 
-@wp.kernel
-def remember_start(bodies_per_env: int, graph: Graph, pairs: Pairs, contacts: Contacts, motions: Motions, state: State):
-    """One block an environment: keep velocities and impulses as they are before the passes."""
-    env, lane = wp.tid()
-    first = env * bodies_per_env
-    for b in range(first + lane, first + bodies_per_env, wp.block_dim()):
-        motions.start_linear[b] = state.linear_velocity[b]
-        motions.start_angular[b] = state.angular_velocity[b]
-        graph.numerator[b] = 0.0
-        graph.denominator[b] = 0.0
-    begin = pairs.contact_start[pairs.start[first]]
-    end = pairs.contact_start[pairs.start[first + bodies_per_env]]
-    for c in range(begin + lane, end, wp.block_dim()):
-        contacts.start_impulse[c] = contacts.impulse[c]
-        contacts.start_twist[c] = contacts.twist[c]
-        contacts.reaction[c] = wp.vec3(0.0, 0.0, 0.0)
-        contacts.twist_reaction[c] = wp.vec3(0.0, 0.0, 0.0)
-
-
 @wp.func
-def island_of(c: int, bodies: Bodies, graph: Graph, contacts: Contacts):
-    """The island of a contact: that of a dynamic body in it."""
-    a = contacts.body_a[c]
-    return wp.where(bodies.motion[a] == DYNAMIC, graph.island[a], graph.island[contacts.body_b[c]])
-
-
-@wp.func
-def start_slip(c: int, contacts: Contacts, motions: Motions):
-    """Relative velocity at the contact before the passes."""
-    a = contacts.body_a[c]
-    b = contacts.body_b[c]
-    va = motions.start_linear[a] + wp.cross(motions.start_angular[a], contacts.arm_a[c])
-    vb = motions.start_linear[b] + wp.cross(motions.start_angular[b], contacts.arm_b[c])
-    return va - vb
+def searched(env: int, envs: Environments, graph: Graph):
+    """Whether an environment's shock propagation is followed by a line search."""
+    return envs.shock_propagation[env] == TWO_PASS and graph.settled[env] == 0
 
 
 @wp.kernel
-def sum_energy(
+def remember_start(
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -78,26 +50,89 @@ def sum_energy(
     contacts: Contacts,
     state: State,
 ):
-    """One thread an environment: both sums of the line search, island by island, in the order of the contacts."""
-    env = wp.tid()
-    if envs.shock_propagation[env] != TWO_PASS:
+    """A team an environment: keep velocities and impulses as they are before the passes."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
+    if graph.settled[env] == 1:
         return
     first = env * bodies_per_env
+    for b in range(first + lane, first + bodies_per_env, lanes):
+        motions.start_linear[b] = state.linear_velocity[b]
+        motions.start_angular[b] = state.angular_velocity[b]
     begin = pairs.contact_start[pairs.start[first]]
     end = pairs.contact_start[pairs.start[first + bodies_per_env]]
-    for c in range(begin, end):
-        n = contacts.normal[c]
-        change = contacts.impulse[c] - contacts.start_impulse[c]
-        impulse = in_world(n, change)
-        twist = in_world(n, contacts.twist[c] - contacts.start_twist[c])
-        before = start_slip(c, contacts, motions)
-        spin_before = motions.start_angular[contacts.body_a[c]] - motions.start_angular[contacts.body_b[c]]
-        spin = state.angular_velocity[contacts.body_a[c]] - state.angular_velocity[contacts.body_b[c]]
-        island = island_of(c, bodies, graph, contacts)
-        slope = wp.dot(impulse, before) + wp.dot(twist, spin_before) + change[0] * contacts.closing[c]
-        gained = wp.dot(impulse, slip_velocity(c, contacts, state) - before) + wp.dot(twist, spin - spin_before)
-        graph.numerator[island] = graph.numerator[island] - slope
-        graph.denominator[island] = graph.denominator[island] + gained
+    for c in range(begin + lane, end, lanes):
+        contacts.loads[c].start_impulse = contacts.loads[c].impulse
+        contacts.loads[c].start_twist = contacts.loads[c].twist
+        contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
+        contacts.loads[c].twist_reaction = wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
+def pair_sums(pair: int, bodies: Bodies, motions: Motions, pairs: Pairs, contacts: Contacts, state: State):
+    """A pair's part of both sums: -(v0.M dv + b.dl) and dv.M dv."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    now = take_up(a, b, 0.0, 0.0, bodies, motions, state)
+    then = now
+    then.linear_a = motions.start_linear[a]
+    then.angular_a = motions.start_angular[a]
+    then.linear_b = motions.start_linear[b]
+    then.angular_b = motions.start_angular[b]
+    sums = wp.vec2(0.0, 0.0)
+    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+        row = contacts.rows[c]
+        change = contacts.loads[c].impulse - contacts.loads[c].start_impulse
+        impulse = world_vector(row.normal, row.tangent, change)
+        twist = world_vector(row.normal, row.tangent, contacts.loads[c].twist - contacts.loads[c].start_twist)
+        before = slip_between(row, then)
+        spin_before = then.angular_a - then.angular_b
+        spin = now.angular_a - now.angular_b
+        slope = wp.dot(impulse, before) + wp.dot(twist, spin_before) + change[0] * row.closing
+        gained = wp.dot(impulse, slip_between(row, now) - before) + wp.dot(twist, spin - spin_before)
+        sums += wp.vec2(-slope, gained)
+    return sums
+
+
+@wp.kernel
+def sum_energy(
+    lanes: int,
+    bodies_per_env: int,
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    graph: Graph,
+    pairs: Pairs,
+    contacts: Contacts,
+    state: State,
+):
+    """A team an environment: both sums of the line search, island by island, in the order of the pairs.
+
+    Each pair's part is found by whichever lane; then an island's parts are added up by one lane.
+    """
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
+    if not searched(env, envs, graph):
+        return
+    first = env * bodies_per_env
+    for b in range(first + lane, first + bodies_per_env, lanes):
+        graph.numerator[b] = 0.0
+        graph.denominator[b] = 0.0
+    rows = env * (bodies_per_env + 2)
+    begin = graph.group_start[graph.level_start[rows]]
+    end = graph.group_start[graph.level_start[rows + graph.level_count[env] + 1]]
+    for k in range(begin + lane, end, lanes):
+        sums = pair_sums(graph.order[k], bodies, motions, pairs, contacts, state)
+        graph.pair_numerator[graph.order[k]] = sums[0]
+        graph.pair_denominator[graph.order[k]] = sums[1]
+    meet(lanes)
+    for pair in range(pairs.start[first], pairs.start[first + bodies_per_env]):
+        if pairs.contact_start[pair + 1] > pairs.contact_start[pair]:
+            a = pairs.body_a[pair]
+            island = wp.where(bodies.motion[a] == DYNAMIC, graph.island[a], graph.island[pairs.body_b[pair]])
+            if island % lanes == lane:
+                graph.numerator[island] = graph.numerator[island] + graph.pair_numerator[pair]
+                graph.denominator[island] = graph.denominator[island] + graph.pair_denominator[pair]
 
 
 @wp.func
@@ -109,27 +144,36 @@ def accepted_share(island: int, graph: Graph):
 
 
 @wp.kernel
-def accept_bodies(bodies_per_env: int, envs: Environments, graph: Graph, motions: Motions, state: State):
-    """One thread a body: go the accepted share of the way."""
-    b = wp.tid()
-    if envs.shock_propagation[b / bodies_per_env] != TWO_PASS:
-        return
-    t = accepted_share(graph.island[b], graph)
-    state.linear_velocity[b] = motions.start_linear[b] + t * (state.linear_velocity[b] - motions.start_linear[b])
-    state.angular_velocity[b] = motions.start_angular[b] + t * (state.angular_velocity[b] - motions.start_angular[b])
-
-
-@wp.kernel
-def accept_impulses(
-    bodies_per_env: int, bodies: Bodies, envs: Environments, graph: Graph, pairs: Pairs, contacts: Contacts
+def accept(
+    lanes: int,
+    bodies_per_env: int,
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    graph: Graph,
+    pairs: Pairs,
+    contacts: Contacts,
+    state: State,
 ):
-    """One thread a contact: go the accepted share of the way."""
-    c = wp.tid()
-    if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
+    """A team an environment: go the accepted share of the way."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
+    if not searched(env, envs, graph):
         return
-    a = contacts.body_a[c]
-    if envs.shock_propagation[a / bodies_per_env] != TWO_PASS:
-        return
-    t = accepted_share(island_of(c, bodies, graph, contacts), graph)
-    contacts.impulse[c] = contacts.start_impulse[c] + t * (contacts.impulse[c] - contacts.start_impulse[c])
-    contacts.twist[c] = contacts.start_twist[c] + t * (contacts.twist[c] - contacts.start_twist[c])
+    first = env * bodies_per_env
+    for b in range(first + lane, first + bodies_per_env, lanes):
+        t = accepted_share(graph.island[b], graph)
+        state.linear_velocity[b] = motions.start_linear[b] + t * (state.linear_velocity[b] - motions.start_linear[b])
+        state.angular_velocity[b] = motions.start_angular[b] + t * (
+            state.angular_velocity[b] - motions.start_angular[b]
+        )
+    begin = pairs.contact_start[pairs.start[first]]
+    end = pairs.contact_start[pairs.start[first + bodies_per_env]]
+    for c in range(begin + lane, end, lanes):
+        a = contacts.rows[c].body_a
+        island = wp.where(bodies.motion[a] == DYNAMIC, graph.island[a], graph.island[contacts.rows[c].body_b])
+        t = accepted_share(island, graph)
+        start = contacts.loads[c].start_impulse
+        contacts.loads[c].impulse = start + t * (contacts.loads[c].impulse - start)
+        turn = contacts.loads[c].start_twist
+        contacts.loads[c].twist = turn + t * (contacts.loads[c].twist - turn)

@@ -59,6 +59,9 @@ EIGHTH_TURN = wp.constant(0.70710678)
 OVERLAP = wp.constant(1.05)
 """Edge segments are searched this much longer than they are."""
 
+BEYOND = wp.constant(1.01)
+"""What is found further out than this many half-lengths belongs to the next segment, or lies past the edge's end."""
+
 STEEP = wp.constant(0.05)
 """Slope beyond which an edge crosses another and does not lie along it."""
 
@@ -141,7 +144,14 @@ def lowest_on_edge(shapes: Shapes, shape: int, p: wp.vec3, slide: wp.vec3, reach
             right = t
             high = here
             slope_high = slope(here, along)
-    result.point = p + wp.clamp(t, -half, half) * along
+    if wp.abs(t) > half:
+        if wp.abs(t) > BEYOND * half:
+            result.distance = FAR
+            return result
+        t = wp.clamp(t, -half, half)
+        here = signed_distance(shapes, shape, p + t * along)
+        result.distance = here[3]
+    result.point = p + t * along
     result.crossing = wp.where(turning == 0.0, 1, 0)
     if shapes.shapes[shape].convex == 1 and result.crossing == 1:
         result.direction = direction_or_up(mixture)

@@ -8,7 +8,17 @@ is set right in one pass.
 import warp as wp
 
 from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.impulses import meet, slip_velocity
+from warp_rigid.kernels.impulses import (
+    SETTLED,
+    Couple,
+    first_of_group,
+    slip_between,
+    stride_of_group,
+    take_up,
+    with_impulse,
+)
+from warp_rigid.kernels.shock import share_in
+from warp_rigid.kernels.team import any_of_team, meet
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,72 +35,98 @@ FASTEST = wp.constant(2.0)
 
 
 @wp.func
-def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, contacts: Contacts, state: State):
+def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions, contacts: Contacts, state: State):
     """Separation speed that the contact needs [m/s], 0 if none."""
-    size = wp.min(
-        shapes.shapes[bodies.shape[contacts.body_a[c]]].size, shapes.shapes[bodies.shape[contacts.body_b[c]]].size
-    )
-    approach = wp.dot(slip_velocity(c, contacts, state), contacts.normal[c])
-    left = contacts.gap[c] + dt * approach + SLOP * size
+    row = contacts.rows[c]
+    size = wp.min(shapes.shapes[bodies.shape[row.body_a]].size, shapes.shapes[bodies.shape[row.body_b]].size)
+    couple = take_up(row.body_a, row.body_b, 0.0, 0.0, bodies, motions, state)
+    left = row.gap + dt * wp.dot(slip_between(row, couple), row.normal) + SLOP * size
     return wp.min(RECOVERY * wp.max(-left, 0.0) / dt, FASTEST)
 
 
 @wp.func
-def push_contact(c: int, share_a: float, share_b: float, bodies: Bodies, motions: Motions, contacts: Contacts):
+def push_contact(c: int, share_a: float, share_b: float, couple: Couple, contacts: Contacts):
     """One visit: bring the pseudo-velocity of separation to its target; reaction[0] is the pseudo-impulse."""
-    a = contacts.body_a[c]
-    b = contacts.body_b[c]
-    n = contacts.normal[c]
-    k = share_a * contacts.normal_a[c] + share_b * contacts.normal_b[c]
-    if k < 1.0e-12 or contacts.target[c] <= 0.0:
-        return
-    va = motions.push_linear[a] + wp.cross(motions.push_angular[a], contacts.arm_a[c])
-    vb = motions.push_linear[b] + wp.cross(motions.push_angular[b], contacts.arm_b[c])
-    old = contacts.reaction[c][0]
-    new = wp.max(old + (contacts.target[c] - wp.dot(va - vb, n)) / k, 0.0)
-    contacts.reaction[c] = wp.vec3(new, 0.0, 0.0)
-    impulse = (new - old) * n
-    if share_a > 0.0 and bodies.inverse_mass[a] > 0.0:
-        motions.push_linear[a] = motions.push_linear[a] + bodies.inverse_mass[a] * impulse
-        motions.push_angular[a] = motions.push_angular[a] + motions.inverse_inertia[a] * wp.cross(
-            contacts.arm_a[c], impulse
-        )
-    if share_b > 0.0 and bodies.inverse_mass[b] > 0.0:
-        motions.push_linear[b] = motions.push_linear[b] - bodies.inverse_mass[b] * impulse
-        motions.push_angular[b] = motions.push_angular[b] - motions.inverse_inertia[b] * wp.cross(
-            contacts.arm_b[c], impulse
-        )
+    row = contacts.rows[c]
+    k = share_a * row.normal_a + share_b * row.normal_b
+    if k < 1.0e-12 or contacts.loads[c].target <= 0.0:
+        return couple
+    old = contacts.loads[c].reaction[0]
+    missing = contacts.loads[c].target - wp.dot(slip_between(row, couple), row.normal)
+    new = wp.max(old + missing / k, 0.0)
+    contacts.loads[c].reaction = wp.vec3(new, 0.0, 0.0)
+    couple = with_impulse(row, (new - old) * row.normal, couple)
+    couple.change = wp.max(couple.change, k * wp.abs(new - old))
+    return couple
 
 
-@wp.kernel
-def find_overlaps(
-    dt: float,
-    bodies_per_env: int,
-    shapes: Shapes,
+@wp.func
+def push_pair(
+    pair: int,
+    level: int,
     bodies: Bodies,
+    motions: Motions,
     graph: Graph,
     pairs: Pairs,
     contacts: Contacts,
     state: State,
 ):
-    """One block an environment: the separation speed that each contact needs, and whether any needs one."""
-    env, lane = wp.tid()
-    if lane == 0:
-        graph.residual[env, 0] = 0.0
-    meet()
+    """Visit the contacts of a pair; the bodies' pseudo-velocities stand in for their velocities."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    share_a = share_in(a, level, graph)
+    share_b = share_in(b, level, graph)
+    couple = take_up(a, b, share_a, share_b, bodies, motions, state)
+    couple.linear_a = motions.push_linear[a]
+    couple.angular_a = motions.push_angular[a]
+    couple.linear_b = motions.push_linear[b]
+    couple.angular_b = motions.push_angular[b]
+    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+        couple = push_contact(c, share_a, share_b, couple, contacts)
+    if couple.inverse_mass_a > 0.0:
+        motions.push_linear[a] = couple.linear_a
+        motions.push_angular[a] = couple.angular_a
+    if couple.inverse_mass_b > 0.0:
+        motions.push_linear[b] = couple.linear_b
+        motions.push_angular[b] = couple.angular_b
+    return wp.where(couple.change > SETTLED, 1, 0)
+
+
+@wp.kernel
+def find_overlaps(
+    dt: float,
+    lanes: int,
+    bodies_per_env: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    graph: Graph,
+    pairs: Pairs,
+    contacts: Contacts,
+    state: State,
+):
+    """A team an environment: the separation speed that each contact needs, and whether any needs one."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
     first = env * bodies_per_env
     begin = pairs.contact_start[pairs.start[first]]
     end = pairs.contact_start[pairs.start[first + bodies_per_env]]
-    largest = float(0.0)
-    for c in range(begin + lane, end, wp.block_dim()):
-        contacts.target[c] = wanted_speed(c, dt, shapes, bodies, contacts, state)
-        contacts.reaction[c] = wp.vec3(0.0, 0.0, 0.0)
-        largest = wp.max(largest, contacts.target[c])
-    wp.atomic_max(graph.residual, env, 0, largest)
+    found = int(0)
+    for c in range(begin + lane, end, lanes):
+        target = wanted_speed(c, dt, shapes, bodies, motions, contacts, state)
+        contacts.loads[c].target = target
+        contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
+        if target > 0.0 and envs.contact_iterations[env] > 0:
+            found = 1
+    found = any_of_team(found, lanes)
+    if lane == 0:
+        graph.overlapping[env] = found
 
 
 @wp.kernel
 def push_apart(
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -98,19 +134,22 @@ def push_apart(
     graph: Graph,
     pairs: Pairs,
     contacts: Contacts,
+    state: State,
 ):
-    """One block an environment: separate level by level, each against the frozen level below."""
-    env, lane = wp.tid()
-    if graph.residual[env, 0] == 0.0 or envs.contact_iterations[env] == 0:
+    """A team an environment: separate level by level, each against the frozen level below."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
+    if graph.overlapping[env] == 0:
         return
-    rows = env * (bodies_per_env + 2)
     for level in range(1, graph.level_count[env] + 1):
-        for _iteration in range(LEVEL_ITERATIONS):
-            for group in range(graph.level_start[rows + level], graph.level_start[rows + level + 1]):
-                for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
+        row = env * (bodies_per_env + 2) + level
+        left = int(LEVEL_ITERATIONS)
+        while left > 0:
+            changed = int(0)
+            for group in range(graph.level_start[row], graph.level_start[row + 1]):
+                stride = stride_of_group(group, lanes, graph)
+                for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
                     pair = graph.order[k]
-                    share_a = wp.where(graph.level[pairs.body_a[pair]] == level, 1.0, 0.0)
-                    share_b = wp.where(graph.level[pairs.body_b[pair]] == level, 1.0, 0.0)
-                    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                        push_contact(c, share_a, share_b, bodies, motions, contacts)
-                meet()
+                    changed |= push_pair(pair, level, bodies, motions, graph, pairs, contacts, state)
+                meet(lanes)
+            left = any_of_team(changed, lanes) * (left - 1)

@@ -22,7 +22,16 @@ from warp_rigid.kernels.data import (
     Pairs,
     State,
 )
-from warp_rigid.kernels.impulses import meet, push, twist_both, visit_contact
+from warp_rigid.kernels.impulses import (
+    first_of_group,
+    put_down,
+    stride_of_group,
+    take_up,
+    visit_pair,
+    with_impulse,
+    with_twist,
+)
+from warp_rigid.kernels.team import any_of_team, meet
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,15 +41,19 @@ TWO_PASS = wp.constant(SHOCK_TWO_PASS)
 LAYER_ITERATIONS = wp.constant(20)
 """Most iterations of one level in one pass."""
 
-SETTLED = wp.constant(1.0e-6)
-"""A level is solved when no visit changes a velocity by more than this [m/s]."""
+
+@wp.func
+def share_in(body: int, level: int, graph: Graph):
+    """1 for a body of the level, 0 for one below it, which is frozen."""
+    return wp.where(graph.level[body] == level, 1.0, 0.0)
 
 
 @wp.func
 def solve_level(
+    level: int,
     env: int,
     lane: int,
-    level: int,
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -51,33 +64,26 @@ def solve_level(
 ):
     """Iterate one level with its lower bodies frozen until no visit changes anything."""
     row = env * (bodies_per_env + 2) + level
-    for iteration in range(LAYER_ITERATIONS):
-        if lane == 0:
-            graph.residual[env, (iteration + 1) % 3] = 0.0
-            if iteration == 0:
-                graph.residual[env, 0] = 0.0
-        meet()
-        largest = float(0.0)
+    left = int(LAYER_ITERATIONS)
+    while left > 0:
+        changed = int(0)
         for group in range(graph.level_start[row], graph.level_start[row + 1]):
-            for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
+            stride = stride_of_group(group, lanes, graph)
+            for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
                 pair = graph.order[k]
-                share_a = wp.where(graph.level[pairs.body_a[pair]] == level, 1.0, 0.0)
-                share_b = wp.where(graph.level[pairs.body_b[pair]] == level, 1.0, 0.0)
-                for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                    change = visit_contact(c, share_a, share_b, bodies, motions, contacts, state)
-                    largest = wp.max(largest, change)
-            meet()
-        wp.atomic_max(graph.residual, env, iteration % 3, largest)
-        meet()
-        if graph.residual[env, iteration % 3] < SETTLED:
-            return
+                share_a = share_in(pairs.body_a[pair], level, graph)
+                share_b = share_in(pairs.body_b[pair], level, graph)
+                changed |= visit_pair(pair, share_a, share_b, bodies, motions, pairs, contacts, state)
+            meet(lanes)
+        left = any_of_team(changed, lanes) * (left - 1)
 
 
 @wp.func
 def hand_down(
+    level: int,
     env: int,
     lane: int,
-    level: int,
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -89,23 +95,26 @@ def hand_down(
     """Give the frozen bodies of a level the reactions that they did not take."""
     row = env * (bodies_per_env + 2) + level
     for group in range(graph.level_start[row], graph.level_start[row + 1]):
-        for k in range(graph.group_start[group] + lane, graph.group_start[group + 1], wp.block_dim()):
+        stride = stride_of_group(group, lanes, graph)
+        for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
             pair = graph.order[k]
+            a = pairs.body_a[pair]
+            b = pairs.body_b[pair]
+            share_a = 1.0 - share_in(a, level, graph)
+            couple = take_up(a, b, share_a, 1.0 - share_in(b, level, graph), bodies, motions, state)
             for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-                if graph.level[pairs.body_a[pair]] < level:
-                    push(pairs.body_a[pair], contacts.arm_a[c], contacts.reaction[c], bodies, motions, state)
-                    twist_both(c, contacts.twist_reaction[c], 1.0, 0.0, motions, contacts, state)
-                elif graph.level[pairs.body_b[pair]] < level:
-                    push(pairs.body_b[pair], contacts.arm_b[c], -contacts.reaction[c], bodies, motions, state)
-                    twist_both(c, contacts.twist_reaction[c], 0.0, 1.0, motions, contacts, state)
-                contacts.reaction[c] = wp.vec3(0.0, 0.0, 0.0)
-                contacts.twist_reaction[c] = wp.vec3(0.0, 0.0, 0.0)
-        meet()
+                couple = with_impulse(contacts.rows[c], contacts.loads[c].reaction, couple)
+                couple = with_twist(contacts.loads[c].twist_reaction, couple)
+                contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
+                contacts.loads[c].twist_reaction = wp.vec3(0.0, 0.0, 0.0)
+            put_down(a, b, couple, state)
+        meet(lanes)
 
 
 @wp.kernel
 def propagate(
     repetition: int,
+    lanes: int,
     bodies_per_env: int,
     bodies: Bodies,
     motions: Motions,
@@ -115,16 +124,16 @@ def propagate(
     contacts: Contacts,
     state: State,
 ):
-    """One block an environment: the pass up, and with two_pass the pass down."""
-    env, lane = wp.tid()
+    """A team an environment: the pass up, and with two_pass the pass down."""
+    env = wp.tid() / lanes
+    lane = wp.tid() % lanes
     mode = envs.shock_propagation[env]
-    if mode == OFF or repetition >= envs.shock_iterations[env]:
+    if mode == OFF or repetition >= envs.shock_iterations[env] or graph.settled[env] == 1:
         return
     levels = graph.level_count[env]
-    for level in range(1, levels + 1):
-        solve_level(env, lane, level, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
-    if mode == TWO_PASS:
-        for up in range(levels):
-            level = levels - up
-            solve_level(env, lane, level, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
-            hand_down(env, lane, level, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
+    passes = wp.where(mode == TWO_PASS, 2, 1)
+    for k in range(passes * levels):
+        level = wp.where(k < levels, k + 1, 2 * levels - k)
+        solve_level(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
+        if k >= levels:
+            hand_down(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, pairs, contacts, state)

@@ -15,7 +15,6 @@ def tangent_of(n: wp.vec3):
 
 
 @wp.func
-def in_world(n: wp.vec3, v: wp.vec3):
-    """The world vector with components v along the normal n and the two tangents."""
-    u = tangent_of(n)
+def world_vector(n: wp.vec3, u: wp.vec3, v: wp.vec3):
+    """The world vector with components v along the normal n, the first tangent u and the second."""
     return v[0] * n + v[1] * u + v[2] * wp.cross(n, u)

@@ -57,16 +57,14 @@ def pair_list(stages):
     return np.stack([pairs.body_a.numpy()[:count], pairs.body_b.numpy()[:count]], axis=1)
 
 
-CONTACT_FIELDS = (
-    "body_a", "body_b", "key", "position", "normal", "arm_a", "arm_b", "gap", "closing", "friction", "restitution",
-    "normal_a", "normal_b", "tangent_a", "tangent_b", "impulse",
-)  # fmt: skip
-
-
 def contact_list(stages):
     """The contact records of the present step, by field."""
+    contacts = stages.pools.contacts
     count = int(stages.pools.pairs.contact_start.numpy()[-1])
-    return table(stages.pools.contacts, CONTACT_FIELDS, count)
+    fields = table(contacts, ("key", "position"), count)
+    for records in (contacts.rows.numpy()[:count], contacts.loads.numpy()[:count]):
+        fields |= {name: records[name].copy() for name in records.dtype.names}
+    return fields
 
 
 def rotation_matrix(quaternion):

@@ -7,7 +7,7 @@ import warp as wp
 
 from tests.oracles import GROUND, find_contacts, ground_scene, opened, pair_list, rotate_about
 from warp_rigid.fields import PointField
-from warp_rigid.kernels import data, support
+from warp_rigid.kernels import data, support, team
 from warp_rigid.scene import Motion, Scene
 from warp_rigid.shapes import Box, Sphere
 
@@ -46,14 +46,16 @@ class HandMadeGraph:
         self.pairs.body_a.assign(a)
         self.pairs.body_b.assign(b)
         self.pairs.contact_start.assign(np.concatenate([[0], np.cumsum(touches)]).astype(np.int32))
-        self.graph.rests.assign(rests)
+        self.graph.rests.assign(rests * touches)
 
     def launch(self, kernel, *arrays):
-        wp.launch(kernel, self.count, inputs=[self.per_env, *arrays], device=self.device)
+        """One team an environment; on the GPU it has more lanes than a small environment has bodies."""
+        lanes = 32 if wp.get_device(self.device).is_cuda else 1
+        inputs = [lanes, self.per_env, *arrays]
+        wp.launch(kernel, self.count * lanes, inputs=inputs, block_dim=team.BLOCK, device=self.device)
 
     def solve(self):
         """Levels and islands, (envs, bodies) each."""
-        self.launch(support.list_incident_pairs, self.pairs, self.graph)
         self.launch(support.find_levels, self.bodies, self.pairs, self.graph)
         self.launch(support.find_islands, self.bodies, self.pairs, self.graph)
         shape = (self.count, self.per_env)

@@ -26,10 +26,13 @@ class Search:
         self.problem = ContactProblem(stages)
         self.free = self.problem.velocity(stages)
         if not warm:
-            stages.pools.contacts.impulse.zero_()
+            loads = stages.pools.contacts.loads.numpy()
+            loads["impulse"] = 0.0
+            stages.pools.contacts.loads.assign(loads)
         start = contact_list(stages)["impulse"].astype(np.float64)
         self.apply(stages, self.free + self.problem.change(start))
         self.before = self.read(stages)
+        stages.pools.graph.settled.zero_()
         stages.propagate_shock(0)
         self.after = self.read(stages)
         self.island = stages.pools.graph.island.numpy()

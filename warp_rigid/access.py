@@ -211,13 +211,13 @@ def contact_records(sim: "Simulator") -> np.ndarray:
     history, contacts = sim._pools.history, sim._pools.contacts
     count = int(history.contact_start.numpy()[-1])
     records = np.zeros(count, CONTACT_RECORD)
-    body_a, body_b = contacts.body_a.numpy()[:count], contacts.body_b.numpy()[:count]
-    records["env"] = body_a // sim.num_bodies
-    records["body_a"] = body_a % sim.num_bodies
-    records["body_b"] = body_b % sim.num_bodies
+    rows = contacts.rows.numpy()[:count]
+    records["env"] = rows["body_a"] // sim.num_bodies
+    records["body_a"] = rows["body_a"] % sim.num_bodies
+    records["body_b"] = rows["body_b"] % sim.num_bodies
     records["position"] = contacts.position.numpy()[:count]
-    records["normal"] = contacts.normal.numpy()[:count]
-    records["depth"] = -contacts.gap.numpy()[:count]
+    records["normal"] = rows["normal"]
+    records["depth"] = -rows["gap"]
     records["impulse"] = history.impulse.numpy()[:count]
     return records
 

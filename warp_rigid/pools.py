@@ -24,7 +24,6 @@ class Pools:
         contacts: contact records.
         history: contacts of the last step.
         graph: contact graph and order.
-        scratch: (pairs,) for sorting.
         wanted: (2,) most pairs and most contacts wanted.
         over: (2,) whether this step wanted more than there is.
     """
@@ -34,7 +33,6 @@ class Pools:
     contacts: Any
     history: Any
     graph: Any
-    scratch: wp.array
     wanted: wp.array
     over: wp.array
 
@@ -54,7 +52,6 @@ class Pools:
             contacts=data.allocate(data.Contacts, sizes, device),
             history=data.allocate(data.History, sizes, device),
             graph=data.allocate(data.Graph, sizes, device),
-            scratch=wp.zeros(pairs, dtype=int, device=device),
             wanted=wp.zeros(2, dtype=int, device=device),
             over=wp.zeros(2, dtype=int, device=device),
         )

@@ -22,6 +22,7 @@ from warp_rigid.kernels import (
     push_out,
     shock,
     support,
+    team,
 )
 from warp_rigid.model import Model
 from warp_rigid.pools import Pools
@@ -29,35 +30,43 @@ from warp_rigid.pools import Pools
 TRY_ALL_UP_TO = 256
 """Up to so many small bodies an environment, trying all pairs beats the hash grid."""
 
-LANES = 32
-"""Threads of a CUDA block that solve one environment together; the CPU always has one."""
+TEAMS = ((12, 8), (24, 16), (128, 32))
+"""Up to so many bodies an environment, so many lanes of a GPU solve it together; beyond, a whole block does."""
 
 PAIRS, CONTACTS = 0, 1
 
 
 def load_kernels(device: Any, baking: bool) -> None:
     """Compile all kernels, several modules at a time, the longest first: a graph cannot hold a compilation."""
-    per_row = [
+    modules = [
         narrowphase,
         *([bake] if baking else []),
         integrate,
-        ordering,
+        collisions,
+        shock,
+        impulses,
         support,
+        ordering,
         line_search,
+        push_out,
         predict,
         broadphase,
         contacts,
         capacity,
     ]
-    per_block = [collisions, push_out, shock, impulses, line_search]
-    loads = [(per_row, None), (per_block, LANES)] if device.is_cuda else [(per_row + per_block, 1)]
-    for modules, block_dim in loads:
-        wp.force_load(
-            device,
-            [wp.get_module(name) for name in {module.__name__: None for module in modules}],
-            block_dim=block_dim,
-            max_workers=os.cpu_count(),
-        )
+    wp.force_load(
+        device,
+        [wp.get_module(module.__name__) for module in modules],
+        block_dim=team.BLOCK if device.is_cuda else 1,
+        max_workers=os.cpu_count(),
+    )
+
+
+def team_size(device: Any, bodies_per_env: int) -> int:
+    """Lanes that solve one environment together."""
+    if not device.is_cuda:
+        return 1
+    return next((lanes for most, lanes in TEAMS if bodies_per_env <= most), team.BLOCK)
 
 
 class Stages:
@@ -80,6 +89,7 @@ class Stages:
         self.num_envs = model.num_envs
         self.num_bodies = len(model.scene.bodies)
         self.rows = self.num_envs * self.num_bodies
+        self.lanes = team_size(self.device, self.num_bodies)
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.grid = self._make_grid()
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
@@ -150,13 +160,16 @@ class Stages:
 
     def build_graph(self) -> None:
         """Who rests on whom, levels, islands, and the order of solving."""
-        pairs, graph, bodies = self.pools.pairs, self.pools.graph, self.model.bodies
-        self._per_pair(support.find_support, [bodies, self.state, self.motions, pairs, self.pools.contacts], [graph])
-        self._per_env(support.list_incident_pairs, [self.num_bodies, pairs], [graph])
-        self._per_env(support.find_levels, [self.num_bodies, bodies, pairs], [graph])
-        self._per_env(support.find_islands, [self.num_bodies, bodies, pairs], [graph])
-        self._per_env(ordering.sort_by_level, [self.num_bodies, bodies, pairs], [graph])
-        self._per_env(ordering.group_by_color, [self.num_bodies, bodies, pairs], [graph, self.pools.scratch])
+        bodies, pairs, graph = self.model.bodies, self.pools.pairs, self.pools.graph
+        self._per_team(
+            support.find_support,
+            [self.lanes, self.num_bodies, bodies, self.motions, pairs, self.pools.contacts, self.state],
+            [graph],
+        )
+        self._per_team(support.find_levels, [self.lanes, self.num_bodies, bodies, pairs], [graph])
+        self._per_team(support.find_islands, [self.lanes, self.num_bodies, bodies, pairs], [graph])
+        self._per_team(ordering.color_pairs, [self.lanes, self.num_bodies, bodies, pairs], [graph])
+        self._per_team(ordering.group_pairs, [self.lanes, self.num_bodies, pairs], [graph])
 
     def accelerate(self, before_collisions: bool) -> None:
         """Velocity update, in the environments whose stage order has it here."""
@@ -168,50 +181,32 @@ class Stages:
 
     def collide(self) -> None:
         """Impacts with restitution."""
-        self._per_block(collisions.collide, [self.dt, *self._solver_inputs()], [])
+        self._per_team(collisions.collide, [self.dt, *self._solver_inputs()])
 
     def solve_contacts(self) -> None:
         """Contact impulses: warm start, sweeps, shock propagation, sweeps."""
-        self._per_block(impulses.warm_start, self._solver_inputs(), [])
-        self._per_block(impulses.sweep_contacts, [0, *self._solver_inputs()], [])
+        self._per_team(impulses.warm_start, self._solver_inputs())
+        self._per_team(impulses.sweep_contacts, [0, *self._solver_inputs()])
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
-        self._per_block(impulses.sweep_contacts, [1, *self._solver_inputs()], [])
+        self._per_team(impulses.sweep_contacts, [1, *self._solver_inputs()])
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
-        graph, pairs, records = self.pools.graph, self.pools.pairs, self.pools.contacts
-        self._per_block(
-            line_search.remember_start, [self.num_bodies, graph, pairs, records, self.motions, self.state], []
-        )
-        self._per_block(shock.propagate, [repetition, *self._solver_inputs()], [])
-        self._per_env(line_search.sum_energy, self._solver_inputs(), [])
-        self._per_body(line_search.accept_bodies, [self.num_bodies, self.envs, graph, self.motions], [self.state])
-        wp.launch(
-            line_search.accept_impulses,
-            dim=records.key.shape[0],
-            inputs=[self.num_bodies, self.model.bodies, self.envs, graph, pairs],
-            outputs=[records],
-            device=self.device,
-        )
+        self._per_team(line_search.remember_start, self._solver_inputs())
+        self._per_team(shock.propagate, [repetition, *self._solver_inputs()])
+        self._per_team(line_search.sum_energy, self._solver_inputs())
+        self._per_team(line_search.accept, self._solver_inputs())
 
     def push_out(self) -> None:
         """Separate remaining overlaps without adding velocity."""
-        graph, pairs, records = self.pools.graph, self.pools.pairs, self.pools.contacts
-        self._per_block(
-            push_out.find_overlaps,
-            [self.dt, self.num_bodies, self.model.shapes, self.model.bodies, graph, pairs, records, self.state],
-            [],
-        )
-        self._per_block(
-            push_out.push_apart,
-            [self.num_bodies, self.model.bodies, self.motions, self.envs, graph, pairs, records],
-            [],
-        )
+        lanes, num_bodies, *rest = self._solver_inputs()
+        self._per_team(push_out.find_overlaps, [self.dt, lanes, num_bodies, self.model.shapes, *rest])
+        self._per_team(push_out.push_apart, self._solver_inputs())
 
     def move(self) -> None:
         """Position update, after a look for non-finite states."""
-        self._per_env(integrate.watch, [self.num_bodies], [self.envs, self.state])
+        self._per_team(integrate.watch, [self.lanes, self.num_bodies], [self.envs, self.state])
         self._per_body(
             integrate.move, [self.dt, self.num_bodies, self.model.bodies, self.motions, self.envs], [self.state]
         )
@@ -248,6 +243,7 @@ class Stages:
     def _solver_inputs(self) -> list:
         """What every solver kernel takes, in the same order."""
         return [
+            self.lanes,
             self.num_bodies,
             self.model.bodies,
             self.motions,
@@ -265,12 +261,14 @@ class Stages:
         dim = self.pools.pairs.body_a.shape[0]
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
-
-    def _per_block(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch_tiled(
-            kernel, dim=[self.num_envs], inputs=inputs, outputs=outputs, block_dim=LANES, device=self.device
+    def _per_team(self, kernel: Any, inputs: list, outputs: list = ()) -> None:
+        wp.launch(
+            kernel,
+            dim=self.num_envs * self.lanes,
+            inputs=inputs,
+            outputs=outputs,
+            block_dim=team.BLOCK,
+            device=self.device,
         )
 
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
