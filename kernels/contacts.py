@@ -14,7 +14,8 @@ from warp_rigid.kernels.data import (
     State,
 )
 from warp_rigid.kernels.distance import FAR
-from warp_rigid.kernels.narrowphase import SLOTS, place_sample, touch_of
+from warp_rigid.kernels.narrowphase import approach_of, touch_of
+from warp_rigid.kernels.samples import place_sample
 from warp_rigid.kernels.tangents import tangent_of, world_vector
 
 wp.set_module_options({"enable_backward": False})
@@ -130,18 +131,16 @@ def start_from_history(c: int, row: ContactRecord, warm: int, contacts: Contacts
 def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State):
     """Evaluate the sample of a contact's identity once more."""
     side = key % 2
-    own = wp.where(side == 0, a, b)
-    other = wp.where(side == 0, b, a)
-    back = wp.quat_inverse(state.orientation[other])
-    shift = wp.quat_rotate(back, state.position[own] - state.position[other])
-    placed = place_sample(shapes, key / 2, bodies.shape[other], back * state.orientation[own], shift, FAR)
-    return touch_of(placed, side, other, state)
+    approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), FAR, bodies, state)
+    placed = place_sample(shapes, key / 2, approach.shape, approach.turn, approach.shift, FAR)
+    return touch_of(placed, side, approach.other, state)
 
 
 @wp.kernel(module=NARROWPHASE)
 def build_contacts(
     dt: float,
-    bodies_per_env: int,
+    teams: int,
+    lanes: int,
     rules: wp.vec2i,
     shapes: Shapes,
     bodies: Bodies,
@@ -152,18 +151,17 @@ def build_contacts(
     history: History,
     contacts: Contacts,
 ):
-    """One thread a pair: turn the samples in its slots into contact records. `rules`: how coefficients combine."""
-    pair = wp.tid()
-    c = pairs.contact_start[pair]
-    if pairs.contact_start[pair + 1] == c:
-        return
-    row = ContactRecord()
-    row.body_a = pairs.body_a[pair]
-    row.body_b = pairs.body_b[pair]
-    size = wp.min(shapes.shapes[bodies.shape[row.body_a]].size, shapes.shapes[bodies.shape[row.body_b]].size)
-    for slot in range(pairs.patch_count[pair] * SLOTS):
-        key = pairs.slot_key[pair, slot]
-        if key >= 0:
+    """The teams share the pairs: turn the samples kept into contact records. `rules`: how coefficients combine."""
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
+        start = pairs.contact_start[pair]
+        row = ContactRecord()
+        row.body_a = pairs.body_a[pair]
+        row.body_b = pairs.body_b[pair]
+        size = wp.min(shapes.shapes[bodies.shape[row.body_a]].size, shapes.shapes[bodies.shape[row.body_b]].size)
+        for k in range(wp.tid() % lanes, pairs.contact_start[pair + 1] - start, lanes):
+            c = start + k
+            key = pairs.kept[pair, k]
             touch = touch_again(key, row.body_a, row.body_b, shapes, bodies, state)
             contacts.key[c] = key
             contacts.position[c] = touch.position
@@ -175,7 +173,6 @@ def build_contacts(
             row.closing = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
             contacts.rows[c] = with_coefficients(with_masses(row, bodies, motions), rules, bodies)
             start_from_history(c, row, envs.warm_starting[row.body_a / bodies_per_env], contacts, history)
-            c += 1
 
 
 @wp.kernel

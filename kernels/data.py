@@ -240,6 +240,7 @@ Pairs = layout(
     slot_score=Field(float, "pairs, 36", "m", "how far out the remembered sample lies in its direction"),
     slot_gap=Field(float, "pairs, 36", "m", "its predicted gap"),
     slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
+    kept=Field(int, "pairs, 36", "", "identities of the samples that become contacts"),
 )
 
 ContactRecord = record(

@@ -4,31 +4,12 @@ import warp as wp
 
 from warp_rigid.kernels.data import Bodies, Pairs, Shapes, State
 from warp_rigid.kernels.distance import signed_distance
-from warp_rigid.kernels.narrowphase import EDGE, RIM, ball_touch, lowest_on_edge, lowest_on_rim
+from warp_rigid.kernels.samples import bring_to_touch
 
 wp.set_module_options({"enable_backward": False})
 
 NARROWPHASE = wp.get_module("warp_rigid.kernels.narrowphase")
 """Kernels that evaluate distances share one compilation unit."""
-
-
-@wp.func
-def sample_depth(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3):
-    """Depth of a sample inside a shape [m], negative outside; turn and shift map the sample's frame to the shape's."""
-    p = wp.quat_rotate(turn, shapes.samples[s].point) + shift
-    radius = shapes.samples[s].radius
-    kind = shapes.samples[s].kind
-    if kind == EDGE:
-        edge = lowest_on_edge(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].slide), radius)
-        return radius - edge.distance
-    if kind == RIM:
-        found = lowest_on_rim(shapes, shape, p, wp.quat_rotate(turn, shapes.samples[s].normal), radius)
-        return -found[3]
-    if radius > 0.0:
-        d = ball_touch(shapes, shape, p, radius)
-        return -d[3]
-    d = signed_distance(shapes, shape, p)
-    return -d[3]
 
 
 @wp.func
@@ -45,7 +26,8 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
         d = signed_distance(shapes, shape, c)
         if d[3] < shapes.clusters[cluster].radius - deepest:
             for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-                deepest = wp.max(deepest, sample_depth(shapes, s, shape, turn, shift))
+                found = bring_to_touch(shapes, s, shape, turn, shift, 0.0, 0.0)
+                deepest = wp.max(deepest, -found.distance)
     return deepest
 
 

@@ -66,6 +66,17 @@ def lowest_bit(bits: wp.uint32) -> int:
     ...
 
 
+@wp.func
+def bits_below(bits: wp.uint32, place: int):
+    """How many bits are set below a place."""
+    count = int(0)
+    left = bits
+    while left != wp.uint32(0) and lowest_bit(left) < place:
+        left = left & (left - wp.uint32(1))
+        count += 1
+    return count
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));

@@ -95,7 +95,7 @@ def test_masses_seen_by_contacts(device):
 
 def test_gaps_may_close_within_the_step_and_no_faster(device):
     """The approach that a contact leaves alone closes its gap, less at most a small part of the smaller body."""
-    _, stages = settling_pile(device)
+    _, stages = settling_pile(device, steps=120)
     contacts = contact_list(stages)
     sizes = np.array([min(body.shape.size, 1e9) for body in stages.model.scene.bodies])
     size = np.minimum(sizes[contacts["body_a"]], sizes[contacts["body_b"]])

@@ -62,7 +62,7 @@ def kernel_faults(kernel: ast.FunctionDef) -> list[str]:
 
 def switches_adjoint_off(tree: ast.Module) -> bool:
     return any(
-        ast.unparse(node) == "wp.set_module_options({'enable_backward': False})"
+        ast.unparse(node).startswith("wp.set_module_options({'enable_backward': False")
         for node in tree.body
         if isinstance(node, ast.Expr)
     )

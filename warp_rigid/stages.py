@@ -35,6 +35,12 @@ TEAMS = ((12, 8), (24, 16), (128, 32))
 
 PAIRS, CONTACTS = 0, 1
 
+PAIR_LANES = 16
+"""Lanes of a GPU that look for the contacts of one pair together."""
+
+MOST_TEAMS = 132 * 128
+"""Teams that share the pairs on a GPU: as many as can be at work at the same time."""
+
 
 def load_kernels(device: Any, baking: bool) -> None:
     """Compile all kernels, several modules at a time, the longest first: a graph cannot hold a compilation."""
@@ -90,6 +96,8 @@ class Stages:
         self.num_bodies = len(model.scene.bodies)
         self.rows = self.num_envs * self.num_bodies
         self.lanes = team_size(self.device, self.num_bodies)
+        self.pair_lanes = PAIR_LANES if self.device.is_cuda else 1
+        self.teams = min(pools.sizes["pairs"], MOST_TEAMS) if self.device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.grid = self._make_grid()
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
@@ -135,23 +143,20 @@ class Stages:
     def find_contacts(self) -> None:
         """Find touching samples, thin them, and make contact records."""
         pairs, records = self.pools.pairs, self.pools.contacts
-        self._per_pair(
-            narrowphase.find_contacts,
-            [self.dt, self.num_bodies, self.model.shapes, self.model.bodies, self.state, self.motions, self.envs],
-            [pairs],
+        bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
+        pairs.contact_count.zero_()
+        self._share_pairs(
+            narrowphase.find_contacts, [self.teams, self.pair_lanes, self.dt, self.num_bodies, *bodies_of_pair], [pairs]
         )
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, records.key.shape[0])
-        self._per_pair(
+        self._share_pairs(
             contacts.build_contacts,
             [
                 self.dt,
-                self.num_bodies,
+                self.teams,
+                self.pair_lanes,
                 self.model.combine_rules,
-                self.model.shapes,
-                self.model.bodies,
-                self.state,
-                self.motions,
-                self.envs,
+                *bodies_of_pair,
                 pairs,
                 self.pools.history,
             ],
@@ -260,6 +265,9 @@ class Stages:
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
         dim = self.pools.pairs.body_a.shape[0]
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _share_pairs(self, kernel: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=self.teams * self.pair_lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_team(self, kernel: Any, inputs: list, outputs: list = ()) -> None:
         wp.launch(

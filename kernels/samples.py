@@ -1,0 +1,330 @@
+"""Bringing one surface sample to the place where it touches another shape.
+
+A point stays where it is. An edge slides to where it is deepest or leaves a face, the rim of a cylinder turns to its
+deepest point, a ball touches at its own deepest point. Each is a short search, written as a sequence of stages, so
+that the distance function, which is large, stands in one place: small code is fast code on a GPU, and compiles soon.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.data import Shapes
+from warp_rigid.kernels.distance import BORDER, FAR, PLANE, contact_distance, direction_or_up
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+POINT = wp.constant(0)
+EDGE = wp.constant(1)
+RIM = wp.constant(2)
+FACE = wp.constant(3)
+CAP = wp.constant(4)
+
+OPPOSED = wp.constant(0.1)
+"""A vertex or edge counts only if its normal's cosine with the contact normal is below this: their cones are wide."""
+
+OVERLAP = wp.constant(1.05)
+"""Edge segments are searched this much longer than they are."""
+
+BEYOND = wp.constant(1.01)
+"""What is found further out than this many half-lengths belongs to the next segment, or lies past the edge's end."""
+
+STEEP = wp.constant(0.05)
+"""Slope beyond which an edge crosses another and does not lie along it."""
+
+FLAT = wp.constant(0.01)
+"""Slope of the distance along an edge below which the edge lies flat."""
+
+FOUND = wp.constant(1.0e-4)
+"""An edge's place is found when it moves by less than this part of the half-length."""
+
+DONE = wp.constant(-1)
+
+EDGE_MIDDLE = wp.constant(0)
+EDGE_LOW = wp.constant(1)
+EDGE_HIGH = wp.constant(2)
+EDGE_INSIDE = wp.constant(3)
+EDGE_LAST_INSIDE = wp.constant(7)
+EDGE_CLAMPED = wp.constant(8)
+EDGE_FACING = wp.constant(9)
+
+RIM_LAST_TURN = wp.constant(2)
+RIM_FACING = wp.constant(3)
+
+BALL_LAST = wp.constant(4)
+
+
+@wp.struct
+class Search:
+    """A sample on its way. `query` is where the distance is wanted next, `facing` the normal given with it."""
+
+    stage: int
+    query: wp.vec3
+    facing: wp.vec3
+    normal: wp.vec3
+    direction: wp.vec3
+    distance: float
+    start: wp.vec3
+    along: wp.vec3
+    half: float
+    crossing: int
+    t: float
+    left: float
+    right: float
+    low: wp.vec4
+    high: wp.vec4
+    slope_low: float
+    slope_high: float
+    turning: float
+    mixture: wp.vec3
+
+
+@wp.func
+def slope(d: wp.vec4, along: wp.vec3):
+    """Slope of a distance along a direction."""
+    return d[0] * along[0] + d[1] * along[1] + d[2] * along[2]
+
+
+@wp.func
+def gradient(d: wp.vec4):
+    """The direction that belongs to a distance."""
+    return wp.vec3(d[0], d[1], d[2])
+
+
+@wp.func
+def nowhere(search: Search):
+    """The search ends without a place."""
+    search.stage = DONE
+    search.distance = FAR
+    return search
+
+
+@wp.func
+def look_at(search: Search, t: float):
+    """Ask for the distance at a place of the edge."""
+    search.t = t
+    search.query = search.start + t * search.along
+    return search
+
+
+@wp.func
+def next_inside(search: Search):
+    """Ask for the place where the tangents at both ends meet."""
+    rise = search.slope_high * search.right - search.slope_low * search.left
+    t = (search.low[3] - search.high[3] + rise) / wp.max(search.slope_high - search.slope_low, 1.0e-6)
+    return look_at(search, wp.clamp(t, search.left, search.right))
+
+
+@wp.func
+def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
+    """Both ends are known: see whether the distance has an inner minimum, or the edge leaves a face.
+
+    The distance to a convex shape lies above its tangents, so where these meet out of reach nothing touches.
+    """
+    search.high = d
+    search.slope_high = slope(d, search.along)
+    search.slope_low = slope(search.low, search.along)
+    low = search.slope_low
+    high = search.slope_high
+    if low > FLAT or high < -FLAT or high - low < 2.0 * FLAT:
+        return nowhere(search)
+    search.turning = 0.5 * (wp.min(low + FLAT, 0.0) + wp.max(high - FLAT, 0.0))
+    if low < -STEEP and high > STEEP:
+        search.turning = 0.0
+        search.crossing = 1
+    search.mixture = wp.max(high, 0.0) * gradient(search.low) + wp.max(-low, 0.0) * gradient(d)
+    search.stage = EDGE_INSIDE
+    search = next_inside(search)
+    if convex == 1 and search.low[3] + low * (search.t - search.left) > reach:
+        return nowhere(search)
+    return search
+
+
+@wp.func
+def edge_found(search: Search, radius: float, convex: int, weight: float):
+    """The place is found. A flat edge is measured once more, to the faces that its own normal opposes.
+
+    On a convex shape the direction of a crossing is the mixture of both faces' without slope along the edge: it is
+    perpendicular to both edges. Along it the edge is d / (g . n) away where both faces are d away.
+    """
+    if search.crossing == 1:
+        search.stage = DONE
+        if convex == 1:
+            search.direction = direction_or_up(search.mixture)
+            if search.distance < 0.0:
+                search.distance /= wp.max(wp.dot(gradient(search.low), search.direction), 0.3)
+    else:
+        search.stage = EDGE_FACING
+        search.facing = weight * search.normal
+    search.distance -= radius
+    search.query -= radius * search.direction
+    return search
+
+
+@wp.func
+def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: float, convex: int, weight: float):
+    """Where on an edge segment, between its ends, it touches.
+
+    That is the distance's inner minimum, or, for an edge that lies flat, the place where it leaves the face. In both
+    cases the slope along the edge jumps there. The tangents at both ends meet below the curve; their meeting point
+    replaces the end on its side: exact at once where two straight edges cross and the distance is a V. Neighbouring
+    segments overlap a little, so that nothing falls between them.
+    """
+    if search.stage == EDGE_MIDDLE:
+        if d[3] > OVERLAP * search.half + reach + radius:
+            return nowhere(search)
+        search.stage = EDGE_LOW
+        return look_at(search, search.left)
+    if search.stage == EDGE_LOW:
+        search.low = d
+        search.stage = EDGE_HIGH
+        return look_at(search, search.right)
+    if search.stage == EDGE_HIGH:
+        return edge_has_ends(search, d, reach + radius, convex)
+    if search.stage == EDGE_FACING:
+        if d[3] < search.distance - BORDER * size:
+            return nowhere(search)
+        search.stage = DONE
+        search.direction = gradient(d)
+        search.distance = d[3]
+        return search
+    search.distance = d[3]
+    search.direction = gradient(d)
+    if search.stage == EDGE_CLAMPED:
+        return edge_found(search, radius, convex, weight)
+    before = search.t
+    if slope(d, search.along) < search.turning:
+        search.left = before
+        search.low = d
+        search.slope_low = slope(d, search.along)
+    else:
+        search.right = before
+        search.high = d
+        search.slope_high = slope(d, search.along)
+    after = next_inside(search)
+    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
+        after.stage = search.stage + 1
+        return after
+    if wp.abs(before) > BEYOND * search.half:
+        return nowhere(search)
+    if wp.abs(before) > search.half:
+        search.stage = EDGE_CLAMPED
+        return look_at(search, wp.clamp(before, -search.half, search.half))
+    return edge_found(search, radius, convex, weight)
+
+
+@wp.func
+def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
+    """The deepest point of a circle about `along`, nowhere if it lies flat on the surface."""
+    if search.stage == RIM_FACING:
+        search.stage = DONE
+        search.direction = gradient(d)
+        search.distance = d[3]
+        return search
+    n = gradient(d)
+    down = wp.dot(n, search.along) * search.along - n
+    if wp.length(down) < 0.05:
+        return nowhere(search)
+    search.query = search.start + radius * wp.normalize(down)
+    search.stage += 1
+    if search.stage > RIM_LAST_TURN:
+        search.normal = direction_or_up(search.query - search.start)
+        search.facing = weight * search.normal
+    return search
+
+
+@wp.func
+def ball_next(search: Search, d: wp.vec4, radius: float, convex: int):
+    """A ball's deepest point.
+
+    Beyond a grid the distance is only a bound, and a ball's centre may lie there; its deepest point does not.
+    """
+    search.direction = gradient(d)
+    search.distance = d[3]
+    search.query = search.start - radius * gradient(d)
+    if convex == 1:
+        search.distance -= radius
+        search.stage = DONE
+    elif search.stage == BALL_LAST:
+        search.stage = DONE
+    else:
+        search.stage += 1
+    return search
+
+
+@wp.func
+def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: int, weight: float):
+    """Set a sample on its way; turn and shift map its shape's frame to that of the other shape.
+
+    An edge's middle tells whether it is near at all, but to a convex shape its ends tell that too.
+    """
+    search = Search()
+    search.start = wp.quat_rotate(turn, shapes.samples[s].point) + shift
+    search.query = search.start
+    search.normal = wp.quat_rotate(turn, shapes.samples[s].normal)
+    if shapes.samples[s].kind == EDGE:
+        slide = wp.quat_rotate(turn, shapes.samples[s].slide)
+        search.half = wp.length(slide)
+        search.along = slide / search.half
+        search.left = -OVERLAP * search.half
+        search.right = OVERLAP * search.half
+        if convex == 1:
+            search.stage = EDGE_LOW
+            search = look_at(search, search.left)
+    elif shapes.samples[s].kind == RIM:
+        search.along = search.normal
+    elif shapes.samples[s].radius == 0.0:
+        search.facing = weight * search.normal
+    return search
+
+
+@wp.func
+def bring_to_touch(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float):
+    """Bring sample s to its touching place on `shape`, in that shape's frame.
+
+    What is further than `reach` away may be told as infinitely far. With weight 1 the sample's own normal takes part
+    in choosing the face; with 0 the distance alone decides.
+    """
+    kind = shapes.samples[s].kind
+    radius = shapes.samples[s].radius
+    convex = shapes.shapes[shape].convex
+    search = begin_search(shapes, s, turn, shift, convex, weight)
+    while search.stage >= 0:
+        d = contact_distance(shapes, shape, search.query, search.facing)
+        if kind == EDGE:
+            search = edge_next(search, d, reach, radius, shapes.shapes[shape].size, convex, weight)
+        elif kind == RIM:
+            search = rim_next(search, d, radius, weight)
+        elif radius > 0.0:
+            search = ball_next(search, d, radius, convex)
+        else:
+            search.stage = DONE
+            search.direction = gradient(d)
+            search.distance = d[3]
+    return search
+
+
+@wp.func
+def opposed(cosine: float, kind: int, other: int):
+    """Whether a sample's normal, by its cosine with the contact normal, allows it to touch there.
+
+    The points of a cap stand for it only while it lies nearly flat; else its rim does, without corners. What is below
+    a plane touches it in any case: a plane has no far side.
+    """
+    if kind == CAP:
+        return cosine < -0.95
+    if kind == FACE:
+        return cosine < -0.5
+    return cosine < OPPOSED or other == PLANE
+
+
+@wp.func
+def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
+    """Bring sample s to its touching place; FAR where it touches nothing that it faces.
+
+    An edge that ends at a face without leaving it is no contact: its distance to the faces that it opposes is not its
+    distance.
+    """
+    found = bring_to_touch(shapes, s, shape, turn, shift, reach, 1.0)
+    other = shapes.parts[shapes.shapes[shape].part_start].kind
+    if not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
+        found.distance = FAR
+    return found
