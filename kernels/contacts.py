@@ -14,7 +14,7 @@ from warp_rigid.kernels.data import (
     State,
 )
 from warp_rigid.kernels.distance import FAR
-from warp_rigid.kernels.narrowphase import approach_of, touch_of
+from warp_rigid.kernels.narrowphase import approach_of, last_pair, touch_of
 from warp_rigid.kernels.samples import place_sample
 from warp_rigid.kernels.tangents import tangent_of, world_vector
 
@@ -65,11 +65,11 @@ def tangential(arm: wp.vec3, u: wp.vec3, v: wp.vec3, inverse_mass: float, invers
 @wp.func
 def last_contact(a: int, b: int, key: int, history: History):
     """Row of the same contact in the last step, or -1."""
-    for pair in range(history.pair_start[a], history.pair_start[a + 1]):
-        if history.body_b[pair] == b:
-            for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
-                if history.key[c] == key:
-                    return c
+    pair = last_pair(a, b, history)
+    if pair >= 0:
+        for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
+            if history.key[c] == key:
+                return c
     return -1
 
 
@@ -171,6 +171,8 @@ def build_contacts(
             row.arm_b = touch.position - motions.center[row.body_b]
             row.gap = touch.gap
             row.closing = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
+            if touch.gap >= FAR:
+                pairs.seen[pair] = 0
             contacts.rows[c] = with_coefficients(with_masses(row, bodies, motions), rules, bodies)
             start_from_history(c, row, envs.warm_starting[row.body_a / bodies_per_env], contacts, history)
 
@@ -183,6 +185,9 @@ def keep_pairs(pairs: Pairs, history: History):
         history.pair_start[i] = pairs.start[i]
     if i < history.body_b.shape[0]:
         history.body_b[i] = pairs.body_b[i]
+        history.seen[i] = pairs.seen[i]
+        history.seen_turn[i] = pairs.seen_turn[i]
+        history.seen_shift[i] = pairs.seen_shift[i]
     if i < history.contact_start.shape[0]:
         history.contact_start[i] = pairs.contact_start[i]
 

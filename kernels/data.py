@@ -241,6 +241,9 @@ Pairs = layout(
     slot_gap=Field(float, "pairs, 36", "m", "its predicted gap"),
     slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
     kept=Field(int, "pairs, 36", "", "identities of the samples that become contacts"),
+    seen=Field(int, "pairs", "", "edge_samples + 1 at the last look for contacts; 0 if the next step must look"),
+    seen_turn=Field(wp.quat, "pairs", "", "relative orientation at that look"),
+    seen_shift=Field(wp.vec3, "pairs", "m", "relative position at that look"),
 )
 
 ContactRecord = record(
@@ -289,10 +292,13 @@ Contacts = layout(
 
 History = layout(
     "History",
-    "Contacts of the last step, by identity, for warm starting.",
+    "Contacts of the last step, by identity, for warm starting and for pairs that have hardly moved.",
     pair_start=Field(int, "bodies + 1", "", "first pair of each first body"),
     body_b=Field(int, "pairs", "", "second body"),
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair"),
+    seen=Field(int, "pairs", "", "as in Pairs"),
+    seen_turn=Field(wp.quat, "pairs", "", "as in Pairs"),
+    seen_shift=Field(wp.vec3, "pairs", "m", "as in Pairs"),
     key=Field(int, "contacts", "", "identity within the pair"),
     impulse=Field(wp.vec3, "contacts", "N s", "in the world frame"),
     twist=Field(wp.vec3, "contacts", "N m s", "in the world frame"),

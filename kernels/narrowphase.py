@@ -21,6 +21,7 @@ from warp_rigid.kernels.data import (
     PATCHES,
     Bodies,
     Environments,
+    History,
     Motions,
     Pairs,
     Shapes,
@@ -44,6 +45,9 @@ SAME_PATCH = wp.constant(0.94)
 
 GAP_WEIGHT = wp.constant(20.0)
 """How much nearer in the tangent plane a sample counts for each metre of gap: those that touch come first."""
+
+STILL = wp.constant(2.5e-4)
+"""Pairs that have moved less than this part of the smaller size, half the contact distance, keep their contacts."""
 
 TIE = wp.constant(1.0e-5)
 """A later sample must be better by this part of the size to replace an earlier one."""
@@ -69,6 +73,15 @@ class Approach:
     turn: wp.quat
     shift: wp.vec3
     reach: float
+
+
+@wp.func
+def last_pair(a: int, b: int, history: History):
+    """Row of the same pair in the last step, or -1."""
+    for pair in range(history.pair_start[a], history.pair_start[a + 1]):
+        if history.body_b[pair] == b:
+            return pair
+    return -1
 
 
 @wp.func
@@ -100,13 +113,13 @@ def closing_gap(touch: Touch, a: int, b: int, dt: float, state: State, motions: 
 
 
 @wp.func
-def approach_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
-    """How far apart two surfaces can be now and still touch within the step [m]."""
+def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motions):
+    """How far the surfaces of two bodies can move against each other in a time dt, accelerated for a time `ahead`."""
     small = wp.where(motions.radius[a] < motions.radius[b], a, b)
     x = motions.center[small]
-    travel = velocity_at(a, x, dt, state, motions) - velocity_at(b, x, dt, state, motions)
+    speed = velocity_at(a, x, ahead, state, motions) - velocity_at(b, x, ahead, state, motions)
     spin = wp.length(state.angular_velocity[a] - state.angular_velocity[b]) * motions.radius[small]
-    return CONTACT_DISTANCE * size + dt * (wp.length(travel) + spin)
+    return dt * (wp.length(speed) + spin)
 
 
 @wp.func
@@ -316,44 +329,117 @@ def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
     return kept
 
 
+@wp.func
+def look_for_contacts(
+    pair: int,
+    lane: int,
+    lanes: int,
+    dt: float,
+    size: float,
+    edges: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Try the samples of both bodies of a pair. Returns how many contacts they make."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    reach = CONTACT_DISTANCE * size + travel(a, b, dt, dt, state, motions)
+    if lane == 0:
+        pairs.patch_count[pair] = 0
+    meet(lanes)
+    side = int(0)
+    while side < 2:
+        approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
+        end = shapes.shapes[approach.own_shape].cluster_end
+        for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
+            near = int(0)
+            if base + lane < end:
+                near = cluster_is_near(base + lane, approach, edges, shapes)
+            bits = votes(near, lanes)
+            while bits != wp.uint32(0):
+                cluster = base + lowest_bit(bits)
+                bits = bits & (bits - wp.uint32(1))
+                try_cluster(cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs)
+        side += 1
+    meet(lanes)
+    return keep_slots(pair, size, lane, lanes, pairs)
+
+
+@wp.func
+def hardly_moved(
+    last: int,
+    approach: Approach,
+    dt: float,
+    size: float,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    history: History,
+):
+    """Whether two bodies stand, and will stand after the step, as they stood when contacts were last looked for.
+
+    What did not touch then was further than the contact distance away, and cannot have come as near as half of it.
+    """
+    moved = wp.length(approach.shift - history.seen_shift[last]) + travel(
+        approach.own, approach.other, dt, 0.0, state, motions
+    )
+    q = approach.turn
+    q0 = history.seen_turn[last]
+    turned = 2.0 * wp.min(wp.length(q - q0), wp.length(q + q0))
+    radius = motions.radius[approach.own] + wp.length(bodies.center_of_mass[approach.own])
+    return moved + turned * radius < STILL * size
+
+
+@wp.func
+def take_over(pair: int, last: int, lane: int, lanes: int, pairs: Pairs, history: History):
+    """Keep the samples of the last step's contacts. Returns how many."""
+    start = history.contact_start[last]
+    count = history.contact_start[last + 1] - start
+    for k in range(lane, count, lanes):
+        pairs.kept[pair, k] = history.key[start + k]
+    return count
+
+
 @wp.kernel
 def find_contacts(
     teams: int,
     lanes: int,
     dt: float,
-    bodies_per_env: int,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
     motions: Motions,
     envs: Environments,
+    history: History,
     pairs: Pairs,
 ):
-    """The teams share the pairs: find the samples that represent a pair's contact."""
+    """The teams share the pairs: find the samples that represent a pair's contact, or keep those of the last step."""
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     lane = wp.tid() % lanes
     for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
         size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
-        reach = approach_reach(a, b, size, dt, state, motions)
-        if lane == 0:
-            pairs.patch_count[pair] = 0
-        meet(lanes)
-        side = int(0)
-        while side < 2:
-            approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
-            end = shapes.shapes[approach.own_shape].cluster_end
-            for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
-                near = int(0)
-                if base + lane < end:
-                    near = cluster_is_near(base + lane, approach, envs.edge_samples[a / bodies_per_env], shapes)
-                bits = votes(near, lanes)
-                while bits != wp.uint32(0):
-                    cluster = base + lowest_bit(bits)
-                    bits = bits & (bits - wp.uint32(1))
-                    try_cluster(cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs)
-            side += 1
-        meet(lanes)
-        kept = keep_slots(pair, size, lane, lanes, pairs)
+        edges = envs.edge_samples[a / bodies_per_env]
+        small = wp.where(motions.radius[a] < motions.radius[b], a, b)
+        approach = approach_of(small, a + b - small, 0.0, bodies, state)
+        last = last_pair(a, b, history)
+        kept = int(0)
+        if (
+            last >= 0
+            and history.seen[last] == edges + 1
+            and hardly_moved(last, approach, dt, size, bodies, state, motions, history)
+        ):
+            kept = take_over(pair, last, lane, lanes, pairs, history)
+            approach.turn = history.seen_turn[last]
+            approach.shift = history.seen_shift[last]
+        else:
+            kept = look_for_contacts(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, pairs)
         if lane == 0:
             pairs.contact_count[pair] = kept
+            pairs.seen[pair] = edges + 1
+            pairs.seen_turn[pair] = approach.turn
+            pairs.seen_shift[pair] = approach.shift

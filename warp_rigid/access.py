@@ -179,13 +179,17 @@ def _write_mass(sim: "Simulator", value: Any, chosen: np.ndarray, bodies: np.nda
 
 
 def forget_history(sim: "Simulator", chosen: np.ndarray) -> None:
-    """Make environments start their next step without remembered impulses."""
+    """Make environments start their next step without remembered contacts and impulses."""
     history = sim._pools.history
-    start = history.contact_start.numpy()[history.pair_start.numpy()]
-    keys = history.key.numpy()
+    pairs = history.pair_start.numpy()
+    start = history.contact_start.numpy()[pairs]
+    keys, seen = history.key.numpy(), history.seen.numpy()
     for env in chosen:
-        keys[start[env * sim.num_bodies] : start[(env + 1) * sim.num_bodies]] = -1
+        first, last = env * sim.num_bodies, (env + 1) * sim.num_bodies
+        keys[start[first] : start[last]] = -1
+        seen[pairs[first] : pairs[last]] = 0
     history.key.assign(keys)
+    history.seen.assign(seen)
 
 
 def apply_impulse(sim: "Simulator", impulse: Any, point: Any, body: int, envs: Any) -> None:

@@ -146,7 +146,9 @@ class Stages:
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
         pairs.contact_count.zero_()
         self._share_pairs(
-            narrowphase.find_contacts, [self.teams, self.pair_lanes, self.dt, self.num_bodies, *bodies_of_pair], [pairs]
+            narrowphase.find_contacts,
+            [self.teams, self.pair_lanes, self.dt, *bodies_of_pair, self.pools.history],
+            [pairs],
         )
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, records.key.shape[0])
         self._share_pairs(
