@@ -23,6 +23,9 @@ wp.set_module_options({"enable_backward": False})
 NARROWPHASE = wp.get_module("warp_rigid.kernels.narrowphase")
 """Kernels that evaluate distances share one compilation unit."""
 
+GONE = wp.constant(-1)
+"""Identity of a contact taken over from the last step that is none any more: it carries nothing."""
+
 COMBINE_AVERAGE = wp.constant(1)
 COMBINE_MULTIPLY = wp.constant(2)
 COMBINE_MAX = wp.constant(3)
@@ -118,7 +121,7 @@ def start_from_history(c: int, row: ContactRecord, warm: int, contacts: Contacts
     """Start from the last step's impulses, turned into today's tangent plane, or from zero."""
     impulse = wp.vec3(0.0, 0.0, 0.0)
     twist = wp.vec3(0.0, 0.0, 0.0)
-    if warm == 1:
+    if warm == 1 and contacts.key[c] != GONE:
         last = last_contact(row.body_a, row.body_b, contacts.key[c], history)
         if last >= 0:
             impulse = in_contact_frame(row, history.impulse[last])
@@ -163,6 +166,10 @@ def build_contacts(
             c = start + k
             key = pairs.kept[pair, k]
             touch = touch_again(key, row.body_a, row.body_b, shapes, bodies, state)
+            if touch.gap >= FAR:
+                touch.position = motions.center[row.body_a]
+                pairs.seen[pair] = 0
+                key = GONE
             contacts.key[c] = key
             contacts.position[c] = touch.position
             row.normal = touch.normal
@@ -171,8 +178,6 @@ def build_contacts(
             row.arm_b = touch.position - motions.center[row.body_b]
             row.gap = touch.gap
             row.closing = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
-            if touch.gap >= FAR:
-                pairs.seen[pair] = 0
             contacts.rows[c] = with_coefficients(with_masses(row, bodies, motions), rules, bodies)
             start_from_history(c, row, envs.warm_starting[row.body_a / bodies_per_env], contacts, history)
 
