@@ -15,7 +15,17 @@ stays rest; an impact too weak to come back up the gap is left to the contact st
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Pairs, State
+from warp_rigid.kernels.data import (
+    Bodies,
+    ContactRecord,
+    Contacts,
+    Environments,
+    Graph,
+    Motions,
+    PairRecord,
+    Pairs,
+    State,
+)
 from warp_rigid.kernels.impulses import (
     SETTLED,
     Couple,
@@ -119,20 +129,19 @@ def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, la
 
 @wp.func
 def collide_pair(
-    pair: int,
+    entry: PairRecord,
     dt: float,
     first: int,
     bodies: Bodies,
     motions: Motions,
-    pairs: Pairs,
     contacts: Contacts,
     state: State,
 ):
     """Let the contacts of a pair collide together. Returns 1 if any did."""
-    begin = pairs.contact_start[pair]
-    end = pairs.contact_start[pair + 1]
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
+    begin = entry.begin
+    end = entry.end
+    a = entry.body_a
+    b = entry.body_b
     before = take_up(a, b, 1.0, 1.0, bodies, motions, state)
     relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
     if set_targets(begin, end, before, relative_pull, dt, contacts) == 0:
@@ -178,6 +187,6 @@ def collide(
         for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
             stride = stride_of_group(group, lanes, graph)
             for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                collided |= collide_pair(graph.order[k], dt, first, bodies, motions, pairs, contacts, state)
+                collided |= collide_pair(graph.order[k], dt, first, bodies, motions, contacts, state)
             meet(lanes)
         left = any_of_team(collided, lanes) * (left - 1)

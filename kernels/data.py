@@ -304,6 +304,18 @@ History = layout(
     twist=Field(wp.vec3, "contacts", "N m s", "in the world frame"),
 )
 
+PairRecord = record(
+    "PairRecord",
+    "A touching pair in the order of solving.",
+    pair=Field(int, "", "", "its row among the pairs"),
+    body_a=Field(int, "", "", "first body"),
+    body_b=Field(int, "", "", "second body"),
+    begin=Field(int, "", "", "first contact"),
+    end=Field(int, "", "", "one past the last contact"),
+    upper_a=Field(int, "", "", "1: the first body belongs to the pair's level, 0: to a lower one"),
+    upper_b=Field(int, "", "", "the same of the second body"),
+)
+
 Graph = layout(
     "Graph",
     "The contact graph: who rests on whom, levels, islands, and the order in which contacts are solved.",
@@ -318,12 +330,12 @@ Graph = layout(
     denominator=Field(float, "bodies", "J", "of an island's line search"),
     pair_numerator=Field(float, "pairs", "J", "a pair's part of its island's sum"),
     pair_denominator=Field(float, "pairs", "J", "a pair's part of its island's sum"),
-    colors=Field(wp.uint32, "bodies", "", "bit mask of the colours taken at a body"),
-    bid=Field(int, "bodies", "", "highest pair that asks for a colour at a body"),
+    colors=Field(wp.uint32, "bodies, 2", "", "bit mask of the colours taken at a body: in its own level, above it"),
+    bid=Field(int, "bodies, 2", "", "highest priority of the pairs that ask for a colour at a body"),
     pair_color=Field(int, "pairs", "", "colour; -1 for a pair that does not touch or has none yet"),
     pair_level=Field(int, "pairs", "", "level of the upper body"),
     tally=Field(int, "levels, 32", "", "pairs of a level and colour, then where they go in `order`"),
-    order=Field(int, "pairs", "", "touching pairs by level and colour"),
+    order=Field(PairRecord, "pairs", "", "touching pairs by level and colour"),
     group_start=Field(int, "pairs + envs", "", "first entry of `order` of a group: one level, one colour"),
     group_color=Field(int, "pairs + envs", "", "colour of a group"),
     level_start=Field(int, "levels", "", "first group of a level; bodies + 2 rows an environment"),

@@ -11,7 +11,18 @@ before the next group; a lane keeps the two bodies of its pair at hand while it 
 
 import warp as wp
 
-from warp_rigid.kernels.data import COLORS, Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Pairs, State
+from warp_rigid.kernels.data import (
+    COLORS,
+    Bodies,
+    ContactRecord,
+    Contacts,
+    Environments,
+    Graph,
+    Motions,
+    PairRecord,
+    Pairs,
+    State,
+)
 from warp_rigid.kernels.tangents import world_vector
 from warp_rigid.kernels.team import any_of_team, meet
 
@@ -170,22 +181,19 @@ def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contac
 
 @wp.func
 def visit_pair(
-    pair: int,
+    entry: PairRecord,
     share_a: float,
     share_b: float,
     bodies: Bodies,
     motions: Motions,
-    pairs: Pairs,
     contacts: Contacts,
     state: State,
 ):
     """Visit the contacts of a pair, one after another. Returns 1 if they changed a velocity."""
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
-    couple = take_up(a, b, share_a, share_b, bodies, motions, state)
-    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+    couple = take_up(entry.body_a, entry.body_b, share_a, share_b, bodies, motions, state)
+    for c in range(entry.begin, entry.end):
         couple = visit_contact(c, share_a, share_b, couple, contacts)
-    put_down(a, b, couple, state)
+    put_down(entry.body_a, entry.body_b, couple, state)
     return wp.where(couple.change > SETTLED, 1, 0)
 
 
@@ -224,15 +232,13 @@ def warm_start(
     for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
         stride = stride_of_group(group, lanes, graph)
         for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-            pair = graph.order[k]
-            a = pairs.body_a[pair]
-            b = pairs.body_b[pair]
-            couple = take_up(a, b, 1.0, 1.0, bodies, motions, state)
-            for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+            entry = graph.order[k]
+            couple = take_up(entry.body_a, entry.body_b, 1.0, 1.0, bodies, motions, state)
+            for c in range(entry.begin, entry.end):
                 row = contacts.rows[c]
                 couple = with_impulse(row, world_vector(row.normal, row.tangent, contacts.loads[c].impulse), couple)
                 couple = with_twist(world_vector(row.normal, row.tangent, contacts.loads[c].twist), couple)
-            put_down(a, b, couple, state)
+            put_down(entry.body_a, entry.body_b, couple, state)
         meet(lanes)
 
 
@@ -265,7 +271,7 @@ def sweep_contacts(
         for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
             stride = stride_of_group(group, lanes, graph)
             for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                changed |= visit_pair(graph.order[k], 1.0, 1.0, bodies, motions, pairs, contacts, state)
+                changed |= visit_pair(graph.order[k], 1.0, 1.0, bodies, motions, contacts, state)
             meet(lanes)
         settled = 1 - any_of_team(changed, lanes)
         left = (1 - settled) * (left - 1)

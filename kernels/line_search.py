@@ -19,6 +19,7 @@ from warp_rigid.kernels.data import (
     Environments,
     Graph,
     Motions,
+    PairRecord,
     Pairs,
     State,
 )
@@ -69,10 +70,10 @@ def remember_start(
 
 
 @wp.func
-def pair_sums(pair: int, bodies: Bodies, motions: Motions, pairs: Pairs, contacts: Contacts, state: State):
+def pair_sums(entry: PairRecord, bodies: Bodies, motions: Motions, contacts: Contacts, state: State):
     """A pair's part of both sums: -(v0.M dv + b.dl) and dv.M dv."""
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
+    a = entry.body_a
+    b = entry.body_b
     now = take_up(a, b, 0.0, 0.0, bodies, motions, state)
     then = now
     then.linear_a = motions.start_linear[a]
@@ -80,7 +81,7 @@ def pair_sums(pair: int, bodies: Bodies, motions: Motions, pairs: Pairs, contact
     then.linear_b = motions.start_linear[b]
     then.angular_b = motions.start_angular[b]
     sums = wp.vec2(0.0, 0.0)
-    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+    for c in range(entry.begin, entry.end):
         row = contacts.rows[c]
         change = contacts.loads[c].impulse - contacts.loads[c].start_impulse
         impulse = world_vector(row.normal, row.tangent, change)
@@ -122,9 +123,9 @@ def sum_energy(
     begin = graph.group_start[graph.level_start[rows]]
     end = graph.group_start[graph.level_start[rows + graph.level_count[env] + 1]]
     for k in range(begin + lane, end, lanes):
-        sums = pair_sums(graph.order[k], bodies, motions, pairs, contacts, state)
-        graph.pair_numerator[graph.order[k]] = sums[0]
-        graph.pair_denominator[graph.order[k]] = sums[1]
+        sums = pair_sums(graph.order[k], bodies, motions, contacts, state)
+        graph.pair_numerator[graph.order[k].pair] = sums[0]
+        graph.pair_denominator[graph.order[k].pair] = sums[1]
     meet(lanes)
     for pair in range(pairs.start[first], pairs.start[first + bodies_per_env]):
         if pairs.contact_start[pair + 1] > pairs.contact_start[pair]:

@@ -11,7 +11,7 @@ finds all colours taken, as on a tray that carries many, is solved one after ano
 
 import warp as wp
 
-from warp_rigid.kernels.data import COLORS, Bodies, Graph, Pairs
+from warp_rigid.kernels.data import COLORS, Bodies, Graph, PairRecord, Pairs
 from warp_rigid.kernels.impulses import IN_TURN
 from warp_rigid.kernels.support import DYNAMIC, touches
 from warp_rigid.kernels.team import any_of_team, lowest_bit, meet
@@ -38,19 +38,27 @@ def priority(index: int):
 
 
 @wp.func
+def side_of(body: int, pair: int, graph: Graph):
+    """0 for a body in the pair's own level, 1 for one below it. Pairs on different sides of a body never meet."""
+    return wp.where(graph.level[body] < graph.pair_level[pair], 1, 0)
+
+
+@wp.func
 def place_bid(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph):
     """Bid for a colour at both bodies, or give up where all colours of a body are taken."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
+    side_a = side_of(a, pair, graph)
+    side_b = side_of(b, pair, graph)
     dynamic_a = bodies.motion[a] == DYNAMIC
     dynamic_b = bodies.motion[b] == DYNAMIC
-    if (dynamic_a and graph.colors[a] == ALL_TAKEN) or (dynamic_b and graph.colors[b] == ALL_TAKEN):
+    if (dynamic_a and graph.colors[a, side_a] == ALL_TAKEN) or (dynamic_b and graph.colors[b, side_b] == ALL_TAKEN):
         graph.pair_color[pair] = IN_TURN
         return
     if dynamic_a:
-        wp.atomic_max(graph.bid, a, priority(pair - begin))
+        wp.atomic_max(graph.bid, a, side_a, priority(pair - begin))
     if dynamic_b:
-        wp.atomic_max(graph.bid, b, priority(pair - begin))
+        wp.atomic_max(graph.bid, b, side_b, priority(pair - begin))
 
 
 @wp.func
@@ -58,25 +66,27 @@ def take_color(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph
     """Take the lowest colour that is free at both bodies if no other bid was higher."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
+    side_a = side_of(a, pair, graph)
+    side_b = side_of(b, pair, graph)
     own = priority(pair - begin)
     dynamic_a = bodies.motion[a] == DYNAMIC
     dynamic_b = bodies.motion[b] == DYNAMIC
-    if (dynamic_a and graph.bid[a] != own) or (dynamic_b and graph.bid[b] != own):
+    if (dynamic_a and graph.bid[a, side_a] != own) or (dynamic_b and graph.bid[b, side_b] != own):
         return
     taken = wp.uint32(0)
     if dynamic_a:
-        taken = taken | graph.colors[a]
+        taken = taken | graph.colors[a, side_a]
     if dynamic_b:
-        taken = taken | graph.colors[b]
+        taken = taken | graph.colors[b, side_b]
     color = lowest_bit(~taken)
     graph.pair_color[pair] = color
     if color == IN_TURN:
         return
     bit = wp.uint32(1) << wp.uint32(color)
     if dynamic_a:
-        graph.colors[a] = graph.colors[a] | bit
+        graph.colors[a, side_a] = graph.colors[a, side_a] | bit
     if dynamic_b:
-        graph.colors[b] = graph.colors[b] | bit
+        graph.colors[b, side_b] = graph.colors[b, side_b] | bit
 
 
 @wp.kernel
@@ -88,10 +98,12 @@ def color_pairs(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
     begin = pairs.start[first]
     end = pairs.start[first + bodies_per_env]
     for b in range(first + lane, first + bodies_per_env, lanes):
-        graph.colors[b] = wp.uint32(0)
-        graph.bid[b] = NO_BID
+        for side in range(2):
+            graph.colors[b, side] = wp.uint32(0)
+            graph.bid[b, side] = NO_BID
     for pair in range(begin + lane, end, lanes):
         graph.pair_color[pair] = UNCOLORED
+        graph.pair_level[pair] = wp.max(graph.level[pairs.body_a[pair]], graph.level[pairs.body_b[pair]])
     left = int(1)
     while left == 1:
         meet(lanes)
@@ -104,7 +116,8 @@ def color_pairs(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
                 take_color(pair, begin, bodies, pairs, graph)
         meet(lanes)
         for b in range(first + lane, first + bodies_per_env, lanes):
-            graph.bid[b] = NO_BID
+            graph.bid[b, 0] = NO_BID
+            graph.bid[b, 1] = NO_BID
         left = int(0)
         for pair in range(begin + lane, end, lanes):
             if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
@@ -131,6 +144,21 @@ def list_groups(env: int, rows: int, begin: int, graph: Graph):
     graph.group_start[group] = at
 
 
+@wp.func
+def write_in_order(pair: int, rows: int, pairs: Pairs, graph: Graph):
+    """Give a pair the next place of its group."""
+    entry = PairRecord()
+    entry.pair = pair
+    entry.body_a = pairs.body_a[pair]
+    entry.body_b = pairs.body_b[pair]
+    entry.begin = pairs.contact_start[pair]
+    entry.end = pairs.contact_start[pair + 1]
+    entry.upper_a = 1 - side_of(entry.body_a, pair, graph)
+    entry.upper_b = 1 - side_of(entry.body_b, pair, graph)
+    slot = wp.atomic_add(graph.tally, rows + graph.pair_level[pair], graph.pair_color[pair], 1)
+    graph.order[slot] = entry
+
+
 @wp.kernel
 def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph):
     """A team an environment: sort the touching pairs by level and colour. Within a group their order is free."""
@@ -144,10 +172,8 @@ def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph):
         graph.level_count[env] = 0
     meet(lanes)
     for pair in range(begin + lane, end, lanes):
-        level = wp.max(graph.level[pairs.body_a[pair]], graph.level[pairs.body_b[pair]])
-        graph.pair_level[pair] = level
         if touches(pair, pairs):
-            wp.atomic_max(graph.level_count, env, level)
+            wp.atomic_max(graph.level_count, env, graph.pair_level[pair])
     meet(lanes)
     for level in range(lane, graph.level_count[env] + 1, lanes):
         for color in range(MOST_COLORS):
@@ -162,10 +188,8 @@ def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph):
     meet(lanes)
     for pair in range(begin + lane, end, lanes):
         if touches(pair, pairs) and graph.pair_color[pair] != IN_TURN:
-            slot = wp.atomic_add(graph.tally, rows + graph.pair_level[pair], graph.pair_color[pair], 1)
-            graph.order[slot] = pair
+            write_in_order(pair, rows, pairs, graph)
     if lane == 0:
         for pair in range(begin, end):
             if touches(pair, pairs) and graph.pair_color[pair] == IN_TURN:
-                slot = wp.atomic_add(graph.tally, rows + graph.pair_level[pair], IN_TURN, 1)
-                graph.order[slot] = pair
+                write_in_order(pair, rows, pairs, graph)

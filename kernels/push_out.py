@@ -7,7 +7,7 @@ is set right in one pass.
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, PairRecord, Pairs, Shapes, State
 from warp_rigid.kernels.impulses import (
     SETTLED,
     Couple,
@@ -17,7 +17,6 @@ from warp_rigid.kernels.impulses import (
     take_up,
     with_impulse,
 )
-from warp_rigid.kernels.shock import share_in
 from warp_rigid.kernels.team import any_of_team, meet
 
 wp.set_module_options({"enable_backward": False})
@@ -61,27 +60,18 @@ def push_contact(c: int, share_a: float, share_b: float, couple: Couple, contact
 
 
 @wp.func
-def push_pair(
-    pair: int,
-    level: int,
-    bodies: Bodies,
-    motions: Motions,
-    graph: Graph,
-    pairs: Pairs,
-    contacts: Contacts,
-    state: State,
-):
+def push_pair(entry: PairRecord, bodies: Bodies, motions: Motions, contacts: Contacts, state: State):
     """Visit the contacts of a pair; the bodies' pseudo-velocities stand in for their velocities."""
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
-    share_a = share_in(a, level, graph)
-    share_b = share_in(b, level, graph)
+    a = entry.body_a
+    b = entry.body_b
+    share_a = float(entry.upper_a)
+    share_b = float(entry.upper_b)
     couple = take_up(a, b, share_a, share_b, bodies, motions, state)
     couple.linear_a = motions.push_linear[a]
     couple.angular_a = motions.push_angular[a]
     couple.linear_b = motions.push_linear[b]
     couple.angular_b = motions.push_angular[b]
-    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+    for c in range(entry.begin, entry.end):
         couple = push_contact(c, share_a, share_b, couple, contacts)
     if couple.inverse_mass_a > 0.0:
         motions.push_linear[a] = couple.linear_a
@@ -149,7 +139,6 @@ def push_apart(
             for group in range(graph.level_start[row], graph.level_start[row + 1]):
                 stride = stride_of_group(group, lanes, graph)
                 for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                    pair = graph.order[k]
-                    changed |= push_pair(pair, level, bodies, motions, graph, pairs, contacts, state)
+                    changed |= push_pair(graph.order[k], bodies, motions, contacts, state)
                 meet(lanes)
             left = any_of_team(changed, lanes) * (left - 1)

@@ -43,12 +43,6 @@ LAYER_ITERATIONS = wp.constant(20)
 
 
 @wp.func
-def share_in(body: int, level: int, graph: Graph):
-    """1 for a body of the level, 0 for one below it, which is frozen."""
-    return wp.where(graph.level[body] == level, 1.0, 0.0)
-
-
-@wp.func
 def solve_level(
     level: int,
     env: int,
@@ -58,7 +52,6 @@ def solve_level(
     bodies: Bodies,
     motions: Motions,
     graph: Graph,
-    pairs: Pairs,
     contacts: Contacts,
     state: State,
 ):
@@ -70,10 +63,9 @@ def solve_level(
         for group in range(graph.level_start[row], graph.level_start[row + 1]):
             stride = stride_of_group(group, lanes, graph)
             for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                pair = graph.order[k]
-                share_a = share_in(pairs.body_a[pair], level, graph)
-                share_b = share_in(pairs.body_b[pair], level, graph)
-                changed |= visit_pair(pair, share_a, share_b, bodies, motions, pairs, contacts, state)
+                entry = graph.order[k]
+                share_a = float(entry.upper_a)
+                changed |= visit_pair(entry, share_a, float(entry.upper_b), bodies, motions, contacts, state)
             meet(lanes)
         left = any_of_team(changed, lanes) * (left - 1)
 
@@ -88,7 +80,6 @@ def hand_down(
     bodies: Bodies,
     motions: Motions,
     graph: Graph,
-    pairs: Pairs,
     contacts: Contacts,
     state: State,
 ):
@@ -97,17 +88,15 @@ def hand_down(
     for group in range(graph.level_start[row], graph.level_start[row + 1]):
         stride = stride_of_group(group, lanes, graph)
         for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-            pair = graph.order[k]
-            a = pairs.body_a[pair]
-            b = pairs.body_b[pair]
-            share_a = 1.0 - share_in(a, level, graph)
-            couple = take_up(a, b, share_a, 1.0 - share_in(b, level, graph), bodies, motions, state)
-            for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+            entry = graph.order[k]
+            lower_a = float(1 - entry.upper_a)
+            couple = take_up(entry.body_a, entry.body_b, lower_a, float(1 - entry.upper_b), bodies, motions, state)
+            for c in range(entry.begin, entry.end):
                 couple = with_impulse(contacts.rows[c], contacts.loads[c].reaction, couple)
                 couple = with_twist(contacts.loads[c].twist_reaction, couple)
                 contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
                 contacts.loads[c].twist_reaction = wp.vec3(0.0, 0.0, 0.0)
-            put_down(a, b, couple, state)
+            put_down(entry.body_a, entry.body_b, couple, state)
         meet(lanes)
 
 
@@ -134,6 +123,6 @@ def propagate(
     passes = wp.where(mode == TWO_PASS, 2, 1)
     for k in range(passes * levels):
         level = wp.where(k < levels, k + 1, 2 * levels - k)
-        solve_level(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
+        solve_level(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, contacts, state)
         if k >= levels:
-            hand_down(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, pairs, contacts, state)
+            hand_down(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, contacts, state)

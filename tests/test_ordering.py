@@ -20,7 +20,7 @@ def order(made):
 def read_groups(graph, num_envs, bodies_per_env):
     """For each environment its list of (level, colour, list of pairs), in the order of solving."""
     level_start, group_start = graph.level_start.numpy(), graph.group_start.numpy()
-    sequence, levels, colors = graph.order.numpy(), graph.level_count.numpy(), graph.group_color.numpy()
+    sequence, levels, colors = graph.order.numpy()["pair"], graph.level_count.numpy(), graph.group_color.numpy()
     envs = []
     for env in range(num_envs):
         row = env * (bodies_per_env + 2)

@@ -30,10 +30,15 @@ from warp_rigid.pools import Pools
 TRY_ALL_UP_TO = 256
 """Up to so many small bodies an environment, trying all pairs beats the hash grid."""
 
-TEAMS = ((12, 8), (24, 16), (128, 32))
-"""Up to so many bodies an environment, so many lanes of a GPU solve it together; beyond, a whole block does."""
-
 PAIRS, CONTACTS = 0, 1
+
+WARP = 32
+
+RESIDENT_WARPS = 132 * 16
+"""About as many warps as a large GPU holds at the same time."""
+
+MOST_BODIES_OF_A_WARP = 128
+"""Beyond so many bodies an environment, a whole block solves it."""
 
 PAIR_LANES = 16
 """Lanes of a GPU that look for the contacts of one pair together."""
@@ -68,11 +73,20 @@ def load_kernels(device: Any, baking: bool) -> None:
     )
 
 
-def team_size(device: Any, bodies_per_env: int) -> int:
-    """Lanes that solve one environment together."""
+def team_size(device: Any, num_envs: int, bodies_per_env: int) -> int:
+    """Lanes that solve one environment together.
+
+    A warp each, as long as all fit on the GPU at once; then smaller teams, which share a warp and get in each other's
+    way a little, and no smaller than a small environment can use.
+    """
     if not device.is_cuda:
         return 1
-    return next((lanes for most, lanes in TEAMS if bodies_per_env <= most), team.BLOCK)
+    if bodies_per_env > MOST_BODIES_OF_A_WARP:
+        return team.BLOCK
+    lanes = WARP
+    while lanes > 8 and num_envs * lanes > RESIDENT_WARPS * WARP and bodies_per_env < 2 * lanes:
+        lanes //= 2
+    return lanes
 
 
 class Stages:
@@ -95,7 +109,7 @@ class Stages:
         self.num_envs = model.num_envs
         self.num_bodies = len(model.scene.bodies)
         self.rows = self.num_envs * self.num_bodies
-        self.lanes = team_size(self.device, self.num_bodies)
+        self.lanes = team_size(self.device, self.num_envs, self.num_bodies)
         self.pair_lanes = PAIR_LANES if self.device.is_cuda else 1
         self.teams = min(pools.sizes["pairs"], MOST_TEAMS) if self.device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
