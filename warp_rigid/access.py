@@ -226,6 +226,12 @@ def contact_records(sim: "Simulator") -> np.ndarray:
     return records
 
 
+def swept_boxes(sim: "Simulator") -> np.ndarray:
+    """Boxes of the last look for pairs; see Simulator.swept_boxes."""
+    motions = sim._stages.motions
+    return np.stack([_rows(sim, motions.lower), _rows(sim, motions.upper)], axis=2)
+
+
 def status_records(sim: "Simulator") -> np.ndarray:
     """Health of the environments; see Simulator.status."""
     failed = sim._envs.failed.numpy() == 1

@@ -18,8 +18,10 @@ __all__ = [
     "drawn_surfaces",
     "environment_offsets",
     "environment_spacing",
+    "level_colors",
     "rotate",
     "rotation_matrices",
+    "speed_colors",
 ]
 
 # Colours on screen (sRGB). Neighbours in the list differ in hue and lightness, so that bodies
@@ -30,6 +32,12 @@ DYNAMIC_COLORS = (
 )  # fmt: skip
 STATIC_COLOR = "#c9c6bf"
 KINEMATIC_COLOR = "#9a8f7a"
+
+LEVEL_COLORS = ("#8a8f96", "#440154", "#3b528b", "#21918c", "#5ec962", "#fde725", "#f89540", "#cc4778")
+"""Of bodies that rest on nothing, then of levels 1, 2, ...; further levels begin anew at 1."""
+SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR = "#2b5c8a", "#e8e3d3", "#c23b22"
+QUICK = 2.0
+"""Speed of the last colour [m/s]."""
 
 CREASE_ANGLE = math.radians(40.0)
 ROW_LENGTH = 5
@@ -53,6 +61,21 @@ def body_colors(motion) -> np.ndarray:
     colors[motion == Motion.STATIC] = linear_color(STATIC_COLOR)
     colors[motion == Motion.KINEMATIC] = linear_color(KINEMATIC_COLOR)
     return colors.astype(np.float32)
+
+
+def level_colors(level) -> np.ndarray:
+    """A colour for each level of the contact graph, (n,) -> (n, 3) float32 in linear light."""
+    palette = np.array([linear_color(code) for code in LEVEL_COLORS])
+    level = np.asarray(level)
+    cycle = (np.maximum(level, 1) - 1) % (len(palette) - 1) + 1
+    return palette[np.where(level > 0, cycle, 0)].astype(np.float32)
+
+
+def speed_colors(speed) -> np.ndarray:
+    """From blue at rest to red at QUICK and beyond, (n,) [m/s] -> (n, 3) float32 in linear light."""
+    ends = np.array([linear_color(code) for code in (SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR)])
+    part = np.clip(np.asarray(speed) / QUICK, 0.0, 1.0)
+    return np.stack([np.interp(part, (0.0, 0.5, 1.0), ends[:, k]) for k in range(3)], axis=-1).astype(np.float32)
 
 
 def corner_normals(vertices, faces) -> np.ndarray:

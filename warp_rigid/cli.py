@@ -13,6 +13,7 @@ import warp_rigid
 from warp_rigid.commands.inspect import inspect_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
+from warp_rigid.commands.view import view_command
 from warp_rigid.terminal import explain, messages_on_stderr, note, start_warp
 
 __all__ = ["main"]
@@ -58,6 +59,7 @@ def common(
 app.command("run")(run_command)
 app.command("scenes")(scenes_command)
 app.command("inspect")(inspect_command)
+app.command("view")(view_command)
 
 
 def _fail(status: int, text: str) -> int:

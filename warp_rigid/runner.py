@@ -17,7 +17,7 @@ from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.settings import Settings
 from warp_rigid.simulator import Simulator
 
-__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run"]
+__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "step_frame"]
 
 FILE_SCENE_DURATION = 4.0
 """How long a scene from a user's file runs unless told otherwise [s]."""
@@ -166,7 +166,7 @@ def execute(plan: Plan, envs=None, on_frame: Callable[[int], None] | None = None
     seconds, deepest = [], np.zeros(sim.num_envs)
     for frame in range(plan.frames):
         start = time.perf_counter()
-        _step_frame(sim, per_frame, events)
+        step_frame(sim, per_frame, events)
         seconds.append(time.perf_counter() - start)
         recorder.capture(sim)
         deepest = np.maximum(deepest, sim.penetration())
@@ -275,7 +275,7 @@ def _labels(given: Assignments, count: int) -> tuple[str, ...]:
     return tuple(", ".join(f"{name}={values[env]}" for name, values in given.batched.items()) for env in range(count))
 
 
-def _step_frame(sim: Simulator, steps: int, events: list) -> None:
+def step_frame(sim: Simulator, steps: int, events: list) -> None:
     """Step one frame; an event takes place before the first step that begins at or after it."""
     dt = sim.settings.dt
     done = 0

@@ -163,6 +163,19 @@ class Simulator:
         """Pairs, contacts and levels of the last step, and the pools' sizes and high-water marks."""
         return access.counts(self)
 
+    def swept_boxes(self) -> np.ndarray:
+        """Boxes by which pairs were last looked for, (envs, bodies, 2, 3): lower and upper corners [m].
+
+        After a step they hold what each body may reach within it, after `penetration` what it fills now. Planes have
+        no end: their boxes reach 2e9 m.
+        """
+        return access.swept_boxes(self)
+
+    @property
+    def grid_cell(self) -> float:
+        """Width of the cells in which bodies look for each other [m]; environments of few bodies try all pairs."""
+        return self._model.grid_radius
+
     def _new_stages(self) -> Stages:
         return Stages(
             self._model, self._state, self._envs, self._pools, self.settings.dt, access.largest_repetition(self)

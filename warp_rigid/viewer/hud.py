@@ -1,0 +1,96 @@
+"""Figures over the page: rate, counts, deepest overlap, energies and the scene's verdicts."""
+
+from collections import deque
+
+import numpy as np
+
+from warp_rigid.scene import Motion
+from warp_rigid.scenes.demo import AT_REST
+from warp_rigid.viewer.session import Paced, Session
+
+__all__ = ["Hud"]
+
+HISTORY = 240
+"""Points of the energy plot."""
+
+
+class Hud:
+    """The figures, made no more often than they are read.
+
+    Args:
+        server: the viser server; its current container takes the figures.
+    """
+
+    def __init__(self, server):
+        """Add an empty text and an empty plot."""
+        self._text = server.gui.add_markdown("")
+        server.gui.add_markdown("Energy [J]: kinetic red, potential blue, total black")
+        self._plot = server.gui.add_uplot(
+            data=(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2)),
+            series=(
+                {"label": "t [s]"},
+                {"label": "kinetic [J]", "stroke": "#d1495b", "width": 2},
+                {"label": "potential [J]", "stroke": "#3f7fbf", "width": 2},
+                {"label": "total [J]", "stroke": "#30343a", "width": 2},
+            ),
+            scales={"x": {"time": False}},
+            legend={"show": False},
+            height=110,
+        )
+        self._refresh = Paced(share=0.02, period=0.2)
+        self._overlap = Paced(share=0.01, period=0.5)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the past, after a restart or in another scene."""
+        self._energy = deque(maxlen=HISTORY)
+        self._deepest = 0.0
+
+    def update(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> None:
+        """Show the figures of now, unless that was done a moment ago.
+
+        Args:
+            session: what runs.
+            rows: environments on the page, whose bodies and energies count.
+            rate: updates of the page per second.
+            pace: simulated seconds per second.
+        """
+        self._refresh(self._show, session, rows, rate, pace)
+
+    def _show(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> None:
+        sim = session.sim
+        deepest = self._overlap(sim.penetration)
+        if deepest is not None:
+            self._deepest = float(deepest[rows].max())
+        kinetic = float(sim.get("kinetic_energy")[rows].sum())
+        potential = float(sim.get("potential_energy")[rows].sum())
+        if not self._energy or session.time > self._energy[-1][0]:
+            self._energy.append((session.time, kinetic, potential, kinetic + potential))
+        if len(self._energy) > 1:
+            self._plot.data = tuple(np.array(self._energy).T.copy())
+        self._text.content = _text(session, rows, rate, pace, self._deepest)
+
+
+def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest: float) -> str:
+    sim = session.sim
+    counts = sim.counts()
+    dynamic = np.array([body.motion == Motion.DYNAMIC for body in sim.scene.bodies])
+    asleep = sim.get("asleep")[rows][:, dynamic]
+    slow = np.linalg.norm(sim.get("linear_velocity")[rows][:, dynamic], axis=-1) < AT_REST
+    lines = [
+        f"**{'running' if session.running else 'paused'}** at {session.time:.2f} s, {pace:.2f} x real time, "
+        f"{rate:.0f} updates/s",
+        f"bodies **{dynamic.sum() * len(rows)}**, resting **{int((asleep | slow).sum())}** "
+        f"({int(asleep.sum())} asleep), contacts **{counts['contacts']}**, levels **{counts['levels']}**",
+        f"deepest overlap **{1e3 * deepest:.3g} mm**",
+    ]
+    failed = sim.status()
+    for env in np.flatnonzero(failed["status"] != "ok")[:3]:
+        lines.append(f"environment {env}: **{failed['status'][env]}** since step {failed['step'][env]}")
+    for verdict in session.verdicts:
+        shown = [
+            f"{'yes' if passed else 'no'} ({value:.3g})"
+            for value, passed in zip(verdict.values[rows], verdict.passed[rows], strict=True)
+        ]
+        lines.append(f"{verdict.limit}: **{', '.join(shown[:4])}**{' ...' if len(shown) > 4 else ''}")
+    return "\n\n".join(lines)

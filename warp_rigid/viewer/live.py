@@ -1,0 +1,331 @@
+"""The live page: a session in the browser."""
+
+import queue
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.appearance import level_colors, speed_colors
+from warp_rigid.film import Film, film_from_recording
+from warp_rigid.recording import Recorder
+from warp_rigid.scene import Motion
+from warp_rigid.terminal import explain
+from warp_rigid.viewer.instances import Instances, bytes_of_light
+from warp_rigid.viewer.overlays import Overlays
+from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
+from warp_rigid.viewer.panel import Panel
+from warp_rigid.viewer.picking import trace
+from warp_rigid.viewer.session import Session
+from warp_rigid.viewer.slice_view import SliceView
+
+__all__ = ["LiveViewer"]
+
+PERIOD = 1.0 / 30.0
+"""Time between updates of the page [s]."""
+STEP_SHARE = 0.85
+"""Part of it that stepping may take when the simulation is slower than asked."""
+MOST_SHOWN = 6000
+"""Bodies on the page; of more environments than hold so many, only the first are shown."""
+
+
+class LiveViewer:
+    """Shows a session, and lets the page play with it.
+
+    All work is done by the thread that calls `run`; the page's events only put what they ask for in a queue.
+
+    Args:
+        session: what is played.
+        host: address to serve on; the default is reached from this machine alone.
+        port: the first to try.
+        fast: no shadows and simple light, for graphics without a GPU.
+
+    Attributes:
+        server: the viser server.
+        session: as given.
+        rows: environments on the page.
+        chosen: environment and body that slices and clusters are of.
+        fast: as given.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080, fast: bool = False):
+        """Open the page; `run` brings it to life."""
+        self.session = session
+        self.fast = fast
+        self.server = start_server(host, port)
+        self._wishes: queue.SimpleQueue = queue.SimpleQueue()
+        self._stopped = False
+        self._instances: Instances | None = None
+        self._labels: list = []
+        self._options: dict[str, Any] = {"coloring": "body", "sleepers": True, "wireframe": False, "strength": 2.0}
+        self._options |= {"slice": False, "axis": "y", "place": 0.5}
+        self._overlays = Overlays(self.server)
+        self._slice = SliceView(self.server)
+        self._rope = self.server.scene.add_line_segments("/rope", np.zeros((1, 2, 3)), (30, 30, 30), visible=False)
+        self.rows = self._some_rows(0, session.sim.num_envs)
+        self.chosen = (0, 0)
+        self._panel = Panel(self)
+        set_light(self.server, fast)
+        self._updates, self._since, self._rate, self._pace = 0, (time.perf_counter(), 0.0), 0.0, 0.0
+        self._show_scene()
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def run(self) -> None:
+        """Step and show until `stop`; the simulation waits while no page is open."""
+        last = time.perf_counter()
+        while not self._stopped:
+            start = time.perf_counter()
+            watched = bool(self.server.get_clients())
+            changed = self._do_wishes()
+            if watched:
+                changed |= self.session.advance(start - last, STEP_SHARE * PERIOD) > 0
+                if changed:
+                    self._publish()
+                self._count_update(changed)
+            last = start
+            self._rest_until(start + PERIOD)
+        stop_server(self.server)
+
+    def stop(self) -> None:
+        """Make `run` return; from any thread."""
+        self._wishes.put((self._halt, ()))
+
+    def ask(self, action: Callable, *arguments: Any) -> None:
+        """Let the viewer's thread call an action soon; from any thread."""
+        self._wishes.put((action, arguments))
+
+    def toggle(self) -> None:
+        """Run, or pause."""
+        self.session.running = not self.session.running
+
+    def single_step(self) -> None:
+        """Pause, and do one step."""
+        self.session.running = False
+        self.session.step(1)
+
+    def restart(self) -> None:
+        """Back to the start; it runs on if it ran."""
+        self.session.restart()
+        self._panel.hud.restart()
+
+    def load(self, source: str, compare: bool = False) -> None:
+        """Another scene, alone or in all of its variants; it runs at once."""
+        self._panel.say(f"building {source} ...")
+        self.session.open(source, compare=compare)
+        self.session.running = True
+        self._overlays.clear()
+        self.rows = self._some_rows(0, self.session.sim.num_envs)
+        self._show_scene()
+        self._panel.say("")
+
+    def use_variant(self, name: str) -> None:
+        """Settings of a variant, from the start."""
+        if name in self.session.plan.demo.variants:
+            self.session.use_variant(name)
+            self.session.running = True
+        self._panel.refresh(self.session, int(self.rows[0]))
+        self._panel.hud.restart()
+
+    def change(self, name: str, value: Any) -> None:
+        """A setting or property, in the environments shown."""
+        self.session.change(name, value, self.rows)
+        self._panel.show_variant(self.session)
+
+    def overlay(self, name: str, on: bool) -> None:
+        """Switch an overlay."""
+        (self._overlays.shown.add if on else self._overlays.shown.discard)(name)
+
+    def choose(self, body: int, env: int | None = None) -> None:
+        """Choose the body that slices and clusters are of."""
+        self.chosen = (int(self.rows[0]) if env is None else env, body)
+        self._panel.choose_body(body)
+        self._cut()
+
+    def option(self, name: str, value: Any) -> None:
+        """What is seen, and how."""
+        self._options[name] = value
+        if name == "scene":
+            self.load(value)
+        elif name == "side_by_side":
+            self.load(self.session.source, compare=value and bool(self.session.plan.demo.variants))
+        elif name == "speed":
+            self.session.speed = value
+        elif name == "wireframe":
+            self._instances.wire(value)
+        elif name == "shadows":
+            set_light(self.server, not value)
+        elif name in ("first_env", "shown_envs"):
+            first = int(self._options.get("first_env", self.rows[0]))
+            self.rows = self._some_rows(first, int(self._options.get("shown_envs", len(self.rows))))
+            self._show_scene()
+        elif name in ("slice", "axis", "place"):
+            self._cut()
+
+    def _halt(self) -> None:
+        self._stopped = True
+
+    def _some_rows(self, first: int, count: int) -> np.ndarray:
+        """So many environments from one on, as far as there are some and the page can show them."""
+        sim = self.session.sim
+        count = max(1, min(count, MOST_SHOWN // sim.num_bodies, sim.num_envs))
+        first = min(first, sim.num_envs - count)
+        return np.arange(first, first + count)
+
+    def _do_wishes(self) -> bool:
+        """Do all that was asked for; what cannot be done is told on the page."""
+        done = False
+        while True:
+            try:
+                action, arguments = self._wishes.get_nowait()
+            except queue.Empty:
+                return done
+            done = True
+            try:
+                action(*arguments)
+            except (ValueError, FileNotFoundError, ModuleNotFoundError) as error:
+                for client in self.server.get_clients().values():
+                    client.add_notification("Not possible", explain(error), color="red")
+                self._panel.refresh(self.session, int(self.rows[0]))
+
+    def _rest_until(self, end: float) -> None:
+        """Wait for the next update, or for a wish."""
+        left = end - time.perf_counter()
+        if left > 0.0 and self._wishes.empty():
+            time.sleep(left)
+
+    def _show_scene(self) -> None:
+        """Put the bodies of the shown environments on the page."""
+        session = self.session
+        recorder = Recorder(session.sim, 1.0 / PERIOD, self.rows, [session.plan.labels[row] for row in self.rows])
+        recorder.capture(session.sim)
+        self._film: Film = film_from_recording(recorder.recording())
+        motion = np.array([body.motion for body in session.plan.scene.bodies])
+        self._dynamic = np.tile(motion == Motion.DYNAMIC, len(self.rows))
+        with self.server.atomic():
+            if self._instances is not None:
+                self._instances.remove()
+            for label in self._labels:
+                label.remove()
+            self._instances = Instances(self.server, self._film, np.tile(motion != Motion.STATIC, len(self.rows)))
+            self._instances.wire(self._options["wireframe"])
+            self._labels = add_labels(self.server, self._film)
+        for handle, chosen in self._instances.handles:
+            if self._dynamic[chosen].any():
+                self._listen(handle, chosen)
+        look_at_film(self.server, self._film)
+        moving = np.flatnonzero(motion == Motion.DYNAMIC)
+        self.chosen = (int(self.rows[0]), int(moving[0]) if len(moving) else 0)
+        self._panel.refresh(session, int(self.rows[0]))
+        self._panel.choose_body(self.chosen[1])
+        self._panel.hud.restart()
+        self._cut()
+        self._publish()
+
+    def _listen(self, handle: Any, chosen: np.ndarray) -> None:
+        """Let clicks push and drags pull the bodies of a batch."""
+
+        @handle.on_click
+        def _(event) -> None:
+            if event.instance_index is not None:
+                instance = int(chosen[event.instance_index])
+                self.ask(self._push, instance, np.array(event.ray_origin), np.array(event.ray_direction))
+
+        @handle.on_drag
+        async def _(event) -> None:
+            if event.instance_index is not None:
+                instance = int(chosen[event.instance_index])
+                self.ask(
+                    self._drag, event.phase, instance, np.array(event.start_position), np.array(event.end_position)
+                )
+
+    def _place_of(self, instance: int) -> tuple[int, int, np.ndarray]:
+        """Environment, body and where the environment stands."""
+        row, body = divmod(instance, self.session.sim.num_bodies)
+        return int(self.rows[row]), body, self._film.offset[row]
+
+    def _push(self, instance: int, origin: np.ndarray, direction: np.ndarray) -> None:
+        """Push the body that a ray meets, away from the eye."""
+        env, body, offset = self._place_of(instance)
+        sim, data = self.session.sim, self.session.plan.scene.bodies[body]
+        position, orientation = sim.get("position")[env, body], sim.get("orientation")[env, body]
+        point, _ = trace(data.shape, position, orientation, origin - offset, direction)
+        velocity = self._options["strength"] * direction / np.linalg.norm(direction)
+        impulse = self.session.push(env, body, point, velocity)
+        strength, place = np.linalg.norm(impulse), np.round(point, 3).tolist()
+        self._panel.say(f"pushed **{data.name}** with {strength:.3g} N s at {place} m")
+        self.choose(body, env)
+
+    def _drag(self, phase: str, instance: int, start: np.ndarray, end: np.ndarray) -> None:
+        """Pull a body toward the pointer while the button is down."""
+        env, body, offset = self._place_of(instance)
+        if phase == "start":
+            self.session.pull(env, body, start - offset, end - offset)
+        elif phase == "update":
+            self.session.move_pull(end - offset)
+        else:
+            self.session.release()
+
+    def _cut(self) -> None:
+        """Make the slice anew, or take it away."""
+        shown = self._options["slice"]
+        shape = self.session.plan.scene.bodies[self.chosen[1]].shape
+        image = self._slice.cut(shape, "xyz".index(self._options["axis"]), self._options["place"]) if shown else None
+        if not shown:
+            self._slice.hide()
+        self._panel.picture(image)
+
+    def _publish(self) -> None:
+        """Send the state of now."""
+        session, sim, rows = self.session, self.session.sim, self.rows
+        position = sim.get("position")[rows] + self._film.offset[:, None].astype(np.float32)
+        orientation = sim.get("orientation")[rows]
+        with self.server.atomic():
+            self._instances.pose(position.reshape(-1, 3), orientation.reshape(-1, 4))
+            self._instances.color(self._colors())
+            self._instances.fade(self._opacity())
+            if self._overlays.shown:
+                self._overlays.update(sim, rows, self._film.offset, self.chosen)
+            env, body = self.chosen
+            row = env - int(rows[0])
+            self._slice.follow(position[row, body], orientation[row, body])
+            self._draw_rope()
+        self._panel.hud.update(session, rows, self._rate, self._pace)
+
+    def _colors(self) -> np.ndarray:
+        sim, by = self.session.sim, self._options["coloring"]
+        colors = self._film.color
+        if by == "level":
+            levels = level_colors(sim.get("level")[self.rows].reshape(-1))
+            colors = np.where(self._dynamic[:, None], levels, colors)
+        elif by == "speed":
+            speed = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
+            colors = np.where(self._dynamic[:, None], speed_colors(speed), colors)
+        return bytes_of_light(colors)
+
+    def _opacity(self) -> np.ndarray:
+        opacity = np.ones(len(self._dynamic))
+        if self._options["sleepers"]:
+            opacity[self.session.sim.get("asleep")[self.rows].reshape(-1) & self._dynamic] = 0.35
+        if self._options["slice"]:
+            opacity[(self.chosen[0] - self.rows[0]) * self.session.sim.num_bodies + self.chosen[1]] = 0.15
+        return opacity
+
+    def _draw_rope(self) -> None:
+        ends = self.session.pull_ends
+        self._rope.visible = ends is not None
+        if ends is not None:
+            offset = self._film.offset[ends[0] - int(self.rows[0])]
+            self._rope.points = np.array([[ends[1] + offset, ends[2] + offset]], np.float32)
+
+    def _count_update(self, changed: bool) -> None:
+        """Keep the rate of updates and the pace of the simulation, over half a second."""
+        self._updates += changed
+        now, (then, before) = time.perf_counter(), self._since
+        if now - then >= 0.5:
+            self._rate, self._pace = self._updates / (now - then), max(0.0, self.session.time - before) / (now - then)
+            self._updates, self._since = 0, (now, self.session.time)

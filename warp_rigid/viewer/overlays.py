@@ -1,0 +1,214 @@
+"""What the simulator sees, drawn over the bodies: boxes, cells, contacts, samples and clusters."""
+
+import numpy as np
+import trimesh
+
+from warp_rigid.access import CONTACT_RECORD
+from warp_rigid.appearance import rotate
+from warp_rigid.scene import Motion
+from warp_rigid.simulator import Simulator
+
+__all__ = ["OVERLAYS", "Overlays"]
+
+OVERLAYS = ("Swept boxes", "Hash cells", "Contacts and impulses", "Samples", "Clusters of the chosen body")
+
+MOST = 20_000
+"""Of one kind, no more are drawn."""
+
+BOX_COLOR = (46, 110, 190)
+CELL_COLOR = (150, 90, 190)
+CONTACT_COLOR = (205, 40, 40)
+SAMPLE_COLOR = (20, 20, 20)
+KEPT_COLOR, REJECTED_COLOR = (235, 120, 20), (150, 155, 160)
+
+BOX_EDGES = np.array([[a, b] for a in range(8) for b in range(8) if a < b and (a ^ b) in (1, 2, 4)])
+"""Pairs of a box's corners; bit k of a corner's number tells which end of axis k."""
+
+
+class Overlays:
+    """Nodes of the page that show the inside of the step.
+
+    Args:
+        server: the viser server.
+
+    Attributes:
+        shown: names from OVERLAYS that are switched on.
+    """
+
+    def __init__(self, server):
+        """Everything is off."""
+        self._scene = server.scene
+        self._nodes = {}
+        self.shown: set[str] = set()
+
+    def clear(self) -> None:
+        """Take everything off the page, for another scene."""
+        for node in self._nodes.values():
+            node.remove()
+        self._nodes = {}
+
+    def update(self, sim: Simulator, rows: np.ndarray, offsets: np.ndarray, chosen: tuple[int, int]) -> None:
+        """Draw what is on, of the state now.
+
+        Args:
+            sim: the simulator.
+            rows: environments on the page.
+            offsets: (rows, 3) where they stand [m].
+            chosen: environment and body whose clusters are drawn.
+        """
+        size = _typical_size(sim)
+        draw = {
+            "Swept boxes": lambda: self._boxes(sim, rows, offsets, size),
+            "Hash cells": lambda: self._cells(sim, rows, offsets, size),
+            "Contacts and impulses": lambda: self._contacts(sim, rows, offsets, size),
+            "Samples": lambda: self._samples(sim, rows, offsets, size),
+            "Clusters of the chosen body": lambda: self._clusters(sim, rows, offsets, chosen),
+        }
+        for name, action in draw.items():
+            if name in self.shown:
+                action()
+        for name, node in self._nodes.items():
+            node.visible = node.visible and name.partition(": ")[0] in self.shown
+
+    def _boxes(self, sim, rows, offsets, size) -> None:
+        boxes = sim.swept_boxes()[rows] + offsets[:, None, None]
+        boxes = boxes.reshape(-1, 2, 3)
+        ends = np.abs(boxes).max(axis=(1, 2)) < 1.0e6
+        self._lines("Swept boxes", box_lines(boxes[ends][:MOST]), BOX_COLOR, size)
+
+    def _cells(self, sim, rows, offsets, size) -> None:
+        """Cells of the broad phase's grid that hold the middle of a body's box."""
+        moving = [i for i, body in enumerate(sim.scene.bodies) if body.motion == Motion.DYNAMIC]
+        width = sim.grid_cell
+        lines = []
+        for row, offset in zip(rows, offsets, strict=True):
+            middle = sim.swept_boxes()[row, moving].mean(axis=1)
+            cells = np.unique(np.floor(middle / width), axis=0)[:MOST]
+            lines.append(box_lines(np.stack([cells, cells + 1.0], axis=1) * width + offset))
+        self._lines("Hash cells", np.concatenate(lines), CELL_COLOR, size)
+
+    def _contacts(self, sim, rows, offsets, size) -> None:
+        """A ball at each contact and its impulse as an arrow; its length goes with the root of the impulse."""
+        place = np.full(sim.num_envs, -1)
+        place[rows] = np.arange(len(rows))
+        records = sim.contacts()
+        records = records[place[records["env"]] >= 0][:MOST].astype(CONTACT_RECORD)
+        points = records["position"] + offsets[place[records["env"]]]
+        self._points("Contacts and impulses", points, CONTACT_COLOR, 0.09 * size)
+        impulse = records["impulse"]
+        strength = np.linalg.norm(impulse, axis=1, keepdims=True)
+        pushes = strength[:, 0] > 0.0
+        gravity = float(np.linalg.norm(sim.get("gravity")[rows[0]])) or 9.81
+        weight = float(np.median(sim.get("mass")[rows[0]][sim.get("mass")[rows[0]] > 0.0])) * gravity * sim.settings.dt
+        length = size * np.clip(np.sqrt(strength[pushes] / weight), 0.0, 3.0)
+        ends = points[pushes] + impulse[pushes] / strength[pushes] * length
+        self._arrows("Contacts and impulses: arrows", np.stack([points[pushes], ends], axis=1), size)
+
+    def _samples(self, sim, rows, offsets, size) -> None:
+        position, orientation = sim.get("position"), sim.get("orientation")
+        points = []
+        for body, data in enumerate(sim.scene.bodies):
+            local = data.shape.samples().point
+            if data.motion == Motion.DYNAMIC and len(local):
+                turned = rotate(orientation[rows, body][:, None], local[None]) + position[rows, body][:, None]
+                points.append((turned + offsets[:, None]).reshape(-1, 3))
+        flat = np.concatenate(points) if points else np.zeros((0, 3))
+        self._points("Samples", flat[:MOST], SAMPLE_COLOR, 0.045 * size)
+
+    def _clusters(self, sim, rows, offsets, chosen) -> None:
+        """Spheres around the chosen body's clusters: grey where every other body is further than the sphere reaches."""
+        name = "Clusters of the chosen body"
+        env, body = chosen
+        samples = sim.scene.bodies[body].shape.samples()
+        if env not in rows or not len(samples.cluster_radius):
+            self._hide(name)
+            return
+        center = rotate(sim.get("orientation")[env, body], samples.cluster_center) + sim.get("position")[env, body]
+        kept = np.zeros(len(center), bool)
+        for other in _near(sim, env, body):
+            back = sim.get("orientation")[env, other] * np.float32([-1.0, -1.0, -1.0, 1.0])
+            local = rotate(back, center - sim.get("position")[env, other])
+            kept |= sim.scene.bodies[other].shape.signed_distance(local)[0] <= samples.cluster_radius
+        colors = np.where(kept[:, None], KEPT_COLOR, REJECTED_COLOR).astype(np.uint8)
+        radius = np.maximum(samples.cluster_radius, 0.01 * _typical_size(sim)).astype(np.float32)
+        places = (center + offsets[list(rows).index(env)]).astype(np.float32)
+        node = self._nodes.get(name)
+        if node is not None and len(node.batched_positions) == len(places):
+            node.batched_positions, node.batched_colors = places, colors
+            node.visible = True
+            return
+        ball = trimesh.creation.icosphere(subdivisions=1)
+        self._nodes[name] = self._scene.add_batched_meshes_simple(
+            "/overlay/clusters",
+            ball.vertices,
+            ball.faces,
+            batched_positions=places,
+            batched_wxyzs=np.tile(np.float32([1, 0, 0, 0]), (len(places), 1)),
+            batched_scales=radius,
+            batched_colors=colors,
+            lod="off",
+            opacity=0.35,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def _lines(self, name: str, segments: np.ndarray, color, size: float) -> None:
+        if not len(segments):
+            self._hide(name)
+        elif name in self._nodes:
+            self._nodes[name].points = segments.astype(np.float32)
+            self._nodes[name].visible = True
+        else:
+            node = f"/overlay/{name}"
+            self._nodes[name] = self._scene.add_line_segments(node, segments, color, thickness=0.012 * size)
+
+    def _points(self, name: str, points: np.ndarray, color, size: float) -> None:
+        if not len(points):
+            self._hide(name)
+        elif name in self._nodes:
+            self._nodes[name].points = points.astype(np.float32)
+            self._nodes[name].visible = True
+        else:
+            self._nodes[name] = self._scene.add_point_cloud(
+                f"/overlay/{name}", points, color, point_size=size, point_shape="circle", precision="float32"
+            )
+
+    def _arrows(self, name: str, arrows: np.ndarray, size: float) -> None:
+        if not len(arrows):
+            self._hide(name)
+        elif name in self._nodes:
+            self._nodes[name].points = arrows.astype(np.float32)
+            self._nodes[name].visible = True
+        else:
+            self._nodes[name] = self._scene.add_arrows(
+                f"/overlay/{name}",
+                arrows,
+                CONTACT_COLOR,
+                shaft_radius=0.018 * size,
+                head_radius=0.05 * size,
+                head_length=0.12 * size,
+            )
+
+    def _hide(self, name: str) -> None:
+        if name in self._nodes:
+            self._nodes[name].visible = False
+
+
+def box_lines(boxes: np.ndarray) -> np.ndarray:
+    """The edges of boxes (n, 2, 3) given by two corners, as (12 n, 2, 3) segments."""
+    corners = np.stack([[boxes[:, (c >> axis) & 1, axis] for axis in range(3)] for c in range(8)]).transpose(2, 0, 1)
+    return corners[:, BOX_EDGES].reshape(-1, 2, 3)
+
+
+def _near(sim: Simulator, env: int, body: int) -> np.ndarray:
+    """Bodies whose swept boxes overlap that of a body."""
+    lower, upper = np.moveaxis(sim.swept_boxes()[env], 1, 0)
+    near = (lower <= upper[body]).all(axis=1) & (upper >= lower[body]).all(axis=1)
+    near[body] = False
+    return np.flatnonzero(near)
+
+
+def _typical_size(sim: Simulator) -> float:
+    """The median dynamic body's longest edge [m]; lines and points scale with it."""
+    sizes = [np.ptp(body.shape.bounds, axis=0).max() for body in sim.scene.bodies if body.motion == Motion.DYNAMIC]
+    return float(np.median(sizes)) if sizes else 1.0

@@ -1,0 +1,103 @@
+"""What all pages share: the server, light, camera and labels."""
+
+import contextlib
+import io
+import math
+
+import numpy as np
+import viser
+
+from warp_rigid.appearance import rotate
+from warp_rigid.film import Film
+from warp_rigid.picture import fit_camera, points_to_see
+
+__all__ = ["add_ground", "add_labels", "level_planes", "look_at_film", "set_light", "start_server", "stop_server"]
+
+ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
+"""Colours of the sky and of endless grounds."""
+FIELD_OF_VIEW = math.radians(40.0)
+ROOM = 1.35
+"""How much further than the bodies fill the view the camera stands: they will move."""
+
+
+def start_server(host: str, port: int) -> viser.ViserServer:
+    """Serve on the first free port from `port` on, without a word; no tunnel to the outside is ever opened."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="warp_rigid", verbose=False)
+    # A page can ask for a tunnel even when it shows no button for it.
+    server.request_share_url = lambda verbose=True: None
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(46, 110, 190))
+    server.gui.main_panel.dock_right()
+    return server
+
+
+def stop_server(server: viser.ViserServer) -> None:
+    """Close all pages, without a word."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def set_light(server: viser.ViserServer, fast: bool) -> None:
+    """Light from the sky and a lamp; the lamp casts shadows unless the graphics have no GPU and must be fast."""
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(enabled=True, cast_shadow=not fast)
+    server.scene.add_light_hemisphere("/light", sky_color=(236, 242, 255), ground_color=(150, 140, 128), intensity=1.6)
+    rows = np.linspace(0.0, 1.0, 64)[:, None, None]
+    sky = (1.0 - rows) * np.array(ZENITH) + rows * np.array(HORIZON)
+    server.scene.set_background_image(np.broadcast_to(sky, (64, 4, 3)).astype(np.uint8), format="png")
+
+
+def add_ground(server: viser.ViserServer, film: Film) -> list:
+    """An endless grid for each height at which a level plane lies; returns the handles."""
+    heights = {round(float(film.position[0][i, 2]), 6) for i in np.flatnonzero(level_planes(film))}
+    cell = fit_camera(points_to_see(film, [0]), 1.2, 480).grid
+    return [
+        server.scene.add_grid(
+            f"/ground_{index}",
+            infinite_grid=True,
+            plane="xy",
+            position=(0.0, 0.0, height),
+            cell_size=cell,
+            section_size=5.0 * cell,
+            cell_color=(176, 178, 178),
+            section_color=(150, 154, 158),
+            fade_distance=60.0 * cell,
+            shadow_opacity=0.3,
+            plane_color=GROUND,
+            plane_opacity=1.0,
+        )
+        for index, height in enumerate(sorted(heights))
+    ]
+
+
+def level_planes(film: Film) -> np.ndarray:
+    """(instances,) True for planes that lie level and fixed, which are drawn as one endless ground."""
+    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh] & ~film.moving
+    normals = np.array([mesh.normals[0, 0] if mesh.flat else (0.0, 0.0, 0.0) for mesh in film.meshes])[film.mesh]
+    return flat & (rotate(film.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
+
+
+def look_at_film(server: viser.ViserServer, film: Film) -> None:
+    """Place the camera so that the film's bodies are seen: for pages opened later, and for those open now."""
+    points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
+    camera = fit_camera(points, 1.2, 480)
+    eye, ahead = np.array(camera.eye), np.array(camera.forward)
+    target = eye + ahead * float(np.median((points - eye) @ ahead))
+    eye = target + ROOM * math.tan(math.radians(16.0)) / math.tan(0.5 * FIELD_OF_VIEW) * (eye - target)
+    for view in (server.initial_camera, *(client.camera for client in server.get_clients().values())):
+        view.fov = FIELD_OF_VIEW
+        view.position = tuple(eye)
+        view.look_at = tuple(target)
+
+
+def add_labels(server: viser.ViserServer, film: Film) -> list:
+    """The environments' labels above the ground in front of each."""
+    handles = []
+    for index, text in enumerate(film.labels):
+        if text:
+            handles.append(
+                server.scene.add_label(
+                    f"/label_{index}", text, position=tuple(film.offset[index]), anchor="top-center", depth_test=False
+                )
+            )
+    return handles

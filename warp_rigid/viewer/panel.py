@@ -1,0 +1,253 @@
+"""The controls of the live page. They only name what is wanted; the viewer's own thread does it."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from warp_rigid import scenes
+from warp_rigid.settings import SHOCK_MODES
+from warp_rigid.viewer.hud import Hud
+from warp_rigid.viewer.overlays import OVERLAYS
+from warp_rigid.viewer.session import Session, key_scenes
+from warp_rigid.viewer.slicing import AXES
+
+__all__ = ["COLORINGS", "Panel"]
+
+COLORINGS = ("body", "level", "speed")
+STEP_RATES = ("60", "120", "240", "480", "960")
+CUSTOM = "changed by hand"
+
+SLIDERS = {
+    "collision_iterations": (0, 40, 1),
+    "contact_iterations": (0, 40, 1),
+    "shock_iterations": (0, 8, 1),
+    "friction": (0.0, 1.5, 0.01),
+    "restitution": (0.0, 1.0, 0.01),
+}
+"""Smallest, largest and step of what a slider changes."""
+
+SWITCHES = {
+    "collision_first": "Collisions before velocities",
+    "edge_samples": "Edge samples",
+    "warm_starting": "Warm starting",
+    "sleeping": "Sleeping",
+}
+
+
+class Panel:
+    """Everything beside the 3-D view.
+
+    Args:
+        viewer: the live viewer; `viewer.ask(action, *arguments)` lets its thread call an action.
+    """
+
+    def __init__(self, viewer):
+        """Build the controls; `refresh` fills them."""
+        self._viewer = viewer
+        self._gui = viewer.server.gui
+        self._contact_iterations = 10
+        self._widgets: dict[str, Any] = {}
+        self._add_player()
+        self.hud = Hud(viewer.server)
+        tabs = self._gui.add_tab_group()
+        for label, fill in (
+            ("Method", self._add_method),
+            ("Bodies", self._add_bodies),
+            ("Show", self._add_show),
+            ("Touch", self._add_touch),
+            ("Slice", self._add_slice),
+        ):
+            with tabs.add_tab(label):
+                fill()
+        self._add_keys()
+
+    def refresh(self, session: Session, env: int) -> None:
+        """Set all controls to what one environment has."""
+        sim, widgets = session.sim, self._widgets
+        demo = session.plan.demo
+        known = scenes.names() if session.source in scenes.names() else [session.source, *scenes.names()]
+        self._options("scene", known, session.source)
+        self._options("variant", [*demo.variants, CUSTOM], session.variant or CUSTOM)
+        self._summary.content = _summary(session)
+        for name in ("collision_iterations", "contact_iterations", "shock_iterations"):
+            self._set(name, int(sim.get(name)[env]))
+        if sim.get("contact_iterations")[env] > 0:
+            self._contact_iterations = int(sim.get("contact_iterations")[env])
+        self._set("contact_processing", bool(sim.get("contact_iterations")[env] > 0))
+        for name in SWITCHES:
+            self._set(name, bool(sim.get(name)[env]))
+        self._set("shock_propagation", str(sim.get("shock_propagation")[env]))
+        for name in ("friction", "restitution"):
+            self._set(name, round(float(np.median(sim.get(name)[env])), 2))
+        self._set("gravity", round(float(-sim.get("gravity")[env, 2]), 2))
+        rate = f"{1.0 / sim.settings.dt:.6g}"
+        self._options("dt", [*STEP_RATES, *({rate} - set(STEP_RATES))], rate)
+        self._options("body", [f"{i} {body.name}" for i, body in enumerate(sim.scene.bodies)], None)
+        several = sim.num_envs > 1
+        for name, top in (("first_env", sim.num_envs - 1), ("shown_envs", sim.num_envs)):
+            widgets[name].max = max(top, 2)
+            widgets[name].visible = several
+        self._set("first_env", int(self._viewer.rows[0]))
+        self._set("shown_envs", len(self._viewer.rows))
+
+    def choose_body(self, body: int) -> None:
+        """Show which body is chosen."""
+        self._set("body", self._widgets["body"].options[body])
+
+    def show_variant(self, session: Session) -> None:
+        """Say whether the settings are still those of a variant."""
+        self._set("variant", session.variant or CUSTOM)
+        self._summary.content = _summary(session)
+
+    def say(self, text: str) -> None:
+        """A line below the push controls."""
+        self._said.content = text
+
+    def picture(self, image: np.ndarray | None) -> None:
+        """The slice as a picture, (height, width, 3) uint8; None takes it away."""
+        if image is not None:
+            self._image.image = image
+        self._image.visible = image is not None
+
+    def flip(self, name: str) -> None:
+        """Turn a switch over, as a click on it would."""
+        self._widgets[name].value = not self._widgets[name].value
+        self._changed(name, self._widgets[name].value)
+
+    def next_shock_mode(self) -> None:
+        """The next way of shock propagation."""
+        mode = SHOCK_MODES[(SHOCK_MODES.index(self._widgets["shock_propagation"].value) + 1) % len(SHOCK_MODES)]
+        self._widgets["shock_propagation"].value = mode
+        self._changed("shock_propagation", mode)
+
+    def _add_player(self) -> None:
+        viewer, gui = self._viewer, self._gui
+        self._add("scene", gui.add_dropdown("Scene", scenes.names(), hint="Keys 1 to 6 load the first six."))
+        self._add("variant", gui.add_dropdown("Variant", (CUSTOM,), hint="Settings to compare; starts the scene anew."))
+        self._add("side_by_side", gui.add_checkbox("All variants side by side", False))
+        self._summary = gui.add_markdown("")
+        buttons = gui.add_button_group("", ("Run / Pause", "Step", "Restart"))
+        actions = {"Run / Pause": viewer.toggle, "Step": viewer.single_step, "Restart": viewer.restart}
+        buttons.on_click(lambda event: viewer.ask(actions[event.target.value]))
+        self._add("speed", gui.add_slider("Speed", 0.05, 4.0, 0.05, 1.0, hint="Simulated seconds per second."))
+
+    def _add_method(self) -> None:
+        gui = self._gui
+        self._add("contact_processing", gui.add_checkbox("Contact processing", True, hint="Off: no contact iterations"))
+        self._add("shock_propagation", gui.add_dropdown("Shock propagation", SHOCK_MODES))
+        for name in ("collision_iterations", "contact_iterations", "shock_iterations"):
+            self._add(name, gui.add_slider(_label(name), *SLIDERS[name], SLIDERS[name][0]))
+        for name, label in SWITCHES.items():
+            self._add(name, gui.add_checkbox(label, False))
+        self._add("dt", gui.add_dropdown("Steps per second", STEP_RATES, initial_value="240"))
+
+    def _add_bodies(self) -> None:
+        gui = self._gui
+        for name in ("friction", "restitution"):
+            hint = "Moving it gives all bodies this value; it shows the median."
+            self._add(name, gui.add_slider(_label(name), *SLIDERS[name], 0.0, hint=hint))
+        self._add("gravity", gui.add_slider("Gravity [m/s2]", -5.0, 25.0, 0.01, 9.81))
+        self._add("first_env", gui.add_slider("First environment", 0, 2, 1, 0))
+        self._add("shown_envs", gui.add_slider("Environments shown", 1, 2, 1, 1))
+        gui.add_markdown("Changes apply to the environments shown.")
+
+    def _add_show(self) -> None:
+        gui = self._gui
+        self._add("coloring", gui.add_dropdown("Colours", COLORINGS))
+        self._add("wireframe", gui.add_checkbox("Wireframe", False))
+        self._add("sleepers", gui.add_checkbox("Sleeping bodies transparent", True))
+        for name in OVERLAYS:
+            self._add(name, gui.add_checkbox(name, False))
+        self._add("shadows", gui.add_checkbox("Shadows", not self._viewer.fast, hint="Off helps slow graphics."))
+
+    def _add_touch(self) -> None:
+        gui = self._gui
+        gui.add_markdown("Click a body to push it away from you; drag it to pull it.")
+        self._add("strength", gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint="Of a body hit centrally."))
+        self._said = gui.add_markdown("")
+
+    def _add_slice(self) -> None:
+        gui = self._gui
+        self._add("slice", gui.add_checkbox("Show the signed distance", False))
+        self._add("body", gui.add_dropdown("Body", ("0",), hint="A click on a body chooses it too."))
+        self._add("axis", gui.add_dropdown("Plane across", AXES, initial_value="y"))
+        self._add("place", gui.add_slider("Place", 0.0, 1.0, 0.01, 0.5, hint="From one end of the body to the other."))
+        self._image = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="signed distance", visible=False)
+
+    def _add_keys(self) -> None:
+        viewer = self._viewer
+        commands = {
+            "Run or pause": ("space", viewer.toggle),
+            "Single step": ("N", viewer.single_step),
+            "Restart": ("R", viewer.restart),
+            "Contact processing on or off": ("C", partial(self.flip, "contact_processing")),
+            "Next way of shock propagation": ("S", self.next_shock_mode),
+            "Stage order": ("O", partial(self.flip, "collision_first")),
+            "Edge samples on or off": ("E", partial(self.flip, "edge_samples")),
+            "Wireframe": ("W", partial(self.flip, "wireframe")),
+        }
+        for digit, name in key_scenes().items():
+            commands[f"Load {name}"] = (digit, partial(viewer.load, name))
+        for label, (key, action) in commands.items():
+            command = self._gui.add_command(label, hotkey=key)
+            command.on_trigger(lambda event, action=action: viewer.ask(action))
+
+    def _add(self, name: str, widget: Any) -> None:
+        self._widgets[name] = widget
+
+        @widget.on_update
+        def _(event) -> None:
+            # What the program sets itself comes back without a client.
+            if event.client is not None:
+                self._viewer.ask(self._changed, name, widget.value)
+
+    def _changed(self, name: str, value: Any) -> None:
+        """Do what a control asks for; called by the viewer's thread."""
+        viewer = self._viewer
+        if name == "contact_processing":
+            self._set("contact_iterations", self._contact_iterations if value else 0)
+            viewer.change("contact_iterations", self._contact_iterations if value else 0)
+        elif name == "contact_iterations":
+            self._contact_iterations = int(value) or self._contact_iterations
+            self._set("contact_processing", value > 0)
+            viewer.change(name, int(value))
+        elif name in SLIDERS:
+            viewer.change(name, int(value) if name.endswith("_iterations") else float(value))
+        elif name in SWITCHES or name == "shock_propagation":
+            viewer.change(name, value)
+        elif name == "gravity":
+            viewer.change("gravity", (0.0, 0.0, -float(value)))
+        elif name == "dt":
+            viewer.change("dt", 1.0 / float(value))
+        elif name in OVERLAYS:
+            viewer.overlay(name, value)
+        elif name == "body":
+            viewer.choose(int(value.split()[0]))
+        elif name == "variant":
+            viewer.use_variant(value)
+        else:
+            viewer.option(name, value)
+
+    def _set(self, name: str, value: Any) -> None:
+        if self._widgets[name].value != value:
+            self._widgets[name].value = value
+
+    def _options(self, name: str, options: list[str], value: str | None) -> None:
+        widget = self._widgets[name]
+        if tuple(widget.options) != tuple(options):
+            widget.options = tuple(options)
+        if value is not None:
+            self._set(name, value)
+
+
+def _label(name: str) -> str:
+    return name.replace("_", " ").capitalize()
+
+
+def _summary(session: Session) -> str:
+    """What the scene is about, and what its variant changes."""
+    demo = session.plan.demo
+    changes = demo.variants.get(session.variant or "", {})
+    told = ", ".join(f"{name} = {value}" for name, value in changes.items())
+    return f"*{demo.summary}*" + (f"\n\n{session.variant}: {told}" if told else "")

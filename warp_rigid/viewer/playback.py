@@ -1,0 +1,157 @@
+"""Films on the page: with a scrubber, or as a page of its own that plays without a server."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from warp_rigid.film import Film, film_from_recording, film_from_usd
+from warp_rigid.recording import Recording
+from warp_rigid.viewer.instances import Instances
+from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
+
+__all__ = ["FilmViewer", "load_film", "save_html"]
+
+PAGE_RATE = 30.0
+"""Most frames per second of a page of its own."""
+
+
+def load_film(path: str) -> Film:
+    """A recording (.npz) or a USD film.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It holds nothing that can be played.
+    """
+    return film_from_recording(Recording.load(path)) if path.endswith(".npz") else film_from_usd(path)
+
+
+class FilmViewer:
+    """Plays a film in the browser.
+
+    Args:
+        film: what to play.
+        host: address to serve on.
+        port: the first to try.
+        fast: simple light without shadows.
+
+    Attributes:
+        server: the viser server.
+        frame: number of the frame on the page.
+        playing: whether it runs on.
+    """
+
+    def __init__(self, film: Film, host: str = "127.0.0.1", port: int = 8080, fast: bool = False):
+        """Open the page at the first frame."""
+        self.film = film
+        self.frame = 0
+        self.playing = True
+        self._speed = 1.0
+        self._stop = threading.Event()
+        self.server = start_server(host, port)
+        set_light(self.server, fast)
+        self._instances = Instances(self.server, film, film.moving)
+        add_labels(self.server, film)
+        look_at_film(self.server, film)
+        self._add_controls()
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def run(self) -> None:
+        """Play over and over until `stop`."""
+        shown, at, last = None, 0.0, time.perf_counter()
+        while not self._stop.is_set():
+            now = time.perf_counter()
+            if self.playing and self.server.get_clients():
+                # A move of the scrubber wins over the clock.
+                at = (at if round(at) == self.frame else self.frame) + (now - last) * self._speed * self.film.fps
+                at = at % max(1, self.film.num_frames)
+                self.frame = min(int(at), self.film.num_frames - 1)
+                at = max(at, self.frame)
+            last = now
+            if self.frame != shown:
+                shown = self.frame
+                self._show(shown)
+            self._stop.wait(max(0.0, 1.0 / 30.0 - (time.perf_counter() - now)))
+        stop_server(self.server)
+
+    def stop(self) -> None:
+        """Make `run` return; from any thread."""
+        self._stop.set()
+
+    def _show(self, frame: int) -> None:
+        with self.server.atomic():
+            self._instances.pose(self.film.position[frame], self.film.orientation[frame])
+        if self._scrubber.value != frame:
+            self._scrubber.value = frame
+        self._time.content = f"{frame / self.film.fps:.2f} s of {(self.film.num_frames - 1) / self.film.fps:.2f} s"
+
+    def _add_controls(self) -> None:
+        gui = self.server.gui
+        self._time = gui.add_markdown("")
+        self._scrubber = gui.add_slider("Frame", 0, max(1, self.film.num_frames - 1), 1, 0)
+        buttons = gui.add_button_group("", ("Play / Pause", "Back", "Forward"))
+        speed = gui.add_slider("Speed", 0.05, 4.0, 0.05, 1.0)
+        wire = gui.add_checkbox("Wireframe", False)
+        play = gui.add_command("Play or pause", hotkey="space")
+
+        @self._scrubber.on_update
+        def _(event) -> None:
+            if event.client is not None:
+                self.playing = False
+                self.frame = min(int(self._scrubber.value), self.film.num_frames - 1)
+
+        @buttons.on_click
+        def _(event) -> None:
+            if event.target.value == "Play / Pause":
+                self._toggle()
+            else:
+                self.playing = False
+                step = 1 if event.target.value == "Forward" else -1
+                self.frame = int(np.clip(self.frame + step, 0, self.film.num_frames - 1))
+
+        @speed.on_update
+        def _(event) -> None:
+            self._speed = speed.value
+
+        @wire.on_update
+        def _(event) -> None:
+            self._instances.wire(wire.value)
+
+        @play.on_trigger
+        def _(event) -> None:
+            self._toggle()
+
+    def _toggle(self) -> None:
+        self.playing = not self.playing
+
+
+def save_html(film: Film, path) -> None:
+    """Write a film as one HTML file, which plays from the disk without a server or the net.
+
+    Args:
+        film: what to write.
+        path: the file; folders are made.
+
+    Raises:
+        ModuleNotFoundError: viser is not installed.
+    """
+    server = start_server("127.0.0.1", 8080)
+    try:
+        set_light(server, fast=False)
+        instances = Instances(server, film, film.moving)
+        add_labels(server, film)
+        look_at_film(server, film)
+        page = server.get_scene_serializer()
+        stride = max(1, round(film.fps / PAGE_RATE))
+        for frame in range(0, film.num_frames, stride):
+            instances.pose(film.position[frame], film.orientation[frame])
+            page.insert_sleep(stride / film.fps)
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        Path(path).write_text(page.as_html(), encoding="utf-8")
+    finally:
+        stop_server(server)

@@ -1,0 +1,271 @@
+"""Playing with a scene: steps in real time, restarts, changes while it runs, pushes and pulls."""
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+
+from warp_rigid import runner, scenes
+from warp_rigid.access import WRITABLE
+from warp_rigid.scene import Motion
+from warp_rigid.scenes import Verdict
+from warp_rigid.scenes.demo import turn
+from warp_rigid.simulator import Simulator
+
+__all__ = ["Paced", "Session"]
+
+PULL_RATE = 8.0
+"""Angular frequency of the spring that pulls a body [rad/s]; its damping is critical."""
+
+MOST_BEHIND = 0.1
+"""A loop that lost more time than this does not make up for it [s]."""
+
+
+class Paced:
+    """Lets something be done again only when its cost stays a small share of the time.
+
+    Args:
+        share: of the wall clock that it may take.
+        period: shortest time between two runs [s].
+    """
+
+    def __init__(self, share: float, period: float = 0.0):
+        """Ready at once."""
+        self._share, self._period = share, period
+        self._next = 0.0
+
+    def __call__(self, action, *arguments) -> Any:
+        """Run the action if its time has come; None if not."""
+        start = time.perf_counter()
+        if start < self._next:
+            return None
+        result = action(*arguments)
+        end = time.perf_counter()
+        self._next = max(end + (end - start) * (1.0 / self._share - 1.0), start + self._period)
+        return result
+
+
+@dataclasses.dataclass
+class Pull:
+    """A spring from a place on a body to a place in the world."""
+
+    env: int
+    body: int
+    local: np.ndarray
+    target: np.ndarray
+
+
+class Session:
+    """A running scene. One thread uses it; it holds no lock.
+
+    Args:
+        source: a built-in scene or a .py file, as for `warp-rigid run`.
+        **options: of runner.plan_run: assignments, num_envs, compare, device, seed, substeps.
+
+    Attributes:
+        plan: the scene with its simulator.
+        running: whether `advance` steps.
+        speed: simulated seconds per second.
+        variant: name of the scene's variant at work, None where settings were changed by hand.
+
+    Raises:
+        ValueError: as plan_run.
+    """
+
+    def __init__(self, source: str, **options: Any):
+        """Build the scene; it does not run yet."""
+        self._options = options
+        self.running = False
+        self.speed = 1.0
+        self.open(source, **options)
+
+    def open(self, source: str, **options: Any) -> None:
+        """Load another scene on the same device; what was set for the last one is forgotten."""
+        kept = {name: self._options[name] for name in ("device", "seed") if name in self._options}
+        demo = runner.find_scene(source)
+        self.plan = runner.plan_run(demo, **{**kept, **options})
+        self.source = source
+        self._sim = self.plan.sim
+        self.variant = next(iter(demo.variants), None) if not options.get("assignments") else None
+        self._settings = {name: self.sim.get(name) for name in dataclasses.asdict(self.sim.settings) if name != "dt"}
+        self._start = {name: self.sim.get(name) for name in ("position", "orientation")}
+        self._start |= {name: self.sim.get(name) for name in ("linear_velocity", "angular_velocity")}
+        self._step_seconds = 0.0
+        self._begin()
+
+    @property
+    def sim(self) -> Simulator:
+        """The simulator at work; a change of dt brings another."""
+        return self._sim
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the last restart [s]."""
+        return self._time_before + self._sim.time
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """The scene's verdicts as they stand now."""
+        return self._outcome.verdicts(self._sim)
+
+    def advance(self, wall: float, budget: float) -> int:
+        """Step as far as the wall clock went on, or as far as the budget allows.
+
+        Args:
+            wall: time gone by [s].
+            budget: most time that stepping should take [s].
+
+        Returns:
+            How many steps were done.
+        """
+        if not self.running:
+            return 0
+        self._owed += min(wall, MOST_BEHIND) * self.speed / self._sim.settings.dt
+        affordable = max(1, int(budget / self._step_seconds)) if self._step_seconds else 1
+        steps = min(int(self._owed), affordable)
+        self._owed = self._owed - steps if steps < affordable else 0.0
+        self.step(steps)
+        return steps
+
+    def step(self, count: int = 1) -> None:
+        """Do steps, with the scene's events in their time."""
+        if count < 1:
+            return
+        start = time.perf_counter()
+        self._hold_pull()
+        runner.step_frame(self._sim, count, self._events)
+        each = (time.perf_counter() - start) / count
+        # The first step may load kernels; later ones count less the faster they were.
+        self._step_seconds = each if not self._step_seconds else self._step_seconds + 0.2 * (each - self._step_seconds)
+        self._judge(self._outcome.observe, self._sim)
+
+    def restart(self) -> None:
+        """Back to the scene's start; what was set stays."""
+        self.release()
+        self._sim.reset()
+        for name, start in self._start.items():
+            if not np.array_equal(self._sim.get(name), start):
+                self._sim.set(name, start)
+        self._begin()
+
+    def use_variant(self, name: str) -> None:
+        """Put the settings back to those of the scene and of one of its variants, and restart."""
+        changes = self.plan.demo.variants[name]
+        for setting, value in self._settings.items():
+            self._sim.set(setting, changes.get(setting, list(value)))
+        self.variant = name
+        self.restart()
+
+    def change(self, name: str, value: Any, envs: Any = None) -> None:
+        """Change a setting, gravity, dt, or a property of all bodies, in some environments.
+
+        Args:
+            name: "dt" or a name that Simulator.set takes.
+            value: the new value.
+            envs: which environments; None for all. `dt` is one for all of them.
+
+        Raises:
+            ValueError: as Simulator.set; nothing is changed then.
+        """
+        if name == "dt":
+            self._change_dt(value)
+        else:
+            self._sim.set(name, value, envs=envs)
+        if name in self._settings or name == "dt":
+            self.variant = None
+
+    def push(self, env: int, body: int, point: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Apply the impulse that would give the body, hit centrally, a change of velocity [m/s].
+
+        Returns:
+            The impulse [N s]; zero for bodies that nothing moves.
+        """
+        impulse = float(self._sim.get("mass")[env, body]) * np.asarray(velocity)
+        self._sim.apply_impulse(impulse, point, body, envs=[env])
+        return impulse
+
+    def pull(self, env: int, body: int, point: np.ndarray, target: np.ndarray) -> None:
+        """Pull a body from now on: a spring from a point on it to a target, both in the world [m]."""
+        self.release()
+        orientation = self._sim.get("orientation")[env, body].astype(np.float64)
+        back = orientation * (-1.0, -1.0, -1.0, 1.0)
+        local = turn(back, np.asarray(point) - self._sim.get("position")[env, body])
+        self._pull = Pull(env, body, local, np.asarray(target, dtype=np.float64))
+
+    def move_pull(self, target: np.ndarray) -> None:
+        """Move the far end of the spring."""
+        if self._pull is not None:
+            self._pull.target = np.asarray(target, dtype=np.float64)
+
+    def release(self) -> None:
+        """Let go of a pulled body."""
+        if self._pull is not None:
+            self._hold("force", np.zeros(3))
+            self._hold("torque", np.zeros(3))
+        self._pull = None
+
+    @property
+    def pull_ends(self) -> tuple[int, np.ndarray, np.ndarray] | None:
+        """Environment and both ends of the spring in the world; None where nothing is pulled."""
+        if self._pull is None:
+            return None
+        return self._pull.env, self._grip(), self._pull.target
+
+    _pull: Pull | None = None
+
+    def _begin(self) -> None:
+        """What a restart does to all that is not the simulator's own."""
+        self._pull = None
+        self._owed = 0.0
+        self._time_before = 0.0
+        self._events = sorted(self.plan.demo.events(self.plan.scene), key=lambda event: event[0])
+        self._outcome = self.plan.demo.outcome(self.plan.scene)
+        self._judge = Paced(share=0.02)
+
+    def _change_dt(self, dt: float) -> None:
+        """Go on in a simulator of another step, with everything that was set."""
+        old = self._sim
+        settings = dataclasses.replace(old.settings, dt=dt)
+        new = Simulator(self.plan.scene, old.num_envs, settings, old.device, old.seed)
+        dynamic = [i for i, body in enumerate(self.plan.scene.bodies) if body.motion == Motion.DYNAMIC]
+        for name in WRITABLE:
+            value = old.get(name)
+            if not np.array_equal(value, new.get(name)):
+                value, bodies = (value[:, dynamic], dynamic) if name == "mass" else (value, None)
+                new.set(name, list(value) if name in self._settings else value, bodies=bodies)
+        self._events = [(when - old.time, act) for when, act in self._events]
+        self._time_before += old.time
+        self._sim = new
+        self._step_seconds = 0.0
+
+    def _hold_pull(self) -> None:
+        """Set the spring's force on the pulled body for the coming steps."""
+        if self._pull is None:
+            return
+        env, body = self._pull.env, self._pull.body
+        if self.plan.scene.bodies[body].motion != Motion.DYNAMIC:
+            return
+        mass = float(self._sim.get("mass")[env, body])
+        arm = self._grip() - self._sim.get("center_of_mass")[env, body]
+        spin = self._sim.get("angular_velocity")[env, body].astype(np.float64)
+        velocity = self._sim.get("linear_velocity")[env, body] + np.cross(spin, arm)
+        force = mass * PULL_RATE * (PULL_RATE * (self._pull.target - self._grip()) - 2.0 * velocity)
+        force -= mass * self._sim.get("gravity")[env]
+        inertia = self._sim.get("inertia")[env, body].astype(np.float64)
+        self._hold("force", force)
+        self._hold("torque", np.cross(arm, force) - PULL_RATE * (inertia @ spin))
+
+    def _hold(self, name: str, value: np.ndarray) -> None:
+        self._sim.set(name, value, envs=[self._pull.env], bodies=[self._pull.body])
+
+    def _grip(self) -> np.ndarray:
+        """The pulled place of the body in the world [m]."""
+        env, body = self._pull.env, self._pull.body
+        orientation = self._sim.get("orientation")[env, body].astype(np.float64)
+        return turn(orientation, self._pull.local) + self._sim.get("position")[env, body]
+
+
+def key_scenes() -> dict[str, str]:
+    """Which scene each digit key loads."""
+    return dict(zip("1234567890", scenes.names(), strict=False))
