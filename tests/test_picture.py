@@ -8,7 +8,7 @@ from scipy.ndimage import binary_erosion
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, Sphere
 from warp_rigid.film import film_from_recording, film_from_usd
-from warp_rigid.picture import fit_camera, points_to_see, save_contact_sheet, save_gif, save_picture
+from warp_rigid.picture import fit_camera, points_to_see, save_contact_sheet, save_film, save_picture
 from warp_rigid.raycast import RayCaster, on_screen
 from warp_rigid.recording import record
 from warp_rigid.usd_export import export_usd
@@ -199,7 +199,7 @@ def test_contact_sheet_and_gif(two_envs, tmp_path):
     assert Image.open(tmp_path / "deep" / "sheet.png").size == (3 * 400, 2 * 300)
     save_contact_sheet(film.alone(0), tmp_path / "one.png", count=4)
     assert Image.open(tmp_path / "one.png").size == (2 * 400, 2 * 300)
-    save_gif(film.alone(0), tmp_path / "film.gif", 80, 60)
+    save_film(film.alone(0), tmp_path / "film.gif", 80, 60)
     gif = Image.open(tmp_path / "film.gif")
     # 11 frames at 60 a second, every third: 20 a second.
     assert gif.size == (80, 60) and gif.n_frames == 4 and gif.info["duration"] == 50

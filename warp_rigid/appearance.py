@@ -11,6 +11,7 @@ from warp_rigid.recording import Recording, Surface, is_moving
 from warp_rigid.scene import Motion
 
 __all__ = [
+    "COLORINGS",
     "body_colors",
     "bound_corners",
     "continuous_signs",
@@ -32,6 +33,9 @@ DYNAMIC_COLORS = (
 )  # fmt: skip
 STATIC_COLOR = "#c9c6bf"
 KINEMATIC_COLOR = "#9a8f7a"
+
+COLORINGS = ("body", "level", "speed")
+"""What colours can tell of dynamic bodies: which one it is, its level in the contact graph, or how fast it moves."""
 
 LEVEL_COLORS = ("#8a8f96", "#440154", "#3b528b", "#21918c", "#5ec962", "#fde725", "#f89540", "#cc4778")
 """Of bodies that rest on nothing, then of levels 1, 2, ...; further levels begin anew at 1."""

@@ -6,15 +6,20 @@ from pathlib import Path
 import numpy as np
 
 from warp_rigid.appearance import (
+    COLORINGS,
     body_colors,
     corner_normals,
     drawn_surfaces,
     environment_offsets,
     environment_spacing,
+    level_colors,
+    speed_colors,
 )
+from warp_rigid.checks import one_of
 from warp_rigid.recording import Recording
+from warp_rigid.scene import Motion
 
-__all__ = ["DrawnMesh", "Film", "film_from_recording", "film_from_usd"]
+__all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +49,7 @@ class Film:
     Attributes:
         meshes: the different meshes.
         mesh: (instances,) index into meshes.
-        color: (instances, 3) float32, linear light.
+        color: (instances, 3) float32, linear light; or (frames, instances, 3) where colours change.
         position: (frames, instances, 3) float32 [m].
         orientation: (frames, instances, 4) float32, unit quaternions (x, y, z, w).
         fps: frames per simulated second.
@@ -74,13 +79,17 @@ class Film:
         moves = (self.position != self.position[0]).any(axis=(0, 2))
         return moves | (self.orientation != self.orientation[0]).any(axis=(0, 2))
 
+    def color_at(self, frame: int) -> np.ndarray:
+        """Colours in one frame, (instances, 3)."""
+        return self.color if self.color.ndim == 2 else self.color[frame]
+
     def alone(self, env: int) -> "Film":
         """One environment by its index, brought back to the origin."""
         kept = self.env == env
         return replace(
             self,
             mesh=self.mesh[kept],
-            color=self.color[kept],
+            color=self.color[..., kept, :],
             position=self.position[:, kept] - self.offset[env].astype(np.float32),
             orientation=self.orientation[:, kept],
             env=np.zeros(np.count_nonzero(kept), dtype=np.int64),
@@ -111,6 +120,27 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
         offset=offsets,
         labels=tuple(recording.labels[row] for row in rows),
     )
+
+
+def colored(film: Film, recording: Recording, by: str) -> Film:
+    """A film in which the colours of the dynamic bodies tell something.
+
+    Args:
+        film: of all environments of the recording, made by film_from_recording.
+        recording: what it was made from.
+        by: "level" in the contact graph, "speed", or "body", which changes nothing.
+    """
+    one_of("by", by, COLORINGS)
+    if by == "body":
+        return film
+    if by == "level":
+        told = level_colors(recording.level.reshape(film.num_frames, -1))
+    else:
+        path = film.position.astype(np.float64)
+        velocity = np.gradient(path, 1.0 / film.fps, axis=0) if film.num_frames > 1 else np.zeros_like(path)
+        told = speed_colors(np.linalg.norm(velocity, axis=-1))
+    dynamic = np.tile(recording.motion == Motion.DYNAMIC, len(recording.envs))
+    return replace(film, color=np.where(dynamic[:, None], told, film.color))
 
 
 def film_from_usd(path) -> Film:

@@ -1,4 +1,4 @@
-"""Pictures of a film: one frame, a contact sheet, or an animated GIF, made without a screen."""
+"""Pictures of a film: one frame, a contact sheet, or an animated GIF or MP4, made without a screen."""
 
 import math
 from pathlib import Path
@@ -10,7 +10,7 @@ from warp_rigid.appearance import bound_corners, rotate
 from warp_rigid.film import Film
 from warp_rigid.raycast import Camera, RayCaster
 
-__all__ = ["fit_camera", "points_to_see", "save_contact_sheet", "save_gif", "save_picture"]
+__all__ = ["fit_camera", "points_to_see", "save_contact_sheet", "save_film", "save_picture"]
 
 TOWARD_EYE = (0.42, -1.0, 0.48)
 TOWARD_LIGHT = (-0.2, -0.75, 1.15)
@@ -27,6 +27,8 @@ PANEL_ROW = 3
 GIF_RATE = 20.0
 """Frames per second of a GIF; common viewers slow down faster ones."""
 GIF_FRAMES = 200
+MP4_RATE = 30.0
+"""Most frames per second of an MP4 file."""
 
 
 def save_picture(film: Film, path, frame: int = -1, width: int = 640, height: int = 480) -> None:
@@ -73,36 +75,57 @@ def save_contact_sheet(film: Film, path, count: int = 8) -> None:
     _save(_tiled(sum(rows, []), columns), path, format="PNG")
 
 
-def save_gif(film: Film, path, width: int = 480, height: int = 360) -> None:
-    """Draw the film, at its own speed, into an animated .gif file.
+def save_film(film: Film, path, width: int = 480, height: int = 360) -> None:
+    """Draw the film, at its own speed, into an animated .gif or an .mp4 file.
 
     Args:
         film: what to draw.
-        path: the file; folders are made.
+        path: the file, by whose ending its kind is told; folders are made.
         width: of a panel [pixel].
         height: of a panel [pixel].
 
     Raises:
-        ModuleNotFoundError: Pillow is not installed.
+        ModuleNotFoundError: Pillow, or for .mp4 imageio-ffmpeg, is not installed.
     """
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    (_save_mp4 if str(path).endswith(".mp4") else _save_gif)(film, path, width, height)
+
+
+def _save_gif(film: Film, path, width: int, height: int) -> None:
     from PIL import Image
 
     stride = max(round(film.fps / GIF_RATE), math.ceil(film.num_frames / GIF_FRAMES), 1)
-    studio = _Studio(film, None, width, height)
-    images = [_arranged(studio.draw(frame)) for frame in range(0, film.num_frames, stride)]
+    images = list(_frames(film, stride, width, height))
     # One palette for all, without dithering: nothing flickers, and places at rest cost nothing.
     strip = Image.fromarray(np.concatenate([np.asarray(i)[::4, ::4] for i in images[::4]]))
     palette = strip.quantize(255)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    _save(
-        images[0],
-        path,
-        format="GIF",
-        save_all=True,
-        append_images=images[1:],
-        duration=round(1000.0 * stride / film.fps),
-        loop=0,
+    duration = round(1000.0 * stride / film.fps)
+    images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
+
+
+def _save_mp4(film: Film, path, width: int, height: int) -> None:
+    """H.264 in the colour format that all players know, which needs even sizes."""
+    import imageio_ffmpeg
+
+    stride = max(1, math.ceil(film.fps / MP4_RATE - 1e-6))
+    images = _frames(film, stride, 2 * round(width / 2), 2 * round(height / 2))
+    first = next(images)
+    writer = imageio_ffmpeg.write_frames(
+        str(path), first.size, fps=film.fps / stride, codec="libx264", quality=7, macro_block_size=2
     )
+    writer.send(None)
+    writer.send(np.ascontiguousarray(first))
+    for image in images:
+        writer.send(np.ascontiguousarray(image))
+    writer.close()
+
+
+def _frames(film: Film, stride: int, width: int, height: int):
+    """Every so many frames of a film, as Pillow images."""
+    studio = _Studio(film, None, width, height)
+    for frame in range(0, film.num_frames, stride):
+        yield _arranged(studio.draw(frame))
 
 
 class _Studio:

@@ -65,6 +65,7 @@ class Instances:
     orientation: wp.array[wp.quat]
     color: wp.array[wp.vec3]
     normals: wp.array2d[wp.vec3]
+    panes: int  # how many are of glass
 
 
 @wp.struct
@@ -184,6 +185,8 @@ def seen_color(instances: Instances, camera: Camera, direction: wp.vec3) -> wp.v
     color = sky(direction)
     if hit.instance >= 0:
         color = surface_color(instances, camera, hit, direction)
+    if instances.panes == 0:
+        return color
     pane = nearest(instances, camera.eye, direction, True)
     if pane.instance >= 0 and pane.distance < hit.distance:
         color = wp.lerp(color, surface_color(instances, camera, pane, direction), GLASS_TINT)
@@ -248,10 +251,11 @@ class RayCaster:
             self._instances.mesh = wp.array(ids)
             self._instances.first_face = wp.array(first_face, dtype=int)
             self._instances.flat = wp.array(flat)
-            self._instances.color = wp.array(film.color, dtype=wp.vec3)
             normals = np.concatenate([mesh.normals for mesh in film.meshes])
             self._instances.normals = wp.array(normals, dtype=wp.vec3)
-            self._instances.glass = wp.array(self._hiding_walls(~film.moving & ~flat))
+            glass = self._hiding_walls(~film.moving & ~flat)
+            self._instances.glass = wp.array(glass)
+            self._instances.panes = int(glass.sum())
 
     def draw(self, frame: int, width: int, height: int) -> np.ndarray:
         """One frame as a picture, (height, width, 3) uint8 (sRGB)."""
@@ -260,11 +264,12 @@ class RayCaster:
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height
         centers = np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1)
         picture = self._cast(centers.reshape(-1, 2)).reshape(height, width, 3)
-        edges = _edges(on_screen(picture))
+        screen = on_screen(picture)
+        edges = _edges(screen)
         turns = np.array(EDGE_RAYS) * (2.0 / width, 2.0 / height)
         finer = self._cast((centers[edges][:, None] + turns).reshape(-1, 2))
-        picture[edges] = finer.reshape(-1, len(EDGE_RAYS), 3).mean(axis=1)
-        return np.round(255.0 * on_screen(picture)).astype(np.uint8)
+        screen[edges] = on_screen(finer.reshape(-1, len(EDGE_RAYS), 3).mean(axis=1))
+        return np.round(255.0 * screen).astype(np.uint8)
 
     def _hiding_walls(self, fixed: np.ndarray) -> np.ndarray:
         """(instances,) True for walls that hide much of what moves."""
@@ -286,6 +291,7 @@ class RayCaster:
         position, orientation = self._film.position[frame], self._film.orientation[frame]
         corners = rotate(orientation[:, None], self._corners) + position[:, None]
         with wp.ScopedDevice("cpu"):
+            self._instances.color = wp.array(self._film.color_at(frame), dtype=wp.vec3)
             self._instances.position = wp.array(position, dtype=wp.vec3)
             self._instances.orientation = wp.array(orientation, dtype=wp.quat)
             self._tree = wp.Bvh(

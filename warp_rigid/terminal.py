@@ -1,15 +1,26 @@
 """What the commands share: the console, progress, messages and one-line errors."""
 
 import contextlib
+import importlib
 import logging
 import os
 import sys
 import tempfile
 import warnings
+from pathlib import Path
 
 import warp as wp
 from rich.console import Console
 from rich.progress import Progress
+
+_LIBRARIES = {
+    ".png": ("matplotlib", "PIL"),
+    ".gif": ("PIL",),
+    ".mp4": ("PIL", "imageio_ffmpeg"),
+    ".html": ("viser",),
+}
+"""What writing a file takes beyond the package's own requirements."""
+_EXTRAS = {"PIL": "picture", "matplotlib": "picture", "imageio_ffmpeg": "picture", "viser": "viewer"}
 
 PLAIN_WIDTH = 120
 """Width of tables where there is no terminal."""
@@ -26,16 +37,15 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def check_outputs(usd: str | None, pictures: dict[str, str]) -> None:
+def check_outputs(usd: str | None, pictures: dict[str, tuple[str, ...]]) -> None:
     """Refuse names and missing libraries before the simulation runs, not after it."""
     if usd and not usd.endswith((".usdc", ".usda", ".usdz", ".usd")):
         raise ValueError(f"-o: must end in .usdc, .usda, .usdz or .usd, got {usd}")
-    for path, suffix in pictures.items():
-        if not path.endswith(suffix):
-            raise ValueError(f"{path}: must end in {suffix}")
-    if pictures:
-        import matplotlib  # noqa: F401
-        import PIL  # noqa: F401
+    for path, endings in pictures.items():
+        if not path.endswith(endings):
+            raise ValueError(f"{path}: must end in {' or '.join(endings)}")
+        for module in _LIBRARIES[Path(path).suffix]:
+            importlib.import_module(module)
 
 
 @contextlib.contextmanager
@@ -71,7 +81,8 @@ def start_warp() -> None:
 def explain(error: Exception) -> str:
     """One line on what went wrong."""
     if isinstance(error, ModuleNotFoundError):
-        package = "'warp-rigid[picture]'" if error.name in ("PIL", "matplotlib") else "--force-reinstall warp-rigid"
+        extra = _EXTRAS.get(error.name or "")
+        package = f"'warp-rigid[{extra}]'" if extra else "--force-reinstall warp-rigid"
         return f"{error.name} is not installed; pip install {package} brings it"
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"

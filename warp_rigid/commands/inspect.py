@@ -23,7 +23,7 @@ def inspect_command(
     """Tell how the simulator sees a mesh: solid, repairs, samples, error of its distances."""
     if cut and not output:
         raise ValueError("--slice: needs -o FILE.png for the picture")
-    check_outputs(None, {output: ".png"} if output else {})
+    check_outputs(None, {output: (".png",)} if output else {})
     solid = _find_mesh(mesh, sdf_resolution)
     if output:
         lower, upper = solid.bounds

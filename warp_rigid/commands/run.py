@@ -7,6 +7,8 @@ import typer
 from rich.table import Table
 
 from warp_rigid import runner
+from warp_rigid.appearance import COLORINGS
+from warp_rigid.checks import one_of
 from warp_rigid.terminal import check_outputs, console, note, progress
 from warp_rigid.usd_export import export_usd
 
@@ -38,13 +40,16 @@ def run_command(
     output: Annotated[str | None, typer.Option("-o", "--output", help="Film: .usdc, .usda or .usdz.")] = None,
     usd_envs: Annotated[str | None, typer.Option(help="Environments in films and pictures: 0,5,7 or all.")] = None,
     picture: Annotated[str | None, typer.Option(help="The last frame, .png.")] = None,
-    film: Annotated[str | None, typer.Option(help="The film, .gif.")] = None,
+    film: Annotated[str | None, typer.Option(help="The film, .gif or .mp4.")] = None,
     contact_sheet: Annotated[str | None, typer.Option(help="Eight frames, .png.")] = None,
+    html: Annotated[str | None, typer.Option(help="A page that plays the film without a server, .html.")] = None,
+    color: Annotated[str, typer.Option(help="Colours of pictures: body, level or speed.")] = "body",
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> int:
     """Run a scene, measure its outcome, and write films and pictures of it."""
-    pictures = {picture: ".png", film: ".gif", contact_sheet: ".png"}
-    check_outputs(output, {path: suffix for path, suffix in pictures.items() if path})
+    pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
+    check_outputs(output, {path: endings for path, endings in pictures.items() if path})
+    one_of("--color", color, COLORINGS)
     plan = runner.plan_run(
         runner.find_scene(scene),
         assignments or (),
@@ -56,14 +61,15 @@ def run_command(
         device=device,
         seed=seed,
     )
-    written = [path for path in (output, picture, film, contact_sheet) if path]
+    written = [path for path in (output, picture, film, contact_sheet, html) if path]
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
     with progress(plan.demo.name, plan.frames) as advance:
         result = runner.execute(plan, chosen, advance)
     if output:
         export_usd(result.recording, output)
-    if picture or film or contact_sheet:
-        _draw(result.recording, output, picture, film, contact_sheet)
+    if picture or film or contact_sheet or html:
+        drawn = _film(result.recording, output, color)
+        _draw(drawn, picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:
         print(json.dumps(summary))
@@ -85,15 +91,26 @@ def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
         raise ValueError(f"--usd-envs: must be numbers such as 0,5,7 or all, got {text}") from None
 
 
-def _draw(recording, usd, picture, film, contact_sheet) -> None:
-    """Pictures of the exported file where there is one, so that they show what was written."""
-    from warp_rigid.film import film_from_recording, film_from_usd
-    from warp_rigid.picture import save_contact_sheet, save_gif, save_picture
+def _film(recording, usd: str | None, color: str):
+    """What is drawn: the exported file where there is one, so that pictures show what was written."""
+    from warp_rigid.film import colored, film_from_recording, film_from_usd
 
-    drawn = film_from_usd(usd) if usd else film_from_recording(recording)
-    for save, path in ((save_picture, picture), (save_gif, film), (save_contact_sheet, contact_sheet)):
+    if usd and color == "body":
+        return film_from_usd(usd)
+    return colored(film_from_recording(recording), recording, color)
+
+
+def _draw(drawn, picture, film, contact_sheet, html) -> None:
+    """Write the pictures, films and pages that were asked for."""
+    from warp_rigid.picture import save_contact_sheet, save_film, save_picture
+
+    for save, path in ((save_picture, picture), (save_film, film), (save_contact_sheet, contact_sheet)):
         if path:
             save(drawn, path)
+    if html:
+        from warp_rigid.viewer.playback import save_html
+
+        save_html(drawn, html)
 
 
 def _print_summary(summary: dict[str, Any]) -> None:

@@ -55,13 +55,13 @@ class Hud:
             rate: updates of the page per second.
             pace: simulated seconds per second.
         """
+        deepest = self._overlap(session.sim.penetration)
+        if deepest is not None:
+            self._deepest = float(deepest[rows].max())
         self._refresh(self._show, session, rows, rate, pace)
 
     def _show(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> None:
         sim = session.sim
-        deepest = self._overlap(sim.penetration)
-        if deepest is not None:
-            self._deepest = float(deepest[rows].max())
         kinetic = float(sim.get("kinetic_energy")[rows].sum())
         potential = float(sim.get("potential_energy")[rows].sum())
         if not self._energy or session.time > self._energy[-1][0]:
@@ -82,7 +82,7 @@ def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest:
         f"{rate:.0f} updates/s",
         f"bodies **{dynamic.sum() * len(rows)}**, resting **{int((asleep | slow).sum())}** "
         f"({int(asleep.sum())} asleep), contacts **{counts['contacts']}**, levels **{counts['levels']}**",
-        f"deepest overlap **{1e3 * deepest:.3g} mm**",
+        f"deepest overlap **{1e3 * deepest:.3f} mm**",
     ]
     failed = sim.status()
     for env in np.flatnonzero(failed["status"] != "ok")[:3]:

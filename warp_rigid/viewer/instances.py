@@ -4,12 +4,10 @@ import numpy as np
 
 from warp_rigid.film import DrawnMesh, Film
 from warp_rigid.raycast import on_screen
-from warp_rigid.viewer.page import add_ground, level_planes
+from warp_rigid.viewer.page import add_ground, cell_width, level_planes
 
 __all__ = ["Instances", "bytes_of_light", "creased"]
 
-SUNK = 1.0e-3
-"""How far below its grid a level plane's mesh is drawn [m]."""
 FIXED_GROUP, MOVING_GROUP = "/fixed", "/moving"
 
 
@@ -30,9 +28,9 @@ class Instances:
         self._server = server
         self.handles = []
         self._moving = []
-        colors = bytes_of_light(film.color)
+        colors = bytes_of_light(film.color_at(0))
         # An endless grid lets what is below shine through: the plane's own mesh stays under it, to hide that.
-        self._sunk = np.where(level_planes(film), SUNK, 0.0).astype(np.float32)
+        self._sunk = np.where(level_planes(film), 0.02 * cell_width(film), 0.0).astype(np.float32)
         self._grounds = add_ground(server, film)
         for index, mesh in enumerate(film.meshes):
             for moves in (False, True):
@@ -40,6 +38,12 @@ class Instances:
                 if len(chosen):
                     self.handles.append((self._add(mesh, index, moves, chosen, film, colors), chosen))
                     self._moving.append(moves)
+
+    def show(self, film: Film, frame: int) -> None:
+        """Show a frame of the film, or of another one of the same instances."""
+        self.pose(film.position[frame], film.orientation[frame])
+        if film.color.ndim == 3:
+            self.color(bytes_of_light(film.color[frame]))
 
     def pose(self, position: np.ndarray, orientation: np.ndarray) -> None:
         """Move the moving instances: (instances, 3) and (instances, 4), quaternions (x, y, z, w)."""

@@ -13,7 +13,7 @@ from warp_rigid.recording import Recorder
 from warp_rigid.scene import Motion
 from warp_rigid.terminal import explain
 from warp_rigid.viewer.instances import Instances, bytes_of_light
-from warp_rigid.viewer.overlays import Overlays
+from warp_rigid.viewer.overlays import CONTACTS, Overlays
 from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
 from warp_rigid.viewer.panel import Panel
 from warp_rigid.viewer.picking import trace
@@ -308,9 +308,10 @@ class LiveViewer:
         return bytes_of_light(colors)
 
     def _opacity(self) -> np.ndarray:
-        opacity = np.ones(len(self._dynamic))
+        # Contacts lie inside the bodies.
+        opacity = np.full(len(self._dynamic), 0.4 if CONTACTS in self._overlays.shown else 1.0)
         if self._options["sleepers"]:
-            opacity[self.session.sim.get("asleep")[self.rows].reshape(-1) & self._dynamic] = 0.35
+            opacity[self.session.sim.get("asleep")[self.rows].reshape(-1) & self._dynamic] *= 0.35
         if self._options["slice"]:
             opacity[(self.chosen[0] - self.rows[0]) * self.session.sim.num_bodies + self.chosen[1]] = 0.15
         return opacity

@@ -8,9 +8,11 @@ from warp_rigid.appearance import rotate
 from warp_rigid.scene import Motion
 from warp_rigid.simulator import Simulator
 
-__all__ = ["OVERLAYS", "Overlays"]
+__all__ = ["CONTACTS", "OVERLAYS", "Overlays"]
 
-OVERLAYS = ("Swept boxes", "Hash cells", "Contacts and impulses", "Samples", "Clusters of the chosen body")
+BOXES, CELLS, CONTACTS = "Swept boxes", "Hash cells", "Contacts and impulses"
+SAMPLES, CLUSTERS = "Samples", "Clusters of the chosen body"
+OVERLAYS = (BOXES, CELLS, CONTACTS, SAMPLES, CLUSTERS)
 
 MOST = 20_000
 """Of one kind, no more are drawn."""
@@ -58,11 +60,11 @@ class Overlays:
         """
         size = _typical_size(sim)
         draw = {
-            "Swept boxes": lambda: self._boxes(sim, rows, offsets, size),
-            "Hash cells": lambda: self._cells(sim, rows, offsets, size),
-            "Contacts and impulses": lambda: self._contacts(sim, rows, offsets, size),
-            "Samples": lambda: self._samples(sim, rows, offsets, size),
-            "Clusters of the chosen body": lambda: self._clusters(sim, rows, offsets, chosen),
+            BOXES: lambda: self._boxes(sim, rows, offsets, size),
+            CELLS: lambda: self._cells(sim, rows, offsets, size),
+            CONTACTS: lambda: self._contacts(sim, rows, offsets, size),
+            SAMPLES: lambda: self._samples(sim, rows, offsets, size),
+            CLUSTERS: lambda: self._clusters(sim, rows, offsets, chosen),
         }
         for name, action in draw.items():
             if name in self.shown:
@@ -74,7 +76,7 @@ class Overlays:
         boxes = sim.swept_boxes()[rows] + offsets[:, None, None]
         boxes = boxes.reshape(-1, 2, 3)
         ends = np.abs(boxes).max(axis=(1, 2)) < 1.0e6
-        self._lines("Swept boxes", box_lines(boxes[ends][:MOST]), BOX_COLOR, size)
+        self._lines(BOXES, box_lines(boxes[ends][:MOST]), BOX_COLOR, size)
 
     def _cells(self, sim, rows, offsets, size) -> None:
         """Cells of the broad phase's grid that hold the middle of a body's box."""
@@ -85,7 +87,7 @@ class Overlays:
             middle = sim.swept_boxes()[row, moving].mean(axis=1)
             cells = np.unique(np.floor(middle / width), axis=0)[:MOST]
             lines.append(box_lines(np.stack([cells, cells + 1.0], axis=1) * width + offset))
-        self._lines("Hash cells", np.concatenate(lines), CELL_COLOR, size)
+        self._lines(CELLS, np.concatenate(lines), CELL_COLOR, size)
 
     def _contacts(self, sim, rows, offsets, size) -> None:
         """A ball at each contact and its impulse as an arrow; its length goes with the root of the impulse."""
@@ -94,7 +96,7 @@ class Overlays:
         records = sim.contacts()
         records = records[place[records["env"]] >= 0][:MOST].astype(CONTACT_RECORD)
         points = records["position"] + offsets[place[records["env"]]]
-        self._points("Contacts and impulses", points, CONTACT_COLOR, 0.09 * size)
+        self._points(CONTACTS, points, CONTACT_COLOR, 0.09 * size)
         impulse = records["impulse"]
         strength = np.linalg.norm(impulse, axis=1, keepdims=True)
         pushes = strength[:, 0] > 0.0
@@ -102,7 +104,7 @@ class Overlays:
         weight = float(np.median(sim.get("mass")[rows[0]][sim.get("mass")[rows[0]] > 0.0])) * gravity * sim.settings.dt
         length = size * np.clip(np.sqrt(strength[pushes] / weight), 0.0, 3.0)
         ends = points[pushes] + impulse[pushes] / strength[pushes] * length
-        self._arrows("Contacts and impulses: arrows", np.stack([points[pushes], ends], axis=1), size)
+        self._arrows(f"{CONTACTS}: arrows", np.stack([points[pushes], ends], axis=1), size)
 
     def _samples(self, sim, rows, offsets, size) -> None:
         position, orientation = sim.get("position"), sim.get("orientation")
@@ -113,15 +115,14 @@ class Overlays:
                 turned = rotate(orientation[rows, body][:, None], local[None]) + position[rows, body][:, None]
                 points.append((turned + offsets[:, None]).reshape(-1, 3))
         flat = np.concatenate(points) if points else np.zeros((0, 3))
-        self._points("Samples", flat[:MOST], SAMPLE_COLOR, 0.045 * size)
+        self._points(SAMPLES, flat[:MOST], SAMPLE_COLOR, 0.045 * size)
 
     def _clusters(self, sim, rows, offsets, chosen) -> None:
         """Spheres around the chosen body's clusters: grey where every other body is further than the sphere reaches."""
-        name = "Clusters of the chosen body"
         env, body = chosen
         samples = sim.scene.bodies[body].shape.samples()
         if env not in rows or not len(samples.cluster_radius):
-            self._hide(name)
+            self._hide(CLUSTERS)
             return
         center = rotate(sim.get("orientation")[env, body], samples.cluster_center) + sim.get("position")[env, body]
         kept = np.zeros(len(center), bool)
@@ -132,13 +133,13 @@ class Overlays:
         colors = np.where(kept[:, None], KEPT_COLOR, REJECTED_COLOR).astype(np.uint8)
         radius = np.maximum(samples.cluster_radius, 0.01 * _typical_size(sim)).astype(np.float32)
         places = (center + offsets[list(rows).index(env)]).astype(np.float32)
-        node = self._nodes.get(name)
+        node = self._nodes.get(CLUSTERS)
         if node is not None and len(node.batched_positions) == len(places):
             node.batched_positions, node.batched_colors = places, colors
             node.visible = True
             return
         ball = trimesh.creation.icosphere(subdivisions=1)
-        self._nodes[name] = self._scene.add_batched_meshes_simple(
+        self._nodes[CLUSTERS] = self._scene.add_batched_meshes_simple(
             "/overlay/clusters",
             ball.vertices,
             ball.faces,

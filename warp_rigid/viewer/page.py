@@ -11,12 +11,21 @@ from warp_rigid.appearance import rotate
 from warp_rigid.film import Film
 from warp_rigid.picture import fit_camera, points_to_see
 
-__all__ = ["add_ground", "add_labels", "level_planes", "look_at_film", "set_light", "start_server", "stop_server"]
+__all__ = [
+    "add_ground",
+    "add_labels",
+    "cell_width",
+    "level_planes",
+    "look_at_film",
+    "set_light",
+    "start_server",
+    "stop_server",
+]
 
 ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
 """Colours of the sky and of endless grounds."""
 FIELD_OF_VIEW = math.radians(40.0)
-ROOM = 1.35
+ROOM = 1.3
 """How much further than the bodies fill the view the camera stands: they will move."""
 
 
@@ -50,7 +59,7 @@ def set_light(server: viser.ViserServer, fast: bool) -> None:
 def add_ground(server: viser.ViserServer, film: Film) -> list:
     """An endless grid for each height at which a level plane lies; returns the handles."""
     heights = {round(float(film.position[0][i, 2]), 6) for i in np.flatnonzero(level_planes(film))}
-    cell = fit_camera(points_to_see(film, [0]), 1.2, 480).grid
+    cell = cell_width(film)
     return [
         server.scene.add_grid(
             f"/ground_{index}",
@@ -70,6 +79,11 @@ def add_ground(server: viser.ViserServer, film: Film) -> list:
     ]
 
 
+def cell_width(film: Film) -> float:
+    """Distance of the lines on endless grounds [m]."""
+    return float(fit_camera(points_to_see(film, [0]), 1.0, 480).grid)
+
+
 def level_planes(film: Film) -> np.ndarray:
     """(instances,) True for planes that lie level and fixed, which are drawn as one endless ground."""
     flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh] & ~film.moving
@@ -80,12 +94,14 @@ def level_planes(film: Film) -> np.ndarray:
 def look_at_film(server: viser.ViserServer, film: Film) -> None:
     """Place the camera so that the film's bodies are seen: for pages opened later, and for those open now."""
     points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
-    camera = fit_camera(points, 1.2, 480)
+    camera = fit_camera(points, 1.0, 480)
     eye, ahead = np.array(camera.eye), np.array(camera.forward)
     target = eye + ahead * float(np.median((points - eye) @ ahead))
     eye = target + ROOM * math.tan(math.radians(16.0)) / math.tan(0.5 * FIELD_OF_VIEW) * (eye - target)
     for view in (server.initial_camera, *(client.camera for client in server.get_clients().values())):
         view.fov = FIELD_OF_VIEW
+        # The nearer the first visible distance, the less of the depth's precision is left for the rest.
+        view.near = 0.02 * float(np.linalg.norm(eye - target))
         view.position = tuple(eye)
         view.look_at = tuple(target)
 

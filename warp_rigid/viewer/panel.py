@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
+from warp_rigid.appearance import COLORINGS
 from warp_rigid.settings import SHOCK_MODES
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.overlays import OVERLAYS
 from warp_rigid.viewer.session import Session, key_scenes
 from warp_rigid.viewer.slicing import AXES
 
-__all__ = ["COLORINGS", "Panel"]
+__all__ = ["Panel"]
 
-COLORINGS = ("body", "level", "speed")
 STEP_RATES = ("60", "120", "240", "480", "960")
 CUSTOM = "changed by hand"
 

@@ -85,7 +85,7 @@ class FilmViewer:
 
     def _show(self, frame: int) -> None:
         with self.server.atomic():
-            self._instances.pose(self.film.position[frame], self.film.orientation[frame])
+            self._instances.show(self.film, frame)
         if self._scrubber.value != frame:
             self._scrubber.value = frame
         self._time.content = f"{frame / self.film.fps:.2f} s of {(self.film.num_frames - 1) / self.film.fps:.2f} s"
@@ -149,7 +149,7 @@ def save_html(film: Film, path) -> None:
         page = server.get_scene_serializer()
         stride = max(1, round(film.fps / PAGE_RATE))
         for frame in range(0, film.num_frames, stride):
-            instances.pose(film.position[frame], film.orientation[frame])
+            instances.show(film, frame)
             page.insert_sleep(stride / film.fps)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).write_text(page.as_html(), encoding="utf-8")
