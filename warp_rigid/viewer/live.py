@@ -24,8 +24,6 @@ __all__ = ["LiveViewer"]
 
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""
-STEP_SHARE = 0.85
-"""Part of it that stepping may take when the simulation is slower than asked."""
 MOST_SHOWN = 6000
 """Bodies on the page; of more environments than hold so many, only the first are shown."""
 
@@ -77,18 +75,23 @@ class LiveViewer:
 
     def run(self) -> None:
         """Step and show until `stop`; the simulation waits while no page is open."""
-        last = time.perf_counter()
+        last = due = time.perf_counter()
+        changed = False
         while not self._stopped:
-            start = time.perf_counter()
+            changed |= self._do_wishes()
+            now = time.perf_counter()
             watched = bool(self.server.get_clients())
-            changed = self._do_wishes()
             if watched:
-                changed |= self.session.advance(start - last, STEP_SHARE * PERIOD) > 0
-                if changed:
+                changed |= self.session.advance(now - last, max(0.0, due - now)) > 0
+            last = now
+            if time.perf_counter() >= due:
+                if changed and watched:
                     self._publish()
-                self._count_update(changed)
-            last = start
-            self._rest_until(start + PERIOD)
+                self._count_update(changed and watched)
+                changed &= not watched
+                due = max(due + PERIOD, time.perf_counter())
+            elif not (watched and self.session.behind):
+                self._rest_until(due)
         stop_server(self.server)
 
     def stop(self) -> None:
@@ -205,6 +208,7 @@ class LiveViewer:
         recorder.capture(session.sim)
         self._film: Film = film_from_recording(recorder.recording())
         motion = np.array([body.motion for body in session.plan.scene.bodies])
+        self._plain = bytes_of_light(self._film.color)
         self._dynamic = np.tile(motion == Motion.DYNAMIC, len(self.rows))
         with self.server.atomic():
             if self._instances is not None:
@@ -298,6 +302,8 @@ class LiveViewer:
 
     def _colors(self) -> np.ndarray:
         sim, by = self.session.sim, self._options["coloring"]
+        if by == "body":
+            return self._plain
         colors = self._film.color
         if by == "level":
             levels = level_colors(sim.get("level")[self.rows].reshape(-1))

@@ -13,6 +13,8 @@ from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_se
 
 __all__ = ["FilmViewer", "load_film", "save_html"]
 
+PERIOD = 1.0 / 30.0
+"""Time between updates of the page [s]."""
 PAGE_RATE = 30.0
 """Most frames per second of a page of its own."""
 
@@ -38,14 +40,13 @@ class FilmViewer:
 
     Attributes:
         server: the viser server.
-        frame: number of the frame on the page.
         playing: whether it runs on.
     """
 
     def __init__(self, film: Film, host: str = "127.0.0.1", port: int = 8080, fast: bool = False):
         """Open the page at the first frame."""
         self.film = film
-        self.frame = 0
+        self._at = 0.0
         self.playing = True
         self._speed = 1.0
         self._stop = threading.Event()
@@ -63,21 +64,27 @@ class FilmViewer:
 
     def run(self) -> None:
         """Play over and over until `stop`."""
-        shown, at, last = None, 0.0, time.perf_counter()
+        shown, last = None, time.perf_counter()
         while not self._stop.is_set():
             now = time.perf_counter()
             if self.playing and self.server.get_clients():
-                # A move of the scrubber wins over the clock.
-                at = (at if round(at) == self.frame else self.frame) + (now - last) * self._speed * self.film.fps
-                at = at % max(1, self.film.num_frames)
-                self.frame = min(int(at), self.film.num_frames - 1)
-                at = max(at, self.frame)
+                self._at = (self._at + (now - last) * self._speed * self.film.fps) % self.film.num_frames
             last = now
             if self.frame != shown:
                 shown = self.frame
                 self._show(shown)
-            self._stop.wait(max(0.0, 1.0 / 30.0 - (time.perf_counter() - now)))
+            self._stop.wait(max(0.0, PERIOD - (time.perf_counter() - now)))
         stop_server(self.server)
+
+    @property
+    def frame(self) -> int:
+        """Number of the frame on the page."""
+        return int(self._at)
+
+    def seek(self, frame: int) -> None:
+        """Stop at a frame; one beyond the ends stands for the end."""
+        self.playing = False
+        self._at = float(np.clip(frame, 0, self.film.num_frames - 1))
 
     def stop(self) -> None:
         """Make `run` return; from any thread."""
@@ -102,17 +109,14 @@ class FilmViewer:
         @self._scrubber.on_update
         def _(event) -> None:
             if event.client is not None:
-                self.playing = False
-                self.frame = min(int(self._scrubber.value), self.film.num_frames - 1)
+                self.seek(int(self._scrubber.value))
 
         @buttons.on_click
         def _(event) -> None:
             if event.target.value == "Play / Pause":
                 self._toggle()
             else:
-                self.playing = False
-                step = 1 if event.target.value == "Forward" else -1
-                self.frame = int(np.clip(self.frame + step, 0, self.film.num_frames - 1))
+                self.seek(self.frame + (1 if event.target.value == "Forward" else -1))
 
         @speed.on_update
         def _(event) -> None:

@@ -19,7 +19,7 @@ PULL_RATE = 8.0
 """Angular frequency of the spring that pulls a body [rad/s]; its damping is critical."""
 
 MOST_BEHIND = 0.1
-"""A loop that lost more time than this does not make up for it [s]."""
+"""Time that was lost beyond this is not made up for [s]."""
 
 
 class Paced:
@@ -121,12 +121,18 @@ class Session:
         """
         if not self.running:
             return 0
-        self._owed += min(wall, MOST_BEHIND) * self.speed / self._sim.settings.dt
+        rate = self.speed / self._sim.settings.dt
+        self._owed = min(self._owed + wall * rate, MOST_BEHIND * rate + 1.0)
         affordable = max(1, int(budget / self._step_seconds)) if self._step_seconds else 1
         steps = min(int(self._owed), affordable)
-        self._owed = self._owed - steps if steps < affordable else 0.0
+        self._owed -= steps
         self.step(steps)
         return steps
+
+    @property
+    def behind(self) -> bool:
+        """Whether steps are due that the last `advance` had no time for."""
+        return self.running and self._owed >= 1.0
 
     def step(self, count: int = 1) -> None:
         """Do steps, with the scene's events in their time."""

@@ -1,0 +1,117 @@
+"""Films in the page, and as pages of their own."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import warp_rigid as wr
+from warp_rigid.film import film_from_recording
+from warp_rigid.viewer.playback import FilmViewer, load_film, save_html
+
+SIZE = {"width": 640, "height": 400}
+
+
+@pytest.fixture(scope="module")
+def recording():
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(normal=(0, 0, 1), offset=0.0))
+    scene.add_body(wr.Box((0.2, 0.2, 0.2)), position=(-0.5, 0, 0.2), linear_velocity=(2.0, 0, 0), friction=0.0)
+    scene.add_body(wr.Sphere(0.2), position=(0, 0.6, 1.5))
+    return wr.record(wr.Simulator(scene, device="cpu"), frames=60, fps=60)
+
+
+def picture(page, path):
+    page.screenshot(path=path, clip={"x": 0, "y": 170, "width": 300, "height": 200})
+    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+
+
+def changed(before, after):
+    return int((np.abs(before - after).max(axis=-1) > 12).sum())
+
+
+@pytest.mark.parametrize("ending", ["npz", "usdc"])
+def test_scrubber_and_play(browser, recording, tmp_path, ending):
+    path = str(tmp_path / f"film.{ending}")
+    if ending == "npz":
+        recording.save(path)
+    else:
+        wr.export_usd(recording, path)
+    viewer = FilmViewer(load_film(path), port=8890, fast=True)
+    viewer.playing = False
+    thread = threading.Thread(target=viewer.run, daemon=True)
+    thread.start()
+    try:
+        page = browser.new_page(viewport=SIZE)
+        page.goto(viewer.url)
+        page.wait_for_selector("canvas")
+        page.get_by_text("of 1.00 s").wait_for()
+        page.wait_for_timeout(1000)
+        first = picture(page, tmp_path / "first.png")
+        assert first.std(axis=(0, 1)).max() > 8.0
+        field = page.locator("input[type=text]").first
+        field.fill("60")
+        field.press("Enter")
+        page.get_by_text("1.00 s of 1.00 s").wait_for()
+        page.wait_for_timeout(500)
+        assert viewer.frame == 60 and not viewer.playing
+        assert changed(first, picture(page, tmp_path / "last.png")) > 200
+        page.get_by_text("Play / Pause").click()
+        page.wait_for_timeout(400)
+        assert viewer.playing and viewer.frame != 60
+        page.close()
+    finally:
+        viewer.stop()
+        thread.join(10.0)
+    assert not thread.is_alive()
+
+
+def test_page_of_its_own_plays_from_the_disk(browser, recording, tmp_path):
+    path = tmp_path / "film.html"
+    save_html(film_from_recording(recording), path)
+    page = browser.new_page(viewport=SIZE)
+    asked, errors = [], []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(path.as_uri())
+    page.wait_for_selector("canvas")
+    page.wait_for_timeout(1500)
+    pictures = []
+    for index in range(4):
+        pictures.append(picture(page, tmp_path / f"{index}.png"))
+        page.wait_for_timeout(230)
+    assert max(changed(pictures[0], other) for other in pictures[1:]) > 200
+    assert not errors
+    assert [url for url in asked if not url.startswith(("file:", "blob:", "data:"))] == []
+    page.close()
+
+
+def test_command_serves_the_page_and_ends_with_ctrl_c(browser):
+    command = [sys.executable, "-u", "-m", "warp_rigid.cli", "view", "incline", "--fast", "--port", "8950"]
+    process = subprocess.Popen(
+        [*command, "--device", "cpu"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
+    )
+    try:
+        told = ""
+        while "Ctrl-C" not in told:
+            told = process.stderr.readline()
+            assert told, "the command ended before it told its address"
+        url = re.search(r"http://127\.0\.0\.1:\d+", told).group()
+        page = browser.new_page(viewport=SIZE)
+        page.goto(url)
+        page.wait_for_selector("canvas")
+        page.get_by_text("running").wait_for()
+        page.close()
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=20)
+        assert process.returncode in (0, 130)
+        assert out == ""
+    finally:
+        if process.poll() is None:
+            process.kill()
