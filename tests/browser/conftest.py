@@ -30,6 +30,14 @@ def browser():
         found.close()
 
 
+@pytest.fixture
+def page(browser):
+    """A page of a test that needs no stage."""
+    made = browser.new_page(viewport={"width": 640, "height": 400})
+    yield made
+    made.close()
+
+
 class Stage:
     """A live viewer, and its page as a user has it before them."""
 
@@ -50,7 +58,8 @@ class Stage:
         """Another tab."""
         page = self._browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.goto(self.viewer.url)
+        # Otherwise the page draws more coarsely while the machine is busy.
+        page.goto(f"{self.viewer.url}/?fixedDpr=1")
         page.wait_for_selector("canvas")
         page.get_by_text("Restart").wait_for()
         # The page warns of software rendering, on top of what is to be clicked.

@@ -128,36 +128,28 @@ def test_every_overlay_is_drawn_and_taken_off(stage):
     live.press("Space")
     live.until(lambda: not live.session.running, "it pauses")
     live.tab("Show")
+    plain = live.still()
     for label in ("Wireframe", *OVERLAYS):
-        plain = live.still()
         live.check(label)
-        live.done()
-        drawn = live.still()
-        assert changed_pixels(plain, drawn) > 30, f"{label} draws nothing"
+        live.until(lambda: changed_pixels(plain, live.shot()) > 30, f"{label} is drawn")
         live.check(label)
-        live.done()
-        assert changed_pixels(plain, live.still()) < 30, f"{label} stays on the page"
+        live.until(lambda: changed_pixels(plain, live.shot()) < 10, f"{label} is gone")
     for coloring in ("level", "speed"):
-        plain = live.still()
         live.choose("Colours", coloring)
-        live.done()
-        assert changed_pixels(plain, live.still()) > 100, f"colours by {coloring} change nothing"
+        live.until(lambda: changed_pixels(plain, live.shot()) > 100, f"bodies are coloured by {coloring}")
+        live.choose("Colours", "body")
+        live.until(lambda: changed_pixels(plain, live.shot()) < 10, "they have their own colours again")
 
 
 def test_slice_of_a_mesh(stage):
     live = stage("skull_and_brain")
-    live.page.wait_for_timeout(500)
-    plain = live.shot()
+    plain = live.still()
     live.tab("Slice")
     live.check("Show the signed distance")
-    live.done()
-    live.page.wait_for_timeout(500)
-    shown = live.shot()
-    assert changed_pixels(plain, shown) > 500
+    live.until(lambda: changed_pixels(plain, live.shot()) > 500, "the slice is drawn")
+    shown = live.still()
     live.type_number("Place", 0.2)
-    live.done()
-    live.page.wait_for_timeout(500)
-    assert changed_pixels(shown, live.shot()) > 300
+    live.until(lambda: changed_pixels(shown, live.shot()) > 300, "the slice moves")
 
 
 def test_closed_tab_two_tabs_and_a_reload_leave_the_server_alive(stage):

@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid.film import DrawnMesh, Film
 from warp_rigid.raycast import on_screen
-from warp_rigid.viewer.page import add_ground, cell_width, level_planes
+from warp_rigid.viewer.page import add_ground, level_planes
 
 __all__ = ["Instances", "bytes_of_light", "creased"]
 
@@ -29,12 +29,10 @@ class Instances:
         self.handles = []
         self._moving = []
         colors = bytes_of_light(film.color_at(0))
-        # An endless grid lets what is below shine through: the plane's own mesh stays under it, to hide that.
-        self._sunk = np.where(level_planes(film), 0.02 * cell_width(film), 0.0).astype(np.float32)
         self._grounds = add_ground(server, film)
         for index, mesh in enumerate(film.meshes):
             for moves in (False, True):
-                chosen = np.flatnonzero((film.mesh == index) & (moving == moves))
+                chosen = np.flatnonzero((film.mesh == index) & (moving == moves) & ~level_planes(film))
                 if len(chosen):
                     self.handles.append((self._add(mesh, index, moves, chosen, film, colors), chosen))
                     self._moving.append(moves)
@@ -86,7 +84,7 @@ class Instances:
             vertices,
             faces,
             batched_wxyzs=film.orientation[0][chosen][:, [3, 0, 1, 2]],
-            batched_positions=film.position[0][chosen] - self._sunk[chosen, None] * np.float32([0.0, 0.0, 1.0]),
+            batched_positions=film.position[0][chosen],
             batched_colors=colors[chosen],
             lod="off",
             side="double" if mesh.flat else "front",

@@ -141,7 +141,7 @@ class LiveViewer:
 
     def overlay(self, name: str, on: bool) -> None:
         """Switch an overlay."""
-        (self._overlays.shown.add if on else self._overlays.shown.discard)(name)
+        self._overlays.switch(name, on)
 
     def choose(self, body: int, env: int | None = None) -> None:
         """Choose the body that slices and clusters are of."""

@@ -41,13 +41,25 @@ class Overlays:
         """Everything is off."""
         self._scene = server.scene
         self._nodes = {}
+        self._size: float | None = None
         self.shown: set[str] = set()
+
+    def switch(self, name: str, on: bool) -> None:
+        """Switch an overlay on, to be drawn by the next `update`, or off at once."""
+        if on:
+            self.shown.add(name)
+            return
+        self.shown.discard(name)
+        for key in self._nodes:
+            if key.partition(": ")[0] == name:
+                self._hide(key)
 
     def clear(self) -> None:
         """Take everything off the page, for another scene."""
         for node in self._nodes.values():
             node.remove()
         self._nodes = {}
+        self._size = None
 
     def update(self, sim: Simulator, rows: np.ndarray, offsets: np.ndarray, chosen: tuple[int, int]) -> None:
         """Draw what is on, of the state now.
@@ -58,7 +70,9 @@ class Overlays:
             offsets: (rows, 3) where they stand [m].
             chosen: environment and body whose clusters are drawn.
         """
-        size = _typical_size(sim)
+        if self._size is None:
+            self._size = _typical_size(sim)
+        size = self._size
         draw = {
             BOXES: lambda: self._boxes(sim, rows, offsets, size),
             CELLS: lambda: self._cells(sim, rows, offsets, size),
@@ -69,8 +83,6 @@ class Overlays:
         for name, action in draw.items():
             if name in self.shown:
                 action()
-        for name, node in self._nodes.items():
-            node.visible = node.visible and name.partition(": ")[0] in self.shown
 
     def _boxes(self, sim, rows, offsets, size) -> None:
         boxes = sim.swept_boxes()[rows] + offsets[:, None, None]
@@ -131,7 +143,7 @@ class Overlays:
             local = rotate(back, center - sim.get("position")[env, other])
             kept |= sim.scene.bodies[other].shape.signed_distance(local)[0] <= samples.cluster_radius
         colors = np.where(kept[:, None], KEPT_COLOR, REJECTED_COLOR).astype(np.uint8)
-        radius = np.maximum(samples.cluster_radius, 0.01 * _typical_size(sim)).astype(np.float32)
+        radius = np.maximum(samples.cluster_radius, 0.01 * self._size).astype(np.float32)
         places = (center + offsets[list(rows).index(env)]).astype(np.float32)
         node = self._nodes.get(CLUSTERS)
         if node is not None and len(node.batched_positions) == len(places):

@@ -14,7 +14,6 @@ from warp_rigid.picture import fit_camera, points_to_see
 __all__ = [
     "add_ground",
     "add_labels",
-    "cell_width",
     "level_planes",
     "look_at_film",
     "set_light",
@@ -59,9 +58,11 @@ def set_light(server: viser.ViserServer, fast: bool) -> None:
 def add_ground(server: viser.ViserServer, film: Film) -> list:
     """An endless grid for each height at which a level plane lies; returns the handles."""
     heights = {round(float(film.position[0][i, 2]), 6) for i in np.flatnonzero(level_planes(film))}
-    cell = cell_width(film)
-    return [
-        server.scene.add_grid(
+    cell = float(fit_camera(points_to_see(film, [0]), 1.0, 480).grid)
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+    handles = []
+    for index, height in enumerate(sorted(heights)):
+        grid = server.scene.add_grid(
             f"/ground_{index}",
             infinite_grid=True,
             plane="xy",
@@ -75,13 +76,18 @@ def add_ground(server: viser.ViserServer, film: Film) -> list:
             plane_color=GROUND,
             plane_opacity=1.0,
         )
-        for index, height in enumerate(sorted(heights))
-    ]
-
-
-def cell_width(film: Film) -> float:
-    """Distance of the lines on endless grounds [m]."""
-    return float(fit_camera(points_to_see(film, [0]), 1.0, 480).grid)
+        # What lies below shines through the grid; a sheet under it, just large enough, hides that.
+        sheet = server.scene.add_mesh_simple(
+            f"/ground_{index}/sheet",
+            15.0 * cell * square,
+            np.array([[0, 1, 2], [0, 2, 3]]),
+            color=GROUND,
+            position=(0.0, 0.0, -0.02 * cell),
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        handles += [sheet, grid]
+    return handles
 
 
 def level_planes(film: Film) -> np.ndarray:

@@ -134,19 +134,20 @@ class FilmViewer:
         self.playing = not self.playing
 
 
-def save_html(film: Film, path) -> None:
+def save_html(film: Film, path, fast: bool = False) -> None:
     """Write a film as one HTML file, which plays from the disk without a server or the net.
 
     Args:
         film: what to write.
         path: the file; folders are made.
+        fast: simple light without shadows.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
     """
     server = start_server("127.0.0.1", 8080)
     try:
-        set_light(server, fast=False)
+        set_light(server, fast)
         instances = Instances(server, film, film.moving)
         add_labels(server, film)
         look_at_film(server, film)
