@@ -253,12 +253,15 @@ class Session:
         if self.plan.scene.bodies[body].motion != Motion.DYNAMIC:
             return
         mass = float(self._sim.get("mass")[env, body])
+        inertia = self._sim.get("inertia")[env, body].astype(np.float64)
         arm = self._grip() - self._sim.get("center_of_mass")[env, body]
         spin = self._sim.get("angular_velocity")[env, body].astype(np.float64)
         velocity = self._sim.get("linear_velocity")[env, body] + np.cross(spin, arm)
-        force = mass * PULL_RATE * (PULL_RATE * (self._pull.target - self._grip()) - 2.0 * velocity)
-        force -= mass * self._sim.get("gravity")[env]
-        inertia = self._sim.get("inertia")[env, body].astype(np.float64)
+        wanted = PULL_RATE * (PULL_RATE * (self._pull.target - self._grip()) - 2.0 * velocity)
+        # A force on the held place accelerates it by more than force / mass: the body gives way by turning.
+        cross = np.cross(np.eye(3), arm)
+        mobility = np.eye(3) / mass - cross @ np.linalg.inv(inertia) @ cross
+        force = np.linalg.solve(mobility, wanted) - mass * self._sim.get("gravity")[env]
         self._hold("force", force)
         self._hold("torque", np.cross(arm, force) - PULL_RATE * (inertia @ spin))
 

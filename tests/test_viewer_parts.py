@@ -1,0 +1,139 @@
+"""Rays to surfaces, slices, boxes' edges, meshes with creases: what the page shows, without a page."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import warp_rigid as wr
+from warp_rigid.appearance import corner_normals
+from warp_rigid.film import DrawnMesh
+from warp_rigid.scenes.demo import turn
+from warp_rigid.viewer.instances import creased
+from warp_rigid.viewer.overlays import box_lines
+from warp_rigid.viewer.picking import trace
+from warp_rigid.viewer.slicing import cut
+
+TURNED = np.array([0.3, -0.2, 0.5, 0.7])
+TURNED = TURNED / np.linalg.norm(TURNED)
+PLACE = np.array([1.0, -2.0, 0.5])
+
+
+def rays(count, radius):
+    """Rays from a sphere around PLACE toward points near its middle."""
+    rng = np.random.default_rng(4)
+    origin = rng.normal(size=(count, 3))
+    origin *= radius / np.linalg.norm(origin, axis=1, keepdims=True)
+    return origin + PLACE, rng.uniform(-0.15, 0.15, (count, 3)) - origin
+
+
+SHAPES = {
+    "sphere": wr.Sphere(0.3),
+    "box": wr.Box((0.4, 0.2, 0.3)),
+    "cylinder": wr.Cylinder(0.3, 0.25),
+    "torus": wr.Mesh.from_trimesh(trimesh.creation.torus(0.4, 0.15), sdf_resolution=48),
+}
+
+
+def first_hit(corners, origin, direction):
+    """Where a ray first meets one of some triangles (n, 3, 3), by Moeller and Trumbore; None where it meets none."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(direction, second)
+    volume = np.einsum("ij,ij->i", first, across)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = origin - corners[:, 0]
+        u = np.einsum("ij,ij->i", offset, across) / volume
+        turned = np.cross(offset, first)
+        v = turned @ direction / volume
+        t = np.einsum("ij,ij->i", second, turned) / volume
+    inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
+    return origin + t[inside].min() * direction if inside.any() else None
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_traced_points_are_those_of_the_triangles(name):
+    shape = SHAPES[name]
+    vertices, faces = shape.surface()
+    corners = (turn(TURNED, np.asarray(vertices)) + PLACE)[faces]
+    near, expected = 0, 0
+    for origin, direction in zip(*rays(40, 3.0), strict=True):
+        first = first_hit(corners, origin, direction)
+        point, hit = trace(shape, PLACE, TURNED, origin, direction)
+        if first is not None:
+            expected += 1
+            # The triangles of a round shape lie up to 1 % inside it.
+            near += hit and np.linalg.norm(point - first) < 0.02
+    assert expected > 15
+    # Rays that graze a round shape may pass its triangles by, and land elsewhere.
+    assert near >= 0.95 * expected
+
+
+def test_a_ray_that_misses_gives_its_nearest_point():
+    point, hit = trace(wr.Sphere(0.5), (0, 0, 0), (0, 0, 0, 1), (-3.0, 0.0, 0.6), (2.0, 0.0, 0.0))
+    assert not hit
+    assert point == pytest.approx([0.0, 0.0, 0.6], abs=0.3)
+    point, hit = trace(wr.Box((0.5, 0.5, 0.5)), (0, 0, 0), (0, 0, 0, 1), (-3.0, 0.1, 0.2), (1.0, 0.0, 0.0))
+    assert hit and point == pytest.approx([-0.5, 0.1, 0.2], abs=1e-3)
+
+
+def test_slice_of_a_sphere_is_its_circle():
+    found = cut(wr.Sphere(0.5), axis=2, part=0.7)
+    assert found.place == pytest.approx(0.2)
+    assert found.axes == (0, 1, 2)
+    dark = (found.image == 15).all(axis=-1)
+    height, width = dark.shape
+    rows, columns = np.nonzero(dark)
+    x = found.lower[0] + (columns + 0.5) / width * (found.upper - found.lower)[0]
+    y = found.upper[1] - (rows + 0.5) / height * (found.upper - found.lower)[1]
+    assert len(rows) > 200
+    # The zero line is drawn within 0.9 of a point's width of distance, which is 7 mm.
+    slope = np.sqrt(0.5**2 - 0.2**2) / 0.5
+    assert np.hypot(x, y) == pytest.approx(np.sqrt(0.5**2 - 0.2**2), abs=0.0075 / slope)
+    red = found.image[height // 2, width // 2].astype(int)
+    blue = found.image[0, 0].astype(int)
+    assert red[0] > red[2] and blue[2] > blue[0]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_arrows_lie_in_the_plane_and_point_away(axis):
+    found = cut(wr.Sphere(0.5), axis, 0.5)
+    start, along = found.arrows[:, 0], found.arrows[:, 1] - found.arrows[:, 0]
+    assert np.abs(start[:, axis] - found.place).max() < 1e-12 and np.abs(along[:, axis]).max() < 1e-12
+    outward = np.einsum("ij,ij->i", start, along)
+    assert (outward[np.linalg.norm(start, axis=1) > 0.05] > 0.0).all()
+
+
+def test_a_plane_cannot_be_cut():
+    with pytest.raises(ValueError, match="slice"):
+        cut(wr.Plane(), 0, 0.5)
+
+
+def test_box_lines_are_the_twelve_edges():
+    lines = box_lines(np.array([[[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]]))
+    lengths = np.sort(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
+    assert lines.shape == (12, 2, 3)
+    assert lengths.tolist() == [1.0] * 4 + [2.0] * 4 + [3.0] * 4
+
+
+def test_creases_get_vertices_of_their_own():
+    vertices, faces = wr.Box((1, 1, 1)).surface()
+    mesh = DrawnMesh(np.asarray(vertices, np.float32), np.asarray(faces), corner_normals(vertices, faces))
+    split, corners = creased(mesh)
+    assert len(split) == 24
+    assert np.array_equal(split[corners], mesh.vertices[mesh.faces])
+    ball, ball_faces = wr.Sphere(1.0).surface()
+    smooth = DrawnMesh(np.asarray(ball, np.float32), np.asarray(ball_faces), corner_normals(ball, ball_faces))
+    assert len(creased(smooth)[0]) == len(ball)
+
+
+def test_swept_boxes_hold_the_bodies_and_their_way():
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_body(wr.Box((0.1, 0.2, 0.3)), position=(1, 2, 3), linear_velocity=(24.0, 0, 0))
+    sim = wr.Simulator(scene, num_envs=2, device="cpu")
+    sim.step()
+    lower, upper = np.moveaxis(sim.swept_boxes(), 2, 0)
+    assert sim.swept_boxes().shape == (2, 1, 2, 3)
+    # In its first step of 1/240 s the body goes 0.1 m.
+    assert (lower[0, 0] <= [0.9, 1.8, 2.7]).all() and (upper[0, 0] >= [1.2, 2.2, 3.3]).all()
+    assert (upper[0, 0] < [1.25, 2.25, 3.35]).all()
+    sim.penetration()
+    assert sim.swept_boxes()[1, 0, 0] == pytest.approx([1.0, 1.8, 2.7], abs=0.02)
