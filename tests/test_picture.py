@@ -6,8 +6,9 @@ from PIL import Image
 from scipy.ndimage import binary_erosion
 
 from tests.fakes import FakeSimulator
-from warp_rigid import Box, Plane, Scene, Sphere
-from warp_rigid.film import film_from_recording, film_from_usd
+from warp_rigid import Box, Plane, Scene, Simulator, Sphere
+from warp_rigid.appearance import level_colors, speed_colors
+from warp_rigid.film import colored, film_from_recording, film_from_usd
 from warp_rigid.picture import fit_camera, points_to_see, save_contact_sheet, save_film, save_picture
 from warp_rigid.raycast import RayCaster, on_screen
 from warp_rigid.recording import record
@@ -203,6 +204,41 @@ def test_contact_sheet_and_gif(two_envs, tmp_path):
     gif = Image.open(tmp_path / "film.gif")
     # 11 frames at 60 a second, every third: 20 a second.
     assert gif.size == (80, 60) and gif.n_frames == 4 and gif.info["duration"] == 50
+
+
+def test_mp4_has_the_film_in_its_length_and_size(two_envs, tmp_path):
+    import imageio_ffmpeg
+
+    save_film(film_from_recording(two_envs), tmp_path / "deep" / "film.mp4", 81, 60)
+    reader = imageio_ffmpeg.read_frames(str(tmp_path / "deep" / "film.mp4"))
+    told = next(reader)
+    frames = [np.frombuffer(frame, np.uint8).reshape(60, 160, 3) for frame in reader]
+    # Two panels of 80 pixels; 11 frames at 60 a second, every second one: 30 a second.
+    assert told["size"] == (160, 60) and told["fps"] == 30.0 and told["codec"] == "h264"
+    assert len(frames) == 6
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 30
+
+
+def test_colours_tell_levels_and_speeds():
+    scene = Scene()
+    scene.add_static(Plane())
+    for i in range(3):
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * i))
+    scene.add_body(Sphere(0.1), position=(1, 0, 5.0), linear_velocity=(3.0, 0, 0))
+    recording = record(Simulator(scene, device="cpu"), 6, 60.0)
+    film = film_from_recording(recording)
+    level = colored(film, recording, "level")
+    assert recording.level[-1, 0, 1:4].tolist() == [1, 2, 3]
+    np.testing.assert_allclose(level.color_at(6)[1:4], level_colors(recording.level[-1, 0, 1:4]))
+    np.testing.assert_array_equal(level.color_at(6)[0], film.color[0])
+    speed = colored(film, recording, "speed")
+    np.testing.assert_allclose(speed.color_at(3)[1:], speed_colors([0.0, 0.0, 0.0, 3.0]), atol=0.02)
+    assert colored(film, recording, "body") is film
+    camera = camera_of(film)
+    assert not np.array_equal(RayCaster(film, camera).draw(6, 80, 60), RayCaster(level, camera).draw(6, 80, 60))
+    assert level.alone(0).color.shape == (7, 5, 3)
+    with pytest.raises(ValueError, match="by: must be one of body, level, speed"):
+        colored(film, recording, "mass")
 
 
 def test_many_environments_are_drawn_in_one_view(tmp_path):

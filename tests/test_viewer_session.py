@@ -1,5 +1,6 @@
 """Playing with a scene, without a page: pace, restarts, changes, pushes and pulls."""
 
+import math
 import time
 
 import numpy as np
@@ -164,10 +165,18 @@ def test_pull_brings_the_held_place_to_the_pointer_and_lets_go(falling):
     assert (falling.sim.get("force") == 0.0).all() and (falling.sim.get("torque") == 0.0).all()
 
 
-def test_paced_keeps_to_its_share():
-    spent = []
-    paced = Paced(share=0.1)
+def busy(seconds):
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+
+@pytest.mark.parametrize(("patience", "least", "most"), [(math.inf, 2, 11), (0.02, 12, 26)])
+def test_paced_keeps_to_its_share_but_not_beyond_its_patience(patience, least, most):
+    runs = []
+    paced = Paced(share=0.1, patience=patience)
     end = time.perf_counter() + 0.5
     while time.perf_counter() < end:
-        paced(lambda: (spent.append(0), time.sleep(0.005)))
-    assert 2 <= len(spent) <= 11
+        paced(lambda: (runs.append(0), busy(0.005)))
+        time.sleep(0.001)
+    assert least <= len(runs) <= most

@@ -37,8 +37,8 @@ class Hud:
             legend={"show": False},
             height=110,
         )
-        self._refresh = Paced(share=0.02, period=0.2)
-        self._overlap = Paced(share=0.01, period=0.5)
+        self._refresh = Paced(share=0.02, period=0.2, patience=0.5)
+        self._overlap = Paced(share=0.01, period=0.5, patience=5.0)
         self.restart()
 
     def restart(self) -> None:
@@ -46,8 +46,8 @@ class Hud:
         self._energy = deque(maxlen=HISTORY)
         self._deepest = 0.0
 
-    def update(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> None:
-        """Show the figures of now, unless that was done a moment ago.
+    def update(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> bool:
+        """Show the figures of now, unless that was done a moment ago; tells whether it did.
 
         Args:
             session: what runs.
@@ -58,9 +58,9 @@ class Hud:
         deepest = self._overlap(session.sim.penetration)
         if deepest is not None:
             self._deepest = float(deepest[rows].max())
-        self._refresh(self._show, session, rows, rate, pace)
+        return bool(self._refresh(self._show, session, rows, rate, pace))
 
-    def _show(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> None:
+    def _show(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> bool:
         sim = session.sim
         kinetic = float(sim.get("kinetic_energy")[rows].sum())
         potential = float(sim.get("potential_energy")[rows].sum())
@@ -69,6 +69,7 @@ class Hud:
         if len(self._energy) > 1:
             self._plot.data = tuple(np.array(self._energy).T.copy())
         self._text.content = _text(session, rows, rate, pace, self._deepest)
+        return True
 
 
 def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest: float) -> str:

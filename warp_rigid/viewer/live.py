@@ -65,6 +65,7 @@ class LiveViewer:
         self.chosen = (0, 0)
         self._panel = Panel(self)
         set_light(self.server, fast)
+        self._stale = True
         self._updates, self._since, self._rate, self._pace = 0, (time.perf_counter(), 0.0), 0.0, 0.0
         self._show_scene()
 
@@ -88,6 +89,8 @@ class LiveViewer:
                 if changed and watched:
                     self._publish()
                 self._count_update(changed and watched)
+                if watched and self._stale:
+                    self._stale = not self._panel.hud.update(self.session, self.rows, self._rate, self._pace)
                 changed &= not watched
                 due = max(due + PERIOD, time.perf_counter())
             elif not (watched and self.session.behind):
@@ -285,7 +288,7 @@ class LiveViewer:
 
     def _publish(self) -> None:
         """Send the state of now."""
-        session, sim, rows = self.session, self.session.sim, self.rows
+        sim, rows = self.session.sim, self.rows
         position = sim.get("position")[rows] + self._film.offset[:, None].astype(np.float32)
         orientation = sim.get("orientation")[rows]
         with self.server.atomic():
@@ -298,7 +301,7 @@ class LiveViewer:
             row = env - int(rows[0])
             self._slice.follow(position[row, body], orientation[row, body])
             self._draw_rope()
-        self._panel.hud.update(session, rows, self._rate, self._pace)
+        self._stale = True
 
     def _colors(self) -> np.ndarray:
         sim, by = self.session.sim, self._options["coloring"]
@@ -334,5 +337,6 @@ class LiveViewer:
         self._updates += changed
         now, (then, before) = time.perf_counter(), self._since
         if now - then >= 0.5:
+            self._stale |= self._updates == 0 and self._rate > 0.0
             self._rate, self._pace = self._updates / (now - then), max(0.0, self.session.time - before) / (now - then)
             self._updates, self._since = 0, (now, self.session.time)

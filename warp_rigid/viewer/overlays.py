@@ -109,12 +109,16 @@ class Overlays:
         records = records[place[records["env"]] >= 0][:MOST].astype(CONTACT_RECORD)
         points = records["position"] + offsets[place[records["env"]]]
         self._points(CONTACTS, points, CONTACT_COLOR, 0.09 * size)
-        impulse = records["impulse"]
+        # As it acts on the body above, where there is an above.
+        weight = sim.get("gravity")[records["env"]]
+        upward = np.einsum("ij,ij->i", records["impulse"], weight) <= 0.0
+        impulse = np.where(upward[:, None], records["impulse"], -records["impulse"])
         strength = np.linalg.norm(impulse, axis=1, keepdims=True)
         pushes = strength[:, 0] > 0.0
         gravity = float(np.linalg.norm(sim.get("gravity")[rows[0]])) or 9.81
-        weight = float(np.median(sim.get("mass")[rows[0]][sim.get("mass")[rows[0]] > 0.0])) * gravity * sim.settings.dt
-        length = size * np.clip(np.sqrt(strength[pushes] / weight), 0.0, 3.0)
+        mass = sim.get("mass")[rows[0]]
+        usual = float(np.median(mass[mass > 0.0])) * gravity * sim.settings.dt
+        length = size * np.clip(np.sqrt(strength[pushes] / usual), 0.0, 3.0)
         ends = points[pushes] + impulse[pushes] / strength[pushes] * length
         self._arrows(f"{CONTACTS}: arrows", np.stack([points[pushes], ends], axis=1), size)
 

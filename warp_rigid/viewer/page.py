@@ -71,7 +71,7 @@ def add_ground(server: viser.ViserServer, film: Film) -> list:
             section_size=5.0 * cell,
             cell_color=(176, 178, 178),
             section_color=(150, 154, 158),
-            fade_distance=60.0 * cell,
+            fade_distance=150.0 * cell,
             shadow_opacity=0.3,
             plane_color=GROUND,
             plane_opacity=1.0,
@@ -79,7 +79,7 @@ def add_ground(server: viser.ViserServer, film: Film) -> list:
         # What lies below shines through the grid; a sheet under it, just large enough, hides that.
         sheet = server.scene.add_mesh_simple(
             f"/ground_{index}/sheet",
-            15.0 * cell * square,
+            25.0 * cell * square,
             np.array([[0, 1, 2], [0, 2, 3]]),
             color=GROUND,
             position=(0.0, 0.0, -0.02 * cell),

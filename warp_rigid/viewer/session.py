@@ -1,6 +1,7 @@
 """Playing with a scene: steps in real time, restarts, changes while it runs, pushes and pulls."""
 
 import dataclasses
+import math
 import time
 from typing import Any
 
@@ -26,13 +27,14 @@ class Paced:
     """Lets something be done again only when its cost stays a small share of the time.
 
     Args:
-        share: of the wall clock that it may take.
+        share: of one core that it may take.
         period: shortest time between two runs [s].
+        patience: longest time between two runs, whatever they cost [s].
     """
 
-    def __init__(self, share: float, period: float = 0.0):
+    def __init__(self, share: float, period: float = 0.0, patience: float = math.inf):
         """Ready at once."""
-        self._share, self._period = share, period
+        self._share, self._period, self._patience = share, period, patience
         self._next = 0.0
 
     def __call__(self, action, *arguments) -> Any:
@@ -40,9 +42,11 @@ class Paced:
         start = time.perf_counter()
         if start < self._next:
             return None
+        # Of this thread alone: what other processes take must not count.
+        before = time.thread_time()
         result = action(*arguments)
-        end = time.perf_counter()
-        self._next = max(end + (end - start) * (1.0 / self._share - 1.0), start + self._period)
+        wait = (time.thread_time() - before) / self._share
+        self._next = start + min(max(wait, self._period), self._patience)
         return result
 
 
@@ -227,7 +231,7 @@ class Session:
         self._time_before = 0.0
         self._events = sorted(self.plan.demo.events(self.plan.scene), key=lambda event: event[0])
         self._outcome = self.plan.demo.outcome(self.plan.scene)
-        self._judge = Paced(share=0.02)
+        self._judge = Paced(share=0.03, patience=0.2)
 
     def _change_dt(self, dt: float) -> None:
         """Go on in a simulator of another step, with everything that was set."""
