@@ -12,6 +12,7 @@ demo: $(READY)
 	$(BIN)/warp-rigid run bunny_pile -o $(OUT)/bunny_pile.usdc --picture $(OUT)/bunny_pile.png
 	$(BIN)/warp-rigid run box_stack --compare -o $(OUT)/box_stack.usdc \
 		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
+	@echo "next: $(BIN)/warp-rigid view seesaw"
 
 test: $(READY)
 	$(BIN)/python -m pytest -q

@@ -13,6 +13,7 @@ from pxr import Usd
 import warp_rigid
 from warp_rigid import cli, runner, scenes
 from warp_rigid.commands import run as run_module
+from warp_rigid.terminal import explain
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -263,3 +264,9 @@ def test_inspect_tells_of_holes_and_draws_a_slice(capsys, tmp_path):
 def test_ready_made_meshes_have_names(capsys):
     status, out, _ = run(capsys, "inspect", "tetrahedron", "--sdf-resolution", 16)
     assert status == 0 and "4 vertices, 4 triangles, watertight" in out
+
+
+@pytest.mark.parametrize(("module", "extra"), [("viser", "viewer"), ("imageio_ffmpeg", "picture"), ("PIL", "picture")])
+def test_a_missing_library_is_told_with_its_extra(module, extra):
+    told = explain(ModuleNotFoundError(f"No module named {module!r}", name=module))
+    assert told == f"{module} is not installed; pip install 'warp-rigid[{extra}]' brings it"

@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid.film import DrawnMesh, Film
 from warp_rigid.raycast import on_screen
-from warp_rigid.viewer.page import add_ground, level_planes
+from warp_rigid.viewer.page import add_ground, level_planes, opacity_of_walls
 
 __all__ = ["Instances", "bytes_of_light", "creased"]
 
@@ -36,6 +36,7 @@ class Instances:
                 if len(chosen):
                     self.handles.append((self._add(mesh, index, moves, chosen, film, colors), chosen))
                     self._moving.append(moves)
+        self.fade(np.where(moving, 1.0, opacity_of_walls(film)))
 
     def show(self, film: Film, frame: int) -> None:
         """Show a frame of the film, or of another one of the same instances."""

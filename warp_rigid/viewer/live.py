@@ -14,7 +14,7 @@ from warp_rigid.scene import Motion
 from warp_rigid.terminal import explain
 from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
-from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
+from warp_rigid.viewer.page import add_labels, look_at_film, opacity_of_walls, set_light, start_server, stop_server
 from warp_rigid.viewer.panel import Panel
 from warp_rigid.viewer.picking import trace
 from warp_rigid.viewer.session import Session
@@ -212,6 +212,7 @@ class LiveViewer:
         self._film: Film = film_from_recording(recorder.recording())
         motion = np.array([body.motion for body in session.plan.scene.bodies])
         self._plain = bytes_of_light(self._film.color)
+        self._walls = np.where(np.tile(motion == Motion.STATIC, len(self.rows)), opacity_of_walls(self._film), 1.0)
         self._dynamic = np.tile(motion == Motion.DYNAMIC, len(self.rows))
         with self.server.atomic():
             if self._instances is not None:
@@ -318,7 +319,7 @@ class LiveViewer:
 
     def _opacity(self) -> np.ndarray:
         # Contacts lie inside the bodies.
-        opacity = np.full(len(self._dynamic), 0.4 if CONTACTS in self._overlays.shown else 1.0)
+        opacity = self._walls * (0.4 if CONTACTS in self._overlays.shown else 1.0)
         if self._options["sleepers"]:
             opacity[self.session.sim.get("asleep")[self.rows].reshape(-1) & self._dynamic] *= 0.35
         if self._options["slice"]:

@@ -10,12 +10,14 @@ import viser
 from warp_rigid.appearance import rotate
 from warp_rigid.film import Film
 from warp_rigid.picture import fit_camera, points_to_see
+from warp_rigid.raycast import WALL_THICKNESS
 
 __all__ = [
     "add_ground",
     "add_labels",
     "level_planes",
     "look_at_film",
+    "opacity_of_walls",
     "set_light",
     "start_server",
     "stop_server",
@@ -95,6 +97,16 @@ def level_planes(film: Film) -> np.ndarray:
     flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh] & ~film.moving
     normals = np.array([mesh.normals[0, 0] if mesh.flat else (0.0, 0.0, 0.0) for mesh in film.meshes])[film.mesh]
     return flat & (rotate(film.orientation[0], normals)[:, 2] > 1.0 - 1.0e-6)
+
+
+def opacity_of_walls(film: Film) -> np.ndarray:
+    """(instances,) less than 1 for fixed, thin, upright bodies, behind which others may lie."""
+    sizes = np.stack([np.ptp(mesh.vertices, axis=0) for mesh in film.meshes])[film.mesh]
+    thinnest = sizes.argmin(axis=1)
+    thin = sizes.min(axis=1) < WALL_THICKNESS * np.median(sizes, axis=1)
+    upright = np.abs(rotate(film.orientation[0], np.eye(3)[thinnest])[:, 2]) < 0.5
+    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
+    return np.where(thin & upright & ~flat & ~film.moving, 0.35, 1.0)
 
 
 def look_at_film(server: viser.ViserServer, film: Film) -> None:
