@@ -52,6 +52,17 @@ def visit_wide(
     return total
 
 
+@wp.func
+def visit_small(i: int, first: int, write: int, small: wp.array[int], motions: Motions, pairs: Pairs):
+    """Visit the pairs of body i with all later small bodies of its environment."""
+    total = int(0)
+    for s in range(small.shape[0]):
+        j = first + small[s]
+        if j > i:
+            total = visit_pair(i, j, total, write, motions, pairs)
+    return total
+
+
 @wp.kernel
 def pairs_by_trying_all(
     write: int,
@@ -70,10 +81,7 @@ def pairs_by_trying_all(
     found = int(0)
     if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
         if bodies.wide[i] == 0:
-            for s in range(small.shape[0]):
-                j = first + small[s]
-                if j > i:
-                    found = visit_pair(i, j, found, write, motions, pairs)
+            found = visit_small(i, first, write, small, motions, pairs)
         found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
     if write == 0:
         pairs.count[i] = found
@@ -88,13 +96,13 @@ def grid_points(
     groups: wp.array[int],
     reach: wp.array[float],
 ):
-    """Centres of the small bodies' swept boxes, their environment as the grid's group, the largest half-diagonal."""
+    """Centres of the small bodies' swept boxes, their environment as the grid's group, its largest half-diagonal."""
     k = wp.tid()
     env = k / small.shape[0]
     b = env * bodies_per_env + small[k - env * small.shape[0]]
     points[k] = 0.5 * (motions.lower[b] + motions.upper[b])
     groups[k] = env
-    wp.atomic_max(reach, 0, 0.5 * wp.length(motions.upper[b] - motions.lower[b]))
+    wp.atomic_max(reach, env, 0.5 * wp.length(motions.upper[b] - motions.lower[b]))
 
 
 @wp.kernel
@@ -102,6 +110,7 @@ def pairs_by_grid(
     write: int,
     bodies_per_env: int,
     grid: wp.uint64,
+    cell: float,
     reach: wp.array[float],
     small: wp.array[int],
     wide: wp.array[int],
@@ -110,7 +119,10 @@ def pairs_by_grid(
     envs: Environments,
     pairs: Pairs,
 ):
-    """One thread a body: small bodies look around in the hash grid, then try the wide ones."""
+    """One thread a body: small bodies look around in the hash grid, then try the wide ones.
+
+    Where something moves so fast that there are more cells to look into than bodies, all are tried instead.
+    """
     i = wp.tid()
     env = i / bodies_per_env
     first = env * bodies_per_env
@@ -118,12 +130,16 @@ def pairs_by_grid(
     if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
         if bodies.wide[i] == 0:
             middle = 0.5 * (motions.lower[i] + motions.upper[i])
-            around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + reach[0]
-            neighbour = int(0)
-            for neighbour in wp.hash_grid_query(grid, middle, around, env):
-                j = first + small[neighbour - env * small.shape[0]]
-                if j > i:
-                    found = visit_pair(i, j, found, write, motions, pairs)
+            around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + reach[env]
+            across = 2.0 * around / cell + 1.0
+            if across * across * across <= float(small.shape[0]):
+                neighbour = int(0)
+                for neighbour in wp.hash_grid_query(grid, middle, around, env):
+                    j = first + small[neighbour - env * small.shape[0]]
+                    if j > i:
+                        found = visit_pair(i, j, found, write, motions, pairs)
+            else:
+                found = visit_small(i, first, write, small, motions, pairs)
         found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
     if write == 0:
         pairs.count[i] = found

@@ -322,7 +322,7 @@ class Stages:
         else:
             self._per_body(
                 broadphase.pairs_by_grid,
-                [write, self.num_bodies, self.grid.id, self._reach, *common],
+                [write, self.num_bodies, self.grid.id, self.model.grid_radius, self._reach, *common],
                 [self.pools.pairs],
             )
 
@@ -335,7 +335,7 @@ class Stages:
         grid.reserve(small * self.num_envs, with_groups=True)
         self._points = wp.zeros(small * self.num_envs, dtype=wp.vec3, device=self.device)
         self._groups = wp.zeros(small * self.num_envs, dtype=int, device=self.device)
-        self._reach = wp.zeros(1, dtype=float, device=self.device)
+        self._reach = wp.zeros(self.num_envs, dtype=float, device=self.device)
         return grid
 
     def _fill_grid(self) -> None:
