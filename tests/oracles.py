@@ -3,7 +3,6 @@
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from warp_rigid.pools import Pools
 from warp_rigid.scene import Motion, Scene
 from warp_rigid.shapes import Box, Plane, Sphere
 from warp_rigid.simulator import Simulator
@@ -16,18 +15,12 @@ def stages_of(sim):
     return sim._stages
 
 
-class RoomySimulator(Simulator):
-    """A simulator whose pools hold every pair of bodies, so that single stages never run out of room."""
-
-    def _estimated_pools(self):
-        pairs = self.num_envs * max(8, self.num_bodies * (self.num_bodies - 1) // 2)
-        contacts = min(36 * pairs, 100 * self.num_envs * self.num_bodies)
-        return Pools.allocate(self.num_envs, self.num_bodies, pairs, contacts, self.device)
-
-
 def opened(scene, device, num_envs=1, settings=None):
-    """A simulator with room for everything, and its stages."""
-    sim = RoomySimulator(scene, num_envs=num_envs, settings=settings, device=device)
+    """A simulator with room for every pair of bodies, so that single stages never run out of it, and its stages."""
+    bodies = len(scene.bodies)
+    pairs = num_envs * max(8, bodies * (bodies - 1) // 2)
+    room = {"pairs": pairs, "contacts": min(36 * pairs, 100 * num_envs * bodies)}
+    sim = Simulator(scene, num_envs=num_envs, settings=settings, device=device, capacity=room)
     return sim, stages_of(sim)
 
 

@@ -6,7 +6,6 @@ import warp as wp
 
 from tests.oracles import ground_scene, moving, random_pile, rotate_about, rotation_matrix
 from warp_rigid.fields import PointField, UniformField
-from warp_rigid.pools import Pools
 from warp_rigid.scene import Scene
 from warp_rigid.settings import PER_ENVIRONMENT, Settings
 from warp_rigid.shapes import Box, Compound, Plane, Sphere
@@ -244,9 +243,7 @@ def test_an_environment_in_a_batch_is_bit_identical_to_one_alone(device):
     assert not same_state(batch, 0, batch, 1)
 
 
-def tiny_pools(self):
-    """Room for a single pair and contact."""
-    return Pools.allocate(self.num_envs, self.num_bodies, 1, 1, self.device)
+TINY = {"pairs": 1, "contacts": 1}
 
 
 def landing_one_after_another():
@@ -263,13 +260,12 @@ def landing_one_after_another():
 
 
 @pytest.mark.parametrize("chunks", [(120,), (7, 1, 50, 62)])
-def test_growing_pools_change_nothing(device, monkeypatch, chunks):
+def test_growing_pools_change_nothing(device, chunks):
     """From room for one contact, growing again and again, to the same bits as with room for all."""
     scene = landing_one_after_another()
     roomy = Simulator(scene, num_envs=2, device=device)
     roomy.step(120)
-    monkeypatch.setattr(Simulator, "_estimated_pools", tiny_pools)
-    grown = Simulator(scene, num_envs=2, device=device)
+    grown = Simulator(scene, num_envs=2, device=device, capacity=TINY)
     assert grown.counts()["contact_capacity"] == 1
     capacities = set()
     for chunk in chunks:
@@ -304,14 +300,13 @@ def crowded_after_five_steps(device):
     scene = ground_scene()
     for k in range(12):
         scene.add_body(Box((0.1, 0.1, 0.1)), position=(0.5 * k, 0, 0.1))
-    sim = Simulator(scene, device=device)
+    sim = Simulator(scene, device=device, capacity=TINY)
     sim.step(5)
     sim.set("position", np.random.default_rng(0).uniform(-0.1, 0.1, (12, 3)) + [0, 0, 0.2], bodies=range(1, 13))
     return sim
 
 
-def test_measuring_penetration_does_not_change_the_run(device, monkeypatch):
-    monkeypatch.setattr(Simulator, "_estimated_pools", tiny_pools)
+def test_measuring_penetration_does_not_change_the_run(device):
     runs = []
     for look in (False, True):
         sim = crowded_after_five_steps(device)
@@ -323,8 +318,7 @@ def test_measuring_penetration_does_not_change_the_run(device, monkeypatch):
     assert runs[0] == runs[1]
 
 
-def test_measuring_penetration_does_not_change_the_records(device, monkeypatch):
-    monkeypatch.setattr(Simulator, "_estimated_pools", tiny_pools)
+def test_measuring_penetration_does_not_change_the_records(device):
     sim = crowded_after_five_steps(device)
     before = sim.contacts().tobytes(), sim.counts()["contacts"], sim.get("level").tobytes()
     sim.penetration()

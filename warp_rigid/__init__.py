@@ -11,6 +11,7 @@ print(sim.get("position")[:, 1])
 """
 
 from warp_rigid import scenes
+from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.recording import Recording, record
 from warp_rigid.scene import Body, Motion, Scene
@@ -24,12 +25,14 @@ __version__ = "0.1.0"
 __all__ = [
     "Body",
     "Box",
+    "CapacityError",
     "Capsule",
     "Compound",
     "Cylinder",
     "Heightfield",
     "Mesh",
     "Motion",
+    "NonFiniteError",
     "Plane",
     "PointField",
     "Recording",

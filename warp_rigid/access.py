@@ -33,7 +33,7 @@ CONTACT_RECORD = np.dtype(
         ("impulse", np.float32, 3),
     ]
 )
-STATUS_RECORD = np.dtype([("status", "U10"), ("step", np.int64), ("body", np.int64)])
+STATUS_RECORD = np.dtype([("status", "U10"), ("step", np.int64), ("time", np.float64), ("body", np.int64)])
 
 
 def read(sim: "Simulator", name: str) -> np.ndarray:
@@ -238,6 +238,7 @@ def status_records(sim: "Simulator") -> np.ndarray:
     records = np.zeros(sim.num_envs, STATUS_RECORD)
     records["status"] = np.where(failed, "non-finite", "ok")
     records["step"] = np.where(failed, sim._envs.failed_step.numpy(), -1)
+    records["time"] = np.where(failed, sim._envs.failed_step.numpy() * sim.settings.dt, -1.0)
     records["body"] = np.where(failed, sim._envs.failed_body.numpy(), -1)
     return records
 

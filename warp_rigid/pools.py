@@ -1,14 +1,18 @@
 """Pools whose needed size is known only while simulating: pairs, contacts, and all that is sized with them."""
 
-import logging
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from warp_rigid.kernels import data
 
-log = logging.getLogger("warp_rigid")
+NAMES = ("pairs", "contacts")
+"""What is counted, in the order of `wanted` on the device."""
+
+LARGEST = 2**31 - 1
+"""Entries are counted in 32 bits."""
 
 HEADROOM = 1.5
 """A pool that was too small grows to this many times what was wanted."""
@@ -26,6 +30,7 @@ class Pools:
         graph: contact graph and order.
         wanted: (2,) most pairs and most contacts wanted.
         over: (2,) whether this step wanted more than there is.
+        fitted: most pairs and contacts wanted by the steps that fitted.
     """
 
     sizes: dict[str, int]
@@ -35,17 +40,23 @@ class Pools:
     graph: Any
     wanted: wp.array
     over: wp.array
+    fitted: tuple[int, ...] = (0, 0)
 
-    @classmethod
-    def allocate(cls, num_envs: int, bodies_per_env: int, pairs: int, contacts: int, device: Any) -> "Pools":
-        """Make empty pools for so many pairs and contacts over all environments."""
-        sizes = {
+    @staticmethod
+    def sizes_for(num_envs: int, bodies_per_env: int, pairs: int, contacts: int) -> dict[str, int]:
+        """Symbols of the data layout and their values."""
+        return {
             "envs": num_envs,
             "bodies": num_envs * bodies_per_env,
             "levels": num_envs * (bodies_per_env + 2),
             "pairs": pairs,
             "contacts": contacts,
         }
+
+    @classmethod
+    def allocate(cls, num_envs: int, bodies_per_env: int, pairs: int, contacts: int, device: Any) -> "Pools":
+        """Make empty pools for so many pairs and contacts over all environments."""
+        sizes = cls.sizes_for(num_envs, bodies_per_env, pairs, contacts)
         return cls(
             sizes=sizes,
             pairs=data.allocate(data.Pairs, sizes, device),
@@ -57,27 +68,40 @@ class Pools:
         )
 
     def shortage(self) -> dict[str, int]:
-        """Sizes that the pools should have, for those that were too small (waits for the device)."""
-        wanted = dict(zip(("pairs", "contacts"), self.wanted.numpy().tolist(), strict=True))
-        return {name: int(n * HEADROOM) + 1 for name, n in wanted.items() if n > self.sizes[name]}
+        """What was wanted of the pools that were too small (waits for the device)."""
+        wanted = self.wanted.numpy().tolist()
+        short = {name: n for name, n in zip(NAMES, wanted, strict=True) if n > self.sizes[name]}
+        if not short:
+            self.fitted = tuple(wanted)
+        return short
 
-    def grown(self, shortage: dict[str, int], num_envs: int, bodies_per_env: int) -> "Pools":
+    def forget_shortage(self) -> None:
+        """Count again from what the steps that fitted wanted."""
+        self.wanted.assign(np.array(self.fitted, np.int32))
+
+    def environment_with_most(self, name: str, bodies_per_env: int) -> int:
+        """The environment that wanted most of a pool in the step that did not fit."""
+        if name == "pairs":
+            body, count = np.arange(self.sizes["bodies"]), self.pairs.count.numpy()[:-1]
+        else:
+            listed = int(self.pairs.start.numpy()[-1])
+            body, count = self.pairs.body_a.numpy()[:listed], self.pairs.contact_count.numpy()[:listed]
+        return int(np.bincount(body // bodies_per_env, weights=count).argmax())
+
+    def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
+        """Sizes with room for what was wanted, and more."""
+        return {**self.sizes, **{name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}}
+
+    def grown(self, sizes: dict[str, int], num_envs: int, bodies_per_env: int) -> "Pools":
         """Larger pools that remember the same last step."""
-        sizes = {**self.sizes, **shortage}
-        log.info(
-            "contact pools grow: pairs %d -> %d, contacts %d -> %d; the steps are repeated",
-            self.sizes["pairs"],
-            sizes["pairs"],
-            self.sizes["contacts"],
-            sizes["contacts"],
-        )
         pools = Pools.allocate(num_envs, bodies_per_env, sizes["pairs"], sizes["contacts"], self.wanted.device)
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, data.History)
         copy_arrays(self.contacts, pools.contacts, data.Contacts)
         wp.copy(pools.graph.level, self.graph.level)
         wp.copy(pools.graph.level_count, self.graph.level_count)
-        wp.copy(pools.wanted, self.wanted)
+        pools.fitted = self.fitted
+        pools.forget_shortage()
         return pools
 
 

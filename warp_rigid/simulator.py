@@ -1,14 +1,17 @@
 """Simulator: many environments of one scene, stepped together on one device."""
 
 import logging
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warp_rigid import access
-from warp_rigid.checks import whole_in
+from warp_rigid import access, pools
+from warp_rigid.checks import one_of, whole_in
+from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.kernels import data
+from warp_rigid.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.model import build_model, initial_environments, initial_state
 from warp_rigid.pools import Pools, copy_arrays
 from warp_rigid.scene import Scene
@@ -31,6 +34,13 @@ class Simulator:
         settings: of all environments at first; `set` changes them one by one.
         device: a Warp device or its name; None takes the first CUDA device, else the CPU, and says which.
         seed: kept for scenes and metrics that draw random numbers; the simulation itself draws none.
+        on_overflow: when more pairs or contacts are wanted than there is room for: "grow" undoes the step, makes room
+            and repeats it, to the same bits as with room from the start; "raise" raises a CapacityError before it.
+        on_nonfinite: when a state becomes non-finite: "quarantine" halts its environment alone and notes it in
+            `status`; "raise" raises a NonFiniteError too.
+        memory_limit: what the simulator may take on its device: bytes (int), a fraction of the device's memory (float),
+            or None for all that is free.
+        capacity: room for "pairs" and "contacts" of all environments at the start; None estimates both.
 
     Attributes:
         scene: as given.
@@ -39,9 +49,12 @@ class Simulator:
         settings: as given.
         device: the Warp device.
         seed: as given.
+        on_overflow: as given.
+        on_nonfinite: as given.
 
     Raises:
         ValueError: an argument is out of its range, or the device does not exist.
+        CapacityError: the simulation does not fit into the memory.
     """
 
     def __init__(
@@ -51,6 +64,10 @@ class Simulator:
         settings: Settings | None = None,
         device: Any = None,
         seed: int = 0,
+        on_overflow: str = "grow",
+        on_nonfinite: str = "quarantine",
+        memory_limit: int | float | None = None,
+        capacity: Mapping[str, int] | None = None,
     ) -> None:
         """Upload the scene and compile the step."""
         if not scene.bodies:
@@ -61,13 +78,19 @@ class Simulator:
         self.settings = settings or Settings()
         self.device = choose_device(device)
         self.seed = whole_in("seed", seed, 0, 2**63 - 1)
+        self.on_overflow = one_of("on_overflow", on_overflow, ("grow", "raise"))
+        self.on_nonfinite = one_of("on_nonfinite", on_nonfinite, ("quarantine", "raise"))
+        self._memory_limit = MemoryLimit(self.device, memory_limit)
+        self._growth_told = False
+        sizes = self._first_sizes(capacity or {})
+        self._memory_limit.check(0, self._bytes_without_pools() + pool_bytes(sizes), f"{num_envs} environments")
         load_kernels(self.device, baking=any(isinstance(b.shape, Mesh | Compound) for b in scene.bodies))
         self._model = build_model(scene, num_envs, self.device)
         self._state = initial_state(scene, num_envs, self.device)
         self._start = initial_state(scene, num_envs, self.device)
         self._saved = data.allocate(data.State, {"bodies": num_envs * self.num_bodies}, self.device)
         self._envs = initial_environments(scene, self.settings, num_envs, self.device)
-        self._pools = self._estimated_pools()
+        self._pools = Pools.allocate(self.num_envs, self.num_bodies, sizes["pairs"], sizes["contacts"], self.device)
         self._saved_history = self._room_for_history()
         self._stages = self._new_stages()
         self._steps = 0
@@ -77,21 +100,30 @@ class Simulator:
         """Simulated time since the start or the last reset of all environments [s]."""
         return self._steps * self.settings.dt
 
+    @property
+    def memory(self) -> int:
+        """Bytes that the simulator holds on its device."""
+        return self._bytes_without_pools() + pool_bytes(self._pools.sizes)
+
     def step(self, count: int = 1) -> None:
-        """Advance all environments by `count` steps of dt."""
+        """Advance all environments by `count` steps of dt.
+
+        Raises:
+            CapacityError: there is not enough room, and it may not grow; the last step that fitted stands.
+            NonFiniteError: a state became non-finite, and on_nonfinite is "raise".
+        """
         left = whole_in("count", count, 0, 2**31)
         while left > 0:
             chunk = min(left, CHUNK)
-            self._save()
-            for _ in range(chunk):
-                self._stages.replay()
-            shortage = self._pools.shortage()
-            if shortage:
-                self._restore(chunk)
+            shortage = self._try(chunk)
+            if shortage and self.on_overflow == "raise":
+                self._step_up_to_overflow(chunk)
+            elif shortage:
                 self._grow(shortage)
             else:
                 left -= chunk
-                self._steps += chunk
+            if self.on_nonfinite == "raise":
+                self._raise_if_nonfinite()
 
     def get(self, name: str) -> np.ndarray:
         """A copy of a quantity, shaped (envs, bodies, ...), or (envs, ...) for gravity and settings."""
@@ -153,10 +185,12 @@ class Simulator:
             shortage = self._pools.shortage()
             if not shortage:
                 return deepest.numpy()
+            if self.on_overflow == "raise":
+                raise self._overflow(shortage)
             self._grow(shortage)
 
     def status(self) -> np.ndarray:
-        """Records (envs,): status "ok" or "non-finite", and the step and body where it began (-1 if ok)."""
+        """Records (envs,): status "ok" or "non-finite", and the step, time [s] and body where it began (-1 if ok)."""
         return access.status_records(self)
 
     def counts(self) -> dict[str, int]:
@@ -181,11 +215,18 @@ class Simulator:
             self._model, self._state, self._envs, self._pools, self.settings.dt, access.largest_repetition(self)
         )
 
-    def _estimated_pools(self) -> Pools:
-        """Pools for six pairs a dynamic body and six contacts a pair; they grow if that is not enough."""
+    def _first_sizes(self, given: Mapping[str, int]) -> dict[str, int]:
+        """Room for six pairs a dynamic body and six contacts a pair, unless told otherwise."""
+        for name in given:
+            one_of("capacity", name, pools.NAMES)
         dynamic = sum(body.mass > 0.0 for body in self.scene.bodies)
-        pairs = self.num_envs * max(8, 6 * dynamic)
-        return Pools.allocate(self.num_envs, self.num_bodies, pairs, 6 * pairs, self.device)
+        estimate = min(self.num_envs * max(8, 6 * dynamic), pools.LARGEST)
+        pairs = whole_in("capacity pairs", given.get("pairs", estimate), 1, pools.LARGEST)
+        contacts = whole_in("capacity contacts", given.get("contacts", min(6 * pairs, pools.LARGEST)), 1, pools.LARGEST)
+        return Pools.sizes_for(self.num_envs, self.num_bodies, pairs, contacts)
+
+    def _bytes_without_pools(self) -> int:
+        return body_bytes(self.num_envs, self.num_bodies) + shape_bytes(self.scene)
 
     def _room_for_history(self) -> Any:
         return data.allocate(data.History, self._pools.sizes, self.device)
@@ -201,11 +242,63 @@ class Simulator:
         copy_arrays(self._saved_history, self._pools.history, data.History)
         self._stages.count_back(steps)
 
+    def _try(self, steps: int) -> dict[str, int]:
+        """Do steps, or undo them all where a pool was too small: then returns what was wanted of it."""
+        self._save()
+        for _ in range(steps):
+            self._stages.replay()
+        shortage = self._pools.shortage()
+        if shortage:
+            self._restore(steps)
+        else:
+            self._steps += steps
+        return shortage
+
     def _grow(self, shortage: dict[str, int]) -> None:
         """Enlarge the pools and record the step anew."""
-        self._pools = self._pools.grown(shortage, self.num_envs, self.num_bodies)
+        old, new = self._pools.sizes, self._pools.larger_sizes(shortage)
+        grown = ", ".join(f"{name} {old[name]} -> {new[name]}" for name in shortage)
+        try:
+            self._memory_limit.check(self.memory, pool_bytes(new), f"room for more ({grown})")
+        except CapacityError:
+            self._pools.forget_shortage()
+            raise
+        log.log(logging.DEBUG if self._growth_told else logging.INFO, "room grows: %s; the steps are repeated", grown)
+        self._growth_told = True
+        self._pools = self._pools.grown(new, self.num_envs, self.num_bodies)
         self._saved_history = self._room_for_history()
         self._stages = self._new_stages()
+
+    def _step_up_to_overflow(self, steps: int) -> None:
+        """Repeat undone steps one by one up to the one that does not fit."""
+        self._pools.forget_shortage()
+        for _ in range(steps):
+            shortage = self._try(1)
+            if shortage:
+                raise self._overflow(shortage)
+
+    def _overflow(self, shortage: dict[str, int]) -> CapacityError:
+        """The error for a pool that was too small; what was wanted is forgotten, so that the next try counts anew."""
+        name, wanted = next(iter(shortage.items()))
+        had = self._pools.sizes[name]
+        env = self._pools.environment_with_most(name, self.num_bodies)
+        step = int(self._envs.step.numpy()[env])
+        self._pools.forget_shortage()
+        return CapacityError(
+            f"{name}: {wanted} wanted, room for {had} (most wanted by environment {env} in step {step}); "
+            f"give capacity={{'{name}': {wanted}}} or more, or on_overflow='grow'",
+            name,
+            wanted,
+            had,
+            env,
+            step,
+        )
+
+    def _raise_if_nonfinite(self) -> None:
+        failed = np.flatnonzero(self._envs.failed.numpy())
+        if len(failed):
+            record = self.status()[failed[0]]
+            raise NonFiniteError(int(failed[0]), int(record["step"]), float(record["time"]), int(record["body"]))
 
 
 def choose_device(device: Any) -> Any:

@@ -1,0 +1,227 @@
+"""Nothing dropped, nothing lost: room that grows or raises, limits on memory, and non-finite states kept apart."""
+
+import logging
+
+import numpy as np
+import pytest
+import warp as wp
+
+import warp_rigid as wr
+from tests.oracles import ground_scene, random_pile, rotate_about
+from warp_rigid import memory
+from warp_rigid.errors import CapacityError, NonFiniteError
+from warp_rigid.kernels import data
+from warp_rigid.shapes import Box, Sphere
+from warp_rigid.simulator import Simulator
+
+STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
+
+
+def bits(sim, env=slice(None)):
+    return [sim.get(name)[env].tobytes() for name in STATE]
+
+
+def heap(count):
+    """Boxes in layers, each turned a little, that fall onto the ground and each other."""
+    scene = ground_scene(friction=0.5)
+    side = int(np.ceil(count ** (1 / 3)))
+    for k in range(count):
+        x, y, z = k % side, k // side % side, k // side**2
+        turn = rotate_about((1, 2, 3), 7 * k)
+        scene.add_body(Box((0.1,) * 3), position=(0.25 * x, 0.25 * y, 0.2 + 0.25 * z), orientation=turn)
+    return scene
+
+
+def test_a_thousand_boxes_in_pools_for_ten_end_as_with_room_for_all(device, caplog):
+    scene = heap(1000)
+    roomy = Simulator(scene, device=device, capacity={"pairs": 40_000, "contacts": 200_000})
+    roomy.step(24)
+    with caplog.at_level(logging.INFO, logger="warp_rigid"):
+        tight = Simulator(scene, device=device, capacity={"pairs": 60, "contacts": 360})
+        tight.step(24)
+    assert roomy.counts()["most_pairs"] > 1000
+    assert bits(tight) == bits(roomy)
+    assert tight.contacts().tobytes() == roomy.contacts().tobytes()
+    assert roomy.counts()["pair_capacity"] == 40_000 < 10 * tight.counts()["pair_capacity"]
+    assert caplog.text.count("room grows") == 1, "growth is told once"
+
+
+def test_overflow_raises_where_asked_and_loses_nothing(device):
+    """The error names what did not fit, where and when; the state is that of the last step that fitted."""
+    scene = heap(27)
+    free = Simulator(scene, num_envs=3, device=device)
+    sim = Simulator(scene, num_envs=3, device=device, on_overflow="raise", capacity={"pairs": 1000, "contacts": 200})
+    for one in (free, sim):
+        one.set("gravity", (0, 0, -30), envs=[1])
+    with pytest.raises(CapacityError, match="^contacts: .* wanted, room for 200") as error:
+        sim.step(200)
+    told = error.value
+    assert (told.pool, told.had) == ("contacts", 200) and told.wanted > 200
+    assert "\n" not in str(told)
+    assert sim.time == pytest.approx(told.step / 240)
+    free.step(told.step)
+    assert bits(sim) == bits(free)
+    free.step(1)
+    assert free.counts()["contacts"] == told.wanted
+    assert told.env == np.bincount(free.contacts()["env"]).argmax()
+    with pytest.raises(CapacityError) as again:
+        sim.step(1)
+    assert str(again.value) == str(told)
+    enough = Simulator(scene, num_envs=3, device=device, on_overflow="raise", capacity={"pairs": 5000})
+    enough.set("gravity", (0, 0, -30), envs=[1])
+    enough.step(told.step + 1)
+    assert bits(enough) == bits(free)
+
+
+def test_measuring_penetration_raises_too(device):
+    sim = Simulator(heap(27), device=device, on_overflow="raise", capacity={"pairs": 2})
+    for _ in range(2):
+        with pytest.raises(CapacityError, match="^pairs: .* wanted, room for 2"):
+            sim.penetration()
+
+
+def test_a_limit_on_memory_stops_growth_and_names_the_number_to_raise(device):
+    scene = heap(64)
+    small = {"pairs": 10, "contacts": 10}
+    held = Simulator(scene, device=device, capacity=small).memory
+    sim = Simulator(scene, device=device, capacity=small, memory_limit=held + 10_000)
+    with pytest.raises(CapacityError, match="^memory_limit: room for more .pairs 10 -> ") as error:
+        sim.step(30)
+    assert error.value.pool == "memory" and error.value.had == held + 10_000
+    assert str(error.value.wanted) in str(error.value)
+    assert sim.time == 0.0
+    # Raising the limit to the number told lets the same step through.
+    while True:
+        try:
+            Simulator(scene, device=device, capacity=small, memory_limit=error.value.wanted).step(30)
+            break
+        except CapacityError as next_error:
+            assert next_error.wanted > error.value.wanted
+            error.value.wanted = next_error.wanted
+
+
+def test_what_does_not_fit_is_refused_before_it_is_taken(device, monkeypatch):
+    """With the number, and before a byte is allocated."""
+    scene = heap(10)
+    needed = Simulator(scene, num_envs=4, device=device).memory
+
+    def no_more(*_):
+        raise AssertionError("allocated")
+
+    monkeypatch.setattr(data, "allocate", no_more)
+    with pytest.raises(CapacityError, match="^memory_limit: 4 environments needs") as error:
+        Simulator(scene, num_envs=4, device=device, memory_limit=needed - 1)
+    assert error.value.wanted == needed
+    with pytest.raises(CapacityError, match="^memory: 10000000 environments needs .* free; simulate fewer"):
+        Simulator(scene, num_envs=10_000_000, device=device)
+    monkeypatch.setattr(memory, "device_memory", lambda device: (2 * needed, needed - 1))
+    with pytest.raises(CapacityError, match="^memory: "):
+        Simulator(scene, num_envs=4, device=device)
+    with pytest.raises(CapacityError, match="^memory_limit: "):
+        Simulator(scene, num_envs=4, device=device, memory_limit=0.49)
+
+
+@pytest.mark.parametrize("limit", [0, -1, 0.0, 1.5, float("nan"), "1GB", True])
+def test_limits_that_are_none_are_refused(device, limit):
+    with pytest.raises(ValueError, match="^memory_limit: must be"):
+        Simulator(heap(1), device=device, memory_limit=limit)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"on_overflow": "drop"}, "on_overflow"),
+        ({"on_nonfinite": "ignore"}, "on_nonfinite"),
+        ({"capacity": {"pears": 3}}, "capacity"),
+        ({"capacity": {"pairs": 0}}, "capacity pairs"),
+        ({"capacity": {"contacts": 2**40}}, "capacity contacts"),
+    ],
+)
+def test_other_arguments_are_refused(device, arguments, field):
+    with pytest.raises(ValueError, match=f"^{field}: must be"):
+        Simulator(heap(1), device=device, **arguments)
+
+
+def arrays_within(thing, seen):
+    """All device arrays that an object holds, each once."""
+    if id(thing) in seen:
+        return
+    seen[id(thing)] = thing
+    if isinstance(thing, wp.array):
+        yield thing
+    elif isinstance(thing, list | tuple):
+        for part in thing:
+            yield from arrays_within(part, seen)
+    elif type(thing).__module__.split(".")[0] == "warp_rigid":
+        for part in vars(thing).values():
+            yield from arrays_within(part, seen)
+    elif hasattr(thing, "_cls"):
+        for name in thing._cls.vars:
+            yield from arrays_within(getattr(thing, name), seen)
+
+
+def test_the_memory_told_is_the_memory_held(device):
+    """Against the sum over all arrays that can be reached from the simulator."""
+    scene = heap(20)
+    scene.add_body(wr.scenes.load("bunny_pile").bodies[-1].shape, position=(0, 0, 5))
+    sim = Simulator(scene, num_envs=50, device=device, capacity={"pairs": 3000, "contacts": 9000})
+    held = sum(array.size * wp.types.type_size_in_bytes(array.dtype) for array in arrays_within(sim, {}))
+    assert sim.memory == pytest.approx(held, rel=0.02)
+
+
+def broken(sim, env, body, name, value):
+    """Write a value behind the simulator's back, as only a fault or a wild force would."""
+    array = sim.array(name)
+    host = array.numpy().copy()
+    host[env * sim.num_bodies + body] = value
+    array.assign(host)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("position", np.nan),
+        ("position", 1e30),
+        ("linear_velocity", np.inf),
+        ("linear_velocity", 1e30),
+        ("angular_velocity", 1e30),
+        ("force", np.inf),
+    ],
+)
+def test_an_environment_gone_wrong_leaves_the_others_their_bits(device, name, value):
+    """Through the hash grid too, whose cells all environments share."""
+    scene = heap(300)
+    clean, sim = (Simulator(scene, num_envs=3, device=device) for _ in range(2))
+    for one in (clean, sim):
+        one.step(3)
+    broken(sim, 1, 150, name, value)
+    for one in (clean, sim):
+        one.step(8)
+    assert bits(sim, 0) == bits(clean, 0)
+    assert bits(sim, 2) == bits(clean, 2)
+    status = sim.status()
+    assert status["status"][[0, 2]].tolist() == ["ok", "ok"]
+    if not np.isfinite(value):
+        assert status["status"][1] == "non-finite"
+        assert status["step"][1] == 3 and status["time"][1] == pytest.approx(3 / 240)
+
+
+def test_a_non_finite_state_raises_where_asked(device):
+    sim = Simulator(random_pile(np.random.default_rng(0)), num_envs=3, device=device, on_nonfinite="raise")
+    sim.step(5)
+    broken(sim, 2, 4, "linear_velocity", np.nan)
+    with pytest.raises(NonFiniteError, match="^environment 2: body 4 is not finite since step 5 ") as error:
+        sim.step(100)
+    assert (error.value.env, error.value.step, error.value.body) == (2, 5, 4)
+    assert error.value.time == pytest.approx(5 / 240)
+
+
+def test_status_tells_when(device):
+    scene = ground_scene()
+    scene.add_body(Sphere(0.1), position=(0, 0, 1))
+    sim = Simulator(scene, num_envs=2, device=device)
+    sim.step(7)
+    assert sim.status().tolist() == [("ok", -1, -1.0, -1)] * 2
+    broken(sim, 0, 1, "position", np.nan)
+    sim.step(2)
+    assert sim.status()[0].tolist() == ("non-finite", 7, pytest.approx(7 / 240), 1)
