@@ -101,7 +101,8 @@ def unit_quaternion(name, value):
     length = math.hypot(*quaternion)
     if length < 1e-6:
         raise ValueError(f"{name}: must be a quaternion (x, y, z, w) of length > 0, got {value!r}")
-    return tuple(x / length for x in quaternion)
+    # One that is unit already stays the same to the last bit.
+    return quaternion if abs(length - 1.0) <= 1e-15 else tuple(x / length for x in quaternion)
 
 
 def _range(low, high, above):

@@ -8,7 +8,7 @@ import numpy as np
 from warp_rigid import mass_properties, mesh_files, sdf, topology
 from warp_rigid.checks import whole_in
 from warp_rigid.geometry import Grid, Part, PartKind, Shape, frozen_array, point_array
-from warp_rigid.mesh_repair import repair
+from warp_rigid.mesh_repair import Surface, checked, repair
 from warp_rigid.sampling import sample_mesh
 
 SAMPLES_PER_SIDE = 16
@@ -45,13 +45,12 @@ class Mesh(Shape):
         Raises:
             ValueError: The mesh is empty, not finite or encloses no volume.
         """
-        self._setup(vertices, faces, sdf_resolution)
+        self._setup(repair(vertices, faces), sdf_resolution)
         if self.repairs:
             warnings.warn(f"mesh repaired: {'; '.join(self.repairs)}", stacklevel=2)
 
-    def _setup(self, vertices, faces, sdf_resolution):
+    def _setup(self, surface, sdf_resolution):
         self.sdf_resolution = whole_in("sdf_resolution", sdf_resolution, 8, 512)
-        surface = repair(vertices, faces)
         self.vertices = frozen_array(surface.vertices)
         self.faces = frozen_array(surface.faces, np.int32)
         self.repairs = surface.repairs
@@ -83,7 +82,7 @@ class Mesh(Shape):
         vertices, faces = mesh_files.load(path, scale)
         mesh = cls.__new__(cls)
         try:
-            mesh._setup(vertices, faces, sdf_resolution)
+            mesh._setup(repair(vertices, faces), sdf_resolution)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
         told = [text for text in mesh.repairs if "duplicate" not in text]
@@ -95,6 +94,29 @@ class Mesh(Shape):
     def from_trimesh(cls, mesh, sdf_resolution: int = 64) -> "Mesh":
         """Take a `trimesh.Trimesh` as it is."""
         return cls(mesh.vertices, mesh.faces, sdf_resolution)
+
+    @classmethod
+    def restored(cls, vertices, faces, sdf_resolution: int, repairs: list[str], distances: np.ndarray) -> "Mesh":
+        """A mesh as it was, to the last bit: nothing is repaired, told or computed again.
+
+        Args:
+            vertices: (n, 3) [m].
+            faces: (m, 3).
+            sdf_resolution: as in `Mesh`.
+            repairs: what had to be repaired.
+            distances: (nx, ny, nz) float32, the values of its `grid` [m].
+
+        Raises:
+            ValueError: These do not belong together.
+        """
+        mesh = cls.__new__(cls)
+        vertices, faces = checked(vertices, faces)
+        mesh._setup(Surface(vertices, faces.astype(np.int32), [str(text) for text in repairs]), sdf_resolution)
+        origin, spacing, shape = sdf.grid_layout(mesh._solid_vertices, mesh.sdf_resolution)
+        if distances.shape != shape or not np.isfinite(distances).all():
+            raise ValueError(f"distances: must be finite numbers shaped {shape}, got shape {distances.shape}")
+        mesh.__dict__["grid"] = Grid(tuple(origin.tolist()), spacing, frozen_array(distances, np.float32))
+        return mesh
 
     def _content(self):
         return [self.vertices, self.faces, self.sdf_resolution]

@@ -37,7 +37,7 @@ def repair(vertices, faces) -> Surface:
         ValueError: The mesh is empty, not finite, of the wrong shape, or its faces name vertices
             that do not exist.
     """
-    vertices, faces = _checked(vertices, faces)
+    vertices, faces = checked(vertices, faces)
     repairs = []
     vertices, faces = _merge_duplicates(vertices, faces, repairs)
     faces = _drop_degenerate(vertices, faces, repairs)
@@ -49,7 +49,8 @@ def repair(vertices, faces) -> Surface:
     return Surface(vertices, faces.astype(np.int32), repairs)
 
 
-def _checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
+def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices as float64 and faces as int64; a ValueError where they are no triangles."""
     vertices = np.array(vertices, dtype=np.float64)
     faces = np.asarray(faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):

@@ -274,7 +274,8 @@ class Plane(Shape):
         length = float(np.linalg.norm(direction))
         if length < 1e-6:
             raise ValueError(f"normal: must have a length > 0, got {normal!r}")
-        self.normal = frozen_array(direction / length)
+        # A normal that is unit already stays the same to the last bit.
+        self.normal = frozen_array(direction if abs(length - 1.0) <= 1e-15 else direction / length)
         self.offset = finite_number("offset", offset)
 
     def _content(self):

@@ -4,18 +4,19 @@ A recording stands on its own. It keeps the bodies' surfaces and names rather th
 that a saved one can be exported or drawn without the program that made it.
 """
 
-import json
-import zipfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from warp_rigid import archive
+from warp_rigid.archive import shaped
+from warp_rigid.checks import number_in
 from warp_rigid.scene import Motion
 
 __all__ = ["Recorder", "Recording", "Surface", "is_moving", "record", "steps_per_frame"]
 
-FORMAT = 1
+KIND = "recording"
+VERSION = 2  # raise whenever older files could no longer be read
 CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
 """What is kept of every frame, by its name in the simulator."""
 ARRAYS = ("time", *CAPTURED, "envs", "motion", "surface")
@@ -93,16 +94,12 @@ class Recording:
             arrays[f"vertices_{index}"] = surface.vertices
             arrays[f"faces_{index}"] = surface.faces
         text = {
-            "format": FORMAT,
             "fps": self.fps,
             "labels": self.labels,
             "names": self.names,
             "endless": [surface.endless for surface in self.surfaces],
         }
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("wb") as file:
-            np.savez_compressed(file, text=np.array(json.dumps(text)), **arrays)
+        archive.save(path, KIND, VERSION, text, arrays, compress=True)
 
     @staticmethod
     def load(path) -> "Recording":
@@ -110,25 +107,13 @@ class Recording:
 
         Raises:
             FileNotFoundError: There is no such file.
-            ValueError: It holds no recording, or one of another format.
+            ValueError: It holds no whole recording of this version.
         """
+        text, arrays = archive.load(path, KIND, VERSION)
         try:
-            with np.load(path, allow_pickle=False) as arrays:
-                text = json.loads(str(arrays["text"]))
-                if text["format"] != FORMAT:
-                    raise ValueError(f"format {text['format']} instead of {FORMAT}")
-                return Recording(
-                    **{name: arrays[name] for name in ARRAYS},
-                    fps=text["fps"],
-                    labels=tuple(text["labels"]),
-                    names=tuple(text["names"]),
-                    surfaces=tuple(
-                        Surface(arrays[f"vertices_{index}"], arrays[f"faces_{index}"], endless)
-                        for index, endless in enumerate(text["endless"])
-                    ),
-                )
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{path}: not a recording of warp_rigid ({error})") from error
+            return Recording(**_checked(text, arrays))
+        except archive.UNREADABLE as error:
+            raise archive.unusable(path, KIND, error) from None
 
 
 class Recorder:
@@ -225,6 +210,38 @@ def steps_per_frame(dt: float, fps: float) -> int:
             f"({1.0 / dt:g} steps/s); the nearest rate that is: {1.0 / (steps * dt):g}"
         )
     return steps
+
+
+def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
+    """A recording's fields from a file, if they belong together."""
+    time = shaped(arrays, "time", np.float64, (None,))
+    envs = shaped(arrays, "envs", np.int64, (None,))
+    motion = shaped(arrays, "motion", np.int64, (None,))
+    surface = shaped(arrays, "surface", np.int64, motion.shape)
+    rows = (len(time), len(envs), len(motion))
+    tails: dict[str, tuple[int, ...]] = {"position": (3,), "orientation": (4,)}
+    frames = {name: shaped(arrays, name, kind, rows + tails.get(name, ())) for name, kind in CAPTURED.items()}
+    surfaces = tuple(_surface(arrays, index, bool(endless)) for index, endless in enumerate(text["endless"]))
+    if not len(time) or not np.isin(motion, list(Motion)).all() or not np.isin(surface, range(len(surfaces))).all():
+        raise ValueError("it must have a frame, known motions and a surface for each body")
+    labels, names = tuple(map(str, text["labels"])), tuple(map(str, text["names"]))
+    if (len(labels), len(names)) != rows[1:]:
+        raise ValueError(
+            f"it has {len(labels)} labels and {len(names)} names for {rows[1]} environments, {rows[2]} bodies"
+        )
+    fps = number_in("fps", text["fps"], above=0.0)
+    return {
+        "time": time, **frames, "fps": fps, "envs": envs, "labels": labels, "names": names, "motion": motion,
+        "surface": surface, "surfaces": surfaces,
+    }  # fmt: skip
+
+
+def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool) -> Surface:
+    vertices = shaped(arrays, f"vertices_{index}", np.float32, (None, 3))
+    faces = shaped(arrays, f"faces_{index}", np.int32, (None, 3))
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise ValueError(f"faces_{index} must be from 0 to {len(vertices) - 1}")
+    return Surface(vertices, faces, endless)
 
 
 def is_moving(motion: np.ndarray) -> np.ndarray:

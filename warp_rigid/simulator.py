@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid import access, pools
+from warp_rigid import access, checkpoint, pools
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.kernels import data
@@ -166,6 +166,32 @@ class Simulator:
         access.forget_history(self, chosen)
         if envs is None:
             self._steps = 0
+
+    def save(self, path: Any) -> None:
+        """Write a checkpoint: one file from which `load` goes on bit for bit.
+
+        It replaces an older one in one go; whatever interrupts it leaves the older one whole.
+
+        Raises:
+            OSError: it cannot be written.
+            ValueError: the scene has a shape of a kind of its own.
+        """
+        checkpoint.save(self, path)
+
+    @staticmethod
+    def load(path: Any, device: Any = None) -> "Simulator":
+        """The simulator that `save` wrote, at the step where it was.
+
+        Args:
+            path: the file; nothing in it is ever run.
+            device: None takes the device it was saved on. Another kind of device goes on, but with other roundings.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is no whole checkpoint of this version, or the device does not exist.
+            CapacityError: it does not fit into the memory.
+        """
+        return checkpoint.load(path, device)[0]
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """Apply an impulse [N s] at a world point [m] to a body, at once."""

@@ -1,0 +1,197 @@
+"""Checkpoints: a simulator in one file, from which it goes on to the same bits.
+
+The file holds the scene with its meshes and their distance grids, all parameters and settings of every environment,
+the state, and the contacts of the last step with their impulses; of the pools, only what is in use.
+"""
+
+import logging
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid import access, archive
+from warp_rigid.archive import shaped
+from warp_rigid.checks import whole_in
+from warp_rigid.kernels import data
+from warp_rigid.pools import HEADROOM, NAMES
+from warp_rigid.scene_data import scene_from_data, scene_to_data
+from warp_rigid.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
+
+if TYPE_CHECKING:
+    from warp_rigid.simulator import Simulator
+
+KIND = "checkpoint"
+VERSION = 1  # raise whenever older files could no longer be read
+
+FROM_SCENE = ("shape", "motion", "wide", "center_of_mass")
+"""Arrays of bodies that follow from the scene."""
+
+LEVELS = ("level", "level_count")
+"""What `get` and `counts` tell of the contact graph."""
+
+log = logging.getLogger("warp_rigid")
+
+
+def save(sim: "Simulator", path: Any, more: dict[str, Any] | None = None, arrays: dict | None = None) -> None:
+    """Write a checkpoint; see Simulator.save.
+
+    Args:
+        sim: the simulator.
+        path: where.
+        more: plain data to keep beside it, in the header under "more".
+        arrays: arrays to keep beside it; their names begin with "more_".
+    """
+    import warp_rigid
+
+    scene, shapes = scene_to_data(sim.scene)
+    used = {name: sim.counts()[name] for name in NAMES}
+    header = {
+        "warp_rigid": warp_rigid.__version__,
+        "warp": wp.__version__,
+        "device": str(sim.device),
+        "scene": scene,
+        "num_envs": sim.num_envs,
+        "settings": asdict(sim.settings),
+        "seed": sim.seed,
+        "steps": sim._steps,
+        "on_overflow": sim.on_overflow,
+        "on_nonfinite": sim.on_nonfinite,
+        "memory_limit": sim._memory_limit.given,
+        "capacity": {name: sim._pools.sizes[name] for name in NAMES},
+        "used": used,
+        "fitted": sim._pools.fitted,
+        "more": more or {},
+    }
+    archive.save(path, KIND, VERSION, header, {**shapes, **_device_arrays(sim, used), **(arrays or {})})
+
+
+def load(path: Any, device: Any = None) -> tuple["Simulator", dict[str, Any], dict[str, np.ndarray]]:
+    """Read a checkpoint; see Simulator.load.
+
+    Returns:
+        The simulator, and what was kept beside it: plain data, and arrays whose names begin with "more_".
+    """
+    header, arrays = archive.load(path, KIND, VERSION)
+    try:
+        arguments = _arguments(header, arrays)
+        if device is None:
+            device = header["device"] if isinstance(header["device"], str) else "cpu"
+        sim = _rebuilt(arguments, device, header, arrays)
+        more = {name: array for name, array in arrays.items() if name.startswith("more_")}
+        return sim, dict(header["more"]), more
+    except archive.UNREADABLE as error:
+        if str(error).startswith(("device:", "memory")):
+            raise
+        raise archive.unusable(path, KIND, error) from None
+
+
+def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The Simulator's arguments, after a look whether the arrays are as large as they would make it."""
+    scene = scene_from_data(header["scene"], arrays)
+    envs = whole_in("num_envs", header["num_envs"], 1, 10_000_000)
+    shaped(arrays, "State.position", np.float32, (envs * len(scene.bodies), 3))
+    return {
+        "scene": scene,
+        "num_envs": envs,
+        "settings": Settings(**header["settings"]),
+        "seed": header["seed"],
+        "on_overflow": header["on_overflow"],
+        "on_nonfinite": header["on_nonfinite"],
+        "memory_limit": header["memory_limit"],
+    }
+
+
+def _rebuilt(
+    arguments: dict[str, Any], device: Any, header: dict[str, Any], arrays: dict[str, np.ndarray]
+) -> "Simulator":
+    from warp_rigid.simulator import Simulator
+
+    used = {name: whole_in(f"used {name}", header["used"][name], 0, 2**31 - 1) for name in NAMES}
+    for name, member in (("pairs", "History.body_b"), ("contacts", "History.key")):
+        shaped(arrays, member, np.int32, (used[name],))
+    fixed = arguments["on_overflow"] == "raise"
+    # What may grow starts with room for a little more than is in use; all of it would not change a bit.
+    capacity = header["capacity"] if fixed else {name: int(HEADROOM * used[name]) + 8 for name in NAMES}
+    sim = Simulator(**arguments, device=device, capacity=capacity)
+    sim._steps = whole_in("steps", header["steps"], 0, 2**62)
+    sim._pools.fitted = tuple(whole_in("fitted", n, 0, 2**31 - 1) for n in header["fitted"])
+    sim._pools.forget_shortage()
+    for name, array, field in _stored(sim):
+        _upload(array, _checked(name, array, field, arrays, used, sim))
+    if access.largest_repetition(sim) != sim._stages.repetitions:
+        sim._stages = sim._new_stages()
+    return sim
+
+
+def _stored(sim: "Simulator") -> list[tuple[str, wp.array, data.Field]]:
+    """All device arrays that a checkpoint holds: name, array, and how it was declared."""
+    pools = sim._pools
+    owners = [
+        (data.Bodies, sim._model.bodies, [n for n in data.field_names(data.Bodies) if n not in FROM_SCENE]),
+        (data.State, sim._state, data.field_names(data.State)),
+        (data.Environments, sim._envs, data.field_names(data.Environments)),
+        (data.History, pools.history, data.field_names(data.History)),
+        (data.Contacts, pools.contacts, data.field_names(data.Contacts)),
+        (data.Graph, pools.graph, LEVELS),
+    ]
+    return [
+        (f"{struct.key}.{name}", getattr(owner, name), data.LAYOUTS[struct.key][name])
+        for struct, owner, names in owners
+        for name in names
+    ]
+
+
+def _rows(field: data.Field, size: int, used: dict[str, int]) -> int:
+    """How many rows of an array are in use: of what is listed for pairs or contacts, only these."""
+    first = field.shape.split(",")[0].strip()
+    name, _, more = first.partition(" + ")
+    return used[name] + int(more or 0) if name in used else size
+
+
+def _device_arrays(sim: "Simulator", used: dict[str, int]) -> dict[str, np.ndarray]:
+    return {name: array.numpy()[: _rows(field, array.shape[0], used)] for name, array, field in _stored(sim)}
+
+
+def _checked(
+    name: str,
+    array: wp.array,
+    field: data.Field,
+    arrays: dict[str, np.ndarray],
+    used: dict[str, int],
+    sim: "Simulator",
+) -> np.ndarray:
+    """The saved rows of an array, if the kernels may trust them."""
+    host = array.numpy()
+    rows = shaped(arrays, name, host.dtype, (_rows(field, host.shape[0], used), *host.shape[1:]))
+    last = name.partition(".")[2]
+    if last in PER_ENVIRONMENT:
+        for value in np.unique(rows).tolist():
+            _check_stored_setting(last, value)
+    if last.endswith("_start"):
+        top = used[f"{last.removesuffix('_start')}s"]
+        if (np.diff(rows) < 0).any() or rows[0] != 0 or rows[-1] > top:
+            raise ValueError(f"{name} must rise from 0 to {top}")
+    if last in ("body_a", "body_b") and len(rows) and not 0 <= rows.min() <= rows.max() < sim.num_envs * sim.num_bodies:
+        raise ValueError(f"{name} must be from 0 to {sim.num_envs * sim.num_bodies - 1}")
+    return rows
+
+
+def _check_stored_setting(name: str, value: int) -> None:
+    """A setting as the device keeps it."""
+    if name == "shock_propagation":
+        whole_in(name, value, 0, len(SHOCK_MODES) - 1)
+    elif name.endswith("_iterations"):
+        check_setting(name, value)
+    else:
+        check_setting(name, bool(whole_in(name, value, 0, 1)))
+
+
+def _upload(array: wp.array, rows: np.ndarray) -> None:
+    """Fill an array: the saved rows, and after them the last one again (sums stay what they are)."""
+    host = array.numpy().copy()
+    host[: len(rows)] = rows
+    if 0 < len(rows) < len(host):
+        host[len(rows) :] = rows[-1]
+    array.assign(host)
