@@ -11,7 +11,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.oracles import random_pile, rotate_about
-from warp_rigid import archive, checkpoint, meshes
+from warp_rigid import archive, meshes
 from warp_rigid.scene_data import scene_from_data, scene_to_data
 from warp_rigid.simulator import Simulator
 
@@ -297,10 +297,3 @@ def test_a_full_disk_leaves_the_older_file_whole(saved, tmp_path, monkeypatch):
         sim.save(path)
     assert error.value.filename == str(path)
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
-
-
-def test_what_is_kept_beside_the_simulator_comes_back(saved, tmp_path):
-    sim = Simulator.load(saved)
-    checkpoint.save(sim, tmp_path / "a", {"frame": 3}, {"more_a": np.arange(3)})
-    _, more, arrays = checkpoint.load(tmp_path / "a")
-    assert more == {"frame": 3} and {name: array.tolist() for name, array in arrays.items()} == {"more_a": [0, 1, 2]}

@@ -109,10 +109,12 @@ def test_what_does_not_fit_is_refused_before_it_is_taken(device, monkeypatch):
         raise AssertionError("allocated")
 
     monkeypatch.setattr(data, "allocate", no_more)
-    with pytest.raises(CapacityError, match="^memory_limit: 4 environments needs") as error:
+    with pytest.raises(CapacityError, match="^memory_limit: simulating 4 environment.s. needs") as error:
         Simulator(scene, num_envs=4, device=device, memory_limit=needed - 1)
     assert error.value.wanted == needed
-    with pytest.raises(CapacityError, match="^memory: 10000000 environments needs .* free; simulate fewer"):
+    with pytest.raises(
+        CapacityError, match="^memory: simulating 10000000 environment.s. needs .* free; simulate fewer"
+    ):
         Simulator(scene, num_envs=10_000_000, device=device)
     monkeypatch.setattr(memory, "device_memory", lambda device: (2 * needed, needed - 1))
     with pytest.raises(CapacityError, match="^memory: "):

@@ -15,7 +15,7 @@ from warp_rigid import access, archive
 from warp_rigid.archive import shaped
 from warp_rigid.checks import whole_in
 from warp_rigid.kernels import data
-from warp_rigid.pools import HEADROOM, NAMES
+from warp_rigid.pools import NAMES
 from warp_rigid.scene_data import scene_from_data, scene_to_data
 from warp_rigid.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
 
@@ -67,24 +67,46 @@ def save(sim: "Simulator", path: Any, more: dict[str, Any] | None = None, arrays
     archive.save(path, KIND, VERSION, header, {**shapes, **_device_arrays(sim, used), **(arrays or {})})
 
 
-def load(path: Any, device: Any = None) -> tuple["Simulator", dict[str, Any], dict[str, np.ndarray]]:
-    """Read a checkpoint; see Simulator.load.
+def load(path: Any, device: Any = None) -> "Simulator":
+    """Read a checkpoint; see Simulator.load."""
+    from warp_rigid.simulator import Simulator
 
-    Returns:
-        The simulator, and what was kept beside it: plain data, and arrays whose names begin with "more_".
-    """
     header, arrays = archive.load(path, KIND, VERSION)
     try:
         arguments = _arguments(header, arrays)
         if device is None:
             device = header["device"] if isinstance(header["device"], str) else "cpu"
-        sim = _rebuilt(arguments, device, header, arrays)
-        more = {name: array for name, array in arrays.items() if name.startswith("more_")}
-        return sim, dict(header["more"]), more
+        sim = Simulator(**arguments, device=device)
+        restore(sim, header, arrays)
+        return sim
     except archive.UNREADABLE as error:
         if str(error).startswith(("device:", "memory")):
             raise
         raise archive.unusable(path, KIND, error) from None
+
+
+def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+    """Bring a simulator of the same scene and as many environments to where a checkpoint was written.
+
+    Raises:
+        ValueError, TypeError, KeyError: header or arrays do not fit.
+        CapacityError: there is no room for the contacts of the last step.
+    """
+    used = {name: whole_in(f"used {name}", header["used"][name], 0, 2**31 - 1) for name in NAMES}
+    for name, member in (("pairs", "History.body_b"), ("contacts", "History.key")):
+        shaped(arrays, member, np.int32, (used[name],))
+    short = {name: used[name] for name in NAMES if used[name] > sim._pools.sizes[name]}
+    if short:
+        sim._grow(short)
+    checked = [(array, _checked(name, array, field, arrays, used, sim)) for name, array, field in _stored(sim)]
+    steps = whole_in("steps", header["steps"], 0, 2**62)
+    sim._pools.fitted = tuple(whole_in("fitted", n, 0, 2**31 - 1) for n in header["fitted"])
+    sim._pools.forget_shortage()
+    for array, rows in checked:
+        _upload(array, rows)
+    sim._steps = steps
+    if access.largest_repetition(sim) != sim._stages.repetitions:
+        sim._stages = sim._new_stages()
 
 
 def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -100,29 +122,9 @@ def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[st
         "on_overflow": header["on_overflow"],
         "on_nonfinite": header["on_nonfinite"],
         "memory_limit": header["memory_limit"],
+        # Pools that may grow do without what they had grown to: it would not change a bit.
+        "capacity": header["capacity"] if header["on_overflow"] == "raise" else None,
     }
-
-
-def _rebuilt(
-    arguments: dict[str, Any], device: Any, header: dict[str, Any], arrays: dict[str, np.ndarray]
-) -> "Simulator":
-    from warp_rigid.simulator import Simulator
-
-    used = {name: whole_in(f"used {name}", header["used"][name], 0, 2**31 - 1) for name in NAMES}
-    for name, member in (("pairs", "History.body_b"), ("contacts", "History.key")):
-        shaped(arrays, member, np.int32, (used[name],))
-    fixed = arguments["on_overflow"] == "raise"
-    # What may grow starts with room for a little more than is in use; all of it would not change a bit.
-    capacity = header["capacity"] if fixed else {name: int(HEADROOM * used[name]) + 8 for name in NAMES}
-    sim = Simulator(**arguments, device=device, capacity=capacity)
-    sim._steps = whole_in("steps", header["steps"], 0, 2**62)
-    sim._pools.fitted = tuple(whole_in("fitted", n, 0, 2**31 - 1) for n in header["fitted"])
-    sim._pools.forget_shortage()
-    for name, array, field in _stored(sim):
-        _upload(array, _checked(name, array, field, arrays, used, sim))
-    if access.largest_repetition(sim) != sim._stages.repetitions:
-        sim._stages = sim._new_stages()
-    return sim
 
 
 def _stored(sim: "Simulator") -> list[tuple[str, wp.array, data.Field]]:

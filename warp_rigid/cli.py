@@ -1,7 +1,7 @@
 """Command line: `warp-rigid COMMAND`; the commands are in `commands`, one a file.
 
-Results go to stdout, everything else to stderr. Exit status: 0 done, 2 usage or bad input,
-3 capacity, 4 non-finite state, 130 interrupted.
+Results go to stdout, everything else to stderr. Exit status: 0 done, 1 a device that does not work,
+2 usage or bad input, 3 capacity, 4 non-finite state, 130 interrupted.
 """
 
 import sys
@@ -14,11 +14,12 @@ from warp_rigid.commands.inspect import inspect_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
 from warp_rigid.commands.view import view_command
-from warp_rigid.terminal import explain, messages_on_stderr, note, start_warp
+from warp_rigid.errors import CapacityError, NonFiniteError
+from warp_rigid.terminal import explain, messages_on_stderr, note, of_device, start_warp
 
 __all__ = ["main"]
 
-USAGE = 2
+DEVICE, USAGE, CAPACITY, NON_FINITE = 1, 2, 3, 4
 UsageError = typer.BadParameter.__bases__[0]
 
 app = typer.Typer(
@@ -40,8 +41,16 @@ def main(argv: list[str] | None = None) -> int:
             return app(args=argv, prog_name="warp-rigid", standalone_mode=False) or 0
     except UsageError as error:
         return _fail(USAGE, error.format_message())
+    except CapacityError as error:
+        return _fail(CAPACITY, explain(error))
+    except NonFiniteError as error:
+        return _fail(NON_FINITE, explain(error))
     except (ValueError, FileNotFoundError, ModuleNotFoundError, OSError) as error:
         return _fail(USAGE, explain(error))
+    except RuntimeError as error:
+        if not of_device(error):
+            raise
+        return _fail(DEVICE, f"{explain(error)}; `warp-rigid doctor` tells what works on this machine")
 
 
 @app.callback()

@@ -19,6 +19,7 @@ KIND = "recording"
 VERSION = 2  # raise whenever older files could no longer be read
 CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
 """What is kept of every frame, by its name in the simulator."""
+TAILS: dict[str, tuple[int, ...]] = {"position": (3,), "orientation": (4,)}
 ARRAYS = ("time", *CAPTURED, "envs", "motion", "surface")
 
 
@@ -149,12 +150,26 @@ class Recorder:
         for name, dtype in CAPTURED.items():
             self._frames[name].append(np.asarray(sim.get(name), dtype=dtype)[self.envs])
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What was captured so far, by name."""
+        return {"time": np.array(self._time), **{name: np.stack(frames) for name, frames in self._frames.items()}}
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Go on from what another recorder had captured.
+
+        Raises:
+            ValueError: The arrays are not of such environments and bodies.
+        """
+        time = shaped(arrays, "time", np.float64, (None,))
+        rows = (len(time), len(self.envs), len(self._bodies))
+        captured = {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in CAPTURED.items()}
+        self._time, self._frames = time.tolist(), {name: list(array) for name, array in captured.items()}
+
     def recording(self) -> Recording:
         """All frames captured so far."""
         surfaces, surface = _surfaces(self._bodies)
         return Recording(
-            time=np.array(self._time),
-            **{name: np.stack(frames) for name, frames in self._frames.items()},
+            **self.arrays(),
             fps=self.fps,
             envs=self.envs,
             labels=self.labels,
@@ -219,8 +234,7 @@ def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
     motion = shaped(arrays, "motion", np.int64, (None,))
     surface = shaped(arrays, "surface", np.int64, motion.shape)
     rows = (len(time), len(envs), len(motion))
-    tails: dict[str, tuple[int, ...]] = {"position": (3,), "orientation": (4,)}
-    frames = {name: shaped(arrays, name, kind, rows + tails.get(name, ())) for name, kind in CAPTURED.items()}
+    frames = {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in CAPTURED.items()}
     surfaces = tuple(_surface(arrays, index, bool(endless)) for index, endless in enumerate(text["endless"]))
     if not len(time) or not np.isin(motion, list(Motion)).all() or not np.isin(surface, range(len(surfaces))).all():
         raise ValueError("it must have a frame, known motions and a surface for each body")

@@ -12,6 +12,7 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.assignments import COEFFICIENTS, Assignments, sort_assignments
 from warp_rigid.recording import Recorder, Recording, steps_per_frame
+from warp_rigid.resume import Checkpoints, Progress
 from warp_rigid.scene import Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.settings import Settings
@@ -94,6 +95,7 @@ def plan_run(
     substeps: int | None = None,
     device: Any = None,
     seed: int | None = None,
+    memory_limit: int | float | None = None,
 ) -> Plan:
     """Build the scene and the simulator.
 
@@ -107,6 +109,7 @@ def plan_run(
         substeps: steps a frame, which sets dt; None takes the dt of the settings.
         device: as in Simulator.
         seed: of the scene, where it draws random numbers; None leaves its own.
+        memory_limit: as in Simulator.
 
     Raises:
         ValueError: An argument does not fit the scene or another argument.
@@ -123,7 +126,7 @@ def plan_run(
     if frames < 0:
         raise ValueError(f"--frames: must be >= 0, got {frames}")
     scene = demo.build(**given.scene)
-    sim = Simulator(scene, num_envs=count, settings=settings, device=device, seed=seed or 0)
+    sim = Simulator(scene, num_envs=count, settings=settings, device=device, seed=seed or 0, memory_limit=memory_limit)
     if demo.vary and count > 1 and not variants and not given.batched:
         demo.vary(sim, **{**demo.parameters, **given.scene})
     _apply(sim, given, variants)
@@ -145,16 +148,23 @@ def plan_run(
     )
 
 
-def execute(plan: Plan, envs=None, on_frame: Callable[[int], None] | None = None) -> Result:
+def execute(
+    plan: Plan,
+    envs=None,
+    on_frame: Callable[[int], None] | None = None,
+    checkpoints: Checkpoints | None = None,
+) -> Result:
     """Run a plan: step, fire the scene's events, let its outcome observe every frame.
 
     Args:
         plan: from plan_run.
         envs: environments to record; None records all.
         on_frame: called with the number of frames done after each.
+        checkpoints: where to go on from, and to write checkpoints to.
 
     Raises:
-        ValueError: An environment does not exist, or fps does not divide the step rate.
+        ValueError: An environment does not exist, fps does not divide the step rate, or the checkpoint to go on from
+            is of another run.
     """
     sim, scene = plan.sim, plan.scene
     per_frame = steps_per_frame(sim.settings.dt, plan.fps)
@@ -162,20 +172,25 @@ def execute(plan: Plan, envs=None, on_frame: Callable[[int], None] | None = None
     outcome = plan.demo.outcome(scene)
     labels = [plan.labels[env] for env in envs] if envs is not None else plan.labels
     recorder = Recorder(sim, plan.fps, envs, labels)
-    recorder.capture(sim)
-    seconds, deepest = [], np.zeros(sim.num_envs)
-    for frame in range(plan.frames):
+    progress = Progress(recorder, outcome, events, np.zeros(sim.num_envs))
+    if not (checkpoints and checkpoints.resume(plan, progress)):
+        recorder.capture(sim)
+    seconds = []
+    for frame in range(progress.frame, plan.frames):
         start = time.perf_counter()
         step_frame(sim, per_frame, events)
         seconds.append(time.perf_counter() - start)
         recorder.capture(sim)
-        deepest = np.maximum(deepest, sim.penetration())
+        progress.deepest = np.maximum(progress.deepest, sim.penetration())
         outcome.observe(sim)
+        progress.frame = frame + 1
+        if checkpoints:
+            checkpoints.write(plan, progress)
         if on_frame is not None:
             on_frame(frame + 1)
     verdicts = outcome.verdicts(sim)
     status = sim.status()
-    summary = _summary(plan, seconds, deepest, status, verdicts)
+    summary = _summary(plan, seconds, progress.deepest, status, verdicts)
     return Result(recorder.recording(), verdicts, status, summary)
 
 

@@ -83,7 +83,8 @@ class Simulator:
         self._memory_limit = MemoryLimit(self.device, memory_limit)
         self._growth_told = False
         sizes = self._first_sizes(capacity or {})
-        self._memory_limit.check(0, self._bytes_without_pools() + pool_bytes(sizes), f"{num_envs} environments")
+        needed = self._bytes_without_pools() + pool_bytes(sizes)
+        self._memory_limit.check(0, needed, f"simulating {num_envs} environment(s)")
         load_kernels(self.device, baking=any(isinstance(b.shape, Mesh | Compound) for b in scene.bodies))
         self._model = build_model(scene, num_envs, self.device)
         self._state = initial_state(scene, num_envs, self.device)
@@ -191,7 +192,7 @@ class Simulator:
             ValueError: it is no whole checkpoint of this version, or the device does not exist.
             CapacityError: it does not fit into the memory.
         """
-        return checkpoint.load(path, device)[0]
+        return checkpoint.load(path, device)
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """Apply an impulse [N s] at a world point [m] to a body, at once."""

@@ -89,6 +89,12 @@ def explain(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
+def of_device(error: RuntimeError) -> bool:
+    """Whether Warp raised it over a device: lost, out of memory, without a compiler or a place for its kernels."""
+    text = str(error).lower()
+    return any(word in text for word in ("cuda", "failed to allocate", "warp-clang", "llvm", "kernel cache"))
+
+
 @contextlib.contextmanager
 def messages_on_stderr():
     """Show the package's messages, and warnings as one line each."""

@@ -1,6 +1,7 @@
 """`warp-rigid run`: a scene, its outcome, films and pictures of it."""
 
 import json
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -8,7 +9,8 @@ from rich.table import Table
 
 from warp_rigid import runner
 from warp_rigid.appearance import COLORINGS
-from warp_rigid.checks import one_of
+from warp_rigid.checks import one_of, whole_in
+from warp_rigid.resume import Checkpoints
 from warp_rigid.terminal import check_outputs, console, note, progress
 from warp_rigid.usd_export import export_usd
 
@@ -44,6 +46,12 @@ def run_command(
     contact_sheet: Annotated[str | None, typer.Option(help="Eight frames, .png.")] = None,
     html: Annotated[str | None, typer.Option(help="A page that plays the film without a server, .html.")] = None,
     color: Annotated[str, typer.Option(help="Colours of pictures: body, level or speed.")] = "body",
+    checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file; SCENE.ckpt if left out.")] = None,
+    checkpoint_every: Annotated[int | None, typer.Option(help="Write it whenever so many frames are done.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint, if there is one.")] = False,
+    memory_limit: Annotated[
+        str | None, typer.Option(help="Bytes such as 8000000000, or a fraction such as 0.5 of the device's memory.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> int:
     """Run a scene, measure its outcome, and write films and pictures of it."""
@@ -60,11 +68,17 @@ def run_command(
         substeps=substeps,
         device=device,
         seed=seed,
+        memory_limit=_memory_limit(memory_limit),
     )
+    if checkpoint_every is not None:
+        whole_in("--checkpoint-every", checkpoint_every, 1, 10**9)
+    checkpoints = Checkpoints(Path(checkpoint or f"{plan.demo.name}.ckpt"), checkpoint_every, resume)
+    if resume and not checkpoints.path.exists():
+        note(f"{checkpoints.path}: no checkpoint yet, starting from the beginning")
     written = [path for path in (output, picture, film, contact_sheet, html) if path]
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
     with progress(plan.demo.name, plan.frames) as advance:
-        result = runner.execute(plan, chosen, advance)
+        result = runner.execute(plan, chosen, advance, checkpoints)
     if output:
         export_usd(result.recording, output)
     if picture or film or contact_sheet or html:
@@ -76,6 +90,16 @@ def run_command(
     else:
         _print_summary(summary)
     return _status(summary["failed"])
+
+
+def _memory_limit(text: str | None) -> int | float | None:
+    """Bytes, or a fraction where the number has a point; None where none is given."""
+    if text is None:
+        return None
+    try:
+        return float(text) if "." in text else int(text)
+    except ValueError:
+        raise ValueError(f"--memory-limit: must be bytes or a fraction such as 0.5, got {text}") from None
 
 
 def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
