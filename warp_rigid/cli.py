@@ -10,10 +10,12 @@ from typing import Annotated
 import typer
 
 import warp_rigid
+from warp_rigid.commands.doctor import doctor_command
 from warp_rigid.commands.inspect import inspect_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
 from warp_rigid.commands.view import view_command
+from warp_rigid.commands.warmup import warmup_command
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.terminal import explain, messages_on_stderr, note, of_device, start_warp
 
@@ -69,6 +71,8 @@ app.command("run")(run_command)
 app.command("scenes")(scenes_command)
 app.command("inspect")(inspect_command)
 app.command("view")(view_command)
+app.command("doctor")(doctor_command)
+app.command("warmup")(warmup_command)
 
 
 def _fail(status: int, text: str) -> int:

@@ -1,6 +1,8 @@
 """The step as a sequence of kernel launches, recorded once and replayed."""
 
 import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any
 
 import warp as wp
@@ -47,8 +49,14 @@ MOST_TEAMS = 132 * 128
 """Teams that share the pairs on a GPU: as many as can be at work at the same time."""
 
 
-def load_kernels(device: Any, baking: bool) -> None:
-    """Compile all kernels, several modules at a time, the longest first: a graph cannot hold a compilation."""
+def load_kernels(device: Any, baking: bool, on_module: Callable[[int, int], None] | None = None) -> None:
+    """Compile all kernels, several modules at a time, the longest first: a graph cannot hold a compilation.
+
+    Args:
+        device: the Warp device.
+        baking: those that compute distance grids, too.
+        on_module: called with how many modules are ready and how many there are, whenever one more is.
+    """
     modules = [
         narrowphase,
         *([bake] if baking else []),
@@ -65,12 +73,17 @@ def load_kernels(device: Any, baking: bool) -> None:
         contacts,
         capacity,
     ]
-    wp.force_load(
-        device,
-        [wp.get_module(module.__name__) for module in modules],
-        block_dim=team.BLOCK if device.is_cuda else 1,
-        max_workers=os.cpu_count(),
-    )
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        loaded = [
+            pool.submit(
+                wp.force_load, device, [wp.get_module(module.__name__)], team.BLOCK if device.is_cuda else 1
+            )
+            for module in modules
+        ]
+        for ready, done in enumerate(as_completed(loaded), start=1):
+            done.result()
+            if on_module is not None:
+                on_module(ready, len(modules))
 
 
 def team_size(device: Any, num_envs: int, bodies_per_env: int) -> int:

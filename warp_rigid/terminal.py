@@ -50,14 +50,14 @@ def check_outputs(usd: str | None, pictures: dict[str, tuple[str, ...]]) -> None
 
 @contextlib.contextmanager
 def progress(name: str, total: int):
-    """A bar on stderr where that is a terminal; yields the function that moves it."""
+    """A bar on stderr where that is a terminal; yields the function that moves it, and can set its length anew."""
     terminal = console(stderr=True)
     if not terminal.is_terminal:
         yield None
         return
     with Progress(console=terminal, transient=True) as bar:
         task = bar.add_task(name, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda done, total=total: bar.update(task, completed=done, total=total)
 
 
 def start_warp() -> None:
@@ -69,6 +69,9 @@ def start_warp() -> None:
         os.dup2(told.fileno(), 2)
         try:
             wp.init()
+        except OSError as error:
+            advice = f"{error.strerror}; WARP_CACHE_PATH must name a folder that can be written"
+            raise OSError(error.errno, advice, error.filename) from None
         finally:
             os.dup2(kept, 2)
             os.close(kept)

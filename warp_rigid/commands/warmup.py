@@ -1,0 +1,23 @@
+"""`warp-rigid warmup`: compile everything ahead, so that the first run starts at once."""
+
+import time
+from typing import Annotated
+
+import typer
+import warp as wp
+
+from warp_rigid.simulator import choose_device
+from warp_rigid.stages import load_kernels
+from warp_rigid.terminal import console, progress
+
+
+def warmup_command(
+    device: Annotated[str | None, typer.Option(help="Only for this device, such as cpu or cuda:0.")] = None,
+) -> None:
+    """Compile all kernels for each device, into Warp's cache."""
+    for chosen in wp.get_devices() if device is None else [choose_device(device)]:
+        start = time.perf_counter()
+        with progress(f"compiling for {chosen}", 1) as advance:
+            load_kernels(chosen, baking=True, on_module=advance)
+        seconds = time.perf_counter() - start
+        console().print(f"{chosen}: ready after {seconds:.2g} s", highlight=False, markup=False)
