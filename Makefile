@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT := out
 
-.PHONY: demo test browser-test lint format clean
+.PHONY: demo test browser-test lint format fuzz pins coverage clean
 
 demo: $(READY)
 	$(BIN)/warp-rigid run bunny_pile -o $(OUT)/bunny_pile.usdc --picture $(OUT)/bunny_pile.png
@@ -20,6 +20,15 @@ test: $(READY)
 # Needs Debian's package chromium, or CHROMIUM=/path/to/a/chromium.
 browser-test: $(READY)
 	$(BIN)/python -m pytest -q tests/browser
+
+fuzz: $(READY)
+	FUZZ_CASES=10000 $(BIN)/python -m pytest -q tests/fuzz
+
+pins: $(READY)
+	$(BIN)/python -m tests.pin_hashes
+
+coverage: $(READY)
+	$(BIN)/python -m pytest -q --cov --cov-fail-under=90 $(TESTS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -58,7 +58,7 @@ def test_some_environments_only(scene):
     ("arguments", "message"),
     [
         ({"frames": -1}, "frames: must be >= 0"),
-        ({"frames": 1, "fps": 0.0}, "fps: must be > 0"),
+        ({"frames": 1, "fps": 0.0}, "fps: must be a finite number > 0"),
         ({"frames": 1, "fps": 100.0}, "nearest rate that is: 120"),
         ({"frames": 1, "fps": 1000.0}, "nearest rate that is: 240"),
         ({"frames": 1, "envs": [2]}, "envs: must be from 0 to 1"),

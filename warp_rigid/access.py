@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.checks import shown
 from warp_rigid.fields import PointField
 from warp_rigid.kernels import data
 from warp_rigid.model import mass_arrays
@@ -52,13 +53,13 @@ def read(sim: "Simulator", name: str) -> np.ndarray:
         return np.zeros((sim.num_envs, sim.num_bodies), bool)
     if name in DERIVED:
         return _DERIVE[name](sim)
-    raise ValueError(f"name: must be one of {', '.join((*WRITABLE, *DERIVED))}, got {name!r}")
+    raise ValueError(f"name: must be one of {', '.join((*WRITABLE, *DERIVED))}, got {shown(name)}")
 
 
 def write(sim: "Simulator", name: str, value: Any, envs: Any, bodies: Any) -> None:
     """Change a quantity; see Simulator.set."""
     if name not in WRITABLE:
-        raise ValueError(f"name: must be one of {', '.join(WRITABLE)}, got {name!r}")
+        raise ValueError(f"name: must be one of {', '.join(WRITABLE)}, got {shown(name)}")
     chosen = env_indices(sim, envs)
     if name in PER_ENVIRONMENT:
         _write_setting(sim, name, value, chosen)
@@ -78,7 +79,7 @@ def live_array(sim: "Simulator", name: str) -> wp.array:
         return getattr(sim._state, name)
     if name in COEFFICIENTS:
         return getattr(sim._model.bodies, name)
-    raise ValueError(f"name: must be one of {', '.join((*STATE_NAMES, *COEFFICIENTS))}, got {name!r}")
+    raise ValueError(f"name: must be one of {', '.join((*STATE_NAMES, *COEFFICIENTS))}, got {shown(name)}")
 
 
 def env_indices(sim: "Simulator", envs: Any) -> np.ndarray:
@@ -95,7 +96,7 @@ def _indices(name: str, value: Any, size: int) -> np.ndarray:
         return np.arange(size)
     chosen = np.atleast_1d(np.asarray(value))
     if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or (chosen < 0).any() or (chosen >= size).any():
-        raise ValueError(f"{name}: must be indices from 0 to {size - 1}, got {value!r}")
+        raise ValueError(f"{name}: must be indices from 0 to {size - 1}, got {shown(value)}")
     return chosen
 
 
@@ -109,7 +110,7 @@ def _broadcast(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     """The value as finite float32 of a shape."""
     try:
         values = np.broadcast_to(np.asarray(value, np.float32), shape)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {_brief(value)}") from error
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: must be finite numbers")
@@ -118,7 +119,7 @@ def _broadcast(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 def _brief(value: Any) -> str:
     shape = np.shape(value)
-    return f"shape {shape}" if shape else repr(value)
+    return f"shape {shape}" if shape else shown(value)
 
 
 def _write_setting(sim: "Simulator", name: str, value: Any, chosen: np.ndarray) -> None:

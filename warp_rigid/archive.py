@@ -8,6 +8,7 @@ import json
 import math
 import os
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -25,7 +26,7 @@ READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.re
 
 UNREADABLE = (
     ValueError, KeyError, TypeError, EOFError, OverflowError, RecursionError, MemoryError, NotImplementedError,
-    RuntimeError, zipfile.BadZipFile, zlib.error, struct.error,
+    RuntimeError, SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
 """What reading a file that was cut off, damaged or made by something else can raise."""
 
@@ -82,6 +83,10 @@ def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], dict[str, 
                 raise ValueError(f"version {header.get('version')!r}, but {version} is what can be read")
             names = [name for name in archive.namelist() if name != f"{HEADER}.npy"]
             return header, {name.removesuffix(".npy"): _read(archive, name) for name in names}
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise unusable(path, kind, error) from None  # a place in the file that does not exist
     except UNREADABLE as error:
         raise unusable(path, kind, error) from None
 

@@ -10,6 +10,7 @@ import inspect
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from warp_rigid.checks import shown
 from warp_rigid.settings import Settings
 
 __all__ = ["COEFFICIENTS", "PROPERTIES", "Assignments", "parse_assignment", "sort_assignments"]
@@ -53,7 +54,7 @@ def parse_assignment(text: str) -> tuple[str, list]:
     name = name.strip().replace("-", "_")
     parts = [part.strip() for part in _split(values)]
     if not equals or not name.isidentifier() or not all(parts):
-        raise ValueError(f"--set: must be name=value or name=value,value,..., got {text!r}")
+        raise ValueError(f"--set: must be name=value or name=value,value,..., got {shown(text)}")
     return name, [_value(part) for part in parts]
 
 
@@ -114,7 +115,7 @@ def _value(text: str) -> Any:
         return text.lower() == "true"
     try:
         return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
         return text
 
 

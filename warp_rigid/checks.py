@@ -8,9 +8,28 @@ import math
 
 import numpy as np
 
-__all__ = ["finite_number", "finite_vector", "number_in", "one_of", "unit_quaternion", "whole_in"]
+__all__ = [
+    "finite_number",
+    "finite_vector",
+    "number_array",
+    "number_in",
+    "one_of",
+    "shown",
+    "unit_quaternion",
+    "whole_in",
+]
 
 LARGEST = float(np.finfo(np.float32).max)
+LONGEST = 80
+
+
+def shown(value):
+    """A caller's value for a message: on one line, and cut where it is long."""
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # a whole number of thousands of digits
+        return f"a {type(value).__name__} too long to show"
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 def finite_vector(name, value, length=3):
@@ -27,14 +46,10 @@ def finite_vector(name, value, length=3):
     Raises:
         ValueError: The value is not `length` finite numbers.
     """
-    try:
-        array = np.asarray(value)
-        ok = array.shape == (length,) and array.dtype.kind in "iuf"
-        ok = ok and bool((np.abs(array.astype(np.float64)) <= LARGEST).all())
-    except ValueError:
-        ok = False
-    if not ok:
-        raise ValueError(f"{name}: must be {length} finite numbers, got {value!r}")
+    array = _array(value)
+    ok = array is not None and array.shape == (length,)
+    if not (ok and bool((np.abs(array) <= LARGEST).all())):
+        raise ValueError(f"{name}: must be {length} finite numbers, got {shown(value)}")
     return tuple(float(x) for x in array)
 
 
@@ -59,28 +74,36 @@ def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):
     Raises:
         ValueError: The value is not a finite number or outside the range.
     """
-    array = np.asarray(value) if not isinstance(value, str | bytes) else None
-    if array is None or array.shape != () or array.dtype.kind not in "iuf":
-        raise ValueError(f"{name}: must be {_range(low, high, above)}, got {value!r}")
+    array = _array(value)
+    if array is None or array.shape != ():
+        raise ValueError(f"{name}: must be {_range(low, high, above)}, got {shown(value)}")
     number = float(array)
     finite = abs(number) <= LARGEST
     if not finite or not low <= number <= high or (above is not None and number <= above):
-        raise ValueError(f"{name}: must be {_range(low, high, above)}, got {value!r}")
+        raise ValueError(f"{name}: must be {_range(low, high, above)}, got {shown(value)}")
     return number
+
+
+def number_array(name, value):
+    """Check an array of numbers of any shape, NaN and infinity included: returns it as float64; else ValueError."""
+    array = _array(value)
+    if array is None:
+        raise ValueError(f"{name}: must be an array of numbers, got {shown(value)}")
+    return array
 
 
 def whole_in(name, value, low, high):
     """Check a whole number in low <= value <= high: returns it as an int; else ValueError."""
     ok = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not ok or not low <= value <= high:
-        raise ValueError(f"{name}: must be a whole number from {low} to {high}, got {value!r}")
+        raise ValueError(f"{name}: must be a whole number from {low} to {high}, got {shown(value)}")
     return int(value)
 
 
 def one_of(name, value, choices):
     """Check that a word is one of `choices`: returns it; else ValueError."""
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name}: must be one of {', '.join(choices)}, got {value!r}")
+        raise ValueError(f"{name}: must be one of {', '.join(choices)}, got {shown(value)}")
     return value
 
 
@@ -100,9 +123,18 @@ def unit_quaternion(name, value):
     quaternion = finite_vector(name, value, 4)
     length = math.hypot(*quaternion)
     if length < 1e-6:
-        raise ValueError(f"{name}: must be a quaternion (x, y, z, w) of length > 0, got {value!r}")
+        raise ValueError(f"{name}: must be a quaternion (x, y, z, w) of length > 0, got {shown(value)}")
     # One that is unit already stays the same to the last bit.
     return quaternion if abs(length - 1.0) <= 1e-15 else tuple(x / length for x in quaternion)
+
+
+def _array(value):
+    """Numbers as a float64 array; None if they are none."""
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError, OverflowError):
+        return None
+    return array.astype(np.float64) if array.dtype.kind in "iuf" else None
 
 
 def _range(low, high, above):

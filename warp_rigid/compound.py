@@ -5,7 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_rigid import mass_properties
-from warp_rigid.checks import finite_vector, unit_quaternion
+from warp_rigid.checks import finite_vector, shown, unit_quaternion
 from warp_rigid.geometry import (
     Part,
     Shape,
@@ -141,7 +141,7 @@ def _checked_child(index: int, child):
     except (TypeError, ValueError):
         raise ValueError(f"{name}: must be (shape, position, orientation)") from None
     if not isinstance(shape, Shape):
-        raise ValueError(f"{name}: must begin with a shape, got {shape!r}")
+        raise ValueError(f"{name}: must begin with a shape, got {shown(shape)}")
     if shape.static_only:
         raise ValueError(f"{name}: must be a solid, got a {type(shape).__name__}")
     position = frozen_array(finite_vector(f"{name} position", position))

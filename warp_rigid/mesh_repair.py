@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_rigid import mass_properties, topology
+from warp_rigid.checks import number_array, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +52,11 @@ def repair(vertices, faces) -> Surface:
 
 def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     """Vertices as float64 and faces as int64; a ValueError where they are no triangles."""
-    vertices = np.array(vertices, dtype=np.float64)
-    faces = np.asarray(faces)
+    vertices = number_array("vertices", vertices).copy()
+    try:
+        faces = np.asarray(faces)
+    except ValueError:
+        raise ValueError(f"faces: must be shaped (m, 3), got {shown(faces)}") from None
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
         raise ValueError(f"vertices: must be shaped (n, 3) with n > 0, got {vertices.shape}")
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_rigid import mass_properties, tessellation
-from warp_rigid.checks import finite_number, finite_vector, number_in
+from warp_rigid.checks import finite_number, finite_vector, number_array, number_in, shown
 from warp_rigid.geometry import (
     Grid,
     Part,
@@ -273,7 +273,7 @@ class Plane(Shape):
         direction = np.array(finite_vector("normal", normal))
         length = float(np.linalg.norm(direction))
         if length < 1e-6:
-            raise ValueError(f"normal: must have a length > 0, got {normal!r}")
+            raise ValueError(f"normal: must have a length > 0, got {shown(normal)}")
         # A normal that is unit already stays the same to the last bit.
         self.normal = frozen_array(direction if abs(length - 1.0) <= 1e-15 else direction / length)
         self.offset = finite_number("offset", offset)
@@ -333,7 +333,7 @@ class Heightfield(Shape):
                 x = size_x (i / (nx - 1) - 1/2), y = size_y (j / (ny - 1) - 1/2).
             size: (size_x, size_y) of the rectangle [m], both greater than 0.
         """
-        heights = np.asarray(heights, dtype=np.float64)
+        heights = number_array("heights", heights)
         if heights.ndim != 2 or min(heights.shape) < 2:
             raise ValueError(f"heights: must be at least 2 x 2 numbers, got {heights.shape}")
         if not np.isfinite(heights).all():
@@ -421,7 +421,7 @@ class Heightfield(Shape):
 def _positive_vector(name: str, value, length: int) -> tuple[float, ...]:
     vector = finite_vector(name, value, length)
     if min(vector) <= 0.0:
-        raise ValueError(f"{name}: must be {length} finite numbers > 0, got {value!r}")
+        raise ValueError(f"{name}: must be {length} finite numbers > 0, got {shown(value)}")
     return vector
 
 

@@ -17,6 +17,8 @@ __all__ = ["Recorder", "Recording", "Surface", "is_moving", "record", "steps_per
 
 KIND = "recording"
 VERSION = 2  # raise whenever older files could no longer be read
+MOST_STEPS = 1_000_000
+"""Steps that a frame may be made of."""
 CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
 """What is kept of every frame, by its name in the simulator."""
 TAILS: dict[str, tuple[int, ...]] = {"position": (3,), "orientation": (4,)}
@@ -216,8 +218,11 @@ def steps_per_frame(dt: float, fps: float) -> int:
     Raises:
         ValueError: It is no whole number; the message names the nearest frame rate that fits.
     """
-    if not fps > 0.0:
-        raise ValueError(f"fps: must be > 0, got {fps}")
+    fps = number_in("fps", fps, above=0.0)
+    if 1.0 > MOST_STEPS * fps * dt:
+        raise ValueError(
+            f"fps: a frame must be at most {MOST_STEPS} steps of dt = {dt:g} s, so fps >= {1.0 / (MOST_STEPS * dt):g}"
+        )
     steps = max(1, round(1.0 / (fps * dt)))
     if abs(steps * fps * dt - 1.0) > 1e-6:
         raise ValueError(

@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from warp_rigid.checks import LARGEST, finite_vector, number_in, one_of, unit_quaternion
+from warp_rigid.checks import LARGEST, finite_vector, number_in, one_of, shown, unit_quaternion
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.geometry import Shape
 
@@ -211,12 +211,12 @@ class Scene:
             ValueError: The field is of another kind.
         """
         if not isinstance(field, UniformField | PointField):
-            raise ValueError(f"field: must be a UniformField or a PointField, got {field!r}")
+            raise ValueError(f"field: must be a UniformField or a PointField, got {shown(field)}")
         self.force_fields.append(field)
 
     def _check_shape(self, shape, motion):
         if not isinstance(shape, Shape):
-            raise ValueError(f"shape: must be a shape such as Box or Mesh, got {shape!r}")
+            raise ValueError(f"shape: must be a shape such as Box or Mesh, got {shown(shape)}")
         if shape.static_only and motion != Motion.STATIC:
             kind = type(shape).__name__
             raise ValueError(f"shape: a {kind} can only be static, not {motion.name.lower()}")
@@ -225,7 +225,7 @@ class Scene:
         position, orientation, linear_velocity, angular_velocity = state
         friction, restitution, rolling_friction, spinning_friction = surface
         if name is not None and not isinstance(name, str):
-            raise ValueError(f"name: must be a string, got {name!r}")
+            raise ValueError(f"name: must be a string, got {shown(name)}")
         body = Body(
             shape=shape,
             motion=motion,

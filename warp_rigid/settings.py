@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import number_in, one_of, whole_in
+from warp_rigid.checks import number_in, one_of, shown, whole_in
 
 SHOCK_MODES = ("off", "one_pass", "two_pass")
 MOST_ITERATIONS = 10_000
@@ -55,7 +55,7 @@ def check_setting(name: str, value: Any) -> int:
     if name.endswith("_iterations"):
         return whole_in(name, value, 0, MOST_ITERATIONS)
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name}: must be True or False, got {value!r}")
+        raise ValueError(f"{name}: must be True or False, got {shown(value)}")
     if name == "sleeping" and value:
         raise ValueError("sleeping: must be False, bodies at rest are not put to sleep yet")
     return int(value)

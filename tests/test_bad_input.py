@@ -1,0 +1,80 @@
+"""Inputs that fuzzing found to end in a traceback, a hang or several lines; each is refused in one line now."""
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from warp_rigid import archive
+from warp_rigid.assignments import sort_assignments
+from warp_rigid.checks import shown
+from warp_rigid.recording import steps_per_frame
+
+HUGE = 10**5000
+
+
+def no_parameters():
+    """Stands in for a scene that has none."""
+
+
+@pytest.mark.parametrize(
+    ("attempt", "field"),
+    [
+        (lambda: wr.Heightfield(["\xad", [[1.0]]], (1, 1)), "heights"),
+        (lambda: wr.Heightfield({}, (1, 1)), "heights"),
+        (lambda: wr.Mesh({}, [[0, 1, 2]]), "vertices"),
+        (lambda: wr.Mesh([[0, 0, 0], [1, 0]], [[0, 1, 2]]), "vertices"),
+        (lambda: wr.Mesh(np.eye(3), [[0, 1, 2], [0]]), "faces"),
+        (lambda: wr.Sphere(HUGE), "radius"),
+        (lambda: wr.Sphere([[1.0], []]), "radius"),
+        (lambda: wr.Box({}), "half_extents"),
+        (lambda: wr.Settings(dt=HUGE), "dt"),
+        (lambda: wr.Settings(sleeping=np.zeros((99, 99))), "sleeping"),
+        (lambda: sort_assignments(["9" * 5000], no_parameters), "--set"),
+        (lambda: steps_per_frame(1 / 240, 1e-300), "fps"),
+        (lambda: steps_per_frame(1 / 240, float("inf")), "fps"),
+    ],
+)
+def test_refused_in_one_short_line(attempt, field):
+    with pytest.raises(ValueError) as error:
+        attempt()
+    text = str(error.value)
+    assert text.startswith(f"{field}:") and "\n" not in text and len(text) < 400
+
+
+def test_a_mass_of_thousands_of_digits_is_no_number():
+    scene = wr.Scene()
+    scene.add_body(wr.Sphere(0.1))
+    sim = wr.Simulator(scene, device="cpu")
+    with pytest.raises(ValueError, match="^mass: must be numbers"):
+        sim.set("mass", 10**746)
+
+
+@pytest.mark.parametrize("value", ["-" * 20_000 + "1", "(" * 20_000, "{[]:1}"])
+def test_values_that_python_cannot_read_are_words(value):
+    assert sort_assignments([f"mass={value}"], no_parameters).properties == {"mass": value}
+
+
+@pytest.mark.parametrize(
+    "header", [b"{'descr': '|u1', \0", b"{'descr': '|u1', 'shape': (142,), ", b"(" * 100, b"{'descr': '|O'}"]
+)
+def test_members_with_a_broken_header_are_refused(tmp_path, header):
+    import zipfile
+
+    with zipfile.ZipFile(tmp_path / "a", "w") as file:
+        file.writestr("header.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(ValueError, match="not a thing of warp_rigid"):
+        archive.load(tmp_path / "a", "thing", 1)
+
+
+def test_a_place_before_the_file_is_refused(tmp_path):
+    archive.save(tmp_path / "a", "thing", 1, {}, {"x": np.zeros(9)})
+    content = (tmp_path / "a").read_bytes()
+    for size in range(1, 60, 7):
+        (tmp_path / "a").write_bytes(content[size:])
+        with pytest.raises(ValueError, match="not a thing of warp_rigid"):
+            archive.load(tmp_path / "a", "thing", 1)
+
+
+def test_values_are_shown_on_one_short_line():
+    assert shown(np.eye(3)) == "array([[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]])"
+    assert len(shown("x" * 1000)) < 100 and "too long" in shown(HUGE)
