@@ -2,6 +2,7 @@
 
 import math
 import os
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
     upper = meshes.brain_like(BRAIN_SIZE) if brain is None else _own("brain", brain, BRAIN_SIZE)
     names = ("skull" if skull is None else "skull_own", "brain" if brain is None else "brain_own")
     scene = Scene()
-    surface = {"friction": 0.5, "restitution": 0.3}
+    surface: dict[str, Any] = {"friction": 0.5, "restitution": 0.3}
     scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="ground", **surface)
     _add_dish(scene, surface)
     z = PLATFORM_TOP + SKULL_DROP

@@ -153,7 +153,12 @@ def _rows(field: data.Field, size: int, used: dict[str, int]) -> int:
 
 
 def _device_arrays(sim: "Simulator", used: dict[str, int]) -> dict[str, np.ndarray]:
-    return {name: array.numpy()[: _rows(field, array.shape[0], used)] for name, array, field in _stored(sim)}
+    return {name: _plain(array.numpy()[: _rows(field, array.shape[0], used)]) for name, array, field in _stored(sim)}
+
+
+def _plain(rows: np.ndarray) -> np.ndarray:
+    """Records as rows of whole numbers of the same bits; other arrays as they are."""
+    return rows if rows.dtype.names is None else np.ascontiguousarray(rows).view(np.int32).reshape(len(rows), rows.dtype.itemsize // 4)
 
 
 def _checked(
@@ -166,7 +171,8 @@ def _checked(
 ) -> np.ndarray:
     """The saved rows of an array, if the kernels may trust them."""
     host = array.numpy()
-    rows = shaped(arrays, name, host.dtype, (_rows(field, host.shape[0], used), *host.shape[1:]))
+    plain = _plain(host[:1])
+    rows = shaped(arrays, name, plain.dtype, (_rows(field, host.shape[0], used), *plain.shape[1:]))
     last = name.partition(".")[2]
     if last in PER_ENVIRONMENT:
         for value in np.unique(rows).tolist():
@@ -175,9 +181,21 @@ def _checked(
         top = used[f"{last.removesuffix('_start')}s"]
         if (np.diff(rows) < 0).any() or rows[0] != 0 or rows[-1] > top:
             raise ValueError(f"{name} must rise from 0 to {top}")
-    if last in ("body_a", "body_b") and len(rows) and not 0 <= rows.min() <= rows.max() < sim.num_envs * sim.num_bodies:
-        raise ValueError(f"{name} must be from 0 to {sim.num_envs * sim.num_bodies - 1}")
+    if last == "contact_start" and np.diff(rows).max(initial=0) > data.PAIR_SLOTS:
+        raise ValueError(f"{name} must not give a pair more than {data.PAIR_SLOTS} contacts")
+    if host.dtype.names is not None:
+        rows = rows.view(host.dtype).reshape(len(rows))
+    bodies, samples = sim.num_envs * sim.num_bodies, sim._model.shapes.samples.shape[0]
+    for part in {"body_a", "body_b"} & {last, *(host.dtype.names or ())}:
+        _within(f"{name} {part}", rows if part == last else rows[part], 0, bodies - 1)
+    if last == "key":
+        _within(name, rows, -1, 2 * samples - 1)
     return rows
+
+
+def _within(name: str, rows: np.ndarray, low: int, high: int) -> None:
+    if len(rows) and not low <= rows.min() <= rows.max() <= high:
+        raise ValueError(f"{name} must be from {low} to {high}")
 
 
 def _check_stored_setting(name: str, value: int) -> None:

@@ -5,7 +5,7 @@ Results go to stdout, everything else to stderr. Exit status: 0 done, 1 a device
 """
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,7 +22,7 @@ from warp_rigid.terminal import explain, messages_on_stderr, note, of_device, st
 __all__ = ["main"]
 
 DEVICE, USAGE, CAPACITY, NON_FINITE = 1, 2, 3, 4
-UsageError = typer.BadParameter.__bases__[0]
+UsageError: Any = typer.BadParameter.__bases__[0]
 
 app = typer.Typer(
     help="Batched simulation of nonconvex rigid bodies with stacking.",

@@ -100,7 +100,7 @@ def _libraries() -> list[Check]:
 def _cuda() -> Check:
     """No CUDA device is no fault; one that Warp cannot use is."""
     if wp.is_cuda_available():
-        driver = ".".join(str(part) for part in wp.get_cuda_driver_version())
+        driver = ".".join(str(part) for part in wp.get_cuda_driver_version() or ())
         return Check("cuda", True, f"{wp.get_cuda_device_count()} device(s), driver for CUDA {driver}")
     if not (shutil.which("nvidia-smi") or Path("/proc/driver/nvidia").exists()):
         return Check("cuda", True, "no NVIDIA driver; simulations run on the CPU")
@@ -111,7 +111,7 @@ def _cuda() -> Check:
 def _caches() -> list[Check]:
     """Folders that are written to; without them all works, but every process compiles and computes anew."""
     folders = {
-        "kernel cache": (Path(wp.config.kernel_cache_dir), "set WARP_CACHE_PATH to a folder that can be written"),
+        "kernel cache": (Path(str(wp.config.kernel_cache_dir)), "set WARP_CACHE_PATH to a folder that can be written"),
         "grid cache": (sdf.cache_folder(), "set WARP_RIGID_CACHE to a folder that can be written"),
         "temporary files": (Path(tempfile.gettempdir()), "set TMPDIR to a folder that can be written"),
     }

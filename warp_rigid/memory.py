@@ -19,7 +19,7 @@ LARGEST_LIMIT = 2**50
 def pool_bytes(sizes: dict[str, int]) -> int:
     """Bytes of all that is sized with the pools: lists, contacts, the last step's contacts twice, the graph."""
     structs = (data.Pairs, data.Contacts, data.History, data.History, data.Graph)
-    return sum(data.byte_size(struct, sizes) for struct in structs) + 4 * sizes["pairs"]
+    return sum(data.byte_size(struct, sizes) for struct in structs)
 
 
 def body_bytes(num_envs: int, bodies_per_env: int) -> int:

@@ -1,6 +1,7 @@
 """Reads triangle meshes from files."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
 def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     import trimesh
 
-    mesh = trimesh.load(path, force="mesh", process=False)
+    mesh: Any = trimesh.load(path, force="mesh", process=False)
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
     if path.suffix.lower() in (".glb", ".gltf"):
         vertices = _turn_z_up(vertices)

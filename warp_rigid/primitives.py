@@ -392,9 +392,9 @@ class Heightfield(Shape):
     def parts(self):
         """One HEIGHTFIELD; its grid's spacing is that along x."""
         values = frozen_array(self.heights[:, :, None], np.float32)
-        origin = (-0.5 * self.extent[0], -0.5 * self.extent[1], 0.0)
+        origin = (-0.5 * float(self.extent[0]), -0.5 * float(self.extent[1]), 0.0)
         spacing = float(self.extent[0] / (self.heights.shape[0] - 1))
-        grid = Grid(tuple(float(value) for value in origin), spacing, values)
+        grid = Grid(origin, spacing, values)
         return [Part(PartKind.HEIGHTFIELD, (*self.extent.tolist(), 0.0, 0.0), grid=grid)]
 
     def sample_list(self):

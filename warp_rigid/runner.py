@@ -131,6 +131,7 @@ def plan_run(
         demo.vary(sim, **{**demo.parameters, **given.scene})
     _apply(sim, given, variants)
     changed = given.settings or given.properties or given.batched or substeps is not None
+    expected: tuple[str | None, ...]
     if changed or frames < round(demo.duration * fps):
         expected = (None,) * count
     else:
@@ -210,7 +211,7 @@ class _NoOutcome:
 def _scene_of_file(path: Path) -> Demo:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    spec: Any = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     build = getattr(module, "scene", None)
@@ -328,7 +329,7 @@ def _summary(
         "penetration": _numbers(sim.penetration()),
         "deepest_penetration": _numbers(deepest),
         "failed": [
-            {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names}
+            {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names or ()}
             for env in np.flatnonzero(status["status"] != "ok")
         ],
         "setup_seconds": plan.setup_seconds,
@@ -345,7 +346,7 @@ def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, An
         "limit": verdict.limit,
         "values": _numbers(verdict.values),
         "passed": [bool(passed) for passed in verdict.passed],
-        "expected": [verdict.expected.get(variant) for variant in variants],
+        "expected": [None if variant is None else verdict.expected.get(variant) for variant in variants],
     }
 
 

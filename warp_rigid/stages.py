@@ -1,7 +1,7 @@
 """The step as a sequence of kernel launches, recorded once and replayed."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any
 
@@ -75,9 +75,7 @@ def load_kernels(device: Any, baking: bool, on_module: Callable[[int, int], None
     ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         loaded = [
-            pool.submit(
-                wp.force_load, device, [wp.get_module(module.__name__)], team.BLOCK if device.is_cuda else 1
-            )
+            pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], team.BLOCK if device.is_cuda else 1)
             for module in modules
         ]
         for ready, done in enumerate(as_completed(loaded), start=1):
@@ -118,13 +116,14 @@ class Stages:
         """Record the step; `load_kernels` has been called."""
         self.model, self.state, self.envs, self.pools = model, state, envs, pools
         self.dt, self.repetitions = dt, repetitions
-        self.device = pools.wanted.device
+        device: Any = pools.wanted.device
+        self.device = device
         self.num_envs = model.num_envs
         self.num_bodies = len(model.scene.bodies)
         self.rows = self.num_envs * self.num_bodies
         self.lanes = team_size(self.device, self.num_envs, self.num_bodies)
-        self.pair_lanes = PAIR_LANES if self.device.is_cuda else 1
-        self.teams = min(pools.sizes["pairs"], MOST_TEAMS) if self.device.is_cuda else 1
+        self.pair_lanes = PAIR_LANES if device.is_cuda else 1
+        self.teams = min(pools.sizes["pairs"], MOST_TEAMS) if device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.grid = self._make_grid()
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
@@ -298,7 +297,7 @@ class Stages:
     def _share_pairs(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.teams * self.pair_lanes, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _per_team(self, kernel: Any, inputs: list, outputs: list = ()) -> None:
+    def _per_team(self, kernel: Any, inputs: list, outputs: Sequence = ()) -> None:
         wp.launch(
             kernel,
             dim=self.num_envs * self.lanes,

@@ -18,8 +18,8 @@ def triangulate_quads(quads: np.ndarray) -> np.ndarray:
 def icosahedron() -> tuple[np.ndarray, np.ndarray]:
     """Regular icosahedron inscribed in the unit sphere."""
     golden = (1.0 + 5.0**0.5) / 2.0
-    vertices = [[s, t * golden, 0.0] for s in (-1, 1) for t in (-1, 1)]
-    vertices = np.array([np.roll(vertex, turn) for turn in range(3) for vertex in vertices])
+    rectangle = [[s, t * golden, 0.0] for s in (-1, 1) for t in (-1, 1)]
+    vertices = np.array([np.roll(corner, turn) for turn in range(3) for corner in rectangle])
     return vertices / np.linalg.norm(vertices[0]), hull_triangles(vertices)
 
 

@@ -38,7 +38,7 @@ def inspect_command(
 
 def _find_mesh(name: str, sdf_resolution: int) -> Mesh:
     """A mesh file, or one of the ready-made meshes."""
-    ready = getattr(meshes, name, None)
+    ready: Any = getattr(meshes, name, None)
     if getattr(ready, "__module__", None) == meshes.__name__ and not name.startswith("_"):
         return ready(sdf_resolution=sdf_resolution)
     if not os.path.isfile(name):
