@@ -4,15 +4,38 @@ A body lists the pairs in which it comes first. Small bodies find each other thr
 environments, by trying all (faster up to hundreds of bodies). Wide bodies (statics, planes, kinematic ones, and those
 much larger than the rest) never enter the grid: each is tried against every body of its environment.
 Pairs are counted, the counts are summed, and the same search writes them: their order depends on nothing but the scene.
+
+Pairs of two sleeping bodies, or of a sleeping and a fixed one, are not searched: those that touched when they fell
+asleep are carried over from the last step's list as dormant pairs.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Environments, Motions, Pairs
+from warp_rigid.kernels.data import (
+    ROLE_ABSENT,
+    ROLE_ASLEEP,
+    ROLE_DRIVEN,
+    ROLE_FREE,
+    Bodies,
+    Environments,
+    History,
+    Motions,
+    Pairs,
+)
 
 wp.set_module_options({"enable_backward": False})
 
-DYNAMIC = wp.constant(MOTION_DYNAMIC)
+ABSENT = wp.constant(ROLE_ABSENT)
+ASLEEP = wp.constant(ROLE_ASLEEP)
+FREE = wp.constant(ROLE_FREE)
+DRIVEN_AND_ASLEEP = wp.constant(ROLE_DRIVEN | ROLE_ASLEEP)
+
+
+@wp.func
+def may_meet(a: int, b: int):
+    """Whether bodies of two roles can come into contact anew: one moves, and one of them gives way."""
+    both = a | b
+    return a != ABSENT and b != ABSENT and ((both & FREE) != 0 or both == DRIVEN_AND_ASLEEP)
 
 
 @wp.func
@@ -34,7 +57,27 @@ def visit_pair(i: int, j: int, found: int, write: int, motions: Motions, pairs: 
         slot = pairs.start[i] + found
         pairs.body_a[slot] = i
         pairs.body_b[slot] = j
+        pairs.dormant[slot] = 0
     return found + 1
+
+
+@wp.func
+def carry_dormant(i: int, found: int, write: int, motions: Motions, history: History, pairs: Pairs):
+    """Keep the pairs of body i that touched in the last step and now sleep. Returns the new count."""
+    total = int(found)
+    for row in range(history.pair_start[i], history.pair_start[i + 1]):
+        j = history.body_b[row]
+        both = motions.role[i] | motions.role[j]
+        present = motions.role[i] != ABSENT and motions.role[j] != ABSENT
+        sleeping = present and (both & ASLEEP) != 0 and not may_meet(motions.role[i], motions.role[j])
+        if sleeping and history.contact_start[row + 1] > history.contact_start[row]:
+            if write == 1:
+                slot = pairs.start[i] + total
+                pairs.body_a[slot] = i
+                pairs.body_b[slot] = j
+                pairs.dormant[slot] = row + 1
+            total += 1
+    return total
 
 
 @wp.func
@@ -46,8 +89,7 @@ def visit_wide(
     for w in range(wide.shape[0]):
         j = first + wide[w]
         both_wide = bodies.wide[i] == 1
-        moving = bodies.motion[i] == DYNAMIC or bodies.motion[j] == DYNAMIC
-        if moving and i != j and not (both_wide and j < i):
+        if i != j and not (both_wide and j < i) and may_meet(motions.role[i], motions.role[j]):
             total = visit_pair(i, j, total, write, motions, pairs)
     return total
 
@@ -58,7 +100,7 @@ def visit_small(i: int, first: int, write: int, small: wp.array[int], motions: M
     total = int(0)
     for s in range(small.shape[0]):
         j = first + small[s]
-        if j > i:
+        if j > i and may_meet(motions.role[i], motions.role[j]):
             total = visit_pair(i, j, total, write, motions, pairs)
     return total
 
@@ -66,25 +108,29 @@ def visit_small(i: int, first: int, write: int, small: wp.array[int], motions: M
 @wp.kernel
 def pairs_by_trying_all(
     write: int,
-    bodies_per_env: int,
+    threads: int,
     small: wp.array[int],
     wide: wp.array[int],
     bodies: Bodies,
     motions: Motions,
     envs: Environments,
+    history: History,
     pairs: Pairs,
 ):
-    """One thread a body: try all later small bodies of the environment, then the wide ones."""
-    i = wp.tid()
-    env = i / bodies_per_env
-    first = env * bodies_per_env
-    found = int(0)
-    if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
-        if bodies.wide[i] == 0:
-            found = visit_small(i, first, write, small, motions, pairs)
-        found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
-    if write == 0:
-        pairs.count[i] = found
+    """The threads share the bodies: try all later small bodies of the environment, then the wide ones."""
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    for i in range(wp.tid(), motions.role.shape[0], threads):
+        env = i / bodies_per_env
+        first = env * bodies_per_env
+        found = int(0)
+        if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
+            if envs.moving[env] > envs.step[env]:
+                if bodies.wide[i] == 0:
+                    found = visit_small(i, first, write, small, motions, pairs)
+                found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
+            found = carry_dormant(i, found, write, motions, history, pairs)
+        if write == 0:
+            pairs.count[i] = found
 
 
 @wp.kernel
@@ -108,7 +154,7 @@ def grid_points(
 @wp.kernel
 def pairs_by_grid(
     write: int,
-    bodies_per_env: int,
+    threads: int,
     grid: wp.uint64,
     cell: float,
     reach: wp.array[float],
@@ -117,29 +163,33 @@ def pairs_by_grid(
     bodies: Bodies,
     motions: Motions,
     envs: Environments,
+    history: History,
     pairs: Pairs,
 ):
-    """One thread a body: small bodies look around in the hash grid, then try the wide ones.
+    """The threads share the bodies: small bodies look around in the hash grid, then try the wide ones.
 
     Where something moves so fast that there are more cells to look into than bodies, all are tried instead.
     """
-    i = wp.tid()
-    env = i / bodies_per_env
-    first = env * bodies_per_env
-    found = int(0)
-    if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
-        if bodies.wide[i] == 0:
-            middle = 0.5 * (motions.lower[i] + motions.upper[i])
-            around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + reach[env]
-            across = 2.0 * around / cell + 1.0
-            if across * across * across <= float(small.shape[0]):
-                neighbour = int(0)
-                for neighbour in wp.hash_grid_query(grid, middle, around, env):
-                    j = first + small[neighbour - env * small.shape[0]]
-                    if j > i:
-                        found = visit_pair(i, j, found, write, motions, pairs)
-            else:
-                found = visit_small(i, first, write, small, motions, pairs)
-        found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
-    if write == 0:
-        pairs.count[i] = found
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    for i in range(wp.tid(), motions.role.shape[0], threads):
+        env = i / bodies_per_env
+        first = env * bodies_per_env
+        found = int(0)
+        if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
+            if envs.moving[env] > envs.step[env]:
+                if bodies.wide[i] == 0:
+                    middle = 0.5 * (motions.lower[i] + motions.upper[i])
+                    around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + reach[env]
+                    across = 2.0 * around / cell + 1.0
+                    if across * across * across <= float(small.shape[0]):
+                        neighbour = int(0)
+                        for neighbour in wp.hash_grid_query(grid, middle, around, env):
+                            j = first + small[neighbour - env * small.shape[0]]
+                            if j > i and may_meet(motions.role[i], motions.role[j]):
+                                found = visit_pair(i, j, found, write, motions, pairs)
+                    else:
+                        found = visit_small(i, first, write, small, motions, pairs)
+                found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
+            found = carry_dormant(i, found, write, motions, history, pairs)
+        if write == 0:
+            pairs.count[i] = found

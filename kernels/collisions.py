@@ -59,7 +59,7 @@ def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
         return NO_IMPACT
     e = row.restitution
     if e == 0.0:
-        return 0.0
+        return -row.closing
     lag = 0.5 * dt * pull * wp.min(speed / wp.max(dt * pull, 1.0e-9), 1.0)
     fall = 2.0 * pull * wp.max(row.gap, 0.0)
     squared = e * e * ((speed + lag) * (speed + lag) + fall) - fall

@@ -182,13 +182,25 @@ def build_contacts(
             start_from_history(c, row, envs.warm_starting[row.body_a / bodies_per_env], contacts, history)
 
 
+@wp.func
+def keep_contact(target: int, c: int, contacts: Contacts, history: History):
+    """Write a solved contact to a row of the history, its impulses in the world frame."""
+    row = contacts.rows[c]
+    history.key[target] = contacts.key[c]
+    history.impulse[target] = world_vector(row.normal, row.tangent, contacts.loads[c].impulse)
+    history.twist[target] = world_vector(row.normal, row.tangent, contacts.loads[c].twist)
+    history.position[target] = contacts.position[c]
+    history.normal[target] = row.normal
+    history.gap[target] = row.gap
+
+
 @wp.kernel
 def keep_pairs(pairs: Pairs, history: History):
     """Last stage, first half: remember which pairs touched."""
     i = wp.tid()
     if i < history.pair_start.shape[0]:
         history.pair_start[i] = pairs.start[i]
-    if i < history.body_b.shape[0]:
+    if i < pairs.start[pairs.start.shape[0] - 1]:
         history.body_b[i] = pairs.body_b[i]
         history.seen[i] = pairs.seen[i]
         history.seen_turn[i] = pairs.seen_turn[i]
@@ -199,11 +211,8 @@ def keep_pairs(pairs: Pairs, history: History):
 
 @wp.kernel
 def keep_impulses(contacts: Contacts, pairs: Pairs, history: History):
-    """Last stage, second half: remember the impulses in the world frame."""
+    """Last stage, second half: remember the contacts."""
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return
-    history.key[c] = contacts.key[c]
-    row = contacts.rows[c]
-    history.impulse[c] = world_vector(row.normal, row.tangent, contacts.loads[c].impulse)
-    history.twist[c] = world_vector(row.normal, row.tangent, contacts.loads[c].twist)
+    keep_contact(c, c, contacts, history)

@@ -28,6 +28,12 @@ MOTION_STATIC = 0
 MOTION_KINEMATIC = 1
 MOTION_DYNAMIC = 2
 
+ROLE_ABSENT = 0
+ROLE_FIXED = 1
+ROLE_ASLEEP = 2
+ROLE_DRIVEN = 4
+ROLE_FREE = 8
+
 SHOCK_OFF = 0
 SHOCK_ONE_PASS = 1
 SHOCK_TWO_PASS = 2
@@ -180,6 +186,7 @@ State = layout(
     angular_velocity=Field(wp.vec3, "bodies", "rad/s", "in the world frame"),
     force=Field(wp.vec3, "bodies", "N", "held by the user until changed, at the centre of mass"),
     torque=Field(wp.vec3, "bodies", "N m", "held by the user until changed"),
+    active=Field(int, "bodies", "", "0: switched off, takes no part"),
     turn_rest=Field(wp.vec4, "bodies", "", "what rounding left over of the orientation"),
     spin_rest=Field(wp.vec3, "bodies", "rad/s", "what rounding left over of the angular velocity"),
 )
@@ -194,6 +201,10 @@ Motions = layout(
     lower=Field(wp.vec3, "bodies", "m", "lower corner of the box swept in this step"),
     upper=Field(wp.vec3, "bodies", "m", "upper corner of the box swept in this step"),
     radius=Field(float, "bodies", "m", "of the sphere about the centre of mass that holds the body"),
+    role=Field(int, "bodies", "", "part in this step: absent, fixed, asleep, driven or free"),
+    room=Field(float, "bodies", "m", "how far the body may move: other bodies are looked for so far around it"),
+    share=Field(float, "bodies", "", "part of the step's motion that nothing stops, as far as is known"),
+    next_share=Field(float, "bodies", "", "the same after the round at hand; the body moves by it"),
     push_linear=Field(wp.vec3, "bodies", "m/s", "pseudo-velocity of the push-out"),
     push_angular=Field(wp.vec3, "bodies", "rad/s", "pseudo-velocity of the push-out"),
     start_linear=Field(wp.vec3, "bodies", "m/s", "velocity before shock propagation"),
@@ -215,6 +226,12 @@ Environments = layout(
     failed=Field(int, "envs", "", "1: a non-finite state was met, the environment is halted"),
     failed_step=Field(int, "envs", "", "step in which it was met"),
     failed_body=Field(int, "envs", "", "body in which it was met"),
+    outside=Field(int, "envs", "", "1: a body has left the scene's bounds"),
+    outside_step=Field(int, "envs", "", "step in which the first one did"),
+    outside_body=Field(int, "envs", "", "body that did"),
+    moving=Field(int, "envs", "", "1 + the last step in which a body was free or driven"),
+    broken=Field(int, "envs", "", "bodies from the first non-finite one to the last body, in this step; 0 if none"),
+    strayed=Field(int, "envs", "", "the same from the first one that left the bounds"),
     step=Field(int, "envs", "", "steps done"),
 )
 
@@ -237,6 +254,7 @@ Pairs = layout(
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair (exclusive sums of contact_count)"),
     patch_count=Field(int, "pairs", "", "patches in use"),
     patch_normal=Field(wp.vec3, "pairs, 4", "", "normal of a patch in the second body's frame"),
+    dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 if it was searched"),
     slot_score=Field(float, "pairs, 36", "m", "how far out the remembered sample lies in its direction"),
     slot_gap=Field(float, "pairs, 36", "m", "its predicted gap"),
     slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
@@ -292,7 +310,7 @@ Contacts = layout(
 
 History = layout(
     "History",
-    "Contacts of the last step, by identity, for warm starting and for pairs that have hardly moved.",
+    "Contacts of the last step, and those on which sleepers lie: for warm starting, and for pairs that hardly moved.",
     pair_start=Field(int, "bodies + 1", "", "first pair of each first body"),
     body_b=Field(int, "pairs", "", "second body"),
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair"),
@@ -302,6 +320,26 @@ History = layout(
     key=Field(int, "contacts", "", "identity within the pair"),
     impulse=Field(wp.vec3, "contacts", "N s", "in the world frame"),
     twist=Field(wp.vec3, "contacts", "N m s", "in the world frame"),
+    position=Field(wp.vec3, "contacts", "m", "in the world"),
+    normal=Field(wp.vec3, "contacts", "", "unit normal in the world"),
+    gap=Field(float, "contacts", "m", "distance, negative inside"),
+)
+
+Rest = layout(
+    "Rest",
+    "Who sleeps, and how long the others have kept still.",
+    asleep=Field(int, "bodies", "", "1: at rest until something disturbs its island"),
+    still=Field(int, "bodies", "", "steps since the body last moved"),
+    position=Field(wp.vec3, "bodies", "m", "pose from which its motion is measured; of a sleeper, the pose it has"),
+    orientation=Field(wp.quat, "bodies", "", "the same"),
+    force=Field(wp.vec3, "bodies", "N", "held force under which it fell asleep"),
+    torque=Field(wp.vec3, "bodies", "N m", "held torque under which it fell asleep"),
+    island=Field(int, "bodies", "", "of a sleeper: lowest body of those that fell asleep together"),
+    level=Field(int, "bodies", "", "of a sleeper: its level in the contact graph"),
+    disturbed=Field(int, "bodies", "", "1: changed from outside since the last step"),
+    wake=Field(int, "bodies", "", "1: the sleeping island of this name wakes"),
+    restless=Field(int, "bodies", "", "1: the island of this name has a body that is not ready to sleep"),
+    grounded=Field(int, "bodies", "", "1: the island of this name lies on something that does not move"),
 )
 
 PairRecord = record(

@@ -14,6 +14,7 @@ them, in the order of the samples, and each lane keeps its own slots.
 
 import warp as wp
 
+from warp_rigid.kernels.broadphase import may_meet
 from warp_rigid.kernels.data import (
     EXTREME_DIRECTIONS,
     PAIR_SLOTS,
@@ -28,7 +29,7 @@ from warp_rigid.kernels.data import (
     State,
 )
 from warp_rigid.kernels.distance import FAR, PLANE, SPHERE, signed_distance
-from warp_rigid.kernels.predict import CONTACT_DISTANCE
+from warp_rigid.kernels.predict import CONTACT_DISTANCE, DRIVEN
 from warp_rigid.kernels.samples import EDGE, POINT, Search, place_sample
 from warp_rigid.kernels.tangents import tangent_of
 from warp_rigid.kernels.team import bits_below, lowest_bit, meet, of_lane, votes
@@ -51,6 +52,10 @@ STILL = wp.constant(2.5e-4)
 
 TIE = wp.constant(1.0e-5)
 """A later sample must be better by this part of the size to replace an earlier one."""
+
+
+NEAR = wp.constant(0.25)
+"""Distance from which fast bodies have contacts, as a part of the smaller size."""
 
 
 @wp.struct
@@ -120,6 +125,20 @@ def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motio
     speed = velocity_at(a, x, ahead, state, motions) - velocity_at(b, x, ahead, state, motions)
     spin = wp.length(state.angular_velocity[a] - state.angular_velocity[b]) * motions.radius[small]
     return dt * (wp.length(speed) + spin)
+
+
+@wp.func
+def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
+    """How far apart two surfaces are now, at most, if their contact is the solver's in this step [m].
+
+    They close what they travel. Bodies that travel further than their size are brought to the touch by the swept
+    detection first (swept.py): where and how they will touch cannot be told from afar. Kinematic bodies are never held
+    up.
+    """
+    way = travel(a, b, dt, dt, state, motions)
+    if way > size and motions.role[a] != DRIVEN and motions.role[b] != DRIVEN:
+        way = NEAR * size
+    return CONTACT_DISTANCE * size + way
 
 
 @wp.func
@@ -346,7 +365,7 @@ def look_for_contacts(
     """Try the samples of both bodies of a pair. Returns how many contacts they make."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    reach = CONTACT_DISTANCE * size + travel(a, b, dt, dt, state, motions)
+    reach = contact_reach(a, b, size, dt, state, motions)
     if lane == 0:
         pairs.patch_count[pair] = 0
     meet(lanes)
@@ -405,6 +424,7 @@ def take_over(pair: int, last: int, lane: int, lanes: int, pairs: Pairs, history
 
 @wp.kernel
 def find_contacts(
+    woken: int,
     teams: int,
     lanes: int,
     dt: float,
@@ -416,12 +436,18 @@ def find_contacts(
     history: History,
     pairs: Pairs,
 ):
-    """The teams share the pairs: find the samples that represent a pair's contact, or keep those of the last step."""
+    """The teams share the pairs: find the samples that represent a pair's contact, or keep those of the last step.
+
+    A first round passes over dormant pairs, a second one does those that have woken since.
+    """
     bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     lane = wp.tid() % lanes
     for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
+        dormant = wp.where(pairs.dormant[pair] > 0, 1, 0)
+        if dormant != woken or (woken == 1 and not may_meet(motions.role[a], motions.role[b])):
+            continue
         size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
         edges = envs.edge_samples[a / bodies_per_env]
         small = wp.where(motions.radius[a] < motions.radius[b], a, b)

@@ -2,11 +2,30 @@
 
 import warp as wp
 
-from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Environments, FieldForces, Motions, Shapes, State
+from warp_rigid.kernels.data import (
+    MOTION_DYNAMIC,
+    ROLE_ABSENT,
+    ROLE_ASLEEP,
+    ROLE_DRIVEN,
+    ROLE_FIXED,
+    ROLE_FREE,
+    Bodies,
+    Environments,
+    FieldForces,
+    Motions,
+    Rest,
+    Shapes,
+    State,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 DYNAMIC = wp.constant(MOTION_DYNAMIC)
+ABSENT = wp.constant(ROLE_ABSENT)
+FIXED = wp.constant(ROLE_FIXED)
+ASLEEP = wp.constant(ROLE_ASLEEP)
+DRIVEN = wp.constant(ROLE_DRIVEN)
+FREE = wp.constant(ROLE_FREE)
 POINT_FIELD = wp.constant(1)
 CONTACT_DISTANCE = wp.constant(5.0e-4)
 """Samples closer than this part of the smaller body's size count as touching."""
@@ -40,18 +59,33 @@ def extent_along_axes(turn: wp.quat, half: wp.vec3):
     )
 
 
+@wp.func
+def role_of(b: int, bodies: Bodies, state: State, rest: Rest):
+    """The part that a body takes in this step."""
+    if state.active[b] == 0:
+        return ABSENT
+    if bodies.motion[b] == DYNAMIC:
+        return wp.where(rest.asleep[b] == 1, ASLEEP, FREE)
+    moving = wp.length_sq(state.linear_velocity[b]) + wp.length_sq(state.angular_velocity[b]) > 0.0
+    return wp.where(moving, DRIVEN, FIXED)
+
+
 @wp.kernel
 def derive_motion(
     bodies_per_env: int,
     field_count: int,
     bodies: Bodies,
     state: State,
+    rest: Rest,
     envs: Environments,
     fields: FieldForces,
     motions: Motions,
 ):
-    """Centre of mass, world inertia and external accelerations of each body."""
+    """Role, centre of mass, world inertia and external accelerations of each body."""
     b = wp.tid()
+    motions.role[b] = role_of(b, bodies, state, rest)
+    if motions.role[b] == FREE or motions.role[b] == DRIVEN:
+        envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
@@ -69,7 +103,10 @@ def derive_motion(
 
 @wp.kernel
 def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """Box that holds a body from now to the end of the step, whatever its rotation does meanwhile."""
+    """Box that holds a body from now to the end of the step, whatever its rotation does meanwhile.
+
+    A fast body may rebound and go anywhere as far as its speed takes it.
+    """
     b = wp.tid()
     shape = bodies.shape[b]
     half = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower)
@@ -78,6 +115,7 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
         motions.lower[b] = wp.vec3(-2.0 * UNBOUNDED, -2.0 * UNBOUNDED, -2.0 * UNBOUNDED)
         motions.upper[b] = wp.vec3(2.0 * UNBOUNDED, 2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
         motions.radius[b] = 2.0 * UNBOUNDED
+        motions.room[b] = 2.0 * UNBOUNDED
         return
     turn = state.orientation[b]
     radius = wp.length(half) + wp.length(middle - bodies.center_of_mass[b])
@@ -89,13 +127,19 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
     extent = extent_along_axes(turn, half) + wp.vec3(reach, reach, reach)
     motions.lower[b] = wp.min(at, at + travel) - extent
     motions.upper[b] = wp.max(at, at + travel) + extent
+    way = wp.length(travel)
+    motions.room[b] = wp.max(0.5 * shapes.shapes[shape].size, 1.01 * way)
+    if way > 0.5 * shapes.shapes[shape].size:
+        around = wp.vec3(motions.room[b], motions.room[b], motions.room[b])
+        motions.lower[b] = at - around - extent
+        motions.upper[b] = at + around + extent
 
 
 @wp.kernel
 def accelerate(dt: float, when: int, bodies_per_env: int, motions: Motions, envs: Environments, state: State):
     """Velocity update: add a step's acceleration where the environment's stage order is `when`."""
     b = wp.tid()
-    if envs.collision_first[b / bodies_per_env] != when:
+    if envs.collision_first[b / bodies_per_env] != when or motions.role[b] != FREE:
         return
     state.linear_velocity[b] = state.linear_velocity[b] + dt * motions.acceleration[b]
     state.angular_velocity[b] = state.angular_velocity[b] + dt * motions.spin_acceleration[b]

@@ -90,7 +90,7 @@ def test_mass_takes_the_inertia_along(device):
     np.testing.assert_allclose(sim.get("inertia")[0, 2], before[0, 2])
 
 
-@pytest.mark.parametrize("name", [name for name in PER_ENVIRONMENT if name != "sleeping"])
+@pytest.mark.parametrize("name", PER_ENVIRONMENT)
 def test_settings_differ_between_environments(device, name):
     sim = Simulator(small_scene(), num_envs=3, device=device)
     default = getattr(Settings(), name)
@@ -488,8 +488,3 @@ def test_no_device_given_takes_the_first_cuda_device_or_the_cpu(caplog):
         sim = Simulator(SCENE)
     assert sim.device == (wp.get_cuda_device() if wp.is_cuda_available() else wp.get_device("cpu"))
     assert str(sim.device) in caplog.text
-
-
-def test_sleeping_is_refused_as_long_as_it_is_not_built():
-    with pytest.raises(ValueError, match="sleeping: must be False"):
-        Settings(sleeping=True)

@@ -21,7 +21,7 @@ REST_OF = {"orientation": "turn_rest", "angular_velocity": "spin_rest"}
 
 COEFFICIENTS = ("friction", "restitution", "rolling_friction", "spinning_friction")
 DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
-WRITABLE = (*STATE_NAMES, *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
+WRITABLE = (*STATE_NAMES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
 
 CONTACT_RECORD = np.dtype(
     [
@@ -34,7 +34,7 @@ CONTACT_RECORD = np.dtype(
         ("impulse", np.float32, 3),
     ]
 )
-STATUS_RECORD = np.dtype([("status", "U10"), ("step", np.int64), ("time", np.float64), ("body", np.int64)])
+STATUS_RECORD = np.dtype([("status", "U13"), ("step", np.int64), ("time", np.float64), ("body", np.int64)])
 
 
 def read(sim: "Simulator", name: str) -> np.ndarray:
@@ -50,7 +50,9 @@ def read(sim: "Simulator", name: str) -> np.ndarray:
     if name == "level":
         return _rows(sim, sim._pools.graph.level)
     if name == "asleep":
-        return np.zeros((sim.num_envs, sim.num_bodies), bool)
+        return _rows(sim, sim._rest.asleep).astype(bool)
+    if name == "active":
+        return _rows(sim, sim._state.active).astype(bool)
     if name in DERIVED:
         return _DERIVE[name](sim)
     raise ValueError(f"name: must be one of {', '.join((*WRITABLE, *DERIVED))}, got {shown(name)}")
@@ -63,14 +65,27 @@ def write(sim: "Simulator", name: str, value: Any, envs: Any, bodies: Any) -> No
     chosen = env_indices(sim, envs)
     if name in PER_ENVIRONMENT:
         _write_setting(sim, name, value, chosen)
-    elif name == "gravity":
+        return
+    if name == "gravity":
+        touched = np.arange(sim.num_bodies)
         rows = sim._envs.gravity.numpy()
         rows[chosen] = _broadcast(name, value, (len(chosen), 3))
         sim._envs.gravity.assign(rows)
-    elif name == "mass":
-        _write_mass(sim, value, chosen, _body_indices(sim, bodies))
     else:
-        _write_rows(sim, name, value, chosen, _body_indices(sim, bodies))
+        touched = _body_indices(sim, bodies)
+        writer = {"mass": _write_mass, "active": _write_active}.get(name)
+        if writer is None:
+            _write_rows(sim, name, value, chosen, touched)
+        else:
+            writer(sim, value, chosen, touched)
+    wake(sim, chosen, touched)
+
+
+def wake(sim: "Simulator", chosen: np.ndarray, bodies: np.ndarray) -> None:
+    """Wake the islands of bodies that were changed, and those that lie on them."""
+    if sim._stages.sleeping:
+        _assign_rows(sim, sim._rest.disturbed, 1, chosen, bodies)
+        sim._stages.wake_disturbed()
 
 
 def live_array(sim: "Simulator", name: str) -> wp.array:
@@ -130,13 +145,26 @@ def _write_setting(sim: "Simulator", name: str, value: Any, chosen: np.ndarray) 
     rows = getattr(sim._envs, name).numpy()
     rows[chosen] = numbers
     getattr(sim._envs, name).assign(rows)
-    if name == "shock_iterations" and largest_repetition(sim) != sim._stages.repetitions:
+    if name == "sleeping":
+        wake(sim, chosen, np.arange(sim.num_bodies))
+    renew_stages(sim)
+
+
+def renew_stages(sim: "Simulator") -> None:
+    """Record the step anew where settings ask for another one."""
+    recorded = sim._stages.repetitions, sim._stages.sleeping
+    if (largest_repetition(sim), any_sleeping(sim)) != recorded:
         sim._stages = sim._new_stages()
 
 
 def largest_repetition(sim: "Simulator") -> int:
     """Largest number of shock iterations in any environment."""
     return int(sim._envs.shock_iterations.numpy().max())
+
+
+def any_sleeping(sim: "Simulator") -> bool:
+    """Whether bodies may fall asleep in any environment."""
+    return bool(sim._envs.sleeping.numpy().any())
 
 
 def _write_rows(sim: "Simulator", name: str, value: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
@@ -162,6 +190,12 @@ def _assign_rows(sim: "Simulator", array: wp.array, values: Any, chosen: np.ndar
     rows = _rows(sim, array)
     rows[np.ix_(chosen, bodies)] = values
     array.assign(rows.reshape(-1, *rows.shape[2:]))
+
+
+def _write_active(sim: "Simulator", value: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
+    if np.asarray(value).dtype != bool:
+        raise ValueError(f"active: must be True or False, got {_brief(value)}")
+    _assign_rows(sim, sim._state.active, _broadcast("active", value, (len(chosen), len(bodies))), chosen, bodies)
 
 
 def _write_mass(sim: "Simulator", value: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
@@ -213,16 +247,19 @@ def apply_impulse(sim: "Simulator", impulse: Any, point: Any, body: int, envs: A
 
 def contact_records(sim: "Simulator") -> np.ndarray:
     """Contacts of the last step; see Simulator.contacts."""
-    history, contacts = sim._pools.history, sim._pools.contacts
-    count = int(history.contact_start.numpy()[-1])
+    history = sim._pools.history
+    start = history.contact_start.numpy()
+    pairs_before = history.pair_start.numpy()
+    count = int(start[-1])
     records = np.zeros(count, CONTACT_RECORD)
-    rows = contacts.rows.numpy()[:count]
-    records["env"] = rows["body_a"] // sim.num_bodies
-    records["body_a"] = rows["body_a"] % sim.num_bodies
-    records["body_b"] = rows["body_b"] % sim.num_bodies
-    records["position"] = contacts.position.numpy()[:count]
-    records["normal"] = rows["normal"]
-    records["depth"] = -rows["gap"]
+    first = np.repeat(np.arange(len(pairs_before) - 1), np.diff(start[pairs_before]))
+    pair = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    records["env"] = first // sim.num_bodies
+    records["body_a"] = first % sim.num_bodies
+    records["body_b"] = history.body_b.numpy()[pair] % sim.num_bodies
+    records["position"] = history.position.numpy()[:count]
+    records["normal"] = history.normal.numpy()[:count]
+    records["depth"] = -history.gap.numpy()[:count]
     records["impulse"] = history.impulse.numpy()[:count]
     return records
 
@@ -235,12 +272,15 @@ def swept_boxes(sim: "Simulator") -> np.ndarray:
 
 def status_records(sim: "Simulator") -> np.ndarray:
     """Health of the environments; see Simulator.status."""
-    failed = sim._envs.failed.numpy() == 1
+    envs = sim._envs
     records = np.zeros(sim.num_envs, STATUS_RECORD)
-    records["status"] = np.where(failed, "non-finite", "ok")
-    records["step"] = np.where(failed, sim._envs.failed_step.numpy(), -1)
-    records["time"] = np.where(failed, sim._envs.failed_step.numpy() * sim.settings.dt, -1.0)
-    records["body"] = np.where(failed, sim._envs.failed_body.numpy(), -1)
+    records["status"], records["step"], records["time"], records["body"] = "ok", -1, -1.0, -1
+    for name, flag in (("out of bounds", "outside"), ("non-finite", "failed")):
+        found = getattr(envs, flag).numpy() == 1
+        records["status"][found] = name
+        records["step"][found] = getattr(envs, f"{flag}_step").numpy()[found]
+        records["body"][found] = getattr(envs, f"{flag}_body").numpy()[found]
+    records["time"] = np.where(records["step"] >= 0, records["step"] * sim.settings.dt, -1.0)
     return records
 
 
@@ -287,7 +327,7 @@ def _kinetic_energy(sim: "Simulator") -> np.ndarray:
     v = read(sim, "linear_velocity").astype(np.float64)
     w = read(sim, "angular_velocity").astype(np.float64)
     spin = np.einsum("ebi,ebij,ebj->eb", w, _inertia(sim), w)
-    return 0.5 * (read(sim, "mass") * (v * v).sum(-1) + spin)
+    return 0.5 * read(sim, "active") * (read(sim, "mass") * (v * v).sum(-1) + spin)
 
 
 def _potential_energy(sim: "Simulator") -> np.ndarray:
@@ -299,7 +339,7 @@ def _potential_energy(sim: "Simulator") -> np.ndarray:
             per_mass -= field.strength / np.linalg.norm(x - np.array(field.center), axis=-1)
         else:
             per_mass -= x @ np.array(field.acceleration)
-    return read(sim, "mass") * per_mass
+    return read(sim, "active") * read(sim, "mass") * per_mass
 
 
 _DERIVE = {
@@ -309,4 +349,4 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REST_OF.values()} == set(data.field_names(data.State))
+assert {*STATE_NAMES, *REST_OF.values(), "active"} == set(data.field_names(data.State))

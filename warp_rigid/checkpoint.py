@@ -105,8 +105,7 @@ def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarr
     for array, rows in checked:
         _upload(array, rows)
     sim._steps = steps
-    if access.largest_repetition(sim) != sim._stages.repetitions:
-        sim._stages = sim._new_stages()
+    access.renew_stages(sim)
 
 
 def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -133,6 +132,7 @@ def _stored(sim: "Simulator") -> list[tuple[str, wp.array, data.Field]]:
     owners = [
         (data.Bodies, sim._model.bodies, [n for n in data.field_names(data.Bodies) if n not in FROM_SCENE]),
         (data.State, sim._state, data.field_names(data.State)),
+        (data.Rest, sim._rest, data.field_names(data.Rest)),
         (data.Environments, sim._envs, data.field_names(data.Environments)),
         (data.History, pools.history, data.field_names(data.History)),
         (data.Contacts, pools.contacts, data.field_names(data.Contacts)),
@@ -158,7 +158,11 @@ def _device_arrays(sim: "Simulator", used: dict[str, int]) -> dict[str, np.ndarr
 
 def _plain(rows: np.ndarray) -> np.ndarray:
     """Records as rows of whole numbers of the same bits; other arrays as they are."""
-    return rows if rows.dtype.names is None else np.ascontiguousarray(rows).view(np.int32).reshape(len(rows), rows.dtype.itemsize // 4)
+    return (
+        rows
+        if rows.dtype.names is None
+        else np.ascontiguousarray(rows).view(np.int32).reshape(len(rows), rows.dtype.itemsize // 4)
+    )
 
 
 def _checked(
@@ -188,6 +192,8 @@ def _checked(
     bodies, samples = sim.num_envs * sim.num_bodies, sim._model.shapes.samples.shape[0]
     for part in {"body_a", "body_b"} & {last, *(host.dtype.names or ())}:
         _within(f"{name} {part}", rows if part == last else rows[part], 0, bodies - 1)
+    if name == "Rest.island":
+        _within(name, rows, 0, bodies - 1)
     if last == "key":
         _within(name, rows, -1, 2 * samples - 1)
     return rows

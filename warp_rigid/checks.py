@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 __all__ = [
+    "box_corners",
     "finite_number",
     "finite_vector",
     "number_array",
@@ -51,6 +52,29 @@ def finite_vector(name, value, length=3):
     if not (ok and bool((np.abs(array) <= LARGEST).all())):
         raise ValueError(f"{name}: must be {length} finite numbers, got {shown(value)}")
     return tuple(float(x) for x in array)
+
+
+def box_corners(name, value):
+    """Check a box: its lower and upper corner, which may be infinite.
+
+    Args:
+        name: what the value is called in the message.
+        value: two corners of three numbers each.
+
+    Returns:
+        The two corners as tuples of floats.
+
+    Raises:
+        ValueError: The value is not of that form, or the lower corner is not below the upper one.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+        ok = array.shape == (2, 3) and bool((array[0] < array[1]).all())
+    except (ValueError, TypeError):
+        ok = False
+    if not ok:
+        raise ValueError(f"{name}: must be (lower, upper), three numbers each, lower below upper, got {value!r}")
+    return tuple(tuple(float(x) for x in corner) for corner in array)
 
 
 def finite_number(name, value):

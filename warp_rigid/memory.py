@@ -25,7 +25,7 @@ def pool_bytes(sizes: dict[str, int]) -> int:
 def body_bytes(num_envs: int, bodies_per_env: int) -> int:
     """Bytes of all that is sized with bodies and environments: parameters, state and its copies, settings."""
     sizes = {"envs": num_envs, "bodies": num_envs * bodies_per_env}
-    structs = (data.Bodies, data.State, data.State, data.State, data.Motions, data.Environments)
+    structs = (data.Bodies, *[data.State] * 3, *[data.Rest] * 2, data.Motions, data.Environments)
     return sum(data.byte_size(struct, sizes) for struct in structs)
 
 

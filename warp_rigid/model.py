@@ -80,6 +80,7 @@ def initial_state(scene: Scene, num_envs: int, device: Any) -> Any:
     for name in ("position", "orientation", "linear_velocity", "angular_velocity"):
         rows = np.array([getattr(body, name) for body in scene.bodies], np.float32)
         getattr(state, name).assign(np.tile(rows, (num_envs, 1)))
+    state.active.assign(np.tile(np.array([body.active for body in scene.bodies], np.int32), num_envs))
     return state
 
 

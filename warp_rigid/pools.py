@@ -97,7 +97,6 @@ class Pools:
         pools = Pools.allocate(num_envs, bodies_per_env, sizes["pairs"], sizes["contacts"], self.wanted.device)
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, data.History)
-        copy_arrays(self.contacts, pools.contacts, data.Contacts)
         wp.copy(pools.graph.level, self.graph.level)
         wp.copy(pools.graph.level_count, self.graph.level_count)
         pools.fitted = self.fitted

@@ -328,15 +328,21 @@ def _summary(
         **{name: int(value) for name, value in sim.counts().items()},
         "penetration": _numbers(sim.penetration()),
         "deepest_penetration": _numbers(deepest),
-        "failed": [
-            {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names or ()}
-            for env in np.flatnonzero(status["status"] != "ok")
-        ],
+        "failed": _records(status, ~np.isin(status["status"], ("ok", "out of bounds"))),
+        "out_of_bounds": _records(status, status["status"] == "out of bounds"),
         "setup_seconds": plan.setup_seconds,
         "seconds": sum(seconds),
         "env_frames_per_second": sim.num_envs * len(warm) / sum(warm) if warm else 0.0,
         "verdicts": [_verdict(verdict, plan.variants) for verdict in verdicts],
     }
+
+
+def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:
+    """Status records of the chosen environments."""
+    return [
+        {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names}
+        for env in np.flatnonzero(chosen)
+    ]
 
 
 def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from warp_rigid.checks import LARGEST, finite_vector, number_in, one_of, shown, unit_quaternion
+from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.geometry import Shape
 
@@ -19,6 +19,8 @@ __all__ = ["COMBINE_RULES", "Body", "Motion", "Scene"]
 Vector = Sequence[float] | np.ndarray
 
 COMBINE_RULES = ("min", "average", "multiply", "max")
+
+OUT_OF_BOUNDS = ("report", "remove")
 
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
@@ -51,6 +53,7 @@ class Body:
         rolling_friction: resisting torque over normal force, against rolling [m].
         spinning_friction: resisting torque over normal force, about the contact normal [m].
         name: a label for tables and files; need not be unique.
+        active: whether it takes part from the start.
     """
 
     shape: Shape
@@ -65,6 +68,7 @@ class Body:
     rolling_friction: float
     spinning_friction: float
     name: str
+    active: bool = True
 
 
 class Scene:
@@ -75,6 +79,10 @@ class Scene:
         friction_combine: how two bodies' friction coefficients (rolling and spinning ones too)
             make the pair's: "min" (the 2003 method), "average", "multiply" or "max".
         restitution_combine: the same for restitution.
+        bounds: (lower, upper) corners of the box within which bodies belong, infinite where there is no bound [m];
+            None for no bounds at all. A moving body whose centre leaves it is told of by Simulator.status.
+        out_of_bounds: what becomes of such a body: "report", nothing else, or "remove", it is switched off
+            (`active` becomes False).
 
     Attributes:
         bodies: list of Body, in the order in which they were added.
@@ -82,9 +90,11 @@ class Scene:
         gravity: as given.
         friction_combine: as given.
         restitution_combine: as given.
+        bounds: as given, or None.
+        out_of_bounds: as given.
 
     Raises:
-        ValueError: gravity is not three finite numbers, or a rule is unknown.
+        ValueError: gravity is not three finite numbers, a rule is unknown, or the bounds are no box.
     """
 
     def __init__(
@@ -92,8 +102,12 @@ class Scene:
         gravity: Vector = (0.0, 0.0, -9.81),
         friction_combine: str = "min",
         restitution_combine: str = "min",
+        bounds: tuple[Vector, Vector] | None = None,
+        out_of_bounds: str = "report",
     ) -> None:
         """Start an empty scene."""
+        self.bounds = None if bounds is None else box_corners("bounds", bounds)
+        self.out_of_bounds = one_of("out_of_bounds", out_of_bounds, OUT_OF_BOUNDS)
         self.gravity = finite_vector("gravity", gravity)
         self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
@@ -120,6 +134,7 @@ class Scene:
         rolling_friction: float = 0.0,
         spinning_friction: float = 0.0,
         name: str | None = None,
+        active: bool = True,
     ) -> int:
         """Add a body that forces and contacts move.
 
@@ -136,6 +151,8 @@ class Scene:
             rolling_friction: resisting torque over normal force, >= 0 [m].
             spinning_friction: the same about the contact normal, >= 0 [m].
             name: label; the shape's kind and the body's index where none is given.
+            active: False for a body that waits to be switched on, `sim.set("active", True, ...)`; until then it takes
+                no part.
 
         Returns:
             The body's index.
@@ -151,6 +168,7 @@ class Scene:
             _mass(shape, density, mass),
             (friction, restitution, rolling_friction, spinning_friction),
             name,
+            active,
         )
 
     def add_static(
@@ -164,6 +182,7 @@ class Scene:
         rolling_friction: float = 0.0,
         spinning_friction: float = 0.0,
         name: str | None = None,
+        active: bool = True,
     ) -> int:
         """Add a body that never moves. Arguments, result and errors as in add_body."""
         self._check_shape(shape, Motion.STATIC)
@@ -174,6 +193,7 @@ class Scene:
             0.0,
             (friction, restitution, rolling_friction, spinning_friction),
             name,
+            active,
         )
 
     def add_kinematic(
@@ -189,6 +209,7 @@ class Scene:
         rolling_friction: float = 0.0,
         spinning_friction: float = 0.0,
         name: str | None = None,
+        active: bool = True,
     ) -> int:
         """Add a body that moves with its own velocity, whatever it meets.
 
@@ -202,6 +223,7 @@ class Scene:
             0.0,
             (friction, restitution, rolling_friction, spinning_friction),
             name,
+            active,
         )
 
     def add_force_field(self, field: UniformField | PointField) -> None:
@@ -221,11 +243,13 @@ class Scene:
             kind = type(shape).__name__
             raise ValueError(f"shape: a {kind} can only be static, not {motion.name.lower()}")
 
-    def _add(self, shape, motion, state, mass, surface, name):
+    def _add(self, shape, motion, state, mass, surface, name, active):
         position, orientation, linear_velocity, angular_velocity = state
         friction, restitution, rolling_friction, spinning_friction = surface
         if name is not None and not isinstance(name, str):
             raise ValueError(f"name: must be a string, got {shown(name)}")
+        if not isinstance(active, bool):
+            raise ValueError(f"active: must be True or False, got {shown(active)}")
         body = Body(
             shape=shape,
             motion=motion,
@@ -239,6 +263,7 @@ class Scene:
             rolling_friction=number_in("rolling_friction", rolling_friction, 0.0),
             spinning_friction=number_in("spinning_friction", spinning_friction, 0.0),
             name=name or f"{type(shape).__name__.lower()}_{len(self.bodies)}",
+            active=active,
         )
         self.bodies.append(body)
         return len(self.bodies) - 1

@@ -36,13 +36,17 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     places: dict[str, int] = {}
     bodies = []
     for body in scene.bodies:
-        numbers = {name: getattr(body, name) for name in ("position", "orientation", *VELOCITIES, "mass", *SURFACE)}
+        numbers = {
+            name: getattr(body, name) for name in ("position", "orientation", *VELOCITIES, "mass", "active", *SURFACE)
+        }
         shape = _place_shape(body.shape, shapes, arrays, places)
         bodies.append({"shape": shape, "motion": body.motion.name, "name": body.name, **numbers})
     data = {
         "gravity": scene.gravity,
         "friction_combine": scene.friction_combine,
         "restitution_combine": scene.restitution_combine,
+        "bounds": scene.bounds,
+        "out_of_bounds": scene.out_of_bounds,
         "fields": [_field_to_data(field) for field in scene.force_fields],
         "shapes": shapes,
         "bodies": bodies,
@@ -56,7 +60,8 @@ def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scen
     Raises:
         ValueError, TypeError, KeyError: data or arrays are not what it gave.
     """
-    scene = Scene(data["gravity"], data["friction_combine"], data["restitution_combine"])
+    rules = {name: data[name] for name in ("friction_combine", "restitution_combine", "bounds", "out_of_bounds")}
+    scene = Scene(data["gravity"], **rules)
     for field in data["fields"]:
         scene.add_force_field(PointField(**field) if "center" in field else UniformField(**field))
     shapes: list[Shape] = []
@@ -75,7 +80,7 @@ def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     add: Callable[..., int] = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip
-    given = {name: entry[name] for name in ("position", "orientation", "name", *SURFACE)}
+    given = {name: entry[name] for name in ("position", "orientation", "name", "active", *SURFACE)}
     if entry["motion"] != Motion.STATIC.name:
         given |= {name: entry[name] for name in VELOCITIES}
     if entry["motion"] == Motion.DYNAMIC.name:

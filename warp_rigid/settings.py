@@ -24,7 +24,7 @@ class Settings:
         collision_first: collisions before the velocity update (2003); False: after it.
         warm_starting: start from the last step's impulses; False: from zero, as in 2003.
         edge_samples: edges take part in contact; False: vertices, faces and balls only.
-        sleeping: bodies at rest fall asleep; not built yet, only False is taken.
+        sleeping: bodies at rest fall asleep, island by island, and cost nearly nothing until something disturbs them.
     """
 
     dt: float = 1.0 / 240.0
@@ -56,8 +56,6 @@ def check_setting(name: str, value: Any) -> int:
         return whole_in(name, value, 0, MOST_ITERATIONS)
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name}: must be True or False, got {shown(value)}")
-    if name == "sleeping" and value:
-        raise ValueError("sleeping: must be False, bodies at rest are not put to sleep yet")
     return int(value)
 
 

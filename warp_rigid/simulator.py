@@ -24,6 +24,9 @@ log = logging.getLogger("warp_rigid")
 CHUNK = 16
 """Most steps between two looks at the pools; as many are repeated if one was too small."""
 
+WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
+"""What a step notes of an environment; undone with it, and cleared by a reset."""
+
 
 class Simulator:
     """`num_envs` environments of one scene, each with its own state, parameters and settings.
@@ -90,7 +93,10 @@ class Simulator:
         self._state = initial_state(scene, num_envs, self.device)
         self._start = initial_state(scene, num_envs, self.device)
         self._saved = data.allocate(data.State, {"bodies": num_envs * self.num_bodies}, self.device)
+        self._rest = data.allocate(data.Rest, {"bodies": num_envs * self.num_bodies}, self.device)
+        self._saved_rest = data.allocate(data.Rest, {"bodies": num_envs * self.num_bodies}, self.device)
         self._envs = initial_environments(scene, self.settings, num_envs, self.device)
+        self._saved_watch = {name: wp.clone(getattr(self._envs, name)) for name in WATCHED}
         self._pools = Pools.allocate(self.num_envs, self.num_bodies, sizes["pairs"], sizes["contacts"], self.device)
         self._saved_history = self._room_for_history()
         self._stages = self._new_stages()
@@ -160,7 +166,11 @@ class Simulator:
             start = getattr(self._start, name).numpy().reshape(rows.shape)
             rows[chosen] = start[chosen]
             getattr(self._state, name).assign(rows.reshape(getattr(self._state, name).numpy().shape))
-        for name in ("failed", "failed_step", "failed_body", "step"):
+        for name in data.field_names(data.Rest):
+            values = getattr(self._rest, name).numpy()
+            values.reshape(self.num_envs, self.num_bodies, -1)[chosen] = 0
+            getattr(self._rest, name).assign(values)
+        for name in WATCHED:
             values = getattr(self._envs, name).numpy()
             values[chosen] = 0
             getattr(self._envs, name).assign(values)
@@ -195,7 +205,7 @@ class Simulator:
         return checkpoint.load(path, device)
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
-        """Apply an impulse [N s] at a world point [m] to a body, at once."""
+        """Apply an impulse [N s] at a world point [m] to a body, at once; it wakes the body and its island."""
         access.apply_impulse(self, impulse, point, body, envs)
 
     def contacts(self) -> np.ndarray:
@@ -217,7 +227,10 @@ class Simulator:
             self._grow(shortage)
 
     def status(self) -> np.ndarray:
-        """Records (envs,): status "ok" or "non-finite", and the step, time [s] and body where it began (-1 if ok)."""
+        """Records (envs,): status, and the step, time [s] and body where it began (-1 if ok).
+
+        "ok"; "non-finite": the environment is halted; "out of bounds": a body's centre has left `Scene.bounds`.
+        """
         return access.status_records(self)
 
     def counts(self) -> dict[str, int]:
@@ -239,7 +252,14 @@ class Simulator:
 
     def _new_stages(self) -> Stages:
         return Stages(
-            self._model, self._state, self._envs, self._pools, self.settings.dt, access.largest_repetition(self)
+            self._model,
+            self._state,
+            self._rest,
+            self._envs,
+            self._pools,
+            self.settings.dt,
+            access.largest_repetition(self),
+            access.any_sleeping(self),
         )
 
     def _first_sizes(self, given: Mapping[str, int]) -> dict[str, int]:
@@ -261,13 +281,20 @@ class Simulator:
     def _save(self) -> None:
         """Keep what a step changes, so that steps can be undone."""
         copy_arrays(self._state, self._saved, data.State)
+        if self._stages.sleeping:
+            copy_arrays(self._rest, self._saved_rest, data.Rest)
+        for name, saved in self._saved_watch.items():
+            wp.copy(saved, getattr(self._envs, name))
         copy_arrays(self._pools.history, self._saved_history, data.History)
 
-    def _restore(self, steps: int) -> None:
+    def _restore(self) -> None:
         """Undo the steps since `_save`."""
         copy_arrays(self._saved, self._state, data.State)
+        if self._stages.sleeping:
+            copy_arrays(self._saved_rest, self._rest, data.Rest)
+        for name, saved in self._saved_watch.items():
+            wp.copy(getattr(self._envs, name), saved)
         copy_arrays(self._saved_history, self._pools.history, data.History)
-        self._stages.count_back(steps)
 
     def _try(self, steps: int) -> dict[str, int]:
         """Do steps, or undo them all where a pool was too small: then returns what was wanted of it."""
@@ -276,7 +303,7 @@ class Simulator:
             self._stages.replay()
         shortage = self._pools.shortage()
         if shortage:
-            self._restore(steps)
+            self._restore()
         else:
             self._steps += steps
         return shortage

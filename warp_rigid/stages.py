@@ -1,5 +1,6 @@
 """The step as a sequence of kernel launches, recorded once and replayed."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -22,8 +23,10 @@ from warp_rigid.kernels import (
     overlap,
     predict,
     push_out,
+    rest,
     shock,
     support,
+    swept,
     team,
 )
 from warp_rigid.model import Model
@@ -31,6 +34,9 @@ from warp_rigid.pools import Pools
 
 TRY_ALL_UP_TO = 256
 """Up to so many small bodies an environment, trying all pairs beats the hash grid."""
+
+GRID_CELLS = 8
+"""Cells of the hash grid for each small body of an environment, at least: clearing them all is part of a step."""
 
 PAIRS, CONTACTS = 0, 1
 
@@ -69,8 +75,10 @@ def load_kernels(device: Any, baking: bool, on_module: Callable[[int, int], None
         line_search,
         push_out,
         predict,
+        swept,
         broadphase,
         contacts,
+        rest,
         capacity,
     ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -106,16 +114,28 @@ class Stages:
     Args:
         model: what is constant.
         state: what a step changes.
+        rest: who sleeps.
         envs: settings of the environments.
         pools: pairs, contacts and graph.
         dt: time step [s].
         repetitions: largest number of shock iterations in any environment.
+        sleeping: whether bodies may fall asleep in any environment.
     """
 
-    def __init__(self, model: Model, state: Any, envs: Any, pools: Pools, dt: float, repetitions: int) -> None:
+    def __init__(
+        self,
+        model: Model,
+        state: Any,
+        rest: Any,
+        envs: Any,
+        pools: Pools,
+        dt: float,
+        repetitions: int,
+        sleeping: bool,
+    ) -> None:
         """Record the step; `load_kernels` has been called."""
-        self.model, self.state, self.envs, self.pools = model, state, envs, pools
-        self.dt, self.repetitions = dt, repetitions
+        self.model, self.state, self.rest, self.envs, self.pools = model, state, rest, envs, pools
+        self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
         device: Any = pools.wanted.device
         self.device = device
         self.num_envs = model.num_envs
@@ -125,6 +145,7 @@ class Stages:
         self.pair_lanes = PAIR_LANES if device.is_cuda else 1
         self.teams = min(pools.sizes["pairs"], MOST_TEAMS) if device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
+        self.kept = data.allocate(data.History, pools.sizes, self.device) if sleeping else None
         self.grid = self._make_grid()
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
@@ -137,6 +158,8 @@ class Stages:
     def step(self) -> None:
         """One step of the method (Guendelman et al. 2003, section 4), with each stage's remedies."""
         self.predict(self.dt)
+        if self.sleeping:
+            self.wake_changed()
         self.find_pairs()
         self.find_contacts()
         self.build_graph()
@@ -145,14 +168,25 @@ class Stages:
         self.accelerate(before_collisions=False)
         self.solve_contacts()
         self.push_out()
+        self.follow()
         self.move()
+        if self.sleeping:
+            self.fall_asleep()
         self.remember()
 
     def predict(self, dt: float) -> None:
         """Derive world quantities and swept boxes."""
         self._per_body(
             predict.derive_motion,
-            [self.num_bodies, self.model.field_count, self.model.bodies, self.state, self.envs, self.model.fields],
+            [
+                self.num_bodies,
+                self.model.field_count,
+                self.model.bodies,
+                self.state,
+                self.rest,
+                self.envs,
+                self.model.fields,
+            ],
             [self.motions],
         )
         self._per_body(predict.sweep_boxes, [dt, self.model.shapes, self.model.bodies, self.state], [self.motions])
@@ -171,11 +205,11 @@ class Stages:
         pairs, records = self.pools.pairs, self.pools.contacts
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
         pairs.contact_count.zero_()
-        self._share_pairs(
-            narrowphase.find_contacts,
-            [self.teams, self.pair_lanes, self.dt, *bodies_of_pair, self.pools.history],
-            [pairs],
-        )
+        self._search_contacts(woken=0)
+        if self.sleeping:
+            self._per_pair(rest.touch, [pairs], [self.rest])
+            self._per_body(rest.wake, [self.num_bodies], [self.motions, self.rest, self.envs])
+            self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, records.key.shape[0])
         self._share_pairs(
             contacts.build_contacts,
@@ -190,6 +224,16 @@ class Stages:
             ],
             [records],
         )
+
+    def wake_changed(self) -> None:
+        """Wake the islands that were changed from outside, or whose support was."""
+        self._per_body(rest.notice, [self.num_bodies, self.state], [self.motions, self.rest, self.envs])
+        self.wake_disturbed()
+
+    def wake_disturbed(self) -> None:
+        """Wake the islands of the bodies that are marked as disturbed, and those that lie on them."""
+        self._per_body(rest.spread, [self.pools.history], [self.rest])
+        self._per_body(rest.wake, [self.num_bodies], [self.motions, self.rest, self.envs])
 
     def build_graph(self) -> None:
         """Who rests on whom, levels, islands, and the order of solving."""
@@ -237,25 +281,54 @@ class Stages:
         self._per_team(push_out.find_overlaps, [self.dt, lanes, num_bodies, self.model.shapes, *rest])
         self._per_team(push_out.push_apart, self._solver_inputs())
 
+    def follow(self) -> None:
+        """Find how far fast bodies can move before they would pass into others."""
+        self._per_body(swept.limit_way, [self.dt, self.state], [self.motions])
+        self._follow(swept.follow, [0])
+        self._per_body(swept.settle, [], [self.motions])
+        self._follow(swept.follow, [1])
+
     def move(self) -> None:
-        """Position update, after a look for non-finite states."""
-        self._per_team(integrate.watch, [self.lanes, self.num_bodies], [self.envs, self.state])
+        """Position update, after a look for non-finite states, and a look for bodies out of bounds after it."""
+        scene, bodies = self.model.scene, self.model.bodies
+        self._per_body(integrate.watch, [self.num_bodies, self.motions, self.state], [self.envs])
+        self._per_body(integrate.move, [self.dt, self.num_bodies, bodies, self.motions, self.envs], [self.state])
+        if scene.bounds is not None:
+            lower, upper = (wp.vec3(corner) for corner in scene.bounds)
+            remove = int(scene.out_of_bounds == "remove")
+            self._per_body(
+                integrate.keep_inside,
+                [self.num_bodies, lower, upper, remove, bodies, self.motions],
+                [self.state, self.envs],
+            )
+        self._per_env(integrate.close_step, [self.num_bodies], [self.envs])
+
+    def fall_asleep(self) -> None:
+        """Put the islands to sleep that have kept still for long enough."""
+        graph, bodies, pairs = self.pools.graph, self.model.bodies, self.pools.pairs
+        self._per_body(rest.watch_stillness, [self.model.shapes, bodies, self.state, self.motions], [self.rest])
         self._per_body(
-            integrate.move, [self.dt, self.num_bodies, self.model.bodies, self.motions, self.envs], [self.state]
+            rest.ask_bodies, [self.dt, self.num_bodies, self.envs, self.motions, graph, self.state], [self.rest]
         )
+        self._per_pair(rest.ask_ground, [pairs, self.motions, bodies, graph], [self.rest])
+        self._per_body(rest.fall_asleep, [self.motions, graph], [self.state, self.rest])
 
     def remember(self) -> None:
-        """Keep this step's contacts for the next one's warm start."""
-        pairs, history = self.pools.pairs, self.pools.history
+        """Keep this step's contacts for the next one's warm start, and those on which sleepers lie."""
+        pairs, records, history = self.pools.pairs, self.pools.contacts, self.pools.history
         rows = max(history.pair_start.shape[0], history.contact_start.shape[0])
+        if self.sleeping:
+            self._shared(rest.count_kept, self.pools.sizes["pairs"], [], [history, self.motions], [pairs])
+            self._sum(pairs.contact_count, self.kept.contact_start, CONTACTS, records.key.shape[0])
+            self._shared(
+                rest.carry, self.pools.sizes["pairs"], [], [pairs, records, history, self.motions], [self.kept]
+            )
         wp.launch(contacts.keep_pairs, dim=rows, inputs=[pairs], outputs=[history], device=self.device)
-        wp.launch(
-            contacts.keep_impulses,
-            dim=self.pools.contacts.key.shape[0],
-            inputs=[self.pools.contacts, pairs],
-            outputs=[history],
-            device=self.device,
-        )
+        if self.sleeping:
+            wp.copy(history.contact_start, self.kept.contact_start)
+            self._shared(rest.put_back, self.pools.sizes["contacts"], [], [self.kept], [history])
+        else:
+            self._per_contact(contacts.keep_impulses, [records, pairs], [history])
 
     def deepest_overlap(self) -> wp.array:
         """Deepest overlap of each environment in the present state, (envs,) [m]."""
@@ -268,10 +341,6 @@ class Stages:
             [deepest],
         )
         return deepest
-
-    def count_back(self, steps: int) -> None:
-        """Take back steps from the environments' counters after an undo."""
-        self.envs.step.assign(self.envs.step.numpy() - steps)
 
     def _solver_inputs(self) -> list:
         """What every solver kernel takes, in the same order."""
@@ -296,6 +365,13 @@ class Stages:
 
     def _share_pairs(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.teams * self.pair_lanes, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _per_contact(self, kernel: Any, inputs: list, outputs: list) -> None:
+        dim = self.pools.contacts.key.shape[0]
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_team(self, kernel: Any, inputs: list, outputs: Sequence = ()) -> None:
         wp.launch(
@@ -325,25 +401,41 @@ class Stages:
             device=self.device,
         )
 
+    def _follow(self, kernel: Any, before: list) -> None:
+        """One round over the pairs of the swept detection."""
+        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state]
+        self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions, self.pools.pairs])
+
+    def _search_contacts(self, woken: int) -> None:
+        """One round of the narrow phase: the pairs at hand, or the dormant ones that have just woken."""
+        bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
+        self._share_pairs(
+            narrowphase.find_contacts,
+            [woken, self.teams, self.pair_lanes, self.dt, *bodies_of_pair, self.pools.history],
+            [self.pools.pairs],
+        )
+
     def _search_pairs(self, write: int) -> None:
         """One round of the broad phase: count the pairs or write them."""
         model = self.model
-        common = [model.small, model.wide, model.bodies, self.motions, self.envs]
-        if self.grid is None:
-            self._per_body(broadphase.pairs_by_trying_all, [write, self.num_bodies, *common], [self.pools.pairs])
-        else:
-            self._per_body(
-                broadphase.pairs_by_grid,
-                [write, self.num_bodies, self.grid.id, self.model.grid_radius, self._reach, *common],
-                [self.pools.pairs],
-            )
+        kernel, own = broadphase.pairs_by_trying_all, []
+        if self.grid is not None:
+            kernel, own = broadphase.pairs_by_grid, [self.grid.id, self.model.grid_radius, self._reach]
+        common = [model.small, model.wide, model.bodies, self.motions, self.envs, self.pools.history]
+        self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
+
+    def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose threads share `size` rows: one thread on the CPU, where threads run in turn anyway."""
+        threads = size if self.device.is_cuda else 1
+        wp.launch(kernel, dim=threads, inputs=[*before, threads, *inputs], outputs=outputs, device=self.device)
 
     def _make_grid(self) -> Any:
         """A hash grid for environments of many bodies, None for small ones."""
         small = self.model.small.shape[0]
         if small <= TRY_ALL_UP_TO:
             return None
-        grid = wp.HashGrid(128, 128, 128, device=self.device)
+        side = 1 << math.ceil(math.log2((GRID_CELLS * small) ** (1 / 3)))
+        grid = wp.HashGrid(side, side, side, device=self.device)
         grid.reserve(small * self.num_envs, with_groups=True)
         self._points = wp.zeros(small * self.num_envs, dtype=wp.vec3, device=self.device)
         self._groups = wp.zeros(small * self.num_envs, dtype=int, device=self.device)

@@ -150,7 +150,7 @@ def _print_summary(summary: dict[str, Any]) -> None:
     ]
     lines += [
         f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
-        for record in summary["failed"]
+        for record in summary["failed"] + summary["out_of_bounds"]
     ]
     for line in lines:
         out.print(line, highlight=False, markup=False)
