@@ -20,6 +20,7 @@ from warp_rigid import memory, sdf
 LIBRARIES = {
     "warp-lang": "warp-rigid", "numpy": "warp-rigid", "trimesh": "warp-rigid", "usd-core": "warp-rigid",
     "typer": "warp-rigid", "rich": "warp-rigid", "matplotlib": "warp-rigid[picture]", "pillow": "warp-rigid[picture]",
+    "imageio-ffmpeg": "warp-rigid[picture]", "viser": "warp-rigid[viewer]",
 }  # fmt: skip
 """What is used, and what to install for it."""
 

@@ -1,6 +1,6 @@
 """`warp-rigid view`: a scene or a film in the browser."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,7 +28,7 @@ def view_command(
     if scene.endswith(FILMS):
         from warp_rigid.viewer.playback import FilmViewer, load_film
 
-        viewer = FilmViewer(load_film(scene), host, port, fast)
+        viewer: Any = FilmViewer(load_film(scene), host, port, fast)
     else:
         from warp_rigid.viewer.live import LiveViewer
         from warp_rigid.viewer.session import Session
