@@ -146,15 +146,19 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     """Whether samples of a kind can tell something of a contact that the others do not.
 
     Between convex shapes a point inside a face never touches first, nothing but a point touches a plane first, and a
-    ball is found exactly by its own centre.
+    ball is found exactly by its own centre: but for the rounded edges and corners of a grid, and by the faces of a
+    grid that is small beside it.
     """
     if shapes.shapes[shape].convex == 0:
         return kind != EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
+    own = shapes.parts[shapes.shapes[own_shape].part_start].kind
+    by_center = other == SPHERE and shapes.shapes[own_shape].convex == 1
     if kind == POINT:
-        own = shapes.parts[shapes.shapes[own_shape].part_start].kind
-        return other != SPHERE or own == SPHERE or shapes.shapes[own_shape].convex == 0
-    return kind == EDGE and edges == 1 and other != PLANE and other != SPHERE
+        return own == SPHERE or not by_center
+    if kind == EDGE:
+        return edges == 1 and other != PLANE and not by_center
+    return other == SPHERE and not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
 
 
 @wp.func

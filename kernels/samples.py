@@ -49,7 +49,11 @@ EDGE_FACING = wp.constant(9)
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
 
-BALL_LAST = wp.constant(4)
+POINT_AGAIN = wp.constant(1)
+
+BALL_CENTER = wp.constant(20)
+BALL_FIRST = wp.constant(21)
+BALL_LAST = wp.constant(27)
 
 
 @wp.struct
@@ -145,6 +149,11 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
     On a convex shape the direction of a crossing is the mixture of both faces' without slope along the edge: it is
     perpendicular to both edges. Along it the edge is d / (g . n) away where both faces are d away.
     """
+    if radius > 0.0 and convex == 0:
+        # The middle line of a rod may lie beyond a grid where its surface does not.
+        search.start = search.query
+        search.stage = BALL_CENTER
+        return search
     if search.crossing == 1:
         search.stage = DONE
         if convex == 1:
@@ -226,27 +235,62 @@ def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
     search.query = search.start + radius * wp.normalize(down)
     search.stage += 1
     if search.stage > RIM_LAST_TURN:
-        search.normal = direction_or_up(search.query - search.start)
+        # Halfway between side and cap, as at a box's corner: either face may be the one that touches.
+        search.normal = wp.normalize((search.query - search.start) / radius + search.along)
         search.facing = weight * search.normal
     return search
 
 
 @wp.func
-def ball_next(search: Search, d: wp.vec4, radius: float, convex: int):
+def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int):
     """A ball's deepest point.
 
-    Beyond a grid the distance is only a bound, and a ball's centre may lie there; its deepest point does not.
+    Beyond a grid the distance is only a bound, and a ball's centre may lie there; its deepest point does not. It is
+    looked for downhill over the ball's surface: toward the gradient as far as the distance falls, at most as far as the
+    shape is wide. Corners and edges of the shape need no search, as their own samples meet the ball.
     """
+    if search.stage == BALL_CENTER:
+        search.direction = gradient(d)
+        search.distance = d[3] - radius
+        search.along = gradient(d)
+        search.half = wp.min(size / radius, 1.0)
+        search.t = search.half
+        search.query = search.start - radius * search.along
+        search.stage = wp.where(exact == 1, DONE, BALL_FIRST)
+        return search
+    if search.stage == BALL_FIRST or d[3] < search.distance:
+        if search.stage > BALL_FIRST:
+            search.along = search.mixture
+            search.t = wp.min(2.0 * search.t, search.half)
+        search.direction = gradient(d)
+        search.distance = d[3]
+    else:
+        search.t *= 0.5
+    search.mixture = direction_or_up((1.0 - search.t) * search.along + search.t * search.direction)
+    if search.stage == BALL_LAST:
+        search.mixture = search.along
+    search.query = search.start - radius * search.mixture
+    search.stage = wp.where(search.stage == BALL_LAST, DONE, search.stage + 1)
+    return search
+
+
+@wp.func
+def point_next(search: Search, d: wp.vec4, size: float, flat: int):
+    """A point's distance; `flat` ones stand for a whole face.
+
+    Near an edge such a point may lie inside a face that it does not oppose, far from one that it does.
+    """
+    if search.stage == POINT_AGAIN:
+        if search.distance < 2.0 * d[3] - BORDER * size:
+            return nowhere(search)
+        search.stage = DONE
+        return search
     search.direction = gradient(d)
     search.distance = d[3]
-    search.query = search.start - radius * gradient(d)
-    if convex == 1:
-        search.distance -= radius
-        search.stage = DONE
-    elif search.stage == BALL_LAST:
-        search.stage = DONE
-    else:
-        search.stage += 1
+    search.stage = DONE
+    if flat == 1 and d[3] < -BORDER * size:
+        search.stage = POINT_AGAIN
+        search.facing = wp.vec3(0.0, 0.0, 0.0)
     return search
 
 
@@ -271,7 +315,9 @@ def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: 
             search = look_at(search, search.left)
     elif shapes.samples[s].kind == RIM:
         search.along = search.normal
-    elif shapes.samples[s].radius == 0.0:
+    elif shapes.samples[s].radius > 0.0:
+        search.stage = BALL_CENTER
+    else:
         search.facing = weight * search.normal
     return search
 
@@ -286,19 +332,19 @@ def bring_to_touch(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.
     kind = shapes.samples[s].kind
     radius = shapes.samples[s].radius
     convex = shapes.shapes[shape].convex
+    size = shapes.shapes[shape].size
+    flat = wp.where(weight > 0.0 and (kind == FACE or kind == CAP), 1, 0)
     search = begin_search(shapes, s, turn, shift, convex, weight)
     while search.stage >= 0:
         d = contact_distance(shapes, shape, search.query, search.facing)
-        if kind == EDGE:
-            search = edge_next(search, d, reach, radius, shapes.shapes[shape].size, convex, weight)
+        if search.stage >= BALL_CENTER:
+            search = ball_next(search, d, radius, size, convex)
+        elif kind == EDGE:
+            search = edge_next(search, d, reach, radius, size, convex, weight)
         elif kind == RIM:
             search = rim_next(search, d, radius, weight)
-        elif radius > 0.0:
-            search = ball_next(search, d, radius, convex)
         else:
-            search.stage = DONE
-            search.direction = gradient(d)
-            search.distance = d[3]
+            search = point_next(search, d, size, flat)
     return search
 
 

@@ -1,0 +1,96 @@
+"""Balls, rods and cylinders against wide boxes and meshes: found where they touch, and nowhere else."""
+
+import numpy as np
+import pytest
+
+from tests.geometry_oracles import cube
+from tests.oracles import rotate_about
+from tests.test_narrowphase import touch
+from warp_rigid import meshes
+from warp_rigid.scene import Scene
+from warp_rigid.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from warp_rigid.simulator import Simulator
+
+SLAB = Box((5.0, 5.0, 0.25))
+
+
+@pytest.mark.parametrize("degrees", [0.5, 3.0, 45.0, 87.0, 89.9, 90.0])
+def test_a_tilted_cylinder_touches_only_the_top_of_a_slab(device, degrees):
+    """Its lowest point's radial direction may be level: that must not make it touch a side metres away."""
+    slant = np.radians(degrees)
+    lowest = 0.3 * np.cos(slant) + 0.2 * np.sin(slant)
+    for azimuth in (0.0, 45.0, 200.0):
+        turn = rotate_about((np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth)), 0), degrees)
+        for depth in (-1e-5, 1e-4, 2e-3):
+            found = touch(
+                device, SLAB, Cylinder(0.2, 0.3), position=(1.0, 0.5, 0.25 + lowest - depth), orientation=turn
+            )
+            assert len(found["gap"]) >= 1
+            np.testing.assert_allclose(found["normal"], np.tile([0, 0, 1], (len(found["gap"]), 1)), atol=1e-6)
+            assert found["gap"].min() == pytest.approx(-depth, abs=1e-5)
+
+
+@pytest.mark.parametrize("solid", [meshes.tetrahedron, meshes.octahedron, meshes.icosahedron, meshes.dodecahedron])
+@pytest.mark.parametrize("radius", [0.05, 0.2, 3.0])
+def test_a_ball_touches_a_polyhedron_where_it_does(device, solid, radius):
+    """Pressed a little into a face, an edge or a corner, whatever the ball's size, the depth is right."""
+    mesh = solid(0.2, 48)
+    corners, faces = mesh.surface()
+    first, second, third = corners[faces[0]]
+    normal = np.cross(second - first, third - first)
+    middle, edge = (first + second + third) / 3.0, 0.5 * (first + second)
+    # A grid of 48 cells rounds edges and corners by a part of its cell of 4 to 8 mm.
+    cases = [(middle + share * (first - middle), normal, 1e-3, 4e-4) for share in (0.0, 0.4, 0.8)]
+    cases += [(place, place, 5e-3, 2.6e-3) for place in (edge, first)]
+    for place, outward, depth, tolerance in cases:
+        outward = outward / np.linalg.norm(outward)
+        found = touch(device, mesh, Sphere(radius), position=place + (radius - depth) * outward)
+        assert len(found["gap"]) >= 1, (place, outward)
+        assert found["gap"].min() == pytest.approx(-depth, abs=tolerance)
+        deepest = np.argmin(found["gap"])
+        assert found["normal"][deepest] @ outward > (0.98 if depth == 1e-3 else 0.5)
+
+
+def test_a_ball_near_a_polyhedron_touches_only_if_it_does(device):
+    generator = np.random.default_rng(3)
+    mesh = meshes.octahedron(0.2, 48)
+    for _ in range(40):
+        direction = generator.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        place = mesh.support(direction[None])[0] * direction
+        center = place + generator.uniform(-0.05, 0.25) * direction
+        gap = mesh.exact_signed_distance(center[None])[0][0] - 0.15
+        found = touch(device, mesh, Sphere(0.15), position=center)
+        if gap > 1e-3:
+            assert len(found["gap"]) == 0, gap
+        elif -0.05 < gap < -2e-3:
+            assert len(found["gap"]) >= 1
+            assert found["gap"].min() < 0.5 * gap
+
+
+@pytest.mark.parametrize("shape", [Capsule(0.15, 0.3), Cylinder(0.15, 0.4)])
+def test_a_rod_hovers_over_a_coarse_mesh_without_touching(device, shape):
+    """Its middle line lies beyond the mesh's grid, where the distance is a lower bound only."""
+    mesh = Mesh(*cube(0.2), sdf_resolution=16)
+    for turn in (rotate_about((1, 0, 0), 90.0), rotate_about((1, 1, 0), 90.0)):
+        for side in (-0.1, 0.0, 0.05):
+            for gap in (0.02, 0.003):
+                found = touch(device, mesh, shape, position=(side, side, 0.35 + gap), orientation=turn)
+                assert len(found["gap"]) == 0, (side, gap, found["gap"])
+            found = touch(device, mesh, shape, position=(side, side, 0.349), orientation=turn)
+            assert found["gap"].min() == pytest.approx(-1e-3, abs=5e-4)
+
+
+def test_a_cylinder_that_wobbles_on_a_slab_stays_on_it(device):
+    """On its rim, nearly upright: it settles within a second instead of being thrown aside."""
+    scene = Scene()
+    scene.add_static(SLAB, friction=0.5)
+    turn = rotate_about((1, 0, 0), 4.0)
+    scene.add_body(Cylinder(0.2, 0.3), position=(1, 0.5, 0.58), orientation=turn, friction=0.5)
+    sim = Simulator(scene, device=device)
+    fastest = 0.0
+    for _ in range(60):
+        sim.step(4)
+        fastest = max(fastest, float(np.linalg.norm(sim.get("linear_velocity")[0, 1])))
+    assert fastest < 1.0
+    np.testing.assert_allclose(sim.get("position")[0, 1], (1, 0.5, 0.55), atol=0.03)
