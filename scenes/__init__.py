@@ -2,12 +2,16 @@
 
 from warp_rigid.scene import Scene
 from warp_rigid.scenes import (
+    bone_pile,
     box_stack,
     bunny_pile,
     incline,
     leaning_tower,
+    planet,
     plank_launch,
+    rings_on_poles,
     seesaw,
+    showcase,
     skull_and_brain,
 )
 from warp_rigid.scenes.demo import Demo, Outcome, Verdict
@@ -23,6 +27,10 @@ _DEMOS = {
         plank_launch,
         seesaw,
         skull_and_brain,
+        showcase,
+        planet,
+        rings_on_poles,
+        bone_pile,
         bunny_pile,
     )
 }

@@ -145,3 +145,16 @@ def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verd
     """That no body's centre of mass moves faster than AT_REST now."""
     speed = np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1).max(axis=1)
     return below("speed", speed, AT_REST, f"speed < {AT_REST:g} m/s at the end", expected)
+
+
+def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+    """That all bodies are at rest now: how many are."""
+    resting = (np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1) < AT_REST).sum(axis=1)
+    text = f"all {len(bodies)} bodies slower than {AT_REST:g} m/s at the end"
+    return Verdict("resting", resting, text, resting == len(bodies), expected)
+
+
+def contacts_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+    """That there are at least as many contacts as bodies now: each body touches something."""
+    contacts = np.bincount(sim.contacts()["env"], minlength=sim.num_envs)
+    return Verdict("contacts", contacts, "a contact a body or more at the end", contacts >= len(bodies), expected)

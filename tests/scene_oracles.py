@@ -60,6 +60,7 @@ class StillSimulator:
             for name in ("position", "orientation", "linear_velocity", "angular_velocity")
         }
         self.depth = np.zeros(num_envs)
+        self.contact_envs = []
         self.calls = []
 
     def index(self, name):
@@ -83,3 +84,7 @@ class StillSimulator:
 
     def penetration(self):
         return self.depth.copy()
+
+    def contacts(self):
+        """One record for each entry of `contact_envs`."""
+        return np.array([(env,) for env in self.contact_envs], dtype=[("env", np.int32)])

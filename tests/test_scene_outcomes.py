@@ -357,3 +357,64 @@ def test_pile_counts_who_left_the_box():
     check(verdicts["escaped"], [0, 2, 1, 1], [True, False, False, False])
     check(verdicts["overlap"], [0.0019, 0.0021, 0, 0], [True, False, True, True])
     check(verdicts["speed"], [0, 0, 0, 0.2], [True, True, True, False])
+
+
+# ---------------------------------------------------------------- showcase, planet, rings_on_poles, bone_pile
+
+
+def test_rain_counts_who_left_the_slab_and_who_rests():
+    outcome, sim = start("showcase", num_envs=3, bodies=4)
+    sim.arrays["position"][1, sim.index("body_2"), 0] = 9.0
+    sim.arrays["position"][2, sim.index("body_0")] = np.nan
+    sim.arrays["position"][2, sim.index("body_3"), 2] = -1.0
+    sim.arrays["linear_velocity"][1, sim.index("body_0"), 1] = 0.051
+    sim.depth = np.array([0.0019, 0.0021, 0.0])
+    sim.contact_envs = [0] * 4 + [1] * 3 + [2] * 9
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["off_slab"], [0, 1, 2], [True, False, False])
+    check(verdicts["resting"], [4, 3, 4], [True, False, True])
+    check(verdicts["contacts"], [4, 3, 9], [True, False, True])
+    check(verdicts["overlap"], [0.0019, 0.0021, 0], [True, False, True])
+
+
+def test_planet_counts_its_sides_and_its_lost():
+    outcome, sim = start("planet", num_envs=3, bodies=60)
+    position = sim.arrays["position"]
+    own = [sim.index(f"body_{i}") for i in range(60)]
+    position[:, own] *= 5.3 / np.linalg.norm(position[:, own], axis=-1, keepdims=True)
+    position[1, own, 2] = np.abs(position[1, own, 2])
+    position[2, own[0]] *= 0.9
+    position[2, own[1]] *= 2.0
+    position[2, own[2]] = np.nan
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["octants"], [8, 4, 8], [True, False, True])
+    check(verdicts["lost"], [0, 0, 3], [True, True, False])
+
+
+def test_rings_on_poles_are_counted():
+    outcome, sim = start("rings_on_poles", num_envs=5, rings=1, poles=4)
+    ring = sim.index("ring_0")
+    places = [(3.5, 3.5, 1.0), (3.5 + 1.9, 3.5, 1.0), (3.5 + 2.0, 3.5, 1.0), (3.5, 3.5, 12.5), (3.5, 3.5, 11.0)]
+    sim.arrays["position"][:, ring] = places
+    # Tilted by 60 degrees about y, the hole covers less: cos(60) of its radius of 1.95 m along x.
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["threaded"], [1, 1, 0, 0, 1], [True, True, False, False, True])
+    sim.arrays["orientation"][:, ring] = about((0, 1, 0), 60)
+    sim.arrays["position"][:, ring, 0] = [3.5, 3.5 + 0.97, 3.5 + 0.98, 3.5, 3.5 - 0.97]
+    sim.arrays["position"][:, ring, 2] = [5.0, 5.0, 5.0, -0.1, np.nan]
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["threaded"], [1, 1, 0, 0, 0], [True, True, False, False, False])
+    check(verdicts["lost"], [0, 0, 0, 1, 1], [True, True, True, False, False])
+
+
+def test_bones_are_in_the_plot_or_still_in_the_funnel():
+    outcome, sim = start("bone_pile", num_envs=3, bones=4)
+    own = [i for i, body in enumerate(sim.scene.bodies) if body.name.startswith("bone_")]
+    sim.arrays["position"][:, own] = (0.1, -0.2, 0.3)
+    sim.arrays["position"][1, own[0], 2] = 1.5
+    sim.arrays["position"][2, own[0], 0] = 0.8
+    sim.arrays["position"][2, own[1], 2] = -0.1
+    sim.arrays["position"][2, own[2]] = np.nan
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["escaped"], [0, 0, 3], [True, True, False])
+    check(verdicts["waiting"], [0, 1, 0], [True, False, True])

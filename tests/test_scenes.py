@@ -1,5 +1,6 @@
 """The built-in scenes: what they hold, that nothing overlaps at the start, and what they refuse."""
 
+import collections
 import itertools
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from tests.scene_oracles import about, body_separation, rotation
 from warp_rigid import meshes, scenes
 from warp_rigid.scene import Motion, Scene
-from warp_rigid.scenes import bunny_pile
+from warp_rigid.scenes import bunny_pile, rings_on_poles
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Plane
 from warp_rigid.simulator import Simulator
@@ -20,6 +21,10 @@ NAMES = [
     "plank_launch",
     "seesaw",
     "skull_and_brain",
+    "showcase",
+    "planet",
+    "rings_on_poles",
+    "bone_pile",
     "bunny_pile",
 ]
 
@@ -32,6 +37,11 @@ VARIED = [
     ("incline", {"angle": 40}),
     ("plank_launch", {"blocks": 20, "drop": 5}),
     ("plank_launch", {"drop": 0.1}),
+    ("showcase", {"bodies": 30, "seed": 3}),
+    ("planet", {"bodies": 70, "seed": 1}),
+    ("rings_on_poles", {"rings": 60, "poles": 25}),
+    ("rings_on_poles", {"rings": 1, "poles": 1}),
+    ("bone_pile", {"bones": 40, "seed": 5}),
     ("bunny_pile", {"bodies": 20, "seed": 7}),
 ]
 
@@ -59,7 +69,9 @@ MASSES = {
     "incline": [1.0],
     "plank_launch": [10.0] + [1.0] * 7 + [100.0],
     "seesaw": [10.0, 10.0, 5.0],
+    "rings_on_poles": [10.0] * 12,
 }
+DENSITY = {"bone_pile": 1500.0}
 STATICS = {
     "box_stack": 3,
     "leaning_tower": 2,
@@ -67,6 +79,10 @@ STATICS = {
     "plank_launch": 2,
     "seesaw": 2,
     "skull_and_brain": 6,
+    "showcase": 1,
+    "planet": 1,
+    "rings_on_poles": 5,
+    "bone_pile": 6,
     "bunny_pile": 5,
 }
 
@@ -83,7 +99,7 @@ def test_counts_and_masses(name):
     else:
         np.testing.assert_allclose(
             [body.mass for body in dynamic],
-            [1000.0 * body.shape.volume for body in dynamic],
+            [DENSITY.get(name, 1000.0) * body.shape.volume for body in dynamic],
             rtol=1e-12,
         )
 
@@ -93,6 +109,10 @@ def test_parameters_count():
     assert len(scenes.load("leaning_tower", height=4).bodies) == 4 + 2
     assert len(scenes.load("plank_launch", blocks=2).bodies) == 2 + 4
     assert len(scenes.load("bunny_pile", bodies=5).bodies) == 5 + 5
+    assert len(scenes.load("showcase", bodies=7).bodies) == 7 + 1
+    assert len(scenes.load("planet", bodies=7).bodies) == 7 + 1
+    assert len(scenes.load("rings_on_poles", rings=3, poles=9).bodies) == 3 + 9 + 1
+    assert len(scenes.load("bone_pile", bones=4).bodies) == 4 + 6
     seesaw = scenes.load("seesaw", large_mass=3, small_mass=2)
     assert [body.mass for body in seesaw.bodies] == [0, 0, 10, 3, 2]
 
@@ -106,15 +126,17 @@ def gap_above_plane(body, plane):
 @pytest.mark.parametrize(("name", "parameters"), [(name, {}) for name in NAMES] + VARIED)
 def test_nothing_overlaps_at_the_start(name, parameters):
     scene = scenes.load(name, **parameters)
+    reach = {shape: np.linalg.norm(shape.surface()[0], axis=1).max() for shape in {b.shape for b in scene.bodies}}
     for first, second in itertools.combinations(scene.bodies, 2):
         if Motion.DYNAMIC not in (first.motion, second.motion):
             continue
         if isinstance(first.shape, Plane):
             gap = gap_above_plane(second, first.shape)
-        elif np.linalg.norm(np.subtract(first.position, second.position)) > 8.0:
-            continue
         else:
-            gap = body_separation(first, second)
+            gap = np.linalg.norm(np.subtract(first.position, second.position))
+            gap -= reach[first.shape] + reach[second.shape]
+            if gap <= 0.0:
+                gap = body_separation(first, second)
         assert gap > -1e-12, (first.name, second.name, gap)
 
 
@@ -244,6 +266,15 @@ BAD = [
     ("skull_and_brain", {"skull": "nowhere.obj"}, r"^skull: nowhere\.obj: no such file$"),
     ("skull_and_brain", {"brain": "brain.txt"}, r"^brain: brain\.txt: must be a mesh file"),
     ("skull_and_brain", {"skull": 3}, "^skull: must be the path of a mesh file, got 3$"),
+    ("showcase", {"bodies": 0}, "^bodies: must be a whole number from 1 to 20000"),
+    ("showcase", {"seed": -1}, "^seed: must be a whole number from 0 to 4294967295"),
+    ("planet", {"bodies": 5001}, "^bodies: must be a whole number from 1 to 5000"),
+    ("planet", {"seed": 0.5}, "^seed: must be a whole number"),
+    ("rings_on_poles", {"rings": 0}, "^rings: must be a whole number from 1 to 2000"),
+    ("rings_on_poles", {"poles": 24}, "^poles: must be a square number from 1 to 49, got 24$"),
+    ("rings_on_poles", {"seed": -1}, "^seed: "),
+    ("bone_pile", {"bones": 2001}, "^bones: must be a whole number from 1 to 2000"),
+    ("bone_pile", {"seed": "x"}, "^seed: "),
     ("bunny_pile", {"bodies": 0}, "^bodies: must be a whole number from 1 to 4096"),
     ("bunny_pile", {"seed": -1}, "^seed: must be a whole number from 0 to 4294967295"),
     ("bunny_pile", {"speed": 1}, "^speed: no parameter of bunny_pile, which has bodies, seed$"),
@@ -258,13 +289,35 @@ def test_bad_parameters_are_refused_in_one_line(name, parameters, message):
     assert "\n" not in str(refusal.value)
 
 
-def test_bunnies_of_a_batch_start_each_in_its_own_way():
+@pytest.mark.parametrize(
+    ("name", "prefix", "parameters"),
+    [
+        ("bunny_pile", "bunny_", {"bodies": 3, "seed": 5}),
+        ("showcase", "body_", {"bodies": 5, "seed": 2}),
+        ("planet", "body_", {"bodies": 5, "seed": 2}),
+        ("rings_on_poles", "ring_", {"rings": 3, "poles": 1, "seed": 7}),
+        ("bone_pile", "bone_", {"bones": 4, "seed": 1}),
+    ],
+)
+def test_environments_of_a_batch_start_each_in_their_own_way(name, prefix, parameters):
     """Environment e starts as the scene of seed + e; comparisons leave all starts alike."""
-    demo = scenes.get("bunny_pile")
-    sim = Simulator(demo.build(bodies=3, seed=5), num_envs=3, device="cpu")
-    demo.vary(sim, bodies=3, seed=5)
+    demo = scenes.get(name)
+    sim = Simulator(demo.build(**parameters), num_envs=3, device="cpu")
+    demo.vary(sim, **parameters)
+    first = [i for i, body in enumerate(sim.scene.bodies) if body.name.startswith(prefix)]
     for env in range(3):
-        single = demo.build(bodies=3, seed=5 + env)
-        expected = [body.position for body in single.bodies if body.name.startswith("bunny_")]
-        np.testing.assert_allclose(sim.get("position")[env, 5:], expected, atol=1e-6)
+        single = demo.build(**{**parameters, "seed": parameters["seed"] + env})
+        expected = [body.position for body in single.bodies if body.name.startswith(prefix)]
+        np.testing.assert_allclose(sim.get("position")[env, first], expected, atol=1e-5)
     assert not np.allclose(sim.get("position")[0], sim.get("position")[1])
+
+
+def test_the_papers_counts():
+    """500 rings between 30 and 330 m over 25 poles; 300 craniums, 150 pelvises and 50 femurs."""
+    rings, _ = rings_on_poles.starts(500, 5, 0)
+    assert 30.0 <= rings[:, 2].min() < 32.0 and 328.0 < rings[:, 2].max() <= 330.0
+    assert 19.0 < np.linalg.norm(rings[:, :2], axis=1).max() <= 20.0
+    feet = [body.position[:2] for body in scenes.load("rings_on_poles", rings=1, poles=25).bodies[1:26]]
+    assert sorted(feet)[0] == (-14.0, -14.0) and sorted(feet)[1] == (-14.0, -7.0)
+    kinds = collections.Counter(body.name.rpartition("_")[2] for body in scenes.load("bone_pile", bones=500).bodies[6:])
+    assert kinds == {"cranium": 300, "pelvis": 150, "femur": 50}

@@ -7,7 +7,7 @@ import os
 
 import numpy as np
 
-from warp_rigid import mass_properties, mesh_files, organic, tessellation, topology
+from warp_rigid import bones, mass_properties, mesh_files, organic, tessellation, topology
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.mesh import Mesh
 
@@ -117,6 +117,21 @@ def brain_like(size: float = 0.18, sdf_resolution: int = 64) -> Mesh:
         sdf_resolution: as in `Mesh`.
     """
     return _centered(*organic.brain(), size, sdf_resolution)
+
+
+def cranium(size: float = 0.2, sdf_resolution: int = 64) -> Mesh:
+    """A closed skull with hollow eye sockets; `size` is its longest side [m]."""
+    return _centered(*bones.cranium(), size, sdf_resolution)
+
+
+def pelvis(size: float = 0.25, sdf_resolution: int = 64) -> Mesh:
+    """A pelvis: a bony ring with two wings, which other bones can go through; `size` is its longest side [m]."""
+    return _centered(*bones.pelvis(), size, sdf_resolution)
+
+
+def femur(size: float = 0.44, sdf_resolution: int = 64) -> Mesh:
+    """A thigh bone with condyles, neck and head; `size` is its longest side [m]."""
+    return _centered(*bones.femur(), size, sdf_resolution)
 
 
 def _platonic(corners, faces, radius, sdf_resolution) -> Mesh:

@@ -23,7 +23,7 @@ def skull() -> tuple[np.ndarray, np.ndarray]:
     faces = faces[~inside[faces].all(axis=1)]
     used, faces = np.unique(faces, return_inverse=True)
     directions = directions[used]
-    return directions * _skull_radius(directions)[:, None], faces.reshape(-1, 3).astype(np.int32)
+    return directions * skull_radius(directions)[:, None], faces.reshape(-1, 3).astype(np.int32)
 
 
 def brain() -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +117,8 @@ def _smooth_union(*radii: np.ndarray, sharpness: float) -> np.ndarray:
     return np.logaddexp.reduce([sharpness * radius for radius in radii]) / sharpness
 
 
-def _skull_radius(directions: np.ndarray) -> np.ndarray:
+def skull_radius(directions: np.ndarray) -> np.ndarray:
+    """How far the skull's surface is from its middle along unit directions (n, 3), (n,)."""
     cranium = _ellipsoid(directions, (-0.09, 0.0, 0.15), np.array([0.54, 0.40, 0.40]))
     face = _ellipsoid(directions, (0.20, 0.0, -0.24), np.array([0.27, 0.27, 0.41]))
     radius = _smooth_union(cranium, face, sharpness=30.0)
