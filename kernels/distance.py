@@ -11,6 +11,7 @@ face that opposes it, as long as the sample has not really left that face sidewa
 import warp as wp
 
 from warp_rigid.kernels.data import Shapes
+from warp_rigid.kernels.heightfield import heightfield_distance
 
 wp.set_module_options({"enable_backward": False})
 
@@ -189,33 +190,6 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
         n = direction_or_up(n)
         distance = wp.sqrt(wp.max(distance, 0.0) * wp.max(distance, 0.0) + wp.length_sq(away))
     return wp.vec4(n[0], n[1], n[2], distance)
-
-
-@wp.func
-def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
-    """Height above a bilinear height field, measured along the local normal (exact for a slope, first order else)."""
-    dims = shapes.parts[part].grid_dims
-    size = shapes.parts[part].size
-    cell_x = size[0] / float(dims[0] - 1)
-    cell_y = size[1] / float(dims[1] - 1)
-    qx = (p[0] + 0.5 * size[0]) / cell_x
-    qy = (p[1] + 0.5 * size[1]) / cell_y
-    if qx < 0.0 or qy < 0.0 or qx > float(dims[0] - 1) or qy > float(dims[1] - 1):
-        return wp.vec4(0.0, 0.0, 1.0, FAR)
-    i = wp.min(int(qx), dims[0] - 2)
-    j = wp.min(int(qy), dims[1] - 2)
-    x = qx - float(i)
-    y = qy - float(j)
-    at = shapes.parts[part].grid_start + i * dims[1] + j
-    h00 = shapes.grid_value[at]
-    h01 = shapes.grid_value[at + 1]
-    h10 = shapes.grid_value[at + dims[1]]
-    h11 = shapes.grid_value[at + dims[1] + 1]
-    slope_x = ((1.0 - y) * (h10 - h00) + y * (h11 - h01)) / cell_x
-    slope_y = ((1.0 - x) * (h01 - h00) + x * (h11 - h10)) / cell_y
-    height = (1.0 - x) * ((1.0 - y) * h00 + y * h01) + x * ((1.0 - y) * h10 + y * h11)
-    n = wp.normalize(wp.vec3(-slope_x, -slope_y, 1.0))
-    return wp.vec4(n[0], n[1], n[2], (p[2] - height) * n[2])
 
 
 @wp.func

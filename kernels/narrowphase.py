@@ -28,7 +28,7 @@ from warp_rigid.kernels.data import (
     Shapes,
     State,
 )
-from warp_rigid.kernels.distance import FAR, PLANE, SPHERE, signed_distance
+from warp_rigid.kernels.distance import FAR, HEIGHTFIELD, PLANE, SPHERE, signed_distance
 from warp_rigid.kernels.predict import CONTACT_DISTANCE, DRIVEN
 from warp_rigid.kernels.samples import EDGE, POINT, Search, place_sample
 from warp_rigid.kernels.tangents import tangent_of
@@ -153,6 +153,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
         return kind != EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
     own = shapes.parts[shapes.shapes[own_shape].part_start].kind
+    if own == HEIGHTFIELD:
+        return True
     by_center = other == SPHERE and shapes.shapes[own_shape].convex == 1
     if kind == POINT:
         return own == SPHERE or not by_center

@@ -8,7 +8,7 @@ that the distance function, which is large, stands in one place: small code is f
 import warp as wp
 
 from warp_rigid.kernels.data import Shapes
-from warp_rigid.kernels.distance import BORDER, FAR, PLANE, contact_distance, direction_or_up
+from warp_rigid.kernels.distance import BORDER, FAR, HEIGHTFIELD, PLANE, contact_distance, direction_or_up
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -333,12 +333,13 @@ def bring_to_touch(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.
     radius = shapes.samples[s].radius
     convex = shapes.shapes[shape].convex
     size = shapes.shapes[shape].size
+    exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == HEIGHTFIELD, 1, convex)
     flat = wp.where(weight > 0.0 and (kind == FACE or kind == CAP), 1, 0)
     search = begin_search(shapes, s, turn, shift, convex, weight)
     while search.stage >= 0:
         d = contact_distance(shapes, shape, search.query, search.facing)
         if search.stage >= BALL_CENTER:
-            search = ball_next(search, d, radius, size, convex)
+            search = ball_next(search, d, radius, size, exact)
         elif kind == EDGE:
             search = edge_next(search, d, reach, radius, size, convex, weight)
         elif kind == RIM:

@@ -96,11 +96,14 @@ def test_direction_is_the_unit_gradient(device, name):
     assert aligned.min() > (1.0 - 1e-6 if name in CLOSED_FORMS else 1.0 - 1e-3)
 
 
-@pytest.mark.parametrize("name", [name for name in CLOSED_FORMS if name != "heightfield"])
+@pytest.mark.parametrize("name", CLOSED_FORMS)
 def test_following_the_direction_leads_to_the_surface(device, name):
     """x - d n lies on the surface: ties the distance, its sign and the direction together."""
     points = probe(SHAPES[name], seed=2)
     found, direction = measure(SHAPES[name], points, device)
+    if name == "heightfield":
+        inside = (np.abs(points[:, :2]) < 0.5 * SHAPES[name].extent).all(axis=1)
+        points, found, direction = points[inside], found[inside], direction[inside]
     landed, _ = SHAPES[name].signed_distance(points - found[:, None] * direction)
     np.testing.assert_allclose(landed, 0.0, atol=1e-5)
 

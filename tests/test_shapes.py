@@ -184,49 +184,6 @@ def test_plane():
     assert np.isinf(Plane((1, 0, 1)).bounds).all()
 
 
-def test_heightfield_follows_its_bilinear_surface():
-    generator = np.random.default_rng(6)
-    heights = generator.normal(scale=0.3, size=(5, 4))
-    field = Heightfield(heights, (2.0, 3.0))
-    x, y = np.linspace(-1, 1, 5), np.linspace(-1.5, 1.5, 4)
-    for i in range(5):
-        for j in range(4):
-            distance, _ = field.signed_distance([[x[i], y[j], heights[i, j]]])
-            assert distance[0] == pytest.approx(0.0, abs=1e-12)
-    at = np.array([[x[1] + 0.3 * 0.5, y[2] + 0.7, 5.0]])
-    u, v = 0.3, 0.7
-    corner = heights[1:3, 2:4]
-    height = (1 - u) * ((1 - v) * corner[0, 0] + v * corner[0, 1]) + u * ((1 - v) * corner[1, 0] + v * corner[1, 1])
-    distance, gradient = field.signed_distance(at)
-    assert distance[0] / gradient[0, 2] == pytest.approx(5.0 - height)
-
-    def bilinear(points):
-        distance, gradient = field.signed_distance(points)
-        return distance / gradient[:, 2]  # vertical gap z - height
-
-    slope = numeric_gradient(bilinear, at, 1e-6)[0]
-    np.testing.assert_allclose(gradient[0], slope / np.linalg.norm(slope), atol=1e-6)
-
-
-def test_heightfield_of_a_slope_is_exact_and_ends_at_its_border():
-    x = np.linspace(-1, 1, 9)
-    slope = Heightfield(np.repeat(0.75 * x[:, None], 5, axis=1), (2, 2))
-    distance, gradient = slope.signed_distance([[0.1, 0.2, 2.0], [0.9, -0.9, -1.0], [1.01, 0, 0]])
-    normal = np.array([-0.6, 0, 0.8])
-    np.testing.assert_allclose(distance[:2], [0.8 * 2 - 0.06, -0.8 - 0.54], atol=1e-12)
-    np.testing.assert_allclose(gradient[:2], [normal, normal], atol=1e-12)
-    assert distance[2] == math.inf
-    vertices, faces = slope.surface()
-    assert len(faces) == 2 * 8 * 4
-    edge = vertices[faces]
-    up = np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0])
-    assert (up[:, 2] > 0).all()
-    part = slope.parts()[0]
-    assert part.kind == PartKind.HEIGHTFIELD and part.size == (2.0, 2.0, 0.0, 0.0)
-    assert part.grid.values.shape == (9, 5, 1)
-    np.testing.assert_allclose(part.grid.origin, (-1, -1, 0))
-
-
 def test_compound_distance_is_that_of_the_union():
     shape = turned_pair()
     outline = [shape.surface()[0][face] for face in shape.surface()[1]]

@@ -16,7 +16,7 @@ from warp_rigid.fields import PointField, UniformField
 from warp_rigid.recording import Recording, record
 from warp_rigid.scene import Body, Motion, Scene
 from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
+from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.simulator import Simulator
 from warp_rigid.usd_export import export_usd
 
@@ -29,6 +29,7 @@ __all__ = [
     "Capsule",
     "Compound",
     "Cylinder",
+    "HarmonicMotion",
     "Heightfield",
     "Mesh",
     "Motion",

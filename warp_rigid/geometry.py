@@ -45,7 +45,7 @@ class Part:
 
     `size` by kind: SPHERE (radius, 0, 0, 0), BOX (half x, half y, half z, 0), CAPSULE and CYLINDER
     (radius, half height, 0, 0) about local z, PLANE (unit normal, offset), GRID (0, 0, 0, 0),
-    HEIGHTFIELD (extent x, extent y, 0, 0); all [m].
+    HEIGHTFIELD (extent x, extent y, steepest slope, 0); all but the slope [m].
     """
 
     kind: PartKind

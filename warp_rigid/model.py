@@ -60,7 +60,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
     return Model(
         scene=scene,
         num_envs=num_envs,
-        shapes=_pool_shapes(shapes, device),
+        shapes=_pool_shapes(shapes, _exact_reach(scene.bodies), device),
         bodies=_upload_bodies(scene.bodies, shape_of_body, wide, num_envs, device),
         fields=fields,
         field_count=len(scene.force_fields),
@@ -175,7 +175,18 @@ def _center_of_mass(body: Body) -> np.ndarray:
     return np.zeros(3) if body.motion == Motion.STATIC else body.shape.center_of_mass
 
 
-def _pool_shapes(shapes: list[Shape], device: Any) -> Any:
+def _exact_reach(bodies: list[Body]) -> float:
+    """How far from a height field distances must be exact [m]: a ball's radius, half an edge, and a body's size."""
+    shapes = {body.shape for body in bodies if body.motion == Motion.DYNAMIC}
+    reach = 0.0 if shapes else UNBOUNDED
+    for shape in shapes:
+        samples = shape.samples()
+        spans = np.linalg.norm(samples.slide, axis=1) + samples.radius
+        reach = max(reach, float(spans.max(initial=0.0)) + shape.size)
+    return reach
+
+
+def _pool_shapes(shapes: list[Shape], exact_reach: float, device: Any) -> Any:
     """Concatenate parts, grids, clusters and samples of all shapes."""
     parts = [shape.parts() for shape in shapes]
     samples = [shape.samples() for shape in shapes]
@@ -183,7 +194,7 @@ def _pool_shapes(shapes: list[Shape], device: Any) -> Any:
     grids = [np.ravel(part.grid.values) if part.grid else np.zeros(0, np.float32) for part in flat]
     pool = data.Shapes()
     pool.shapes = wp.array(_shape_rows(shapes, parts, samples), dtype=data.ShapeRecord, device=device)
-    pool.parts = wp.array(_part_rows(flat, grids), dtype=data.PartRecord, device=device)
+    pool.parts = wp.array(_part_rows(flat, grids, exact_reach), dtype=data.PartRecord, device=device)
     pool.clusters = wp.array(_cluster_rows(samples), dtype=data.ClusterRecord, device=device)
     pool.samples = wp.array(_sample_rows(samples), dtype=data.SampleRecord, device=device)
     pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
@@ -204,14 +215,14 @@ def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
     return rows
 
 
-def _part_rows(parts: list, grids: list[np.ndarray]) -> np.ndarray:
+def _part_rows(parts: list, grids: list[np.ndarray], exact_reach: float) -> np.ndarray:
     """One record a part."""
     rows = np.zeros(len(parts), data.PartRecord.numpy_dtype())
     for row, part in zip(rows, parts, strict=True):
         row["kind"] = int(part.kind)
         row["placed"] = part.position != (0, 0, 0) or part.orientation != (0, 0, 0, 1)
         row["position"], row["orientation"] = part.position, part.orientation
-        row["size"] = part.size
+        row["size"] = (*part.size[:3], exact_reach) if part.kind == PartKind.HEIGHTFIELD else part.size
         if part.grid:
             row["grid_dims"] = part.grid.values.shape
             row["grid_origin"], row["grid_spacing"] = part.grid.origin, part.grid.spacing

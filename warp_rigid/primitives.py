@@ -1,4 +1,4 @@
-"""Shapes with closed-form distances: sphere, box, capsule, cylinder, plane and height field."""
+"""Shapes with closed-form distances: sphere, box, capsule, cylinder and plane."""
 
 import math
 from functools import cached_property
@@ -8,7 +8,6 @@ import numpy as np
 from warp_rigid import mass_properties, tessellation
 from warp_rigid.checks import finite_number, finite_vector, number_array, number_in, shown
 from warp_rigid.geometry import (
-    Grid,
     Part,
     PartKind,
     Shape,
@@ -314,108 +313,6 @@ class Plane(Shape):
         corners = [a * first + b * second for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         vertices = 10.0 * np.array(corners) + self.offset * self.normal
         return vertices, tessellation.triangulate_quads(np.array([[0, 1, 2, 3]]))
-
-
-class Heightfield(Shape):
-    """Terrain over a rectangle around the origin, solid below; for static bodies only.
-
-    Heights are bilinear between the vertices. Beyond the rectangle there is nothing.
-    """
-
-    static_only = True
-    size = math.inf
-
-    def __init__(self, heights, size):
-        """Make a height field.
-
-        Args:
-            heights: (nx, ny), at least 2 x 2, finite [m]; heights[i, j] belongs to
-                x = size_x (i / (nx - 1) - 1/2), y = size_y (j / (ny - 1) - 1/2).
-            size: (size_x, size_y) of the rectangle [m], both greater than 0.
-        """
-        heights = number_array("heights", heights)
-        if heights.ndim != 2 or min(heights.shape) < 2:
-            raise ValueError(f"heights: must be at least 2 x 2 numbers, got {heights.shape}")
-        if not np.isfinite(heights).all():
-            raise ValueError("heights: must be finite numbers, got NaN or infinity")
-        self.heights = frozen_array(heights)
-        self.extent = frozen_array(_positive_vector("size", size, 2))
-
-    def _content(self):
-        return [self.heights, self.extent]
-
-    @cached_property
-    def mass_properties(self):
-        """None: a height field has no mass."""
-        return mass_properties.no_solid()
-
-    @cached_property
-    def bounds(self):
-        """The rectangle, from the lowest to the highest height; the solid goes on below."""
-        half = 0.5 * self.extent
-        return (
-            np.array([*-half, self.heights.min()]),
-            np.array([*half, self.heights.max()]),
-        )
-
-    def signed_distance(self, points):
-        """Distance along the slope's normal, `(z - height) / sqrt(1 + |slope|^2)`.
-
-        This is the distance to the tangent plane below the point: exact where the terrain is flat
-        or evenly sloped, and of first order in the distance elsewhere. The gradient is that normal.
-        Beyond the rectangle the distance is infinite and the gradient +z.
-        """
-        points = point_array(points)
-        cells = np.array(self.heights.shape) - 1
-        step = self.extent / cells
-        place = points[:, :2] / step + 0.5 * cells
-        clamped = np.clip(place, 0.0, cells)
-        cell = np.minimum(clamped.astype(np.int64), cells - 1)
-        i, j = cell.T
-        u, v = (clamped - cell).T
-        h00, h10 = self.heights[i, j], self.heights[i + 1, j]
-        h01, h11 = self.heights[i, j + 1], self.heights[i + 1, j + 1]
-        height = (1 - u) * ((1 - v) * h00 + v * h01) + u * ((1 - v) * h10 + v * h11)
-        slope = np.stack(
-            [
-                ((1 - v) * (h10 - h00) + v * (h11 - h01)) / step[0],
-                ((1 - u) * (h01 - h00) + u * (h11 - h10)) / step[1],
-            ],
-            axis=1,
-        )
-        beyond = (place != clamped).any(axis=1)
-        slope[beyond] = 0.0
-        normal = np.column_stack([-slope, np.ones(len(points))])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return np.where(beyond, np.inf, (points[:, 2] - height) * normal[:, 2]), normal
-
-    def parts(self):
-        """One HEIGHTFIELD; its grid's spacing is that along x."""
-        values = frozen_array(self.heights[:, :, None], np.float32)
-        origin = (-0.5 * float(self.extent[0]), -0.5 * float(self.extent[1]), 0.0)
-        spacing = float(self.extent[0] / (self.heights.shape[0] - 1))
-        grid = Grid(origin, spacing, values)
-        return [Part(PartKind.HEIGHTFIELD, (*self.extent.tolist(), 0.0, 0.0), grid=grid)]
-
-    def sample_list(self):
-        """The grid's vertices."""
-        vertices, _ = self.surface()
-        spacing = self.extent / (np.array(self.heights.shape) - 1)
-        slope_x, slope_y = np.gradient(self.heights, *spacing)
-        normal = np.stack([-slope_x, -slope_y, np.ones_like(self.heights)], axis=-1).reshape(-1, 3)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        collected = SampleList()
-        collected.add(SampleKind.POINT, vertices, normal, rank=VERTEX)
-        return collected
-
-    def surface(self):
-        """Two triangles a cell."""
-        rows, columns = self.heights.shape
-        x = np.linspace(-0.5, 0.5, rows) * self.extent[0]
-        y = np.linspace(-0.5, 0.5, columns) * self.extent[1]
-        x, y = np.meshgrid(x, y, indexing="ij")
-        vertices = np.stack([x, y, self.heights], axis=-1).reshape(-1, 3)
-        return vertices, tessellation.lattice(rows, columns)
 
 
 def _positive_vector(name: str, value, length: int) -> tuple[float, ...]:

@@ -2,8 +2,9 @@
 
 from warp_rigid.compound import Compound
 from warp_rigid.geometry import Grid, Part, PartKind, Shape
+from warp_rigid.heightfield import HarmonicMotion, Heightfield
 from warp_rigid.mesh import Mesh
-from warp_rigid.primitives import Box, Capsule, Cylinder, Heightfield, Plane, Sphere
+from warp_rigid.primitives import Box, Capsule, Cylinder, Plane, Sphere
 from warp_rigid.sampling import SampleKind, Samples
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "Compound",
     "Cylinder",
     "Grid",
+    "HarmonicMotion",
     "Heightfield",
     "Mesh",
     "Part",
