@@ -148,6 +148,7 @@ ShapeRecord = record(
     lower=Field(wp.vec3, "", "m", "lower corner of the box"),
     upper=Field(wp.vec3, "", "m", "upper corner of the box"),
     size=Field(float, "", "m", "smallest extent of the box: contact tolerances scale with it"),
+    rise=Field(float, "", "m/s", "largest speed of its surface relative to the body, 0 unless its ground moves"),
 )
 
 Shapes = layout(
@@ -158,6 +159,22 @@ Shapes = layout(
     clusters=Field(ClusterRecord, "clusters", "", "their sample clusters"),
     samples=Field(SampleRecord, "samples", "", "their surface samples"),
     grid_value=Field(float, "nodes", "m", "signed distance, or height, at a grid's node"),
+)
+
+Surfaces = layout(
+    "Surfaces",
+    "Vertices of the height fields that move, a copy for each environment; their nodes are the pool's last.",
+    env=Field(int, "vertices", "", "environment"),
+    sample=Field(int, "vertices", "", "the sample at the vertex"),
+    around=Field(wp.vec4i, "vertices", "", "neighbouring vertices: before and after along x, before and after along y"),
+    per_x=Field(float, "vertices", "1/m", "one over the distance of the neighbours along x"),
+    per_y=Field(float, "vertices", "1/m", "one over the distance of the neighbours along y"),
+    height=Field(float, "vertices", "m", "mean height"),
+    amplitude=Field(float, "vertices", "m", "of the motion"),
+    phase=Field(float, "vertices", "rad", "of the motion at time 0"),
+    frequency=Field(float, "vertices", "rad/s", "of the motion"),
+    rise=Field(float, "vertices", "m/s", "velocity over this step"),
+    rise_before=Field(float, "vertices", "m/s", "velocity over the step before"),
 )
 
 Bodies = layout(
@@ -285,6 +302,7 @@ ContactRecord = record(
     coupling_b=Field(wp.vec2, "", "1/kg", "the second body"),
     tangent_a=Field(wp.vec3, "", "1/kg", "the first body's tangential inverse mass: 11, 12, 22"),
     tangent_b=Field(wp.vec3, "", "1/kg", "the second body's"),
+    surface=Field(wp.vec3, "", "m/s", "the surfaces' own relative velocity, zero unless ground moves"),
 )
 
 LoadRecord = record(

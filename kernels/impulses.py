@@ -82,7 +82,7 @@ def put_down(a: int, b: int, couple: Couple, state: State):
 def slip_between(row: ContactRecord, couple: Couple):
     """Velocity of the first body relative to the second at a contact."""
     va = couple.linear_a + wp.cross(couple.angular_a, row.arm_a)
-    return va - couple.linear_b - wp.cross(couple.angular_b, row.arm_b)
+    return va - couple.linear_b - wp.cross(couple.angular_b, row.arm_b) + row.surface
 
 
 @wp.func

@@ -78,6 +78,7 @@ class Approach:
     turn: wp.quat
     shift: wp.vec3
     reach: float
+    rise: float
 
 
 @wp.func
@@ -266,7 +267,7 @@ def touching(
     a = wp.where(side == 0, approach.own, approach.other)
     b = wp.where(side == 0, approach.other, approach.own)
     gap = closing_gap(touch, a, b, dt, state, motions)
-    if gap < CONTACT_DISTANCE * size:
+    if gap < CONTACT_DISTANCE * size + approach.rise:
         result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
         result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
         result.gap = gap
@@ -371,13 +372,15 @@ def look_for_contacts(
     """Try the samples of both bodies of a pair. Returns how many contacts they make."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    reach = contact_reach(a, b, size, dt, state, motions)
+    rise = dt * (shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise)
+    reach = contact_reach(a, b, size, dt, state, motions) + rise
     if lane == 0:
         pairs.patch_count[pair] = 0
     meet(lanes)
     side = int(0)
     while side < 2:
         approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
+        approach.rise = rise
         end = shapes.shapes[approach.own_shape].cluster_end
         for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
             near = int(0)
@@ -462,6 +465,7 @@ def find_contacts(
         kept = int(0)
         if (
             last >= 0
+            and shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise == 0.0
             and history.seen[last] == edges + 1
             and hardly_moved(last, approach, dt, size, bodies, state, motions, history)
         ):

@@ -5,6 +5,7 @@ from warp_rigid.scenes import (
     bone_pile,
     box_stack,
     bunny_pile,
+    carpet,
     incline,
     leaning_tower,
     planet,
@@ -13,6 +14,7 @@ from warp_rigid.scenes import (
     seesaw,
     showcase,
     skull_and_brain,
+    terrain,
 )
 from warp_rigid.scenes.demo import Demo, Outcome, Verdict
 
@@ -28,6 +30,8 @@ _DEMOS = {
         seesaw,
         skull_and_brain,
         showcase,
+        terrain,
+        carpet,
         planet,
         rings_on_poles,
         bone_pile,

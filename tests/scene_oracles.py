@@ -61,6 +61,8 @@ class StillSimulator:
         }
         self.depth = np.zeros(num_envs)
         self.contact_envs = []
+        for name in ("kinetic_energy", "potential_energy"):
+            self.arrays[name] = np.zeros((num_envs, len(scene.bodies)))
         self.calls = []
 
     def index(self, name):

@@ -1,7 +1,7 @@
 """Height fields: terrain over a rectangle, and ground that moves up and down in waves."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -153,16 +153,16 @@ class Heightfield(Shape):
         found = [_to_triangles(points[k : k + portion], corners) for k in range(0, len(points), portion)]
         arm, normal, inner = (np.concatenate(column) for column in zip(*found, strict=True))
         length = np.linalg.norm(arm, axis=1)
-        under = points[:, 2] < self._heights_below(points)
+        under = points[:, 2] < self.height_at(points[:, :2], 0.0)
         flat = inner | (length < 1e-12)
         distance = np.where(flat, np.einsum("ij,ij->i", arm, normal), np.where(under, -length, length))
         direction = np.where(flat[:, None], normal, arm / np.where(flat, 1.0, distance)[:, None])
         return distance, direction
 
-    def _heights_below(self, points):
-        """Height of the surface at points within the rectangle."""
-        heights, last = self.heights_at(0.0), np.array(self.heights.shape) - 1
-        place = (points[:, :2] / self.extent + 0.5) * last
+    def height_at(self, places, time: float) -> np.ndarray:
+        """Height of the surface at places (n, 2) of its rectangle and a time [s], (n,) [m]."""
+        heights, last = self.heights_at(time), np.array(self.heights.shape) - 1
+        place = np.clip((np.asarray(places) / self.extent + 0.5) * last, 0.0, last)
         cell = np.minimum(place.astype(np.int64), last - 1)
         i, j = cell.T
         u, v = (place - cell).T
@@ -189,6 +189,13 @@ class Heightfield(Shape):
         collected = SampleList()
         collected.add(SampleKind.FACE, vertices, normal, rank=VERTEX)
         return collected
+
+    @cached_property
+    def _samples(self):
+        """Clusters of a moving field hold their vertices at any time."""
+        samples = self.sample_list().cluster()
+        swing = np.float32(2.0 * np.abs(self.amplitude).max())
+        return replace(samples, cluster_radius=samples.cluster_radius + swing)
 
     def surface(self):
         """Two triangles a cell, at time 0."""

@@ -11,6 +11,7 @@ from warp_rigid.kernels import data
 from warp_rigid.scene import COMBINE_RULES, Body, Motion, Scene
 from warp_rigid.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.shapes import PartKind, SampleKind, Shape
+from warp_rigid.surfaces import build_surfaces, moves, with_copies
 
 UNBOUNDED = 2.0e9
 """Stands for the infinite extents of planes [m]; float32 multiplies it without overflow."""
@@ -27,6 +28,8 @@ class Model:
         scene: where it comes from.
         num_envs: environments.
         shapes: pool of shapes.
+        surfaces: vertices of ground that moves.
+        surface_vertices: how many there are; their nodes are the pool's last.
         bodies: rows of all environments.
         fields: force fields.
         field_count: how many there are.
@@ -40,6 +43,8 @@ class Model:
     scene: Scene
     num_envs: int
     shapes: Any
+    surfaces: Any
+    surface_vertices: int
     bodies: Any
     fields: Any
     field_count: int
@@ -53,6 +58,8 @@ class Model:
 def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
     """Upload a scene for `num_envs` environments."""
     shapes, shape_of_body = _unique_shapes(scene.bodies)
+    pooled, place, step = with_copies(shapes, num_envs)
+    pool, surfaces, surface_vertices = _pool_shapes(pooled, num_envs, _exact_reach(scene.bodies), device)
     small, wide, grid_radius = _split_by_size(scene.bodies)
     fields = data.allocate(data.FieldForces, {"fields": len(scene.force_fields)}, device)
     if scene.force_fields:
@@ -60,8 +67,10 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
     return Model(
         scene=scene,
         num_envs=num_envs,
-        shapes=_pool_shapes(shapes, _exact_reach(scene.bodies), device),
-        bodies=_upload_bodies(scene.bodies, shape_of_body, wide, num_envs, device),
+        shapes=pool,
+        surfaces=surfaces,
+        surface_vertices=surface_vertices,
+        bodies=_upload_bodies(scene.bodies, place[shape_of_body], step[shape_of_body], wide, num_envs, device),
         fields=fields,
         field_count=len(scene.force_fields),
         combine_rules=wp.vec2i(
@@ -147,11 +156,12 @@ def _upload_fields(fields: Any, force_fields: list) -> None:
     fields.strength.assign(np.array(strengths, np.float32))
 
 
-def _upload_bodies(bodies: list[Body], shape_of_body: list[int], wide: list[int], num_envs: int, device: Any) -> Any:
-    """Write one environment's rows and repeat them."""
+def _upload_bodies(
+    bodies: list[Body], shape_of_body: np.ndarray, step: np.ndarray, wide: list[int], num_envs: int, device: Any
+) -> Any:
+    """Write one environment's rows and repeat them; each environment's shape lies `step` further than the last's."""
     rows = data.allocate(data.Bodies, {"bodies": num_envs * len(bodies)}, device)
     host: dict[str, np.ndarray] = {
-        "shape": np.array(shape_of_body, np.int32),
         "motion": np.array([int(body.motion) for body in bodies], np.int32),
         "wide": np.isin(np.arange(len(bodies)), wide).astype(np.int32),
         "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
@@ -167,6 +177,7 @@ def _upload_bodies(bodies: list[Body], shape_of_body: list[int], wide: list[int]
                 host[name][i] = value[0]
     for name, value in host.items():
         getattr(rows, name).assign(np.tile(value, (num_envs,) + (1,) * (value.ndim - 1)))
+    rows.shape.assign((shape_of_body + np.arange(num_envs)[:, None] * step).reshape(-1).astype(np.int32))
     return rows
 
 
@@ -176,18 +187,18 @@ def _center_of_mass(body: Body) -> np.ndarray:
 
 
 def _exact_reach(bodies: list[Body]) -> float:
-    """How far from a height field distances must be exact [m]: a ball's radius, half an edge, and a body's size."""
+    """How far from a height field distances must be exact [m]: a ball's radius, half an edge, and a little more."""
     shapes = {body.shape for body in bodies if body.motion == Motion.DYNAMIC}
     reach = 0.0 if shapes else UNBOUNDED
     for shape in shapes:
         samples = shape.samples()
         spans = np.linalg.norm(samples.slide, axis=1) + samples.radius
-        reach = max(reach, float(spans.max(initial=0.0)) + shape.size)
+        reach = max(reach, float(spans.max(initial=0.0)) + 0.1 * shape.size)
     return reach
 
 
-def _pool_shapes(shapes: list[Shape], exact_reach: float, device: Any) -> Any:
-    """Concatenate parts, grids, clusters and samples of all shapes."""
+def _pool_shapes(shapes: list[Shape], num_envs: int, exact_reach: float, device: Any) -> tuple[Any, Any, int]:
+    """Concatenate parts, grids, clusters and samples of all shapes; and the vertices of those that move."""
     parts = [shape.parts() for shape in shapes]
     samples = [shape.samples() for shape in shapes]
     flat = [part for group in parts for part in group]
@@ -198,7 +209,7 @@ def _pool_shapes(shapes: list[Shape], exact_reach: float, device: Any) -> Any:
     pool.clusters = wp.array(_cluster_rows(samples), dtype=data.ClusterRecord, device=device)
     pool.samples = wp.array(_sample_rows(samples), dtype=data.SampleRecord, device=device)
     pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
-    return pool
+    return pool, *build_surfaces(shapes, num_envs, _starts([len(s.kind) for s in samples]), device)
 
 
 def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
@@ -212,6 +223,7 @@ def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
     rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]
+    rows["rise"] = [shape.top_speed if moves(shape) else 0.0 for shape in shapes]
     return rows
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.geometry import Shape
+from warp_rigid.heightfield import Heightfield
 
 __all__ = ["COMBINE_RULES", "Body", "Motion", "Scene"]
 
@@ -239,7 +240,10 @@ class Scene:
     def _check_shape(self, shape, motion):
         if not isinstance(shape, Shape):
             raise ValueError(f"shape: must be a shape such as Box or Mesh, got {shown(shape)}")
-        if shape.static_only and motion != Motion.STATIC:
+        if isinstance(shape, Heightfield) and motion != Motion.DYNAMIC:
+            if shape.moving and motion == Motion.STATIC:
+                raise ValueError("shape: a Heightfield with a motion can only be kinematic, not static")
+        elif shape.static_only and motion != Motion.STATIC:
             kind = type(shape).__name__
             raise ValueError(f"shape: a {kind} can only be static, not {motion.name.lower()}")
 

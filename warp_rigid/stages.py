@@ -26,6 +26,7 @@ from warp_rigid.kernels import (
     rest,
     shock,
     support,
+    surface,
     swept,
     team,
 )
@@ -80,6 +81,7 @@ def load_kernels(device: Any, baking: bool, on_module: Callable[[int, int], None
         contacts,
         rest,
         capacity,
+        surface,
     ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         loaded = [
@@ -157,6 +159,7 @@ class Stages:
 
     def step(self) -> None:
         """One step of the method (Guendelman et al. 2003, section 4), with each stage's remedies."""
+        self.raise_surfaces()
         self.predict(self.dt)
         if self.sleeping:
             self.wake_changed()
@@ -164,8 +167,10 @@ class Stages:
         self.find_contacts()
         self.build_graph()
         self.accelerate(before_collisions=True)
+        self.carry_contacts(before_step=True)
         self.collide()
         self.accelerate(before_collisions=False)
+        self.carry_contacts(before_step=False)
         self.solve_contacts()
         self.push_out()
         self.follow()
@@ -173,6 +178,35 @@ class Stages:
         if self.sleeping:
             self.fall_asleep()
         self.remember()
+
+    def raise_surfaces(self) -> None:
+        """Bring ground that moves to where it is now."""
+        count = self.model.surface_vertices
+        if count:
+            wp.launch(
+                surface.raise_surfaces,
+                dim=count,
+                inputs=[self.dt, self._first_vertex(), self.envs, self.model.surfaces],
+                outputs=[self.model.shapes],
+                device=self.device,
+            )
+
+    def carry_contacts(self, before_step: bool) -> None:
+        """Tell the contacts how fast ground moves, before this step or over it."""
+        if self.model.surface_vertices:
+            model, records = self.model, self.pools.contacts
+            inputs = [int(before_step), self._first_vertex(), self.num_bodies, model.shapes, model.bodies, self.state]
+            wp.launch(
+                surface.carry_contacts,
+                dim=records.key.shape[0],
+                inputs=[*inputs, self.envs, model.surfaces, self.pools.pairs],
+                outputs=[records],
+                device=self.device,
+            )
+
+    def _first_vertex(self) -> int:
+        """Where in the pool's nodes the moving ones begin."""
+        return self.model.shapes.grid_value.shape[0] - self.model.surface_vertices
 
     def predict(self, dt: float) -> None:
         """Derive world quantities and swept boxes."""
@@ -333,6 +367,7 @@ class Stages:
     def deepest_overlap(self) -> wp.array:
         """Deepest overlap of each environment in the present state, (envs,) [m]."""
         deepest = wp.zeros(self.num_envs, dtype=float, device=self.device)
+        self.raise_surfaces()
         self.predict(0.0)
         self.find_pairs()
         self._per_pair(

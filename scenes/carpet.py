@@ -1,0 +1,108 @@
+"""The ground is a travelling wave that throws bodies and carries them."""
+
+import numpy as np
+
+from warp_rigid import assortment
+from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene import Scene
+from warp_rigid.scenes.demo import Demo, Verdict, indices, overlap_verdict
+from warp_rigid.shapes import HarmonicMotion, Heightfield
+
+EXTENT = 30.0
+VERTICES = 61
+FREQUENCY = 5.0
+WAVE_LENGTH = 10.0
+RADIUS = 0.5
+PITCH = 1.6
+SURFACE = {"friction": 0.5, "restitution": 0.3}
+THROW = 0.3
+
+
+def build(bodies: int = 16, amplitude: float = 0.5, seed: int = 0) -> Scene:
+    """Convex bodies of about 0.8 m above 30 x 30 m of ground that waves diagonally with 5 rad/s.
+
+    Args:
+        bodies: how many, 1 to 400.
+        amplitude: of the wave, 0 to 1 m; from 0.39 m on the ground falls faster than the bodies, and throws them.
+        seed: of kinds, sizes and starts.
+    """
+    bodies = whole_in("bodies", bodies, 1, 400)
+    position, orientation = starts(bodies, seed, amplitude)
+    x, y = np.meshgrid(*2 * [np.linspace(-0.5, 0.5, VERTICES) * EXTENT], indexing="ij")
+    phase = -2.0 * np.pi / WAVE_LENGTH * (x + y) / 2.0**0.5
+    wave = Heightfield(np.zeros_like(x), (EXTENT, EXTENT), HarmonicMotion(amplitude, FREQUENCY, phase))
+    scene = Scene()
+    scene.add_kinematic(wave, name="carpet", **SURFACE)
+    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
+        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    return scene
+
+
+def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the bodies of an environment start: a square of positions (bodies, 3) [m], unit quaternions (bodies, 4)."""
+    amplitude = number_in("amplitude", amplitude, 0.0, 1.0)
+    rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 8))
+    side = min(int(np.ceil(bodies**0.5)), 10)
+    i = np.arange(bodies)
+    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
+    half = 0.5 * (side - 1) * PITCH
+    position = PITCH * cell + [-half, -half, amplitude + 1.25 * RADIUS + 0.2]
+    return position + rng.uniform(-0.1, 0.1, (bodies, 3)), assortment.random_orientations(bodies, rng)
+
+
+class CarpetOutcome:
+    """How high the ground throws the bodies, how fast it keeps them, and whether one gets below it."""
+
+    def __init__(self, scene):
+        """Find ground and bodies."""
+        self.ground = scene.bodies[0].shape
+        self.bodies = indices(scene, "body_")
+        self.reach = np.array([np.linalg.norm(scene.bodies[i].shape.surface()[0], axis=1).max() for i in self.bodies])
+        self.throws = float(self.ground.amplitude.max()) * FREQUENCY**2 > 1.1 * 9.81
+        self.sunk = self.flight = self.speed = self.frames = 0
+
+    def observe(self, sim):
+        """Keep the highest flight, the mean speed, and the most bodies below the ground."""
+        position = sim.get("center_of_mass")[:, self.bodies]
+        places = position[..., :2].reshape(-1, 2)
+        height = position[..., 2] - self.ground.height_at(places, sim.time).reshape(position.shape[:2])
+        # A body that is not a number has sunk: the comparison must be true for it.
+        here = (height > 0.0) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
+        self.sunk = np.maximum(self.sunk, (~here).sum(axis=1))
+        if sim.time > 1.0:
+            self.flight = np.maximum(self.flight, (height - self.reach).max(axis=1))
+            speed = np.linalg.norm(sim.get("linear_velocity")[:, self.bodies], axis=-1).mean(axis=1)
+            self.speed, self.frames = self.speed + speed, self.frames + 1
+
+    def verdicts(self, sim):
+        """Bodies lost, height of the throws, mean speed, overlap at the end."""
+        if self.frames == 0:
+            return []
+        sound = {"default": True}
+        moved = sound if self.throws else {}
+        speed = self.speed / self.frames
+        return [
+            Verdict("sunk", self.sunk, "none ever below the ground or off it", self.sunk == 0, sound),
+            Verdict("flight", self.flight, f"thrown > {THROW:g} m clear of the ground", self.flight > THROW, moved),
+            Verdict("speed", speed, "kept moving: mean speed > 0.5 m/s", speed > 0.5, moved),
+            overlap_verdict(sim, 0.02, sound),
+        ]
+
+
+def vary(sim, bodies, amplitude, seed, **_):
+    """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
+    own = indices(sim.scene, "body_")
+    columns = zip(*(starts(bodies, seed + env, amplitude) for env in range(sim.num_envs)), strict=True)
+    for name, values in zip(("position", "orientation"), columns, strict=True):
+        sim.set(name, np.array(values), bodies=own)
+
+
+DEMO = Demo(
+    name="carpet",
+    summary="a travelling wave of the ground throws bodies and carries them",
+    build=build,
+    outcome=CarpetOutcome,
+    duration=4.0,
+    variants={"default": {}},
+    vary=vary,
+)

@@ -1,0 +1,114 @@
+"""Bodies slide without friction over a concave terrain: impacts take energy, sliding does not."""
+
+import numpy as np
+
+from warp_rigid import assortment
+from warp_rigid.checks import whole_in
+from warp_rigid.scene import Scene
+from warp_rigid.scenes.demo import Demo, Verdict, below, indices, overlap_verdict
+from warp_rigid.shapes import Heightfield
+
+EXTENT = 20.0
+VERTICES = 81
+STEEPNESS = 0.04
+HILLS = 0.12
+RADIUS = 0.4
+PITCH = 1.4
+SURFACE = {"friction": 0.0, "restitution": 0.3}
+
+
+def build(bodies: int = 16, seed: int = 0) -> Scene:
+    """Convex bodies of about 0.6 m above a bowl of 20 x 20 m with low hills, 8 m deep.
+
+    Args:
+        bodies: how many, 1 to 1000.
+        seed: of hills, kinds, sizes and starts.
+    """
+    bodies = whole_in("bodies", bodies, 1, 1000)
+    position, orientation = starts(bodies, seed)
+    scene = Scene()
+    scene.add_static(Heightfield(_heights(seed), (EXTENT, EXTENT)), name="terrain", **SURFACE)
+    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
+        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    return scene
+
+
+def _heights(seed):
+    """A paraboloid with a few long waves."""
+    rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 6))
+    x, y = np.meshgrid(*2 * [np.linspace(-0.5, 0.5, VERTICES) * EXTENT], indexing="ij")
+    heights = STEEPNESS * (x**2 + y**2)
+    for angle, phase in zip(rng.uniform(0, np.pi, 5), rng.uniform(0, 2 * np.pi, 5), strict=True):
+        heights += HILLS * np.sin(1.2 * (np.cos(angle) * x + np.sin(angle) * y) + phase)
+    return heights
+
+
+def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the bodies of an environment start: positions (bodies, 3) [m] and unit quaternions (bodies, 4).
+
+    On a spiral around the bowl's middle, a layer of 60 above another.
+    """
+    rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 7))
+    i = np.arange(bodies)
+    distance, angle = 0.6 * PITCH * np.sqrt(i % 60 + 4.0), np.pi * (3.0 - 5.0**0.5) * i
+    height = STEEPNESS * distance**2 + 5 * HILLS + RADIUS + 0.6 + PITCH * (i // 60)
+    position = np.stack([distance * np.cos(angle), distance * np.sin(angle), height], axis=1)
+    return position, assortment.random_orientations(bodies, rng)
+
+
+class SlideOutcome:
+    """Whether all bodies stay above the terrain, and their energy never rises."""
+
+    def __init__(self, scene):
+        """Find terrain and bodies."""
+        self.terrain = scene.bodies[0].shape
+        self.bodies = indices(scene, "body_")
+        self.sunk = 0
+        self.first = self.last = None
+        self.gain = 0.0
+
+    def observe(self, sim):
+        """Count the bodies below the surface, and keep the largest rise of the energy from frame to frame."""
+        position = sim.get("center_of_mass")[:, self.bodies]
+        ground = self.terrain.height_at(position[..., :2].reshape(-1, 2), 0.0).reshape(position.shape[:2])
+        # A body that is not a number has sunk: the comparison must be true for it.
+        above = (position[..., 2] > ground) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
+        self.sunk = np.maximum(self.sunk, (~above).sum(axis=1))
+        energy = (sim.get("kinetic_energy") + sim.get("potential_energy"))[:, self.bodies].sum(axis=1)
+        if self.last is None:
+            self.first = np.maximum(np.abs(energy), 1e-9)
+        else:
+            self.gain = np.maximum(self.gain, (energy - self.last) / self.first)
+        self.last = energy
+
+    def verdicts(self, sim):
+        """Bodies that were below the surface, energy gained, overlap at the end."""
+        if self.last is None:
+            return []
+        sound = {"default": True}
+        sunk = np.broadcast_to(self.sunk, sim.num_envs)
+        gain = np.broadcast_to(self.gain, sim.num_envs)
+        return [
+            Verdict("sunk", sunk, "none ever below the surface or beyond it", sunk == 0, sound),
+            below("gain", gain, 1e-3, "energy never rises by 0.1 % in a frame", sound),
+            overlap_verdict(sim, 5e-3, sound),
+        ]
+
+
+def vary(sim, bodies, seed, **_):
+    """Start environment e where the scene of seed + e does; shapes and terrain stay those of the first."""
+    own = indices(sim.scene, "body_")
+    position, orientation = zip(*(starts(bodies, seed + env) for env in range(sim.num_envs)), strict=True)
+    sim.set("position", np.array(position), bodies=own)
+    sim.set("orientation", np.array(orientation), bodies=own)
+
+
+DEMO = Demo(
+    name="terrain",
+    summary="bodies slide without friction over a concave terrain",
+    build=build,
+    outcome=SlideOutcome,
+    duration=5.0,
+    variants={"default": {}},
+    vary=vary,
+)
