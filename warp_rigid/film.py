@@ -16,7 +16,7 @@ from warp_rigid.appearance import (
     speed_colors,
 )
 from warp_rigid.checks import one_of
-from warp_rigid.recording import Recording
+from warp_rigid.recording import Recording, Surface
 from warp_rigid.scene import Motion
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
@@ -30,11 +30,13 @@ class DrawnMesh:
         vertices: (n, 3) float32 [m].
         faces: (m, 3) int32.
         normals: (m, 3, 3) float32, one for each corner of each triangle.
+        frames: the vertices in each frame of the film, where they change; else nothing.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray
+    frames: tuple[np.ndarray, ...] = ()
 
     @property
     def flat(self) -> bool:
@@ -110,7 +112,7 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
     offsets = environment_offsets(len(rows), spacing).astype(np.float32)
     frames, count = len(recording.time), len(rows) * len(recording.surface)
     return Film(
-        meshes=tuple(DrawnMesh(s.vertices, s.faces, corner_normals(s.vertices, s.faces)) for s in surfaces),
+        meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
         mesh=np.tile(recording.surface, len(rows)),
         color=np.tile(body_colors(recording.motion), (len(rows), 1)),
         position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),
@@ -143,6 +145,13 @@ def colored(film: Film, recording: Recording, by: str) -> Film:
     return replace(film, color=np.where(dynamic[:, None], told, film.color))
 
 
+def _drawn(surface: Surface, times: np.ndarray) -> DrawnMesh:
+    """A surface as it is drawn, frame by frame if it changes its shape."""
+    vertices = surface.vertices_at(times[0])
+    frames = tuple(surface.vertices_at(time) for time in times) if surface.moves else ()
+    return DrawnMesh(vertices, surface.faces, corner_normals(vertices, surface.faces), frames)
+
+
 def film_from_usd(path) -> Film:
     """Read the instances and meshes of a file that export_usd wrote, from the file alone.
 
@@ -173,7 +182,7 @@ def film_from_usd(path) -> Film:
     offset = np.array([_translation(prim) for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
     for index, instancer in instancers:
-        drawn, key = _read_prototype(stage, instancer)
+        drawn, key = _read_prototype(stage, instancer, frames)
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
@@ -196,16 +205,18 @@ def film_from_usd(path) -> Film:
     )
 
 
-def _read_prototype(stage, instancer) -> tuple[DrawnMesh, bytes]:
+def _read_prototype(stage, instancer, frames) -> tuple[DrawnMesh, bytes]:
     """An instancer's only mesh, and a key that is equal for equal meshes."""
     from pxr import UsdGeom
 
     path = instancer.GetPrototypesRel().GetTargets()[0]
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath(path))
-    vertices = np.array(mesh.GetPointsAttr().Get(), dtype=np.float32)
+    points = mesh.GetPointsAttr()
+    vertices = np.array(points.Get(), dtype=np.float32)
+    moving = tuple(_read(points, frames)) if points.GetNumTimeSamples() else ()
     faces = np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int32).reshape(-1, 3)
     normals = np.array(mesh.GetNormalsAttr().Get(), dtype=np.float32).reshape(-1, 3, 3)
-    return DrawnMesh(vertices, faces, normals), vertices.tobytes() + faces.tobytes()
+    return DrawnMesh(vertices, faces, normals, moving), vertices.tobytes() + faces.tobytes()
 
 
 def _translation(prim) -> np.ndarray:

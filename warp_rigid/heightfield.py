@@ -11,7 +11,7 @@ from warp_rigid.checks import finite_vector, number_array, number_in, shown
 from warp_rigid.geometry import Grid, Part, PartKind, Shape, frozen_array, point_array
 from warp_rigid.sampling import VERTEX, SampleKind, SampleList
 
-__all__ = ["HarmonicMotion", "Heightfield"]
+__all__ = ["HarmonicMotion", "Heightfield", "moves"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +208,11 @@ class Heightfield(Shape):
         x, y = np.meshgrid(x, y, indexing="ij")
         vertices = np.stack([x, y, heights], axis=-1).reshape(-1, 3)
         return vertices, tessellation.lattice(rows, columns)
+
+
+def moves(shape: Shape) -> bool:
+    """Whether a shape is ground that moves."""
+    return isinstance(shape, Heightfield) and shape.moving
 
 
 def _to_triangles(points, corners):

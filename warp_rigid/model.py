@@ -7,11 +7,12 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.fields import PointField
+from warp_rigid.heightfield import moves
 from warp_rigid.kernels import data
 from warp_rigid.scene import COMBINE_RULES, Body, Motion, Scene
 from warp_rigid.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.shapes import PartKind, SampleKind, Shape
-from warp_rigid.surfaces import build_surfaces, moves, with_copies
+from warp_rigid.surfaces import build_surfaces, with_copies
 
 UNBOUNDED = 2.0e9
 """Stands for the infinite extents of planes [m]; float32 multiplies it without overflow."""

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import warp as wp
 
-from warp_rigid.appearance import bound_corners, rotate
+from warp_rigid.appearance import bound_corners, corner_normals, rotate
 from warp_rigid.film import Film
 
 wp.set_module_options({"enable_backward": False})
@@ -237,7 +237,7 @@ class RayCaster:
         """Build what is the same for all frames."""
         self._film, self._camera = film, camera
         self._threads = min(os.cpu_count() or 1, 16)
-        corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])
+        corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
         self._corners = corners[film.mesh]
         with wp.ScopedDevice("cpu"):
             self._meshes = [
@@ -253,7 +253,9 @@ class RayCaster:
             self._instances.flat = wp.array(flat)
             normals = np.concatenate([mesh.normals for mesh in film.meshes])
             self._instances.normals = wp.array(normals, dtype=wp.vec3)
-            glass = self._hiding_walls(~film.moving & ~flat)
+            self._first_face = np.cumsum(faces) - faces
+            waving = np.array([len(mesh.frames) > 0 for mesh in film.meshes])[film.mesh]
+            glass = self._hiding_walls(~film.moving & ~flat & ~waving)
             self._instances.glass = wp.array(glass)
             self._instances.panes = int(glass.sum())
 
@@ -287,7 +289,19 @@ class RayCaster:
             glass[walls] = part > HIDDEN_PART
         return glass
 
+    def _move_vertices(self, frame: int) -> None:
+        """Bring the meshes that change their shape to a frame."""
+        for index, mesh in enumerate(self._film.meshes):
+            if mesh.frames:
+                vertices = mesh.frames[frame]
+                self._meshes[index].points.assign(vertices)
+                self._meshes[index].refit()
+                first = int(self._first_face[index])
+                rows = self._instances.normals[first : first + len(mesh.faces)]
+                rows.assign(corner_normals(vertices, mesh.faces))
+
     def _place_instances(self, frame: int) -> None:
+        self._move_vertices(frame)
         position, orientation = self._film.position[frame], self._film.orientation[frame]
         corners = rotate(orientation[:, None], self._corners) + position[:, None]
         with wp.ScopedDevice("cpu"):

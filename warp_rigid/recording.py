@@ -4,25 +4,31 @@ A recording stands on its own. It keeps the bodies' surfaces and names rather th
 that a saved one can be exported or drawn without the program that made it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from warp_rigid import archive
 from warp_rigid.archive import shaped
 from warp_rigid.checks import number_in
+from warp_rigid.heightfield import moves
 from warp_rigid.scene import Motion
 
 __all__ = ["Recorder", "Recording", "Surface", "is_moving", "record", "steps_per_frame"]
 
 KIND = "recording"
-VERSION = 2  # raise whenever older files could no longer be read
+VERSION = 3  # raise whenever older files could no longer be read
 MOST_STEPS = 1_000_000
 """Steps that a frame may be made of."""
 CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
 """What is kept of every frame, by its name in the simulator."""
 TAILS: dict[str, tuple[int, ...]] = {"position": (3,), "orientation": (4,)}
 ARRAYS = ("time", *CAPTURED, "envs", "motion", "surface")
+
+
+def _no_swing() -> np.ndarray:
+    """What keeps its shape has no swing."""
+    return np.zeros((2, 0), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +39,29 @@ class Surface:
         vertices: (n, 3) float32 [m].
         faces: (m, 3) int32, counter-clockwise seen from outside.
         endless: True for a plane, whose triangles only stand for it.
+        swing: (2, n) float32, parts of the vertices' rise that go with the sine and the cosine of time [m]; empty for
+            what keeps its shape. Then `vertices` are the mean places.
+        angular_frequency: of that motion [rad/s].
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     endless: bool = False
+    swing: np.ndarray = field(default_factory=_no_swing)
+    angular_frequency: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the surface changes its shape in time."""
+        return self.swing.size > 0
+
+    def vertices_at(self, time: float) -> np.ndarray:
+        """Vertices at a time [s], (n, 3) float32 [m]."""
+        if not self.moves:
+            return self.vertices
+        angle = self.angular_frequency * time
+        rise = np.array([np.sin(angle), np.cos(angle)]) @ self.swing
+        return (self.vertices + rise[:, None] * [0.0, 0.0, 1.0]).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +120,13 @@ class Recording:
         for index, surface in enumerate(self.surfaces):
             arrays[f"vertices_{index}"] = surface.vertices
             arrays[f"faces_{index}"] = surface.faces
+            arrays[f"swing_{index}"] = surface.swing
         text = {
             "fps": self.fps,
             "labels": self.labels,
             "names": self.names,
             "endless": [surface.endless for surface in self.surfaces],
+            "angular_frequency": [surface.angular_frequency for surface in self.surfaces],
         }
         archive.save(path, KIND, VERSION, text, arrays, compress=True)
 
@@ -240,7 +266,8 @@ def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
     surface = shaped(arrays, "surface", np.int64, motion.shape)
     rows = (len(time), len(envs), len(motion))
     frames = {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in CAPTURED.items()}
-    surfaces = tuple(_surface(arrays, index, bool(endless)) for index, endless in enumerate(text["endless"]))
+    told = zip(text["endless"], text["angular_frequency"], strict=True)
+    surfaces = tuple(_surface(arrays, index, bool(endless), speed) for index, (endless, speed) in enumerate(told))
     if not len(time) or not np.isin(motion, list(Motion)).all() or not np.isin(surface, range(len(surfaces))).all():
         raise ValueError("it must have a frame, known motions and a surface for each body")
     labels, names = tuple(map(str, text["labels"])), tuple(map(str, text["names"]))
@@ -255,12 +282,15 @@ def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
     }  # fmt: skip
 
 
-def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool) -> Surface:
+def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency: float) -> Surface:
     vertices = shaped(arrays, f"vertices_{index}", np.float32, (None, 3))
     faces = shaped(arrays, f"faces_{index}", np.int32, (None, 3))
     if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
         raise ValueError(f"faces_{index} must be from 0 to {len(vertices) - 1}")
-    return Surface(vertices, faces, endless)
+    swing = shaped(arrays, f"swing_{index}", np.float32, (2, None))
+    if swing.shape[1] not in (0, len(vertices)):
+        raise ValueError(f"swing_{index} must have {len(vertices)} columns")
+    return Surface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0))
 
 
 def is_moving(motion: np.ndarray) -> np.ndarray:
@@ -274,12 +304,23 @@ def _surfaces(bodies) -> tuple[tuple[Surface, ...], np.ndarray]:
     for body in bodies:
         if body.shape.key not in index_of:
             index_of[body.shape.key] = len(surfaces)
-            vertices, faces = body.shape.surface()
-            surfaces.append(
-                Surface(
-                    np.asarray(vertices, dtype=np.float32),
-                    np.asarray(faces, dtype=np.int32),
-                    endless=not np.isfinite(np.asarray(body.shape.bounds)).all(),
-                )
-            )
+            surfaces.append(_drawn_surface(body.shape))
     return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
+
+
+def _drawn_surface(shape) -> Surface:
+    """What is drawn of a shape."""
+    vertices, faces = shape.surface()
+    swing, frequency = _no_swing(), 0.0
+    if moves(shape):
+        vertices = vertices.copy()
+        vertices[:, 2] = shape.heights.reshape(-1)
+        parts = shape.amplitude * np.array([np.cos(shape.phase), np.sin(shape.phase)])
+        swing, frequency = parts.reshape(2, -1).astype(np.float32), shape.angular_frequency
+    return Surface(
+        np.asarray(vertices, dtype=np.float32),
+        np.asarray(faces, dtype=np.int32),
+        not np.isfinite(np.asarray(shape.bounds)).all(),
+        swing,
+        frequency,
+    )

@@ -5,15 +5,10 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.geometry import Shape
-from warp_rigid.heightfield import Heightfield
+from warp_rigid.heightfield import Heightfield, moves
 from warp_rigid.kernels import data
 
 FIELDS = ("env", "sample", "around", "per_x", "per_y", "height", "amplitude", "phase", "frequency")
-
-
-def moves(shape: Shape) -> bool:
-    """Whether a shape is ground that moves."""
-    return isinstance(shape, Heightfield) and shape.moving
 
 
 def with_copies(shapes: list[Shape], num_envs: int) -> tuple[list[Shape], np.ndarray, np.ndarray]:

@@ -66,7 +66,7 @@ def _animation(recording: Recording, rows: np.ndarray):
     spacing = environment_spacing(recording)
     surfaces = drawn_surfaces(recording, len(rows), spacing)
     for index, surface in enumerate(surfaces):
-        _define_mesh(stage, f"{SHAPES}/shape_{index}", surface)
+        _define_mesh(stage, f"{SHAPES}/shape_{index}", surface, recording.time)
 
     orientation = continuous_signs(recording.orientation)
     colors = body_colors(recording.motion)
@@ -112,17 +112,25 @@ def _groups(recording: Recording) -> dict[str, np.ndarray]:
     return groups
 
 
-def _define_mesh(stage, path: str, surface: Surface) -> None:
+def _define_mesh(stage, path: str, surface: Surface, times: np.ndarray) -> None:
     from pxr import UsdGeom, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, path)
-    corners = bound_corners(surface.vertices)
-    normals = corner_normals(surface.vertices, surface.faces).reshape(-1, 3)
+    vertices = surface.vertices_at(times[0])
+    corners = bound_corners(
+        np.concatenate([surface.vertices_at(time) for time in times]) if surface.moves else vertices
+    )
+    normals = corner_normals(vertices, surface.faces).reshape(-1, 3)
     counts = np.full(len(surface.faces), 3, dtype=np.int32)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(surface.vertices))
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(surface.faces.reshape(-1)))
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+    for frame, time in enumerate(times if surface.moves else ()):
+        moved = surface.vertices_at(time)
+        mesh.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(moved), frame)
+        turned = corner_normals(moved, surface.faces).reshape(-1, 3)
+        mesh.GetNormalsAttr().Set(Vt.Vec3fArray.FromNumpy(turned), frame)
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(corners[[0, -1]].astype(np.float32)))
