@@ -54,18 +54,18 @@ class CarpetOutcome:
     """How high the ground throws the bodies, how fast it keeps them, and whether one gets below it."""
 
     def __init__(self, scene):
-        """Find ground and bodies."""
-        self.ground = scene.bodies[0].shape
+        """Find the bodies."""
         self.bodies = indices(scene, "body_")
         self.reach = np.array([np.linalg.norm(scene.bodies[i].shape.surface()[0], axis=1).max() for i in self.bodies])
-        self.throws = float(self.ground.amplitude.max()) * FREQUENCY**2 > 1.1 * 9.81
+        self.throws = bool(scene.bodies[0].shape.amplitude.max() * FREQUENCY**2 > 1.1 * 9.81)
         self.sunk = self.flight = self.speed = self.frames = 0
 
     def observe(self, sim):
         """Keep the highest flight, the mean speed, and the most bodies below the ground."""
         position = sim.get("center_of_mass")[:, self.bodies]
         places = position[..., :2].reshape(-1, 2)
-        height = position[..., 2] - self.ground.height_at(places, sim.time).reshape(position.shape[:2])
+        ground = sim.scene.bodies[0].shape
+        height = position[..., 2] - ground.height_at(places, sim.time).reshape(position.shape[:2])
         # A body that is not a number has sunk: the comparison must be true for it.
         here = (height > 0.0) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
         self.sunk = np.maximum(self.sunk, (~here).sum(axis=1))

@@ -50,7 +50,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 7))
     i = np.arange(bodies)
-    distance, angle = 0.6 * PITCH * np.sqrt(i % 60 + 4.0), np.pi * (3.0 - 5.0**0.5) * i
+    distance, angle = 0.6 * PITCH * np.sqrt(i % 60 + 4.0), np.pi * (3.0 - 5.0**0.5) * i + rng.uniform(0.0, 2.0 * np.pi)
     height = STEEPNESS * distance**2 + 5 * HILLS + RADIUS + 0.6 + PITCH * (i // 60)
     position = np.stack([distance * np.cos(angle), distance * np.sin(angle), height], axis=1)
     return position, assortment.random_orientations(bodies, rng)
@@ -60,8 +60,7 @@ class SlideOutcome:
     """Whether all bodies stay above the terrain, and their energy never rises."""
 
     def __init__(self, scene):
-        """Find terrain and bodies."""
-        self.terrain = scene.bodies[0].shape
+        """Find the bodies."""
         self.bodies = indices(scene, "body_")
         self.sunk = 0
         self.first = self.last = None
@@ -70,7 +69,8 @@ class SlideOutcome:
     def observe(self, sim):
         """Count the bodies below the surface, and keep the largest rise of the energy from frame to frame."""
         position = sim.get("center_of_mass")[:, self.bodies]
-        ground = self.terrain.height_at(position[..., :2].reshape(-1, 2), 0.0).reshape(position.shape[:2])
+        terrain = sim.scene.bodies[0].shape
+        ground = terrain.height_at(position[..., :2].reshape(-1, 2), 0.0).reshape(position.shape[:2])
         # A body that is not a number has sunk: the comparison must be true for it.
         above = (position[..., 2] > ground) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
         self.sunk = np.maximum(self.sunk, (~above).sum(axis=1))

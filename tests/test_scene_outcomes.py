@@ -418,3 +418,42 @@ def test_bones_are_in_the_plot_or_still_in_the_funnel():
     verdicts = by_name(outcome.verdicts(sim))
     check(verdicts["escaped"], [0, 0, 3], [True, True, False])
     check(verdicts["waiting"], [0, 1, 0], [True, False, True])
+
+
+def test_terrain_counts_who_sank_and_what_energy_rose():
+    outcome, sim = start("terrain", num_envs=3, bodies=4)
+    body = sim.index("body_1")
+    sim.arrays["potential_energy"][:, body] = 1000.0
+    outcome.observe(sim)
+    sim.arrays["kinetic_energy"][1, body] = 0.9
+    sim.arrays["kinetic_energy"][2, body] = 1.1
+    sim.arrays["position"][1, body, 2] -= 5.0
+    outcome.observe(sim)
+    # What was lost and won again is a rise too.
+    sim.arrays["position"][:, body, 2] += 5.0
+    sim.arrays["position"][2, body, 0] = 10.5
+    sim.arrays["kinetic_energy"][:] = 0.0
+    outcome.observe(sim)
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["sunk"], [0, 1, 1], [True, False, False])
+    check(verdicts["gain"], [0.0, 9e-4, 1.1e-3], [True, True, False], atol=1e-9)
+
+
+def test_carpet_measures_flights_above_the_ground_of_that_time():
+    outcome, sim = start("carpet", num_envs=2, bodies=1)
+    ground, body = sim.scene.bodies[0].shape, sim.index("body_0")
+    reach = np.linalg.norm(sim.scene.bodies[body].shape.surface()[0], axis=1).max()
+    for time, flight in ((0.5, 3.0), (1.5, 0.31), (1.7, 0.2)):
+        sim.time = time
+        sim.arrays["position"][:, body] = (1.0, 2.0, ground.height_at([[1.0, 2.0]], time)[0] + reach + flight)
+        sim.arrays["position"][1, body, 2] -= 0.05
+        sim.arrays["linear_velocity"][0, body] = (2.0 * flight, 0, 0)
+        outcome.observe(sim)
+    verdicts = by_name(outcome.verdicts(sim))
+    check(verdicts["flight"], [0.31, 0.26], [True, False], atol=1e-9)
+    check(verdicts["speed"], [0.51, 0.0], [True, False], atol=1e-9)
+    sim.arrays["position"][1, body, 2] -= 5.0
+    outcome.observe(sim)
+    check(by_name(outcome.verdicts(sim))["sunk"], [0, 1], [True, False])
+    still = scenes.get("carpet").outcome(scenes.load("carpet", bodies=1, amplitude=0.1))
+    assert not still.throws

@@ -11,7 +11,7 @@ from warp_rigid import meshes, scenes
 from warp_rigid.scene import Motion, Scene
 from warp_rigid.scenes import bunny_pile, rings_on_poles
 from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Plane
+from warp_rigid.shapes import Box, Heightfield, Plane
 from warp_rigid.simulator import Simulator
 
 NAMES = [
@@ -22,6 +22,8 @@ NAMES = [
     "seesaw",
     "skull_and_brain",
     "showcase",
+    "terrain",
+    "carpet",
     "planet",
     "rings_on_poles",
     "bone_pile",
@@ -80,6 +82,8 @@ STATICS = {
     "seesaw": 2,
     "skull_and_brain": 6,
     "showcase": 1,
+    "terrain": 1,
+    "carpet": 0,
     "planet": 1,
     "rings_on_poles": 5,
     "bone_pile": 6,
@@ -93,7 +97,7 @@ def test_counts_and_masses(name):
     dynamic = [body for body in scene.bodies if body.motion == Motion.DYNAMIC]
     static = [body for body in scene.bodies if body.motion == Motion.STATIC]
     assert len(static) == STATICS[name]
-    assert len(dynamic) + len(static) == len(scene.bodies)
+    assert len(dynamic) + len(static) + (name == "carpet") == len(scene.bodies)
     if name in MASSES:
         np.testing.assert_allclose([body.mass for body in dynamic], MASSES[name], rtol=1e-12)
     else:
@@ -132,6 +136,8 @@ def test_nothing_overlaps_at_the_start(name, parameters):
             continue
         if isinstance(first.shape, Plane):
             gap = gap_above_plane(second, first.shape)
+        elif isinstance(first.shape, Heightfield):
+            gap = first.shape.signed_distance(second.position)[0][0] - reach[second.shape]
         else:
             gap = np.linalg.norm(np.subtract(first.position, second.position))
             gap -= reach[first.shape] + reach[second.shape]
@@ -268,6 +274,11 @@ BAD = [
     ("skull_and_brain", {"skull": 3}, "^skull: must be the path of a mesh file, got 3$"),
     ("showcase", {"bodies": 0}, "^bodies: must be a whole number from 1 to 20000"),
     ("showcase", {"seed": -1}, "^seed: must be a whole number from 0 to 4294967295"),
+    ("terrain", {"bodies": 1001}, "^bodies: must be a whole number from 1 to 1000"),
+    ("terrain", {"seed": -1}, "^seed: "),
+    ("carpet", {"bodies": 0}, "^bodies: must be a whole number from 1 to 400"),
+    ("carpet", {"amplitude": 1.5}, "^amplitude: must be a number from 0 to 1"),
+    ("carpet", {"seed": -1}, "^seed: "),
     ("planet", {"bodies": 5001}, "^bodies: must be a whole number from 1 to 5000"),
     ("planet", {"seed": 0.5}, "^seed: must be a whole number"),
     ("rings_on_poles", {"rings": 0}, "^rings: must be a whole number from 1 to 2000"),
@@ -295,6 +306,8 @@ def test_bad_parameters_are_refused_in_one_line(name, parameters, message):
         ("bunny_pile", "bunny_", {"bodies": 3, "seed": 5}),
         ("showcase", "body_", {"bodies": 5, "seed": 2}),
         ("planet", "body_", {"bodies": 5, "seed": 2}),
+        ("terrain", "body_", {"bodies": 5, "seed": 2}),
+        ("carpet", "body_", {"bodies": 5, "amplitude": 0.3, "seed": 2}),
         ("rings_on_poles", "ring_", {"rings": 3, "poles": 1, "seed": 7}),
         ("bone_pile", "bone_", {"bones": 4, "seed": 1}),
     ],

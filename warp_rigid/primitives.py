@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from warp_rigid import mass_properties, tessellation
-from warp_rigid.checks import finite_number, finite_vector, number_array, number_in, shown
+from warp_rigid.checks import finite_number, finite_vector, number_in, shown
 from warp_rigid.geometry import (
     Part,
     PartKind,
