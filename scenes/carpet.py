@@ -15,7 +15,7 @@ WAVE_LENGTH = 10.0
 RADIUS = 0.5
 PITCH = 1.6
 SURFACE = {"friction": 0.5, "restitution": 0.3}
-THROW = 0.3
+THROW = 0.1
 
 
 def build(bodies: int = 16, amplitude: float = 0.5, seed: int = 0) -> Scene:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeGuard
 
 import numpy as np
 
@@ -174,9 +175,9 @@ class Heightfield(Shape):
     def parts(self):
         """One HEIGHTFIELD; its grid's spacing is that along x."""
         values = frozen_array(self.heights_at(0.0)[:, :, None], np.float32)
-        origin = (-0.5 * self.extent[0], -0.5 * self.extent[1], 0.0)
+        origin = (-0.5 * float(self.extent[0]), -0.5 * float(self.extent[1]), 0.0)
         spacing = float(self.extent[0] / (self.heights.shape[0] - 1))
-        grid = Grid(tuple(float(value) for value in origin), spacing, values)
+        grid = Grid(origin, spacing, values)
         return [Part(PartKind.HEIGHTFIELD, (*self.extent.tolist(), self.steepest_slope, 0.0), grid=grid)]
 
     def sample_list(self):
@@ -210,7 +211,7 @@ class Heightfield(Shape):
         return vertices, tessellation.lattice(rows, columns)
 
 
-def moves(shape: Shape) -> bool:
+def moves(shape: Shape) -> TypeGuard[Heightfield]:
     """Whether a shape is ground that moves."""
     return isinstance(shape, Heightfield) and shape.moving
 
