@@ -9,7 +9,8 @@ of the step before, which a resting body has: what rests does not bounce.
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, Contacts, Environments, Pairs, Shapes, State, Surfaces
+from warp_rigid.kernels.data import Bodies, Contacts, Environments, Motions, Pairs, Shapes, State, Surfaces
+from warp_rigid.kernels.predict import DRIVEN, FIXED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,6 +38,15 @@ def raise_surfaces(dt: wp.float64, first: int, envs: Environments, surfaces: Sur
     sample.point = wp.vec3(sample.point[0], sample.point[1], float(now))
     sample.normal = wp.normalize(wp.vec3(-slope_x, -slope_y, 1.0))
     shapes.samples[surfaces.sample[k]] = sample
+
+
+@wp.kernel
+def drive_ground(bodies_per_env: int, shapes: Shapes, bodies: Bodies, envs: Environments, motions: Motions):
+    """One thread a body: ground that moves is driven, though its body stands still. Nothing falls asleep on it."""
+    b = wp.tid()
+    if shapes.shapes[bodies.shape[b]].rise > 0.0 and motions.role[b] == FIXED:
+        motions.role[b] = DRIVEN
+        envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
 
 
 @wp.func

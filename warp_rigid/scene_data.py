@@ -10,7 +10,7 @@ from warp_rigid.archive import shaped
 from warp_rigid.checks import unit_quaternion, whole_in
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.scene import Motion, Scene
-from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
+from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
 
 NUMBERS: dict[str, tuple[type[Shape], tuple[str, ...]]] = {
     "sphere": (Sphere, ("radius",)),
@@ -111,6 +111,10 @@ def _place_shape(shape: Shape, shapes: list, arrays: dict, places: dict[str, int
     elif isinstance(shape, Heightfield):
         entry |= {"kind": "heightfield", "size": shape.extent.tolist()}
         arrays[f"shape_{len(shapes)}_heights"] = shape.heights
+        if shape.moving:
+            entry["angular_frequency"] = shape.angular_frequency
+            arrays[f"shape_{len(shapes)}_amplitude"] = shape.amplitude
+            arrays[f"shape_{len(shapes)}_phase"] = shape.phase
     else:
         entry |= _numbers_of(shape)
     places[shape.key] = len(shapes)
@@ -140,7 +144,13 @@ def _shape_from_data(index: int, entry: dict[str, Any], arrays: dict[str, np.nda
         distances = shaped(arrays, f"{name}_distances", np.float32, (None, None, None))
         return Mesh.restored(vertices, faces, entry["sdf_resolution"], entry["repairs"], distances)
     if kind == "heightfield":
-        return Heightfield(shaped(arrays, f"{name}_heights", np.float64, (None, None)), entry["size"])
+        heights = shaped(arrays, f"{name}_heights", np.float64, (None, None))
+        motion = None
+        if "angular_frequency" in entry:
+            parts = (shaped(arrays, f"{name}_{part}", np.float64, heights.shape) for part in ("amplitude", "phase"))
+            amplitude, phase = parts
+            motion = HarmonicMotion(amplitude, entry["angular_frequency"], phase)
+        return Heightfield(heights, entry["size"], motion)
     cls, names = NUMBERS[kind]
     return cls(**{part: entry[part] for part in names})
 

@@ -224,6 +224,12 @@ class Stages:
             [self.motions],
         )
         self._per_body(predict.sweep_boxes, [dt, self.model.shapes, self.model.bodies, self.state], [self.motions])
+        if self.model.surface_vertices:
+            self._per_body(
+                surface.drive_ground,
+                [self.num_bodies, self.model.shapes, self.model.bodies, self.envs],
+                [self.motions],
+            )
 
     def find_pairs(self) -> None:
         """Count the overlapping pairs, sum, and write them."""
