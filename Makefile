@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 OUT := out
 
-.PHONY: demo test browser-test lint format fuzz pins coverage clean
+.PHONY: demo test browser-test validate lint format fuzz pins coverage clean
 
 demo: $(READY)
 	$(BIN)/warp-rigid run bunny_pile -o $(OUT)/bunny_pile.usdc --picture $(OUT)/bunny_pile.png
@@ -29,6 +29,9 @@ pins: $(READY)
 
 coverage: $(READY)
 	$(BIN)/python -m pytest -q --cov --cov-fail-under=90 $(TESTS)
+
+validate: $(READY)
+	$(BIN)/warp-rigid validate -o $(OUT)/validation
 
 lint: $(READY)
 	$(BIN)/ruff check .

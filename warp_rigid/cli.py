@@ -1,6 +1,6 @@
 """Command line: `warp-rigid COMMAND`; the commands are in `commands`, one a file.
 
-Results go to stdout, everything else to stderr. Exit status: 0 done, 1 a device that does not work,
+Results go to stdout, everything else to stderr. Exit status: 0 done, 1 a device that does not work or a failed check,
 2 usage or bad input, 3 capacity, 4 non-finite state, 130 interrupted.
 """
 
@@ -14,6 +14,7 @@ from warp_rigid.commands.doctor import doctor_command
 from warp_rigid.commands.inspect import inspect_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
+from warp_rigid.commands.validate import validate_command
 from warp_rigid.commands.view import view_command
 from warp_rigid.commands.warmup import warmup_command
 from warp_rigid.errors import CapacityError, NonFiniteError
@@ -73,6 +74,7 @@ app.command("inspect")(inspect_command)
 app.command("view")(view_command)
 app.command("doctor")(doctor_command)
 app.command("warmup")(warmup_command)
+app.command("validate")(validate_command)
 
 
 def _fail(status: int, text: str) -> int:

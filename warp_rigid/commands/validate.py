@@ -1,0 +1,91 @@
+"""`warp-rigid validate`: the engine against closed forms and published references, in one table."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import warp as wp
+
+from warp_rigid.simulator import choose_device
+from warp_rigid.terminal import check_outputs, console, progress
+
+
+def validate_command(
+    names: Annotated[str | None, typer.Option("--cases", help="Families, such as V10,V22; all if left out.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Small sizes and short times only.")] = False,
+    device: Annotated[
+        list[str] | None, typer.Option(help="Such as cpu or cuda:0; repeatable. Every device if left out.")
+    ] = None,
+    output: Annotated[
+        str | None, typer.Option("-o", "--output", help="Folder for plots, results.json and table.md.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> int:
+    """Compare the engine with closed forms and published references, in one table.
+
+    Exit status 0: every check is within its tolerance, or is a known miss (MISS) that is no worse than known. 1: a
+    check failed (FAIL) or could not be done (ERROR). 2: bad input.
+    """
+    from warp_rigid.validation import report, suite
+
+    devices = [str(choose_device(name)) for name in device] if device else [str(d) for d in wp.get_devices()]
+    cases = suite.all_cases(quick)
+    if names:
+        cases = suite.choose(cases, [name.strip() for name in names.split(",")])
+    writer = _Writer(output) if output else None
+    with progress("validate", len(cases) * len(devices)) as advance:
+        findings = suite.run_suite(cases, devices, _Watcher(writer, advance))
+    files = writer.finish(findings, devices) if writer else []
+    if as_json:
+        print(json.dumps({**report.as_json(findings, devices), "files": files}))
+    else:
+        out = console()
+        report.print_table(findings, out)
+        out.print(report.summary(findings), highlight=False, markup=False)
+        for path in files:
+            out.print(f"wrote {path}", highlight=False, markup=False)
+    return report.exit_status(findings)
+
+
+class _Watcher:
+    """Moves the bar and draws plots as cases are done, so that no trace is kept longer than needed."""
+
+    def __init__(self, writer: "_Writer | None", advance):
+        self.writer, self.advance, self.done = writer, advance, 0
+
+    def __call__(self, case, device: str, subject: Any, _) -> None:
+        self.done += 1
+        if self.writer and case.curve and subject is not None:
+            self.writer.draw(case, device, subject)
+        if self.advance:
+            self.advance(self.done)
+
+
+class _Writer:
+    """Files of a run."""
+
+    def __init__(self, folder: str):
+        self.folder = Path(folder)
+        check_outputs(None, {"overview.png": ".png"})
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.files: list[str] = []
+
+    def draw(self, case, device: str, traces) -> None:
+        from warp_rigid.validation import plots
+
+        self.files.append(str(plots.save_case(case, device, traces, self.folder)))
+
+    def finish(self, findings, devices) -> list[str]:
+        """Write what shows all cases; returns the paths of all files."""
+        from warp_rigid.validation import plots, report
+
+        self.files.append(str(plots.save_overview(findings, self.folder)))
+        texts = {
+            "table.md": report.markdown(findings),
+            "results.json": json.dumps(report.as_json(findings, devices), indent=1),
+        }
+        for name, text in texts.items():
+            (self.folder / name).write_text(text)
+            self.files.append(str(self.folder / name))
+        return self.files

@@ -1,0 +1,1 @@
+"""Validation: cases with closed forms or published references, as data; `warp-rigid validate` runs them."""

@@ -1,0 +1,207 @@
+"""Experiments: a scene simulated in as many environments as there are variants, and the record of their motion."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.scene import Scene
+from warp_rigid.settings import Settings
+from warp_rigid.simulator import Simulator
+
+DT = 1.0 / 240.0
+"""Time step of a case unless it says otherwise [s]."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A quantity that is set before the first step; arguments as in `Simulator.set`."""
+
+    name: str
+    value: Any
+    bodies: Any = None
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One batch: a scene, what its environments differ in, and how long it runs.
+
+    Attributes:
+        scene: makes the scene.
+        duration: simulated time [s].
+        variants: a label for each environment.
+        starts: what is set before the first step, by environment.
+        dt: time step [s].
+        every: steps between two records.
+        settings: settings that differ from the defaults, the same in all environments.
+        label: what tells this experiment from the others of its case.
+        watch_overlap: whether the deepest overlap is measured at each record.
+    """
+
+    scene: Callable[[], Scene]
+    duration: float
+    variants: tuple[str, ...] = ("",)
+    starts: tuple[Start, ...] = ()
+    dt: float = DT
+    every: int = 1
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    label: str = ""
+    watch_overlap: bool = False
+
+    def run(self, device: str) -> "Trace":
+        """Simulate on a device and record."""
+        settings = Settings(dt=self.dt, **self.settings)
+        sim = Simulator(self.scene(), num_envs=len(self.variants), settings=settings, device=device)
+        for start in self.starts:
+            sim.set(start.name, start.value, bodies=start.bodies)
+        records: dict[str, list] = {name: [] for name in (*STATES, "overlap")}
+        self._record(sim, records)
+        for _ in range(max(1, round(self.duration / self.dt / self.every))):
+            sim.step(self.every)
+            self._record(sim, records)
+        overlap = records.pop("overlap") or [sim.penetration()]
+        return Trace(
+            experiment=self,
+            scene=sim.scene,
+            time=self.dt * self.every * np.arange(len(records["position"])),
+            mass=sim.get("mass").astype(np.float64),
+            gravity=sim.get("gravity").astype(np.float64),
+            overlap=np.array(overlap, np.float64),
+            contacts=sim.contacts(),
+            failed=sim.status()["status"] != "ok",
+            **{name: np.array(values, np.float64) for name, values in records.items()},
+        )
+
+    def _record(self, sim: Simulator, records: dict[str, list]) -> None:
+        for name in STATES:
+            records[name].append(sim.get(name))
+        if self.watch_overlap:
+            records["overlap"].append(sim.penetration())
+
+
+STATES = ("position", "orientation", "linear_velocity", "angular_velocity")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The record of an experiment, in float64: (records, environments, bodies, ...), the start included.
+
+    Attributes:
+        experiment: what was run.
+        scene: its scene.
+        time: (records,) [s].
+        position: (records, envs, bodies, 3) [m].
+        orientation: (records, envs, bodies, 4).
+        linear_velocity: (records, envs, bodies, 3) [m/s].
+        angular_velocity: (records, envs, bodies, 3) [rad/s].
+        mass: (envs, bodies) [kg], 0 for what is not moved by forces.
+        gravity: (envs, 3) [m/s^2].
+        overlap: (records or 1, envs) deepest overlap; one record, the last, unless it was watched [m].
+        contacts: contact records of the last step.
+        failed: (envs,) whether the environment stopped with a non-finite state.
+    """
+
+    experiment: Experiment
+    scene: Scene
+    time: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    linear_velocity: np.ndarray
+    angular_velocity: np.ndarray
+    mass: np.ndarray
+    gravity: np.ndarray
+    overlap: np.ndarray
+    contacts: np.ndarray
+    failed: np.ndarray
+
+    @property
+    def labels(self) -> list[str]:
+        """A label for each environment, with the experiment's own."""
+        names = (", ".join(filter(None, (self.experiment.label, variant))) for variant in self.experiment.variants)
+        return list(names)
+
+    @property
+    def dynamic(self) -> np.ndarray:
+        """Indices of the bodies that forces move."""
+        return np.flatnonzero(self.mass[0] > 0.0)
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """Rotation matrices, (records, envs, bodies, 3, 3)."""
+        x, y, z, w = np.moveaxis(self.orientation / np.linalg.norm(self.orientation, axis=-1, keepdims=True), -1, 0)
+        rows = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+    @cached_property
+    def inertia(self) -> np.ndarray:
+        """Inertia in the body's frame about its centre of mass, (envs, bodies, 3, 3) [kg m^2]."""
+        per_mass = np.zeros((len(self.scene.bodies), 3, 3))
+        for body in self.dynamic:
+            shape = self.scene.bodies[body].shape
+            per_mass[body] = np.asarray(shape.inertia) / shape.volume
+        return self.mass[:, :, None, None] * per_mass
+
+    @cached_property
+    def body_spin(self) -> np.ndarray:
+        """Angular velocity in the body's frame, (records, envs, bodies, 3) [rad/s]."""
+        return np.einsum("nebji,nebj->nebi", self.turns, self.angular_velocity)
+
+    @cached_property
+    def spin_momentum(self) -> np.ndarray:
+        """Angular momentum about the centre of mass in the world's frame, (records, envs, bodies, 3)."""
+        return np.einsum("nebij,ebjk,nebk->nebi", self.turns, self.inertia, self.body_spin)
+
+    @cached_property
+    def center(self) -> np.ndarray:
+        """Centres of mass in the world, (records, envs, bodies, 3) [m]."""
+        local = np.zeros((len(self.scene.bodies), 3))
+        for body in self.dynamic:
+            local[body] = self.scene.bodies[body].shape.center_of_mass
+        return self.position + np.einsum("nebij,bj->nebi", self.turns, local)
+
+    @cached_property
+    def kinetic_energy(self) -> np.ndarray:
+        """Of all bodies that forces move, (records, envs) [J]."""
+        linear = np.einsum("eb,nebi,nebi->ne", self.mass, self.linear_velocity, self.linear_velocity)
+        return 0.5 * (linear + np.einsum("nebi,ebij,nebj->ne", self.body_spin, self.inertia, self.body_spin))
+
+    @cached_property
+    def energy(self) -> np.ndarray:
+        """Kinetic and potential energy of all bodies that forces move, (records, envs) [J]."""
+        return self.kinetic_energy - np.einsum("eb,nebi,ei->ne", self.mass, self.center, self.gravity)
+
+    @cached_property
+    def work_free_energy(self) -> np.ndarray:
+        """Kinetic energy less the work of gravity along the velocities, (records, envs) [J]; every step is needed.
+
+        Unlike `energy` it does not see positions that push-out changed: dissipative impulses can only lower it,
+        and free flight lowers it by m g^2 dt^2 / 2 a step.
+        """
+        power = np.einsum("eb,nebi,ei->ne", self.mass, self.linear_velocity[1:], self.gravity)
+        work = np.cumsum(power * self.experiment.dt, axis=0)
+        return self.kinetic_energy - np.concatenate([np.zeros((1, len(self.labels))), work])
+
+    @cached_property
+    def momentum(self) -> np.ndarray:
+        """Linear momentum, (records, envs, 3) [kg m/s]."""
+        return np.einsum("eb,nebi->nei", self.mass, self.linear_velocity)
+
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """Largest speed of a body, linear [m/s] or angular [rad/s], (records, envs)."""
+        moving = self.dynamic
+        linear = np.linalg.norm(self.linear_velocity[:, :, moving], axis=-1)
+        angular = np.linalg.norm(self.angular_velocity[:, :, moving], axis=-1)
+        return np.maximum(linear, angular).max(axis=2)
+
+    @cached_property
+    def displacement(self) -> np.ndarray:
+        """Largest distance of a body from its start, (records, envs) [m]."""
+        moved = np.linalg.norm(self.position - self.position[0], axis=-1)
+        return moved[:, :, self.dynamic].max(axis=2)

@@ -1,0 +1,329 @@
+"""Section D, first part: blocks that slide and stick."""
+
+import numpy as np
+
+from warp_rigid.scene import Scene
+from warp_rigid.shapes import Box, Mesh
+from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
+from warp_rigid.validation.common import (
+    RESTING,
+    G,
+    at_time,
+    downhill,
+    first_time,
+    level_ground,
+    per_env,
+    turn_about,
+)
+from warp_rigid.validation.experiment import Experiment, Start
+from warp_rigid.validation.solids import cube
+
+COULOMB = "Coulomb's law, closed form"
+CUBE, SLAB, SMALL = Box((0.5, 0.5, 0.5)), Box((0.2, 0.2, 0.05)), Box((0.05, 0.05, 0.05))
+
+
+def cases(quick: bool) -> list[Case]:
+    """Cases of sliding; shorter if quick."""
+    return [
+        sticks(5.0),
+        creeps_not(2.0 if quick else 10.0),
+        slides(),
+        stops(),
+        authors_incline(),
+        incline_grid(),
+        stopping_distance(),
+    ]
+
+
+def block_on_incline(block, degrees, friction, start=None, restitution=0.0, gravity=G, mesh=False, **options):
+    """Experiment: a block on inclines that fall along x, one environment for each entry of the lists.
+
+    Args:
+        block: its shape.
+        degrees: slopes.
+        friction: coefficients.
+        start: speeds downhill [m/s].
+        restitution: of block and incline.
+        gravity: [m/s^2].
+        mesh: tilt a mesh under vertical gravity instead of gravity over level ground.
+        options: of the Experiment.
+    """
+    degrees, friction = np.atleast_1d(degrees), np.atleast_1d(friction)
+    degrees, friction = np.broadcast_arrays(degrees, friction)
+    start = np.broadcast_to(0.0 if start is None else start, degrees.shape)
+    half = block.half_extents[2]
+    down = directions(degrees if mesh else 0.0 * degrees)[0]
+    up = directions(degrees if mesh else 0.0 * degrees)[1]
+    turn = turn_about((0, 1, 0), degrees if mesh else 0.0 * degrees)
+
+    def scene():
+        if not mesh:
+            made = level_ground(restitution=restitution)
+        else:
+            made = Scene(gravity=(0, 0, -gravity))
+            vertices, faces = cube()
+            made.add_static(Mesh(2.0 * vertices * [4, 2, 0.5], faces, sdf_resolution=32), restitution=restitution)
+        made.add_body(block, position=(0, 0, half), restitution=restitution)
+        return made
+
+    starts = [
+        per_env("friction", friction),
+        Start("position", (half * up - down)[:, None], bodies=[1]),
+        Start("orientation", turn[:, None], bodies=[1]),
+        Start("linear_velocity", (start[:, None] * down)[:, None], bodies=[1]),
+    ]
+    if mesh:
+        starts += [
+            Start("position", (-0.5 * up)[:, None], bodies=[0]),
+            Start("orientation", turn[:, None], bodies=[0]),
+        ]
+    else:
+        starts.append(Start("gravity", [downhill(angle, gravity) for angle in degrees]))
+    name = f"{'cube' if block is CUBE else 'slab'}{' on a mesh' if mesh else ''}"
+    variants = tuple(f"{angle:.4g} deg, mu {mu:g}" for angle, mu in zip(degrees, friction, strict=True))
+    return Experiment(scene, variants=variants, starts=tuple(starts), **{"label": name, **options})
+
+
+def directions(degrees) -> np.ndarray:
+    """Unit vectors (2, n, 3) down along an incline and up from it."""
+    slope = np.radians(np.asarray(degrees, np.float64))
+    zero = np.zeros_like(slope)
+    return np.array(
+        [
+            np.stack([np.cos(slope), zero, -np.sin(slope)], axis=-1),
+            np.stack([np.sin(slope), zero, np.cos(slope)], axis=-1),
+        ]
+    )
+
+
+def along(trace, which=0):
+    """Distance gone downhill (0) or away from the incline (1), (records, envs) [m]."""
+    moved = trace.position[:, :, 1] - trace.position[0, :, 1]
+    turn = trace.turns[0, :, 0]
+    # The incline is body 0: a turned mesh, or level ground under tilted gravity.
+    axis = turn[:, :, 0] if which == 0 else turn[:, :, 2]
+    return np.einsum("nei,ei->ne", moved, axis)
+
+
+def speed(trace):
+    """Speed of the block, (records, envs) [m/s]."""
+    return np.linalg.norm(trace.linear_velocity[:, :, 1], axis=-1)
+
+
+def pull(degrees, friction, gravity=G):
+    """Acceleration down an incline, g (sin - mu cos) [m/s^2]."""
+    slope = np.radians(degrees)
+    return gravity * (np.sin(slope) - friction * np.cos(slope))
+
+
+def inclines(make):
+    """The same experiment with a cube and a slab, over tilted gravity and on a tilted mesh."""
+    return tuple(make(block, mesh) for block in (CUBE, SLAB) for mesh in (False, True))
+
+
+def sticks(duration):
+    """At rest at e = 0 and at e = 1: the order of the stages must not turn gravity into bounces."""
+
+    def make(block, mesh, restitution):
+        return block_on_incline(
+            block,
+            20.0,
+            0.5,
+            restitution=restitution,
+            mesh=mesh,
+            duration=duration,
+            every=24,
+            label=f"{'cube' if block is CUBE else 'slab'}{' on a mesh' if mesh else ''}, e {restitution:g}",
+        )
+
+    experiments = tuple(one for e in (0.0, 1.0) for one in inclines(lambda block, mesh, e=e: make(block, mesh, e)))
+    return Case(
+        "V22",
+        "block that sticks on an incline, 20 degrees, mu 0.5",
+        COULOMB,
+        (
+            Check("slip", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),
+            Check("lift", "m", each(lambda t: np.abs(along(t, 1)).max(axis=0)), 0.0, at_most(1e-4)),
+            Check("speed", "m/s", each(lambda t: speed(t).max(axis=0)), 0.0, at_most(1e-3)),
+        ),
+        experiments,
+        curve=Curve("slip", "m", along),
+    )
+
+
+def creeps_not(duration):
+    """Static friction holds without drift."""
+    return Case(
+        "V22",
+        f"creep on an incline, 25 degrees, mu 0.6, {duration:g} s",
+        COULOMB,
+        (Check("creep", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),),
+        inclines(lambda block, mesh: block_on_incline(block, 25.0, 0.6, mesh=mesh, duration=duration, every=24)),
+        curve=Curve("slip", "m", along),
+    )
+
+
+def slides():
+    """Uniform acceleration."""
+    distance = 0.5 * pull(30.0, 0.3)
+    return Case(
+        "V22",
+        "block that slides down an incline from rest, 30 degrees, mu 0.3",
+        COULOMB,
+        (Check("way after 1 s", "m", each(lambda t: along(t)[-1]), distance, relative(5e-3)),),
+        inclines(lambda block, mesh: block_on_incline(block, 30.0, 0.3, mesh=mesh, duration=1.0, every=4)),
+        curve=Curve("way", "m", along, lambda t: distance * t.time[:, None] ** 2),
+    )
+
+
+def stop_time(trace):
+    """When the block stops, (envs,) [s]."""
+    return first_time(trace, (speed(trace) < RESTING) & (trace.time > 0.0)[:, None])
+
+
+def moved_after_stop(trace):
+    """How far the block moves once it has stopped, (envs,) [m]."""
+    way, stopped = along(trace), stop_time(trace)
+    return np.abs(way[-1] - at_time(trace, way, stopped))
+
+
+def stopping_checks(time, distance, limit):
+    """Time and distance of a stop, and rest ever after."""
+    return (
+        Check("time to stop", "s", each(stop_time), time, relative(limit)),
+        Check("way to stop", "m", each(lambda t: at_time(t, along(t), stop_time(t))), distance, relative(limit)),
+        Check("way after the stop", "m", each(moved_after_stop), 0.0, at_most(1e-4)),
+    )
+
+
+def stops():
+    """A block that is thrown downhill stops, and stays."""
+    degrees, friction, start = np.array([20.0, 10.0]), np.array([0.5, 0.3]), np.array([2.0, 1.0])
+    time = start / -pull(degrees, friction)
+    every = np.tile(time, 3)
+    way = 0.5 * every * np.tile(start, 3)
+    return Case(
+        "V22",
+        "block that slides downhill and stops",
+        COULOMB,
+        stopping_checks(every, way, 0.01),
+        (
+            block_on_incline(CUBE, degrees, friction, start, duration=3.0),
+            block_on_incline(SLAB, degrees, friction, start, duration=3.0),
+            block_on_incline(SLAB, degrees, friction, start, mesh=True, duration=3.0),
+        ),
+        curve=Curve("way", "m", along),
+    )
+
+
+def authors_incline():
+    """The two blocks of the 2003 authors' own accuracy test, g = 9.8, e = 1."""
+    slowing = -pull(20.0, 0.5, 9.8)
+    options = {"restitution": 1.0, "gravity": 9.8}
+    first = block_on_incline(SMALL, 20.0, 0.5, 1.25, duration=3.0, label="block 1", **options)
+    second = block_on_incline(SMALL, 20.0, 0.25, duration=2.0, label="block 2", **options)
+    slid = 0.5 * pull(20.0, 0.25, 9.8) * 2.0**2
+    return Case(
+        "V22",
+        "the 2003 authors' two blocks on an incline, 20 degrees, e 1",
+        "PhysBAM Sliding_Test, and Coulomb's law",
+        (
+            Check("time to stop", "s", lambda s: stop_time(s[0]), 1.25 / slowing, relative(0.01), ("block 1",)),
+            Check(
+                "way to stop",
+                "m",
+                lambda s: at_time(s[0], along(s[0]), stop_time(s[0])),
+                1.25**2 / (2 * slowing),
+                relative(0.01),
+                ("block 1",),
+            ),
+            Check("way after the stop", "m", lambda s: moved_after_stop(s[0]), 0.0, at_most(1e-4), ("block 1",)),
+            Check("way after 2 s", "m", lambda s: along(s[1])[-1], slid, relative(0.01), ("block 2",)),
+        ),
+        (first, second),
+        curve=Curve("way", "m", along),
+    )
+
+
+def incline_grid():
+    """All slopes against all frictions in one batch, and two degrees on either side of each friction angle."""
+    frictions = (0.1, 0.3, 0.5, 0.7, 1.0)
+    cells = [(mu, degrees) for mu in frictions for degrees in (3, 10, 20, 30, 40)]
+    cells += [(mu, np.degrees(np.arctan(mu)) + side) for mu in frictions for side in (-2, 2)]
+    friction, degrees = np.array(cells).T
+    way = 0.5 * np.maximum(pull(degrees, friction), 0.0)
+    sliding = way > 0.0
+    experiment = block_on_incline(SLAB, degrees, friction, duration=1.0, every=24)
+    labels = np.array(experiment.variants)
+    return Case(
+        "V22",
+        "grid of 25 slopes and frictions, and 2 degrees off each friction angle",
+        COULOMB,
+        (
+            Check("slides", "", each(lambda t: along(t)[-1] > 1e-4), sliding, OUTCOME),
+            Check(
+                "way after 1 s",
+                "m",
+                lambda s: along(s[0])[-1, sliding],
+                way[sliding],
+                relative(5e-3),
+                labels[sliding],
+            ),
+            Check("slip", "m", lambda s: along(s[0])[-1, ~sliding], 0.0, absolute(1e-5), labels[~sliding]),
+        ),
+        (experiment,),
+        curve=Curve("way", "m", along),
+    )
+
+
+HALVED = "the first step already brakes: v0 dt / 2 is lost, 1.4 % here, and half of it at dt 1/480"
+
+
+def stopping_distance():
+    """A box that slides on level ground."""
+    rows = np.array([(2.0, 0.2, 0.01), (2.0, 0.4, 0.01), (2.0, 0.7, 0.01), (5.0, 0.5, 0.005)])
+    start, friction, limit = rows.T
+
+    def scene():
+        made = level_ground()
+        made.add_body(Box((0.25, 0.25, 0.25)), position=(0, 0, 0.25))
+        return made
+
+    def experiment(steps):
+        velocity = np.stack([start, 0 * start, 0 * start], axis=1)[:, None]
+        return Experiment(
+            scene,
+            2.0,
+            tuple(f"v0 {v:g}, mu {mu:g}, dt 1/{steps}" for v, mu in zip(start, friction, strict=True)),
+            (per_env("friction", friction), Start("linear_velocity", velocity, bodies=[1])),
+            dt=1 / steps,
+            every=8,
+        )
+
+    exact = start**2 / (2 * friction * G)
+    experiments = experiment(240), experiment(480)
+
+    def check(pick, tolerance, miss=None):
+        return Check(
+            "way to stop",
+            "m",
+            lambda s: np.array([s[run].position[-1, env, 1, 0] for run, env in pick]),
+            exact[[env for _, env in pick]],
+            relative(tolerance),
+            tuple(experiments[run].variants[env] for run, env in pick),
+            miss,
+        )
+
+    return Case(
+        "V23",
+        "stopping distance on level ground",
+        COULOMB,
+        (
+            check([(0, 0), (0, 1), (1, 0), (1, 1), (1, 2)], 0.01),
+            check([(0, 2)], 0.01, Miss(HALVED, 0.0145)),
+            check([(0, 3), (1, 3)], 0.005),
+            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+        ),
+        experiments,
+        curve=Curve("way", "m", lambda t: t.position[:, :, 1, 0]),
+    )

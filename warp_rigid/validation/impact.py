@@ -1,0 +1,509 @@
+"""Section C: impacts with restitution and friction."""
+
+import numpy as np
+
+from warp_rigid.scene import Scene
+from warp_rigid.shapes import Box, Capsule, Sphere
+from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, absolute, at_most, each, relative
+from warp_rigid.validation.common import (
+    NO_GRAVITY,
+    G,
+    largest_rise,
+    level_ground,
+    per_env,
+    random_turns,
+    turn_about,
+)
+from warp_rigid.validation.experiment import DT, Experiment, Start
+
+NEWTON = "Newton's law of impact, closed form"
+RATES = (60, 240, 1000)
+"""Steps a second at which the bounces are measured."""
+
+
+def cases(quick: bool) -> list[Case]:
+    """All cases of the section; shorter and fewer if quick."""
+    listed = [
+        bounce_heights(),
+        bounce_times(),
+        bounce_end((0.5, 0.8) if quick else (0.5, 0.8, 0.9)),
+        head_on(),
+        cradle(),
+        chain(),
+        superball(),
+        eccentric(),
+        random_impacts(32 if quick else 256),
+        gas(2.0 if quick else 20.0),
+    ]
+    return listed if quick else [*listed, drop_of_49()]
+
+
+def dropped_ball(restitution, duration, rate):
+    """Experiment: a ball of 0.05 m that falls by a metre; one environment for each restitution."""
+
+    def scene():
+        made = level_ground()
+        made.add_body(Sphere(0.05), position=(0, 0, 1.05))
+        return made
+
+    variants = tuple(f"e {e:g}, dt 1/{rate}" for e in restitution)
+    return Experiment(scene, duration, variants, (per_env("restitution", restitution),), dt=1 / rate)
+
+
+def height(trace):
+    """Height of the ball's lowest point, (records, envs) [m]."""
+    return trace.position[:, :, 1, 2] - 0.05
+
+
+def climb(trace):
+    """Vertical speed of the ball, (records, envs) [m/s]."""
+    return trace.linear_velocity[:, :, 1, 2]
+
+
+def peak(trace, number):
+    """Height of the peak after so many bounces, (envs,) [m]; NaN where there is none."""
+    found = []
+    for high, up in zip(height(trace).T, climb(trace).T, strict=True):
+        turn = np.flatnonzero((up[:-1] > 0.0) & (up[1:] <= 0.0))
+        found.append(max(high[turn[number - 1]], high[turn[number - 1] + 1]) if len(turn) >= number else np.nan)
+    return np.array(found)
+
+
+def bounce_heights():
+    """The impact is centred in time, so that no height is lost at any step."""
+    restitution = np.array([1.0, 0.8, 0.5])
+    experiments = tuple(dropped_ball(restitution, 2.3, rate) for rate in RATES)
+    exact = restitution**2
+    third = tuple(f"e 0.8, dt 1/{rate}" for rate in RATES)
+    return Case(
+        "V17",
+        "bounces of a ball dropped from 1 m",
+        NEWTON,
+        (
+            Check("first peak", "m", each(lambda t: peak(t, 1)), np.tile(exact, 3), relative(0.01)),
+            Check("second peak", "m", each(lambda t: peak(t, 2)), np.tile(exact**2, 3), relative(0.01)),
+            Check("third peak", "m", lambda s: [peak(t, 3)[1] for t in s], 0.8**6, relative(0.01), third),
+            Check("greatest height", "m", each(lambda t: height(t).max(axis=0)), 1.0, at_most(1e-4)),
+        ),
+        experiments,
+        curve=Curve("height", "m", height),
+    )
+
+
+def contact_times(trace):
+    """Times of the second to fourth contact, (3,) [s]."""
+    up = climb(trace)[:, 0]
+    return (np.flatnonzero((up[:-1] < 0.0) & (up[1:] > 0.0)) + 1)[1:4] * trace.experiment.dt
+
+
+def bounce_times():
+    """First order in the step: the error at least halves with it, but for what rounding to whole steps adds."""
+    rates = (60, 120, 240, 480, 1000)
+    first = np.sqrt(2 / G)
+    exact = first * (1 + 2 * np.cumsum([0.8, 0.64, 0.512]))
+
+    def errors(s):
+        return np.array([np.abs(contact_times(t) - exact).max() for t in s])
+
+    return Case(
+        "V17",
+        "times of the second to fourth contact, e 0.8",
+        NEWTON,
+        (
+            Check(
+                "contact time at dt 1/1000",
+                "s",
+                lambda s: contact_times(s[-1]),
+                exact,
+                relative(5e-3),
+                ("second", "third", "fourth"),
+            ),
+            Check(
+                "error over that at twice the step",
+                "",
+                lambda s: errors(s)[1:4] / errors(s)[:3],
+                0.6,
+                at_most(0.0),
+                ("dt 1/120", "dt 1/240", "dt 1/480"),
+            ),
+        ),
+        tuple(dropped_ball([0.8], 2.4, rate) for rate in rates),
+    )
+
+
+def bounce_end(restitution):
+    """Infinitely many bounces end in a finite time, in rest."""
+    e = np.array(restitution)
+    total = np.sqrt(2 / G) * (1 + e) / (1 - e)
+
+    def last(t):
+        return [t.time[np.flatnonzero(np.abs(up) > 1e-3)[-1]] for up in climb(t).T]
+
+    return Case(
+        "V17",
+        "end of the bouncing, dt 1/1000",
+        NEWTON,
+        (
+            Check("time of the last motion", "s", each(last), total, relative(0.02)),
+            Check("speed at the end", "m/s", each(lambda t: t.speed[-50:].max(axis=0)), 0.0, at_most(1e-3)),
+            Check("height at the end", "m", each(lambda t: height(t)[-1]), 0.0, absolute(1e-4)),
+        ),
+        (dropped_ball(e, 1.1 * total.max(), 1000),),
+    )
+
+
+def head_on():
+    """Two spheres meet; some steps end just short of the contact."""
+    cells = [(e, apart) for apart in (1.2, 0.8512, 0.7, 0.9) for e in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    restitution, apart = np.array(cells).T
+
+    def scene():
+        made = Scene(gravity=NO_GRAVITY)
+        for side in (-1, 1):
+            made.add_body(Sphere(0.5), mass=1.0, linear_velocity=(-side, 0, 0))
+        return made
+
+    place = np.zeros((len(cells), 2, 3))
+    place[:, 0, 0], place[:, 1, 0] = -apart, apart
+    return Case(
+        "V17",
+        "head-on collision of two spheres at +-1 m/s",
+        "Chrono's CorNormal; e = speed after over speed before",
+        (
+            Check("speed after", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), restitution, absolute(1e-3)),
+            Check("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0]), 0.0, absolute(1e-6)),
+        ),
+        (
+            Experiment(
+                scene,
+                1.0,
+                tuple(f"e {e:g}, from {2 * x - 1:.4g} m apart" for e, x in cells),
+                (per_env("restitution", restitution), Start("position", place)),
+                every=24,
+            ),
+        ),
+    )
+
+
+def successive_impacts(masses, velocities, restitution):
+    """Velocities after a row of balls has hit one another, two at a time, until none approach any more."""
+    m, v = np.asarray(masses, np.float64), np.array(velocities, np.float64)
+    while (closing := v[:-1] - v[1:]).max() > 1e-12:
+        if restitution == 0.0 and closing.max() < 1e-9:
+            break
+        k = int(closing.argmax())
+        impulse = (1 + restitution) * closing[k] * m[k] * m[k + 1] / (m[k] + m[k + 1])
+        v[k] -= impulse / m[k]
+        v[k + 1] += impulse / m[k + 1]
+    return v
+
+
+def row_of_balls(masses, rows):
+    """Experiment and exact velocities of rows of balls; `rows` holds (velocities, restitution, gap)."""
+    count = len(masses)
+
+    def scene():
+        made = Scene(gravity=NO_GRAVITY)
+        for mass in masses:
+            made.add_body(Sphere(0.1), mass=mass, friction=0.0)
+        return made
+
+    velocity, place = np.zeros((2, len(rows), count, 3))
+    for env, (before, _, gap) in enumerate(rows):
+        velocity[env, :, 0] = before
+        place[env, :, 0] = np.arange(count) * (0.2 + gap)
+    variants = tuple(f"v {' '.join(f'{v:g}' for v in before)}, e {e:g}, gap {gap:g} m" for before, e, gap in rows)
+    starts = (
+        per_env("restitution", [e for _, e, _ in rows]),
+        Start("position", place),
+        Start("linear_velocity", velocity),
+    )
+    exact = np.array([successive_impacts(masses, before, e) for before, e, _ in rows])
+    return Experiment(scene, 1.0, variants, starts, every=24), exact
+
+
+def row_checks(exact):
+    """The balls leave as after successive impacts; where e < 1 and a gap delays them, only the last must."""
+
+    def along(t):
+        return t.linear_velocity[-1, :, :, 0]
+
+    def kinetic(t, v):
+        return 0.5 * np.einsum("eb,eb->e", t.mass, v**2)
+
+    def start(t):
+        return np.einsum("eb,eb->e", t.mass, t.linear_velocity[0, :, :, 0])
+
+    return (
+        Check("speed of the last ball", "m/s", each(lambda t: along(t)[:, -1]), exact[:, -1], absolute(1e-3)),
+        Check(
+            "energy above that of successive impacts",
+            "J",
+            each(lambda t: kinetic(t, along(t)) - kinetic(t, exact)),
+            0.0,
+            at_most(1e-3),
+        ),
+        Check("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0] - start(t)), 0.0, absolute(1e-5)),
+        Check(
+            "speed across", "m/s", each(lambda t: np.abs(t.linear_velocity[..., 1:]).max((0, 2, 3))), 0, at_most(1e-6)
+        ),
+    )
+
+
+def every_ball(exact, chosen, experiment):
+    """All balls of the chosen rows."""
+    return Check(
+        "largest error of a ball's speed",
+        "m/s",
+        lambda s: np.abs(s[0].linear_velocity[-1, chosen, :, 0] - exact[chosen]).max(axis=1),
+        0.0,
+        at_most(1e-3),
+        [experiment.variants[row] for row in chosen],
+    )
+
+
+CRADLE = ((1, 0, 0, 0, 0), (1, 1, 0, 0, 0), (1, 1, 1, 0, 0), (1, 0, 0, 0, -1))
+GAPS = (0.0, 0.001)
+
+
+def cradle():
+    """Five equal balls, touching and with gaps of 1 % of the radius."""
+    rows = [(before, 1.0, gap) for gap in GAPS for before in CRADLE]
+    rows += [(CRADLE[0], e, gap) for gap in GAPS for e in (0.9, 0.0)]
+    experiment, exact = row_of_balls([1.0] * 5, rows)
+    # Elastic rows and touching ones have one answer; with gaps and losses the order of later impacts decides.
+    sure = [row for row, (_, e, gap) in enumerate(rows) if e in (0.0, 1.0) or gap == 0.0]
+    return Case(
+        "V18",
+        "cradle of five balls",
+        "successive impacts of two balls at a time",
+        (every_ball(exact, sure, experiment), *row_checks(exact)),
+        (experiment,),
+    )
+
+
+def chain():
+    """Masses 1, 1/2, 1/4, 1/8."""
+    rows = [((1, 0, 0, 0), e, gap) for gap in GAPS for e in (1.0, 0.9)]
+    experiment, exact = row_of_balls([1.0, 0.5, 0.25, 0.125], rows)
+    return Case(
+        "V18",
+        "chain of four balls, each half as heavy as the one before",
+        "successive impacts of two balls at a time",
+        (every_ball(exact, range(len(rows)), experiment), *row_checks(exact)),
+        (experiment,),
+    )
+
+
+def superball_after(tangential, spin, normal, restitution, friction, radius=0.1):
+    """Normal and tangential velocity and spin of a sphere after it hits a plane."""
+    sliding = tangential - radius * spin
+    impulse = (1 + restitution) * -normal
+    grip = min(friction * impulse, 2 / 7 * abs(sliding)) * np.sign(sliding)
+    return -restitution * normal, tangential - grip, spin + 2.5 * grip / radius
+
+
+def superball():
+    """A spinning sphere hits a plane: it sticks, it slips, and the border between the two."""
+    border = 2 / 7 * 2.0 / (1.8 * 3.0)
+    rows = [
+        (2, 0, -3, 0.8, 0.30),
+        (2, 0, -3, 0.8, 0.05),
+        (0, 20, -2, 1.0, 0.50),
+        (2, 0, -3, 0.8, 0.997 * border),
+        (2, 0, -3, 0.8, 1.003 * border),
+    ]
+    tangential, spin, normal, restitution, friction = np.array(rows, np.float64).T
+    exact = np.array([superball_after(*row) for row in rows])
+
+    def scene():
+        made = level_ground(gravity=NO_GRAVITY)
+        made.add_body(Sphere(0.1), position=(0, 0, 0.1))
+        return made
+
+    zero = 0 * spin
+    starts = (
+        per_env("restitution", restitution),
+        per_env("friction", friction),
+        Start("linear_velocity", np.stack([tangential, zero, normal], axis=1)[:, None], bodies=[1]),
+        Start("angular_velocity", np.stack([zero, spin, zero], axis=1)[:, None], bodies=[1]),
+    )
+    names = ("sticks", "slips", "spin only", "just slips", "just sticks")
+
+    def slides(t):
+        return np.abs(t.linear_velocity[-1, :, 1, 0] - 0.1 * t.angular_velocity[-1, :, 1, 1]) > 1e-5
+
+    return Case(
+        "V19",
+        "oblique impact of a spinning sphere on a plane",
+        "Garwin's superball, closed form",
+        (
+            Check(
+                "normal velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), exact[:, 0], relative(1e-4)
+            ),
+            Check(
+                "tangential velocity",
+                "m/s",
+                each(lambda t: t.linear_velocity[-1, :, 1, 0]),
+                exact[:, 1],
+                relative(1e-4),
+            ),
+            Check("spin", "rad/s", each(lambda t: t.angular_velocity[-1, :, 1, 1]), exact[:, 2], relative(1e-4)),
+            Check("still slides", "", each(slides), [0, 1, 0, 1, 0], OUTCOME),
+        ),
+        (Experiment(scene, DT, names, starts),),
+    )
+
+
+def eccentric():
+    """A thin rod falls at 30 degrees on a frictionless plane."""
+    angle, restitution = np.radians(30.0), 0.5
+    rod = Capsule(0.001, 0.499)
+    inertia = rod.inertia[0][0] / rod.volume
+    arm = 0.499 * np.cos(angle)
+    impulse = (1 + restitution) / (1 + arm**2 / inertia)
+
+    def scene():
+        made = level_ground(gravity=NO_GRAVITY, friction=0.0, restitution=restitution)
+        made.add_body(
+            rod,
+            mass=1.0,
+            position=(0, 0, 0.253),
+            orientation=turn_about((0, 1, 0), 60),
+            linear_velocity=(0, 0, -1),
+            friction=0.0,
+            restitution=restitution,
+        )
+        return made
+
+    return Case(
+        "V20",
+        "eccentric impact of a thin rod at 30 degrees, e 0.5",
+        "Newton's law of impact at the tip, closed form",
+        (
+            Check("velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), impulse - 1, relative(1e-3)),
+            Check(
+                "spin",
+                "rad/s",
+                each(lambda t: np.abs(t.angular_velocity[-1, :, 1, 1])),
+                impulse * arm / inertia,
+                relative(1e-3),
+            ),
+        ),
+        (Experiment(scene, 0.02, dt=1 / 1000),),
+    )
+
+
+def random_impacts(count):
+    """Boxes thrown at each other at random, with every restitution and friction: no impact gains energy."""
+    draw = np.random.default_rng(0)
+
+    def scene():
+        made = Scene(gravity=NO_GRAVITY)
+        for half in ((0.1, 0.2, 0.3), (0.15, 0.15, 0.05), (0.1, 0.1, 0.1)):
+            made.add_body(Box(half))
+        return made
+
+    place = np.array([[-0.5, 0, 0], [0.5, 0, 0], [0, 0.6, 0]]) + draw.uniform(-0.05, 0.05, (count, 3, 3))
+    starts = (
+        per_env("restitution", draw.uniform(0, 1, count)),
+        per_env("friction", draw.uniform(0, 1.5, count)),
+        Start("position", place),
+        Start("orientation", random_turns(draw, count, 3)),
+        Start("linear_velocity", -4.0 * place + draw.normal(size=(count, 3, 3))),
+        Start("angular_velocity", 8.0 * draw.normal(size=(count, 3, 3))),
+    )
+
+    def lost(t):
+        return 1.0 - t.kinetic_energy[-1] / t.kinetic_energy[0]
+
+    def drift(t):
+        return np.linalg.norm(t.momentum[-1] - t.momentum[0], axis=1)
+
+    def scale(t):
+        return (t.mass * np.linalg.norm(t.linear_velocity[0], axis=2)).sum(axis=1)
+
+    return Case(
+        "V62",
+        "impacts of three boxes thrown at random, every restitution and friction",
+        "energy and momentum",
+        (
+            Check(
+                "energy gained, of that at the start",
+                "",
+                each(lambda t: largest_rise(t.kinetic_energy) / t.kinetic_energy[0]),
+                0.0,
+                at_most(1e-4),
+            ),
+            Check("momentum gained, of all", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
+            Check(
+                "share of the throws that met", "", lambda s: (lost(s[0]) > 1e-3).mean(), 1.0, absolute(0.2), ("all",)
+            ),
+        ),
+        (Experiment(scene, 0.4, tuple(f"throw {k}" for k in range(count)), starts),),
+        curve=Curve("kinetic energy", "J", lambda t: t.kinetic_energy),
+    )
+
+
+def gas(duration):
+    """216 elastic balls fall, hit the ground and one another, and keep their energy."""
+
+    def scene():
+        made = level_ground(friction=0.0, restitution=1.0)
+        jitter = 1e-3 * np.random.default_rng(1).uniform(-1, 1, (6, 6, 6, 3))
+        for cell in np.ndindex(6, 6, 6):
+            place = 0.21 * np.array(cell) + jitter[cell] + [0, 0, 1.101]
+            made.add_body(Sphere(0.1), mass=10.0, position=place, friction=0.0, restitution=1.0)
+        return made
+
+    return elastic(
+        "216 elastic balls dropped as a cube, dt 1/1000",
+        "SimBenchmark elastic 666; other engines: 8.4e-5 to 1.7e-2",
+        scene,
+        duration,
+        0.01,
+    )
+
+
+def drop_of_49():
+    """49 elastic balls fall by 5 m, again and again."""
+
+    def scene():
+        made = level_ground(friction=0.0, restitution=1.0)
+        for x, y in np.ndindex(7, 7):
+            place = (0.3 * x, 0.3 * y, 5.0)
+            made.add_body(Sphere(0.1), mass=10.0, position=place, friction=0.0, restitution=1.0)
+        return made
+
+    return elastic(
+        "49 elastic balls dropped from 5 m for 20 s, dt 1/1000",
+        "SimBenchmark bouncing; other engines: 5.7e-6 to 1.1e-2",
+        scene,
+        20.0,
+        0.01,
+    )
+
+
+def elastic(title, source, scene, duration, limit):
+    """Energy of elastic balls against that at the start."""
+
+    def off(t):
+        return t.energy / t.energy[0] - 1.0
+
+    return Case(
+        "V21",
+        title,
+        source,
+        (
+            Check(
+                "energy error, root mean square",
+                "",
+                each(lambda t: np.sqrt((off(t) ** 2).mean(axis=0))),
+                0,
+                at_most(limit),
+            ),
+            Check("energy gained", "", each(lambda t: off(t).max(axis=0)), 0.0, at_most(limit)),
+        ),
+        (Experiment(scene, duration, dt=1e-3, every=10),),
+        curve=Curve("energy over that at the start", "", lambda t: t.energy / t.energy[0]),
+    )

@@ -1,0 +1,53 @@
+"""Section G: granular heaps, whose order and trend are known."""
+
+import numpy as np
+
+from warp_rigid.shapes import Sphere
+from warp_rigid.validation.case import AT_LEAST, Case, Check, at_most
+from warp_rigid.validation.common import level_ground, per_env
+from warp_rigid.validation.experiment import Experiment
+
+
+def cases(quick: bool) -> list[Case]:
+    """All cases of the section; none is quick."""
+    return [] if quick else [heap()]
+
+
+def heap(base=6):
+    """Square pyramids of balls: without friction nothing is left of one, and the more there is the higher they stay."""
+    radius = 0.05
+    friction = np.array([0.0, 0.1, 0.2, 0.6, 0.6])
+    rolling = np.array([0.0, 0.0, 0.0, 0.0, 1e-2])
+    names = tuple(f"mu {mu:g}, rolling {1e3 * c:g} mm" for mu, c in zip(friction, rolling, strict=True))
+
+    def scene():
+        made = level_ground()
+        for layer in range(base):
+            middle = 0.5 * (base - layer - 1)
+            for x, y in np.ndindex(base - layer, base - layer):
+                place = 2 * radius * np.array([x - middle, y - middle, layer / 2**0.5 + 0.5])
+                made.add_body(Sphere(radius), position=place)
+        return made
+
+    def kept(trace):
+        height = trace.position[:, :, 1:, 2].mean(axis=2) - radius
+        return height[-1] / height[0]
+
+    count = base * (base + 1) * (2 * base + 1) // 6
+    return Case(
+        "V60",
+        f"heaps of {count} balls, 3 s from a square pyramid",
+        "Zhou 2001 and 2002: order and trend",
+        (
+            Check("height kept without friction", "", lambda s: kept(s[0])[:1], 0.0, at_most(0.05), names[:1]),
+            Check(
+                "height kept over that with less friction", "", lambda s: np.diff(kept(s[0])), 0.0, AT_LEAST, names[1:]
+            ),
+            Check("height kept with most friction", "", lambda s: kept(s[0])[-1:], 0.9, AT_LEAST, names[-1:]),
+        ),
+        (
+            Experiment(
+                scene, 3.0, names, (per_env("friction", friction), per_env("rolling_friction", rolling)), every=24
+            ),
+        ),
+    )

@@ -1,0 +1,387 @@
+"""Section A: mass properties of solids, and signed distances of meshes."""
+
+import numpy as np
+import warp as wp
+
+from warp_rigid import meshes, sdf, tessellation
+from warp_rigid.geometry import Grid, frozen_array
+from warp_rigid.mesh import Mesh
+from warp_rigid.shapes import Box, SampleKind
+from warp_rigid.validation import solids
+from warp_rigid.validation.case import AT_LEAST, Case, Check, Miss, absolute, at_most, relative
+
+BAND = 3.0
+"""Half the width of the band around a surface where distances are compared [cells]."""
+
+
+def cases(quick: bool) -> list[Case]:
+    """All cases of the section; coarser if quick."""
+    cells = (32, 64) if quick else (32, 64, 128)
+    return [
+        polyhedra(),
+        torus(),
+        sphere_distance(cells, 20_000 if quick else 100_000, 40 if quick else 96),
+        box_distance(cells, 20_000 if quick else 100_000),
+        eikonal(20_000 if quick else 100_000),
+        signs(5_000 if quick else 20_000),
+        coverage(800 if quick else 20_000),
+    ]
+
+
+def box_moments(sides, mass=1.0) -> np.ndarray:
+    """Inertia tensor of a box about its centre."""
+    square = np.square(np.asarray(sides, np.float64))
+    return np.diag(mass * (square.sum() - square) / 12.0)
+
+
+def two_boxes(first, second) -> tuple[float, np.ndarray, np.ndarray]:
+    """Volume, centre and inertia of two disjoint boxes, each given by two corners, by Steiner's rule."""
+    corners = np.array([first, second], np.float64)
+    sides, middles = corners[:, 1] - corners[:, 0], corners.mean(axis=1)
+    volumes = sides.prod(axis=1)
+    center = np.average(middles, axis=0, weights=volumes)
+    inertia = np.zeros((3, 3))
+    for side, middle, volume in zip(sides, middles, volumes, strict=True):
+        arm = middle - center
+        inertia += box_moments(side, volume) + volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return volumes.sum(), center, inertia
+
+
+def exact_solids() -> dict[str, tuple[tuple, float, np.ndarray, np.ndarray]]:
+    """Vertices and faces, volume, centre of mass and inertia at unit density of solids with closed forms."""
+    corner = np.full((3, 3), 1 / 480) + np.diag([1 / 80 - 1 / 480] * 3)
+    high = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) / 8**0.5
+    regular = 1 / (6 * 2**0.5)
+    hollow = box_moments((1, 1, 1)) - box_moments((0.8,) * 3, 0.8**3)
+    vertices, faces = solids.cube()
+    shift = np.array([0.5, 1.0, 1.5])
+    return {
+        "corner tetrahedron": (
+            solids.tetrahedron([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]),
+            1 / 6,
+            np.full(3, 0.25),
+            corner,
+        ),
+        "regular tetrahedron": (solids.tetrahedron(high), regular, np.zeros(3), regular / 20 * np.eye(3)),
+        "box 1 x 2 x 3": ((vertices * [1, 2, 3] + shift, faces), 6.0, shift, box_moments((1, 2, 3), 6.0)),
+        "hollow cube": (solids.hollow_cube(), 1 - 0.8**3, np.zeros(3), hollow),
+        "L prism": (solids.l_prism(), *two_boxes([(0, 0, 0), (3, 1, 1)], [(0, 1, 0), (1, 3, 1)])),
+    }
+
+
+def polyhedra():
+    """Solids whose integrals are known."""
+    table = exact_solids()
+    names = tuple(table)
+
+    def compute(_):
+        return [Mesh(*table[name][0]) for name in names]
+
+    def center_error(shapes):
+        return [np.abs(mesh.center_of_mass - table[name][2]).max() for mesh, name in zip(shapes, names, strict=True)]
+
+    def inertia_error(shapes):
+        exact = [table[name][3] for name in names]
+        return [np.abs(mesh.inertia - e).max() / np.abs(e).max() for mesh, e in zip(shapes, exact, strict=True)]
+
+    return Case(
+        "V01",
+        "mass properties of polyhedra",
+        "closed forms and Steiner's rule; Mirtich 1996",
+        (
+            Check(
+                "volume", "m^3", lambda s: [m.volume for m in s], [table[n][1] for n in names], relative(1e-6), names
+            ),
+            Check("centre of mass, off", "m", center_error, 0.0, at_most(1e-6), names),
+            Check("inertia, off, of the largest entry", "", inertia_error, 0.0, at_most(1e-6), names),
+        ),
+        compute=compute,
+        on_device=False,
+    )
+
+
+def torus_of_triangles(major, minor, around, across) -> tuple[float, float, float]:
+    """Volume, Ix and Iz of a torus whose section is a regular polygon and whose rings are polygons too.
+
+    Each sector between two sections is cut by lines parallel to their chord, and its moments are those of the
+    isosceles triangles that a strip of the section sweeps.
+    """
+    section = 0.5 * across * minor**2 * np.sin(2 * np.pi / across)
+    spread = minor**2 * (2 + np.cos(2 * np.pi / across)) / 12  # mean square distance from the section's axes
+    step = 2 * np.pi / around
+    sine, cosine = np.sin(0.5 * step), np.cos(0.5 * step)
+    volume = around * np.sin(step) * section * major
+    axial = 2 * around * sine * cosine * (cosine**2 + sine**2 / 3) * section * (major**3 + 3 * major * spread)
+    return volume, 0.5 * axial + volume * spread, axial
+
+
+def torus():
+    """A mesh has the values of its polyhedron, and these tend to the smooth solid's at second order."""
+    major, minor = 1.0, 0.3
+    volume = 2 * np.pi**2 * major * minor**2
+    smooth = np.array([volume, volume * (4 * major**2 + 5 * minor**2) / 8, volume * (major**2 + 0.75 * minor**2)])
+    fine = (32, 64, 128)
+
+    def values(shape):
+        return np.array([shape.volume, shape.inertia[0, 0], shape.inertia[2, 2]])
+
+    def compute(_):
+        return [meshes.torus(major, minor, segments=segments) for segments in fine]
+
+    def order(shapes):
+        errors = np.array([np.abs(values(shape) - smooth) for shape in shapes])
+        return np.log2(errors[:-1] / errors[1:]).ravel()
+
+    names = "volume", "Ix", "Iz"
+    steps = tuple(f"{name}, {a} to {b} segments" for a, b in zip(fine[:-1], fine[1:], strict=True) for name in names)
+    return Case(
+        "V02",
+        "mass properties of a torus of triangles, R 1, r 0.3",
+        "closed forms of the polyhedron and of the torus",
+        (
+            Check(
+                "64 x 32 mesh",
+                "m^3 or m^5",
+                lambda s: values(s[1]),
+                torus_of_triangles(major, minor, 64, 32),
+                relative(1e-6),
+                names,
+            ),
+            Check("order of convergence", "", order, 2.0, absolute(0.05), steps),
+        ),
+        compute=compute,
+        on_device=False,
+    )
+
+
+def grid_on(device, mesh: Mesh, cells: int) -> Grid:
+    """A mesh's distance grid, computed on a device and not read from the cache."""
+    origin, spacing, shape = sdf.grid_layout(mesh.vertices, cells)
+    values = sdf.bake(mesh.vertices, mesh.faces, origin, spacing, shape, True, wp.get_device(device))
+    return Grid(tuple(origin.tolist()), spacing, frozen_array(values, np.float32))
+
+
+def points_near(distance, half, width, count) -> np.ndarray:
+    """Random points within `width` of a surface that lies in a box of some half extents, (count, 3)."""
+    draw = np.random.default_rng(4)
+    found = np.zeros((0, 3))
+    while len(found) < count:
+        points = draw.uniform(-1, 1, (4 * count, 3)) * (np.asarray(half) + width)
+        found = np.concatenate([found, points[np.abs(distance(points)) < width]])
+    return found[:count]
+
+
+def sphere_distance(cells, count, frequency):
+    """Distances and normals of a ball of triangles, against those of the sphere."""
+    radius = 0.5
+
+    def distance(points):
+        return np.linalg.norm(points, axis=1) - radius
+
+    def compute(device):
+        corners, faces = tessellation.geodesic(frequency)
+        ball = Mesh(radius * corners, faces)
+        rows = []
+        for n in cells:
+            grid = grid_on(device, ball, n)
+            points = points_near(distance, 3 * [radius], BAND * grid.spacing, count)
+            value, gradient = sdf.interpolate(grid, points)
+            near = np.abs(distance(points)) < grid.spacing
+            radial = points[near] / np.linalg.norm(points[near], axis=1, keepdims=True)
+            unit = gradient[near] / np.linalg.norm(gradient[near], axis=1, keepdims=True)
+            angle = np.degrees(np.arcsin(np.clip(np.linalg.norm(np.cross(unit, radial), axis=1), 0, 1)))
+            sag = radius - np.linalg.norm(ball.vertices[ball.faces].mean(axis=1), axis=1).min()
+            bound = grid.spacing**2 / (4 * (radius - BAND * grid.spacing)) + sag
+            rows.append((np.abs(value - distance(points)).max(), bound, angle.max()))
+        return np.array(rows)
+
+    names = tuple(f"{n} cells" for n in cells)
+    fine = [k for k, n in enumerate(cells) if n > 64]
+    half = cells.index(64)
+    checks = [
+        Check("largest error within 3 cells", "m", lambda s: s[:, 0], lambda s: s[:, 1], at_most(0.0), names),
+        Check(
+            "largest error of the normals, h = R / 32",
+            "deg",
+            lambda s: s[[half], 2],
+            0.0,
+            at_most(1.0),
+            ("64 cells",),
+            Miss(
+                "a trilinear gradient is that of the cell's middle: h / (2 r) off in each of two directions, 1.27 deg",
+                1.4,
+            ),
+        ),
+    ]
+    if fine:
+        labels = [names[k] for k in fine]
+        checks.append(Check("largest error of the normals", "deg", lambda s: s[fine, 2], 0.0, at_most(1.0), labels))
+    return Case(
+        "V05",
+        "distance grid of a sphere, R 0.5",
+        "bound of trilinear interpolation, h^2 / (4 r), and the mesh's own sag",
+        tuple(checks),
+        compute=compute,
+    )
+
+
+def box_distance(cells, count):
+    """Distances of a box: exact over its faces, first order at its edges."""
+    box = Box((0.5, 0.3, 0.2))
+
+    def compute(device):
+        vertices, faces = solids.cube()
+        mesh = Mesh(2 * vertices * box.half_extents, faces)
+        rows = []
+        for n in cells:
+            grid = grid_on(device, mesh, n)
+            points = points_near(lambda at: box.signed_distance(at)[0], box.half_extents, BAND * grid.spacing, count)
+            exact, _ = box.signed_distance(points)
+            error = np.abs(sdf.interpolate(grid, points)[0] - exact)
+            over = np.sort(np.abs(points) - box.half_extents, axis=1)
+            flat = (over[:, 2] - over[:, 1] > 2 * grid.spacing) & (over[:, 1] < -2 * grid.spacing)
+            center = sdf.interpolate(grid, np.zeros((1, 3)))[0][0] / grid.spacing
+            edge = [error[side].max() / grid.spacing for side in (exact > 0, exact < 0)]
+            rows.append((error[flat].max(), *edge, center + 0.2 / grid.spacing))
+        return np.array(rows)
+
+    names = tuple(f"{n} cells" for n in cells)
+    return Case(
+        "V05",
+        "distance grid of a box, half extents 0.5, 0.3, 0.2",
+        "closed form; first order at edges",
+        (
+            Check("largest error where one face is nearest", "m", lambda s: s[:, 0], 0.0, at_most(2e-6), names),
+            Check("largest error outside", "cells", lambda s: s[:, 1], 0.0, at_most(0.3), names),
+            Check("largest error inside", "cells", lambda s: s[:, 2], 0.0, at_most(0.4), names),
+            Check("depth of the centre, off (V06)", "cells", lambda s: s[:, 3], 0.0, absolute(1.0), names),
+        ),
+        compute=compute,
+    )
+
+
+def eikonal(count):
+    """The gradient has unit length but where creases of the distance field cross a cell."""
+    smooth = {
+        "cube": lambda: Mesh(*solids.cube()),
+        "torus": lambda: meshes.torus(segments=128),
+        "L prism, 96 cells": lambda: Mesh(*solids.l_prism(), sdf_resolution=96),
+    }
+    creased = {
+        "star": lambda: Mesh(*solids.star_prism()),
+        "wedge": lambda: Mesh(*solids.wedge()),
+        "spike": lambda: Mesh(*solids.spike()),
+    }
+
+    def compute(device):
+        return {
+            name: share(grid_on(device, make(), make().sdf_resolution)) for name, make in (smooth | creased).items()
+        }
+
+    def share(grid):
+        upper = np.array(grid.origin) + grid.spacing * (np.array(grid.values.shape) - 1)
+        points = np.random.default_rng(6).uniform(grid.origin, upper, (5 * count, 3))
+        distance, gradient = sdf.interpolate(grid, points)
+        length = np.linalg.norm(gradient[np.abs(distance) < BAND * grid.spacing], axis=1)
+        return (np.abs(length - 1) < 0.05).mean()
+
+    def check(names, miss=None):
+        return Check(
+            "share of gradients of length 1 +- 0.05 within 3 cells",
+            "",
+            lambda s: [s[name] for name in names],
+            0.95,
+            AT_LEAST,
+            tuple(names),
+            miss,
+        )
+
+    crease = "where two faces are equally near, the cell holds a crease and its mean gradient is shorter"
+    return Case(
+        "V06",
+        "gradient of distance grids",
+        "eikonal equation",
+        (check(smooth), check(creased, Miss(crease, 0.15))),
+        compute=compute,
+    )
+
+
+def signs(count):
+    """Points in a box twice the mesh: inside or not, by the winding number in float64."""
+    sharp = {
+        "spike": solids.spike(),
+        "wedge": solids.wedge(),
+        "corner tetrahedron": solids.tetrahedron([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]),
+        "needle": solids.tetrahedron([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0.03, 0.03, 2)]),
+        "star": solids.star_prism(),
+        "L prism": solids.l_prism(),
+        "hollow cube": solids.hollow_cube(),
+    }
+
+    def wrong(vertices, faces, simple, device):
+        lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+        draw = np.random.default_rng(3)
+        points = 0.5 * (lower + upper) + draw.uniform(-1, 1, (count, 3)) * (upper - lower)
+        distance, _ = sdf.mesh_distance(vertices, faces, points, simple, wp.get_device(device))
+        inside = solids.winding(points, vertices[faces]) > 0.5
+        return int(((distance < 0) != inside)[np.abs(distance) > 1e-6].sum())
+
+    def compute(device):
+        return [wrong(*sharp[name], simple, device) for name in sharp for simple in (True, False)]
+
+    rules = tuple(f"{name}, {rule}" for name in sharp for rule in ("pseudonormals", "winding number"))
+    return Case(
+        "V07",
+        f"sign at sharp features, {count} points around each mesh",
+        "winding number in float64; Baerentzen and Aanaes 2005",
+        (Check("points with the wrong sign", "", lambda s: s, 0, absolute(0.0), rules),),
+        compute=compute,
+    )
+
+
+def coverage(count):
+    """No place of a surface is farther from a sample than the stated spacing."""
+    made = {
+        "cube": lambda: Mesh(*solids.cube()),
+        "L prism": lambda: Mesh(*solids.l_prism()),
+        "star": lambda: Mesh(*solids.star_prism()),
+        "torus": lambda: meshes.torus(),
+        "bunny": lambda: meshes.bunny(),
+    }
+
+    def farthest(mesh):
+        triangles = mesh.vertices[mesh.faces]
+        side = triangles[:, 1:] - triangles[:, :1]
+        area = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
+        draw = np.random.default_rng(5)
+        chosen = draw.choice(len(area), count, p=area / area.sum())
+        u, v = draw.random((2, count, 1))
+        u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+        points = triangles[chosen, 0] + u * side[chosen, 0] + v * side[chosen, 1]
+        return max(to_samples(mesh.samples(), part).max() for part in np.array_split(points, 40)) / mesh.sample_spacing
+
+    def to_samples(samples, points):
+        slide = np.where((samples.kind == SampleKind.EDGE)[:, None], samples.slide, 0.0).astype(np.float64)
+        arm = points[:, None] - samples.point.astype(np.float64)
+        length = np.maximum(np.einsum("si,si->s", slide, slide), 1e-30)
+        along = np.clip(np.einsum("psi,si->ps", arm, slide) / length, -1, 1)
+        return np.linalg.norm(arm - along[:, :, None] * slide, axis=2).min(axis=1)
+
+    names = tuple(made)
+    return Case(
+        "V09",
+        "samples of mesh surfaces",
+        "the stated spacing, a sixteenth of the longest side",
+        (
+            Check(
+                "farthest place from a sample, over the spacing",
+                "",
+                lambda s: [farthest(mesh) for mesh in s],
+                1.0,
+                at_most(1e-6),
+                names,
+            ),
+        ),
+        compute=lambda _: [make() for make in made.values()],
+        on_device=False,
+    )

@@ -1,0 +1,262 @@
+"""Section F: sharp and nonconvex contacts."""
+
+import numpy as np
+
+from warp_rigid import meshes
+from warp_rigid.kernels.predict import CONTACT_DISTANCE
+from warp_rigid.scene import Scene
+from warp_rigid.shapes import Box, Capsule, Mesh, Sphere
+from warp_rigid.validation import solids
+from warp_rigid.validation.case import AT_LEAST, OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each
+from warp_rigid.validation.common import NO_GRAVITY, level_ground, turn_about
+from warp_rigid.validation.experiment import Experiment, Start
+
+ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
+OVER = 1e-4
+"""Height of a tip above what it is dropped on [m]."""
+
+
+def cases(quick: bool) -> list[Case]:
+    """All cases of the section; the cheap ones if quick."""
+    listed = [sliding_tips(), tips_on_tips(), internal_edges(0.5 if quick else 2.0), push_out()]
+    return listed if quick else [*listed, bypass(1 / 240), bypass(0.05)]
+
+
+def spike_mesh(cells=64) -> Mesh:
+    """Pyramid with a unit base and height 3, tip up."""
+    return Mesh(*solids.spike(), sdf_resolution=cells)
+
+
+def wedge_mesh(cells=64) -> Mesh:
+    """Prism with base 1 x 2 and height 3, edge up."""
+    return Mesh(*solids.wedge(), sdf_resolution=cells)
+
+
+OVERTURNED = turn_about((0, 1, 0), 180.0)
+
+
+def sliding_tips():
+    """A tip that slides over a plane meets nothing to snag on."""
+
+    def experiment(name, shape):
+        def scene():
+            made = level_ground(gravity=NO_GRAVITY, friction=0.0)
+            made.add_body(
+                shape(), position=(0, 0, 3.0 + OVER), orientation=OVERTURNED, linear_velocity=(10, 0, 0), friction=0.0
+            )
+            return made
+
+        return Experiment(scene, 1.0, dt=0.01, label=name)
+
+    return Case(
+        "V49",
+        "spike and wedge that slide on their tip, 10 m/s, no gravity",
+        ERLEBEN,
+        (
+            Check("way in 1 s", "m", each(lambda t: t.position[-1, :, 1, 0]), 10.0, absolute(1e-4)),
+            Check(
+                "turn", "rad/s", each(lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1)), 0.0, at_most(1e-4)
+            ),
+        ),
+        (experiment("spike", spike_mesh), experiment("wedge", wedge_mesh)),
+    )
+
+
+def tips_on_tips():
+    """A tip dropped on a tip slides off it, without going in."""
+
+    def experiment(name, below, above):
+        def scene():
+            made = Scene()
+            made.add_static(below(), position=(0, 0, -3.0), friction=0.0)
+            made.add_body(above(), position=(0, 0, 3.0 + OVER), orientation=OVERTURNED, friction=0.0)
+            return made
+
+        return Experiment(scene, 1.25, dt=0.01, label=name, watch_overlap=True)
+
+    return Case(
+        "V49",
+        "spikes and wedges dropped tip on tip, 1.25 s",
+        ERLEBEN,
+        (
+            Check("deepest overlap at any time", "m", each(lambda t: t.overlap.max(axis=0)), 0.0, at_most(0.01)),
+            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 20.0, at_most(0.0)),
+        ),
+        (
+            experiment("spike on spike", spike_mesh, spike_mesh),
+            experiment("wedge on wedge", wedge_mesh, wedge_mesh),
+            experiment("spike on wedge", wedge_mesh, spike_mesh),
+        ),
+    )
+
+
+def internal_edges(duration):
+    """A cube on a slab of many triangles, and one whose faces end where the slab does: it rests flat."""
+
+    def slab(pieces):
+        corners, faces = solids.cube()
+        flat = Mesh(corners * [2, 2, 1], faces)
+        if pieces == 1:
+            return flat
+        import trimesh
+
+        fine = trimesh.Trimesh(flat.vertices, flat.faces).subdivide().subdivide()
+        return Mesh.from_trimesh(fine)
+
+    def experiment(name, half, pieces):
+        def scene():
+            made = Scene()
+            made.add_static(slab(pieces), position=(0, 0, -0.5))
+            made.add_body(Box(half), position=(0, 0, half[2] + 0.05))
+            return made
+
+        return Experiment(scene, duration, label=name, every=2)
+
+    return Case(
+        "V49",
+        "cube dropped on a slab with interior edges, and flush with its rim",
+        ERLEBEN,
+        (
+            Check("height at the end, off", "m", each(rest_height), 0.0, absolute(1e-3)),
+            Check("drift", "m", each(lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1)), 0.0, at_most(1e-3)),
+            Check(
+                "tilt",
+                "deg",
+                each(lambda t: np.degrees(np.arccos(np.clip(t.turns[-1, :, 1, 2, 2], -1, 1)))),
+                0.0,
+                at_most(0.1),
+            ),
+            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+        ),
+        (
+            experiment("12 triangles", (0.5, 0.5, 0.5), 1),
+            experiment("192 triangles", (0.5, 0.5, 0.5), 2),
+            experiment("flush with the rim", (1.0, 1.0, 0.5), 2),
+        ),
+    )
+
+
+def rest_height(trace):
+    """Height of the cube's lower face above the slab, (envs,) [m]."""
+    return trace.position[-1, :, 1, 2] - trace.scene.bodies[1].shape.half_extents[2]
+
+
+def push_out():
+    """Two bodies that start within each other part within half a second, and keep no velocity of it."""
+    cube = Box((0.1, 0.1, 0.1))
+    bunny = meshes.bunny
+    rows = {
+        "spheres": (lambda: Sphere(0.1), ((0.3, 0), (0.9, 0))),
+        "capsules": (lambda: Capsule(0.1, 0.2), ((0.3, 0), (0.9, 0))),
+        "cubes": (lambda: cube, ((0.1, 0), (0.3, 0), (0.2, 35), (0.5, 0))),
+        "bunnies": (lambda: bunny(sdf_resolution=32), ((0.3, 0), (0.5, 60))),
+    }
+
+    def experiment(name, shape, cells):
+        def scene():
+            made = Scene(gravity=NO_GRAVITY)
+            made.add_body(shape())
+            made.add_body(shape())
+            return made
+
+        overlap, degrees = np.array(cells, np.float64).T
+        place = np.stack([0.2 * (1 - overlap), 0 * overlap + 0.01, 0 * overlap + 0.02], axis=1)
+        return Experiment(
+            scene,
+            0.5,
+            tuple(f"{100 * share:g} % of the width, turned by {angle:g} deg" for share, angle in cells),
+            (
+                Start("position", place[:, None], bodies=[1]),
+                Start("orientation", turn_about((1, 2, 3), degrees)[:, None], bodies=[1]),
+            ),
+            label=name,
+            watch_overlap=True,
+        )
+
+    experiments = tuple(experiment(name, *row) for name, row in rows.items())
+    stuck = experiment("cubes", lambda: cube, ((0.8, 35),))
+
+    def check(measure, labels, miss=None):
+        return Check("overlap after 0.5 s", "m", measure, 0.0, at_most(0.2 * CONTACT_DISTANCE), labels, miss)
+
+    reason = "where two boxes share so much that no face of one opposes the other, no contact is found"
+    return Case(
+        "V63",
+        "bodies that start within each other",
+        "they part within 0.5 s and are at rest",
+        (
+            Check(
+                "overlap at the start",
+                "m",
+                lambda s: each(lambda t: t.overlap[0])(s[:-1]),
+                0.005,
+                AT_LEAST,
+                names(experiments),
+            ),
+            check(lambda s: each(lambda t: t.overlap[-1])(s[:-1]), names(experiments)),
+            check(lambda s: s[-1].overlap[-1], names((stuck,)), Miss(reason, 0.1)),
+            Check("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-6)),
+        ),
+        (*experiments, stuck),
+    )
+
+
+def names(experiments) -> list[str]:
+    """Labels of the environments of several experiments."""
+    return [f"{one.label}, {variant}" for one in experiments for variant in one.variants]
+
+
+def bypass(dt):
+    """A fast square flies at a thin bar: it must hit whatever lies within its width, at every phase of the step.
+
+    The bar is 20 m long and 0.1 m thick, the square 2 m wide, its depth is 0.2 m, and it crosses many times the bar's
+    thickness in a step.
+    """
+    speed, phases = 75.0, 8
+    sides = {"in the middle": 0.0, "0.2 m within the end": 10.8, "0.2 m past the end": 11.2}
+    cells = [(name, phase) for name in sides for phase in range(phases)]
+    place = np.array([(sides[name], 0, 5.0 + phase / phases * speed * dt) for name, phase in cells])
+
+    def scene():
+        made = Scene(gravity=NO_GRAVITY)
+        made.add_static(Box((10.0, 1.0, 0.05)))
+        made.add_body(Box((1.0, 1.0, 0.1)), linear_velocity=(0, 0, -speed))
+        return made
+
+    def passed(trace):
+        return trace.position[:, :, 1, 2].min(axis=0) < -1.0
+
+    experiment = Experiment(
+        scene,
+        0.3,
+        tuple(f"{name}, phase {phase}/{phases}" for name, phase in cells),
+        (Start("position", place[:, None], bodies=[1]),),
+        dt=dt,
+    )
+    reason = "a body that crosses more than half of its own width, or a thin wall, in a step can pass through it"
+    return Case(
+        "V56",
+        f"square 0.2 m deep at 75 m/s against a bar 0.1 m thick, dt 1/{1 / dt:.3g}",
+        "rigid-ipc bypass, extruded",
+        (
+            Check(
+                "goes through the bar",
+                "",
+                lambda s: passed(s[0])[: 2 * phases],
+                0,
+                OUTCOME,
+                experiment.variants[: 2 * phases],
+                Miss(reason, 1.0),
+            ),
+            Check(
+                "goes past the bar's end",
+                "",
+                lambda s: passed(s[0])[2 * phases :],
+                1,
+                OUTCOME,
+                experiment.variants[2 * phases :],
+            ),
+        ),
+        (experiment,),
+        curve=Curve("height", "m", lambda t: t.position[:, :, 1, 2]),
+    )

@@ -1,0 +1,150 @@
+"""Findings as a table for the terminal, as Markdown and as JSON, and the exit status that they mean."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.padding import Padding
+from rich.table import Table
+
+from warp_rigid.validation.case import Case, Finding
+
+FAILED = 1
+"""Exit status where a check failed or could not be done."""
+
+COLUMNS = ("quantity", "value", "reference", "error", "tolerance", "verdict")
+WIDTHS = (46, 18, 18, 13, 13, 7)
+"""Of the columns on a terminal; the sum and the gaps between them fill 120 characters."""
+COLORS = {"PASS": "green", "MISS": "yellow", "FAIL": "bold red", "ERROR": "bold red"}
+
+
+def exit_status(findings: Sequence[Finding]) -> int:
+    """0 if every check passed or is a known miss that is no worse than known, else 1."""
+    return FAILED if any(finding.verdict in ("FAIL", "ERROR") for finding in findings) else 0
+
+
+def print_table(findings: Sequence[Finding], out: Console) -> None:
+    """One line a check, with the variant that is worst; a heading for each case, and what to say about misses."""
+    with_device = len({finding.device for finding in findings}) > 1
+    _grid(out, COLUMNS)
+    last = None
+    for finding in findings:
+        if finding.case is not last:
+            out.print(f"[bold]{finding.case.id}  {escape(finding.case.title)}[/]", highlight=False)
+            last = finding.case
+        *cells, verdict = row(finding, with_device)
+        color = COLORS[verdict]
+        _grid(out, [*(escape(cell) for cell in cells), f"[{color}]{verdict}[/]"])
+        if finding.note:
+            out.print(Padding(f"[{color}]{escape(finding.note)}[/]", (0, 0, 0, 4)), highlight=False)
+
+
+def _grid(out: Console, cells: Sequence[str]) -> None:
+    """A line of the table, its columns at their places; long texts go on below."""
+    line = Table.grid(padding=(0, 1, 0, 0))
+    for width in WIDTHS:
+        line.add_column(width=width)
+    line.add_row("  " + cells[0], *cells[1:])
+    out.print(line, highlight=False)
+
+
+def markdown(findings: Sequence[Finding]) -> str:
+    """The same as a Markdown table; each case names the source of its references."""
+    with_device = len({finding.device for finding in findings}) > 1
+    columns = ("case", *COLUMNS)
+    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+    last = None
+    for finding in findings:
+        if finding.case is not last:
+            case = finding.case
+            lines.append(f"| **{case.id}** | **{case.title}** ({case.source}) |{' |' * 5}")
+            last = case
+        lines.append(f"| | {' | '.join(row(finding, with_device))} |")
+        if finding.note:
+            lines.append(f"| | {finding.note} |{' |' * 5}")
+    return "\n".join(lines) + "\n"
+
+
+def row(finding: Finding, with_device: bool) -> list[str]:
+    """A check's cells, in the order of COLUMNS."""
+    worst, check = finding.worst, finding.check
+    place = finding.labels[worst]
+    if len(finding.labels) > 1:
+        place = (
+            f"{place}; worst of {len(finding.labels)}" if finding.error[worst] > 0.0 else f"all {len(finding.labels)}"
+        )
+    if with_device:
+        place = f"{place}; {finding.device}" if place else finding.device
+    quantity = f"{check.quantity} ({place})" if place else check.quantity
+    unit = f" {check.unit}" if check.unit else ""
+    if check.tolerance.kind == "outcome":
+        agree = int((finding.error == 0.0).sum())
+        words = [f"{agree} of {len(finding.labels)} as due", "all as due", str(len(finding.labels) - agree), "0"]
+    else:
+        reference = f"{figure(finding.reference[worst])}{unit}"
+        if check.tolerance.kind in ("at_most", "at_least") and finding.reference[worst] != 0.0:
+            reference = f"{'<=' if check.tolerance.kind == 'at_most' else '>='} {reference}"
+        words = [
+            f"{figure(finding.value[worst])}{unit}",
+            reference,
+            _error(finding.error[worst], check.tolerance.kind, unit),
+            _error(check.tolerance.limit, check.tolerance.kind, unit),
+        ]
+    return [quantity, *words, finding.verdict]
+
+
+def figure(value: float) -> str:
+    """A number at six significant digits."""
+    return f"{value:.6g}"
+
+
+def _error(value: float, kind: str, unit: str) -> str:
+    return f"{100 * value:.3g} %" if kind == "relative" else f"{value:.3g}{unit}"
+
+
+def summary(findings: Sequence[Finding]) -> str:
+    """How many checks there are of each verdict, in a line."""
+    counts = {verdict: sum(f.verdict == verdict for f in findings) for verdict in COLORS}
+    names = {"PASS": "passed", "MISS": "known misses", "FAIL": "failed", "ERROR": "not measured"}
+    told = [f"{counts[verdict]} {name}" for verdict, name in names.items() if counts[verdict] or verdict == "PASS"]
+    return f"{len(findings)} checks: {', '.join(told)}"
+
+
+def as_json(findings: Sequence[Finding], devices: Sequence[str]) -> dict[str, Any]:
+    """Everything, as one JSON object; numbers that are not finite become null."""
+    return {
+        "devices": list(devices),
+        "passed": exit_status(findings) == 0,
+        "counts": {verdict: sum(f.verdict == verdict for f in findings) for verdict in COLORS},
+        "checks": [_record(finding) for finding in findings],
+    }
+
+
+def _record(finding: Finding) -> dict[str, Any]:
+    case: Case = finding.case
+    rows = zip(finding.labels, finding.value, finding.reference, finding.error, strict=True)
+    return {
+        "case": case.id,
+        "title": case.title,
+        "source": case.source,
+        "device": finding.device,
+        "quantity": finding.check.quantity,
+        "unit": finding.check.unit,
+        "tolerance": finding.check.tolerance.limit,
+        "tolerance_kind": finding.check.tolerance.kind,
+        "verdict": finding.verdict,
+        "note": finding.note,
+        "worst": finding.worst,
+        "variants": [
+            {"label": label, "value": number(value), "reference": number(reference), "error": number(error)}
+            for label, value, reference, error in rows
+        ],
+    }
+
+
+def number(value: float | np.floating) -> float | None:
+    """A float that JSON can hold."""
+    return float(value) if math.isfinite(value) else None

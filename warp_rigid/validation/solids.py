@@ -1,0 +1,102 @@
+"""Solids with closed forms or sharp features, as vertices and faces, and the winding number of points."""
+
+import numpy as np
+
+
+def star_prism(points=5, outer=1.0, inner=0.3, thickness=0.2):
+    """A star with fanned caps: vertices, faces."""
+    count = 2 * points
+    angle = np.pi * np.arange(count) / points
+    radius = np.where(np.arange(count) % 2 == 0, outer, inner)
+    flat = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    half = 0.5 * thickness
+    vertices = np.concatenate(
+        [
+            np.column_stack([flat, np.full(count, -half)]),
+            np.column_stack([flat, np.full(count, half)]),
+            [[0.0, 0.0, -half], [0.0, 0.0, half]],
+        ]
+    )
+    faces = []
+    for i in range(count):
+        j = (i + 1) % count
+        faces += [[i, j, j + count], [i, j + count, i + count]]
+        faces += [[2 * count, j, i], [2 * count + 1, i + count, j + count]]
+    return vertices, np.array(faces)
+
+
+def extrude(polygon, triangles, height):
+    """Prism over a counter-clockwise polygon in the plane z = 0, cut into the given triangles."""
+    polygon, triangles = np.asarray(polygon, dtype=np.float64), np.asarray(triangles)
+    count = len(polygon)
+    vertices = np.concatenate([np.column_stack([polygon, np.full(count, z)]) for z in (0.0, height)])
+    walls = []
+    for i in range(count):
+        j = (i + 1) % count
+        walls += [[i, j, j + count], [i, j + count, i + count]]
+    return vertices, np.concatenate([triangles[:, ::-1], triangles + count, walls])
+
+
+def cube(half=0.5, inward=False):
+    """Cube around the origin: vertices, faces; facing inward if asked."""
+    corners = half * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = np.array(quads)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    return corners, faces[:, ::-1] if inward else faces
+
+
+def hollow_cube(outer=0.5, inner=0.4):
+    """Cube with a cubic cavity, whose faces point into the hollow."""
+    wall, hollow = cube(outer), cube(inner, inward=True)
+    return np.concatenate([wall[0], hollow[0]]), np.concatenate([wall[1], hollow[1] + 8])
+
+
+L_POLYGON = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
+L_TRIANGLES = [(0, 1, 3), (1, 2, 3), (0, 3, 5), (3, 4, 5)]
+
+
+def l_prism():
+    """The L of arms 3 and width 1, height 1."""
+    return extrude(L_POLYGON, L_TRIANGLES, 1.0)
+
+
+def tetrahedron(corners):
+    """Tetrahedron of four corners, facing outward if the last is on the positive side of the first three."""
+    return np.asarray(corners, np.float64), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def spike(height=3.0):
+    """Pyramid over a unit square around the origin, its tip up."""
+    square = [[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]]
+    faces = [[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
+    return np.array([*square, [0, 0, height]], np.float64), np.array(faces)
+
+
+def wedge(height=3.0, length=2.0):
+    """Prism over a triangle: base 1 along x and `length` along y, its edge up."""
+    x = [-0.5, 0.5, 0.0]
+    z = [0.0, 0.0, height]
+    ends = [[[x[k], y, z[k]] for k in range(3)] for y in (-0.5 * length, 0.5 * length)]
+    faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [1, 4, 5], [1, 5, 2], [2, 5, 3], [2, 3, 0]]
+    return np.array(ends[0] + ends[1], np.float64), np.array(faces)
+
+
+def in_portions(function, points, triangles):
+    """Apply a function of (p, 1, 3) points and (m, 3, 3) triangles to points, a portion at a time."""
+    portion = max(1, 400_000 // len(triangles))
+    parts = [points[i : i + portion, None] for i in range(0, len(points), portion)]
+    return np.concatenate([function(part, triangles) for part in parts])
+
+
+def winding(points, triangles):
+    """Winding number of each point: the sum of the triangles' solid angles over 4 pi."""
+    return in_portions(_winding, points, triangles)
+
+
+def _winding(point, triangles):
+    a, b, c = (triangles[:, corner] - point for corner in range(3))
+    la, lb, lc = (np.sqrt(np.einsum("pmi,pmi->pm", v, v)) for v in (a, b, c))
+    ab, bc, ca = (np.einsum("pmi,pmi->pm", v, w) for v, w in ((a, b), (b, c), (c, a)))
+    top = np.einsum("pmi,pmi->pm", a, np.cross(b, c))
+    bottom = la * lb * lc + ab * lc + bc * la + ca * lb
+    return 2.0 * np.arctan2(top, bottom).sum(axis=1) / (4.0 * np.pi)

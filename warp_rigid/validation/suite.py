@@ -1,0 +1,59 @@
+"""The suite: all cases in the order of their sections, chosen by name, and run on devices."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from warp_rigid.validation import (
+    free_motion,
+    friction,
+    impact,
+    many_bodies,
+    mass_and_distance,
+    nonconvex,
+    rolling,
+    stacks,
+)
+from warp_rigid.validation.case import Case, Finding, judge
+
+SECTIONS = (mass_and_distance, free_motion, impact, friction, rolling, stacks, nonconvex, many_bodies)
+CPU = "cpu"
+
+
+def all_cases(quick: bool = False) -> list[Case]:
+    """Every case; with `quick` those that take a second or two each, at sizes that keep them so."""
+    return [case for section in SECTIONS for case in section.cases(quick)]
+
+
+def choose(cases: Sequence[Case], names: Sequence[str]) -> list[Case]:
+    """The cases of some families, such as V10 or V22.
+
+    Raises:
+        ValueError: there is no such family.
+    """
+    known = list(dict.fromkeys(case.id for case in cases))
+    for name in names:
+        if name not in known:
+            raise ValueError(f"--cases: must be names from {', '.join(known)}, got {name}")
+    return [case for case in cases if case.id in names]
+
+
+def run_suite(
+    cases: Sequence[Case],
+    devices: Sequence[str],
+    on_case: Callable[[Case, str, Any, list[Finding]], None] | None = None,
+) -> list[Finding]:
+    """Run cases on devices, each case on all of them in turn.
+
+    Args:
+        cases: what to run.
+        devices: names of Warp devices. Cases that no device takes part in run once.
+        on_case: told of each case when it is done, with its subject (None if it could not be had) and findings.
+    """
+    findings = []
+    for case in cases:
+        for device in devices if case.on_device else [CPU]:
+            subject, found = judge(case, device)
+            findings += found
+            if on_case:
+                on_case(case, device, subject, found)
+    return findings
