@@ -1,11 +1,15 @@
 """`warp-rigid validate`: the engine against closed forms and published references, in one table."""
 
+import itertools
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 import warp as wp
+from rich.markup import escape
+from rich.table import Table
 
 from warp_rigid.simulator import choose_device
 from warp_rigid.terminal import check_outputs, console, progress
@@ -21,6 +25,9 @@ def validate_command(
         str | None, typer.Option("-o", "--output", help="Folder for plots, results.json and table.md.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    compare_shock: Annotated[
+        bool, typer.Option("--compare-shock", help="Instead, compare shock propagation with its alternatives.")
+    ] = False,
 ) -> int:
     """Compare the engine with closed forms and published references, in one table.
 
@@ -30,6 +37,10 @@ def validate_command(
     from warp_rigid.validation import report, suite
 
     devices = [str(choose_device(name)) for name in device] if device else [str(d) for d in wp.get_devices()]
+    if compare_shock:
+        if names or output:
+            raise ValueError("--compare-shock: goes with --device, --quick and --json only")
+        return _compare_shock(devices, quick, as_json)
     cases = suite.all_cases(quick)
     if names:
         cases = suite.choose(cases, [name.strip() for name in names.split(",")])
@@ -46,6 +57,38 @@ def validate_command(
         for path in files:
             out.print(f"wrote {path}", highlight=False, markup=False)
     return report.exit_status(findings)
+
+
+def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
+    """One table a device: figures of all schemes on all structures, with milliseconds for 1/240 s in brackets."""
+    from warp_rigid.validation import shock_comparison as shock
+
+    total = len(devices) * len(shock.SCHEMES) * len(shock.structures(quick))
+    with progress("validate", total) as advance:
+        count = itertools.count(1)
+        tables = {
+            name: shock.compare(name, quick, lambda: advance(next(count)) if advance else None) for name in devices
+        }
+    if as_json:
+        told = {
+            name: {scheme: {one: asdict(cell) for one, cell in cells.items()} for scheme, cells in table.items()}
+            for name, table in tables.items()
+        }
+        print(json.dumps(told))
+        return 0
+    for name, table in tables.items():
+        heading, *lines = shock.rows(table, quick)
+        printed = Table(
+            *heading,
+            box=None,
+            pad_edge=False,
+            title=escape(f"{name}, in brackets ms for 1/240 s"),
+            title_justify="left",
+        )
+        for line in lines:
+            printed.add_row(*(escape(cell) for cell in line))
+        console().print(printed, highlight=False)
+    return 0
 
 
 class _Watcher:

@@ -1,5 +1,6 @@
 """Experiments: a scene simulated in as many environments as there are variants, and the record of their motion."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -58,9 +59,11 @@ class Experiment:
             sim.set(start.name, start.value, bodies=start.bodies)
         records: dict[str, list] = {name: [] for name in (*STATES, "overlap")}
         self._record(sim, records)
+        begun = time.perf_counter()
         for _ in range(max(1, round(self.duration / self.dt / self.every))):
             sim.step(self.every)
             self._record(sim, records)
+        seconds = time.perf_counter() - begun
         overlap = records.pop("overlap") or [sim.penetration()]
         return Trace(
             experiment=self,
@@ -71,6 +74,7 @@ class Experiment:
             overlap=np.array(overlap, np.float64),
             contacts=sim.contacts(),
             failed=sim.status()["status"] != "ok",
+            seconds=seconds,
             **{name: np.array(values, np.float64) for name, values in records.items()},
         )
 
@@ -101,6 +105,7 @@ class Trace:
         overlap: (records or 1, envs) deepest overlap; one record, the last, unless it was watched [m].
         contacts: contact records of the last step.
         failed: (envs,) whether the environment stopped with a non-finite state.
+        seconds: wall time of the steps and their recording [s].
     """
 
     experiment: Experiment
@@ -115,6 +120,7 @@ class Trace:
     overlap: np.ndarray
     contacts: np.ndarray
     failed: np.ndarray
+    seconds: float
 
     @property
     def labels(self) -> list[str]:

@@ -74,7 +74,7 @@ def heavy_on_light(duration):
     cells = [(ratio, mode) for mode in MODES for ratio in (1.0, 10.0, 100.0, 1000.0)]
     mass = np.array([(1000.0, 1000.0 * ratio) for ratio, _ in cells])
     kept = [row for row, (_, mode) in enumerate(cells) if mode != "off"]
-    cold = [row for row, (_, mode) in enumerate(cells) if mode == "off"][-1]
+    cold = [len(cells) - 1]
     experiment = Experiment(
         lambda: stack_scene(2, 0.5),
         duration,
@@ -83,7 +83,7 @@ def heavy_on_light(duration):
         dt=1 / 60,
         every=6,
     )
-    names = [experiment.variants[row] for row in kept]
+    names, names_cold = ([experiment.variants[row] for row in rows] for rows in (kept, cold))
 
     def top(t):
         return t.position[0, :, 2, 2] - t.position[-1, :, 2, 2]
@@ -95,14 +95,7 @@ def heavy_on_light(duration):
         (
             Check("height lost by the top", "m", lambda s: top(s[0])[kept], 0.0, at_most(5e-4), names),
             Check("speed at the end", "m/s", lambda s: s[0].speed[-1, kept], 0.0, at_most(1e-3), names),
-            Check(
-                "height lost without shock propagation over that with it, at least",
-                "",
-                lambda s: [top(s[0])[cold] / max(top(s[0])[3], 1e-6)],
-                10.0,
-                AT_LEAST,
-                (experiment.variants[cold],),
-            ),
+            Check("height lost without shock propagation", "m", lambda s: top(s[0])[cold], 5e-3, AT_LEAST, names_cold),
         ),
         (experiment,),
         curve=Curve("height lost", "m", lambda t: t.position[0, :, 2, 2] - t.position[:, :, 2, 2]),
@@ -311,7 +304,7 @@ def pyramid(rows, duration):
         (
             Check("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(OWN)),
             Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-            Check("energy gained", "J", each(lambda t: largest_rise(t.energy)), 0.0, at_most(1e-4)),
+            Check("energy gained, of that of a fall", "", each(gained(lambda t: t.energy)), 0.0, at_most(1e-6)),
             Check("force on the ground", "N", each(load_on_ground), count * 8.0 * G, relative(1e-3)),
         ),
         (Experiment(lambda: pyramid_scene(rows), duration, every=24),),
@@ -326,21 +319,25 @@ SWEEPS = (
 LIFTED = "push-out lifts bodies that a step has driven into each other, which counts as energy here"
 
 
-def energy_checks(warm, cold, names):
+def gained(series):
+    """Measure: how far an energy climbs above its least value so far, over what a fall to the ground sets free."""
+
+    def measure(trace):
+        scale = (trace.mass * G * np.abs(trace.center[0, :, :, 2])).sum(axis=1)
+        return largest_rise(series(trace)) / scale
+
+    return measure
+
+
+def energy_checks(warm, cold, names, misses=(None, None)):
     """Energy gained by impulses, from cold and warm starts, and with what push-out adds; all over that of a fall.
 
     Args:
         warm: environments with the default settings.
         cold: environments where every step starts from zero impulses.
         names: labels of all environments.
+        misses: known misses of the default settings, without and with push-out.
     """
-
-    def gained(series):
-        def measure(trace):
-            scale = (trace.mass * G * np.abs(trace.center[0, :, :, 2])).sum(axis=1)
-            return largest_rise(series(trace)) / scale
-
-        return measure
 
     def check(quantity, series, rows, limit, miss=None):
         measure = gained(series)
@@ -356,8 +353,8 @@ def energy_checks(warm, cold, names):
 
     return (
         check("by impulses from cold starts", lambda t: t.work_free_energy, cold, 1e-6),
-        check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, Miss(SWEEPS, 1e-3)),
-        check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, Miss(LIFTED, 1e-3)),
+        check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, misses[0]),
+        check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, misses[1]),
     )
 
 
@@ -369,7 +366,7 @@ def falling_towers(duration):
         "V62",
         "energy of falling towers of ten cubes",
         "conservation",
-        energy_checks([0, 2, 4], [1, 3, 5], experiment.variants),
+        energy_checks([0, 2, 4], [1, 3, 5], experiment.variants, (Miss(SWEEPS, 1e-3), Miss(LIFTED, 1e-3))),
         (experiment,),
         curve=Curve("energy", "J", lambda t: t.energy),
     )
