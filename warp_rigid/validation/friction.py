@@ -3,7 +3,7 @@
 import numpy as np
 
 from warp_rigid.scene import Scene
-from warp_rigid.shapes import Box, Mesh
+from warp_rigid.shapes import Box, Capsule, Mesh
 from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
 from warp_rigid.validation.common import (
     RESTING,
@@ -11,6 +11,7 @@ from warp_rigid.validation.common import (
     at_time,
     downhill,
     first_time,
+    largest_rise,
     level_ground,
     per_env,
     turn_about,
@@ -32,6 +33,7 @@ def cases(quick: bool) -> list[Case]:
         authors_incline(),
         incline_grid(),
         stopping_distance(),
+        painleve(),
     ]
 
 
@@ -326,4 +328,50 @@ def stopping_distance():
         ),
         experiments,
         curve=Curve("way", "m", lambda t: t.position[:, :, 1, 0]),
+    )
+
+
+def painleve():
+    """A rod whose tip drags over the ground towards Painleve's paradox, where Coulomb's law has no rigid solution.
+
+    Whatever an engine does then, it must stay finite and gain no energy. The paradox begins at
+    mu = (1 + 3 cos^2) / (3 sin cos), which is 4/3 at the least, for a slope of 63.4 degrees.
+    """
+    angle, friction = np.radians(63.4), np.array([1.0, 1.5, 2.0])
+    rod = Capsule(0.01, 0.49)
+    tip = 0.49 * np.array([np.cos(angle), 0.0, np.sin(angle)])
+
+    def scene():
+        made = level_ground()
+        # The rod leans forward over its dragging tip, as a chalk that is pushed over a board.
+        turn = turn_about((0, 1, 0), -(90 - np.degrees(angle)))
+        made.add_body(
+            rod, mass=1.0, position=(-tip[0], 0, tip[2] + 0.01), orientation=turn, linear_velocity=(1.0, 0, 0)
+        )
+        return made
+
+    def tip_speed(trace):
+        along_rod = trace.turns[:, :, 1, :, 2]
+        moving = trace.linear_velocity[:, :, 1] + np.cross(trace.angular_velocity[:, :, 1], -0.49 * along_rod)
+        return moving[:, :, 0]
+
+    return Case(
+        "V32",
+        "rod whose tip drags at 1 m/s, 63.4 degrees: Painleve's paradox from mu 4/3 on",
+        "Coulomb's law: energy is never gained, and friction never reverses the slip at once",
+        (
+            Check(
+                "energy gained, of that at the start",
+                "",
+                each(lambda t: largest_rise(t.work_free_energy) / t.kinetic_energy[0]),
+                0.0,
+                at_most(1e-3),
+            ),
+            Check(
+                "speed of the tip backwards", "m/s", each(lambda t: -tip_speed(t).min(axis=0)), 0.0, at_most(G / 240)
+            ),
+            Check("largest speed", "m/s or rad/s", each(lambda t: t.speed.max(axis=0)), 20.0, at_most(0.0)),
+        ),
+        (Experiment(scene, 0.1, tuple(f"mu {mu:g}" for mu in friction), (per_env("friction", friction),)),),
+        curve=Curve("speed of the tip", "m/s", tip_speed),
     )

@@ -36,7 +36,7 @@ def save_case(case: Case, device: str, traces: tuple[Trace, ...], folder: Path) 
     axes.set_title(f"{case.id}: {case.title} ({device}{', dashed: exact' if curve.exact else ''})", fontsize=9)
     axes.legend(fontsize=7)
     axes.grid(alpha=0.3)
-    slug = re.sub(r"[^a-z0-9]+", "_", case.title.lower())[:40].strip("_")
+    slug = re.sub(r"[^a-z0-9]+", "_", case.title.lower()).strip("_")
     path = folder / f"{case.id}_{slug}_{device.replace(':', '')}.png"
     chart.savefig(path, dpi=120)
     return path

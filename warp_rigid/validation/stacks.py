@@ -314,7 +314,7 @@ def pyramid(rows, duration):
 
 SWEEPS = (
     "ten warm-started sweeps stop short of their fixed point while a structure comes apart; "
-    "with 160 the gain is below 1e-8, from cold starts there is none"
+    "a tower gains less than 1e-7 of its energy with 160, and nothing from cold starts"
 )
 LIFTED = "push-out lifts bodies that a step has driven into each other, which counts as energy here"
 
@@ -329,14 +329,13 @@ def gained(series):
     return measure
 
 
-def energy_checks(warm, cold, names, misses=(None, None)):
+def energy_checks(warm, cold, names):
     """Energy gained by impulses, from cold and warm starts, and with what push-out adds; all over that of a fall.
 
     Args:
         warm: environments with the default settings.
         cold: environments where every step starts from zero impulses.
         names: labels of all environments.
-        misses: known misses of the default settings, without and with push-out.
     """
 
     def check(quantity, series, rows, limit, miss=None):
@@ -353,8 +352,8 @@ def energy_checks(warm, cold, names, misses=(None, None)):
 
     return (
         check("by impulses from cold starts", lambda t: t.work_free_energy, cold, 1e-6),
-        check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, misses[0]),
-        check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, misses[1]),
+        check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, Miss(SWEEPS, 1e-3)),
+        check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, Miss(LIFTED, 1e-3)),
     )
 
 
@@ -366,7 +365,7 @@ def falling_towers(duration):
         "V62",
         "energy of falling towers of ten cubes",
         "conservation",
-        energy_checks([0, 2, 4], [1, 3, 5], experiment.variants, (Miss(SWEEPS, 1e-3), Miss(LIFTED, 1e-3))),
+        energy_checks([0, 2, 4], [1, 3, 5], experiment.variants),
         (experiment,),
         curve=Curve("energy", "J", lambda t: t.energy),
     )
@@ -408,8 +407,17 @@ def piles(duration, count):
                 0.0,
                 at_most(0.01),
                 names[:3],
+                Miss("some piles creep for seconds, at millimetres a second, before they rest", 0.1),
             ),
-            Check("deepest overlap at the end", "m", lambda s: s[0].overlap[-1, warm], 0.0, at_most(5e-4), names[:3]),
+            Check(
+                "deepest overlap at the end",
+                "m",
+                lambda s: s[0].overlap[-1, warm],
+                0.0,
+                at_most(5e-4),
+                names[:3],
+                Miss("two boxes can slide into each other where their edges cross, unseen by any sample (V63)", 3e-3),
+            ),
         ),
         (Experiment(lambda: pile_scene(count, np.random.default_rng(8)), duration, names, starts),),
         curve=Curve("energy", "J", lambda t: t.energy),
