@@ -12,8 +12,6 @@ from warp_rigid.validation.solids import (  # noqa: F401
     winding,
 )
 
-TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-
 
 def distance_to_triangles(points, triangles):
     """Unsigned distance of (n, 3) points to the nearest of (m, 3, 3) triangles."""

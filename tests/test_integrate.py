@@ -1,4 +1,4 @@
-"""Last stage: exact rotation, the torque-free top (V10) and Dzhanibekov's flip (V11), and drift of what must not."""
+"""Last stage: exact rotation, and drift of what must not (the free tops of V10 to V12 are in the validation)."""
 
 import numpy as np
 import pytest
@@ -35,85 +35,6 @@ def follow(sim, steps):
 def momentum(turns, spins, inertia):
     body = np.einsum("nji,nj->ni", turns, spins)
     return np.einsum("nij,nj->ni", turns, body * inertia)
-
-
-def energy(turns, spins, inertia):
-    body = np.einsum("nji,nj->ni", turns, spins)
-    return 0.5 * (body**2) @ inertia
-
-
-def axis_and_momentum(device, inertia, tilted):
-    """Symmetry axis after each step of ten seconds, and the direction of the angular momentum (V10's tops)."""
-    orientation = random_quaternion(np.random.default_rng(1)) if tilted else (0, 0, 0, 1)
-    turns, spins = follow(free_body(device, inertia, (1.0, 0.0, 10.0), orientation), 2400)
-    total = momentum(turns[:1], spins[:1], inertia)[0]
-    return turns[:, :, 2], total / np.linalg.norm(total)
-
-
-DISC, ROD = (1.0, 1.0, 2.0), (2.0, 2.0, 1.0)
-
-
-@pytest.mark.parametrize("tilted", [False, True])
-@pytest.mark.parametrize(("inertia", "precession"), [(DISC, 20.02498), (ROD, 5.0990195)], ids=["disc", "rod"])
-def test_torque_free_top_goes_round(device, inertia, precession, tilted):
-    """V10: the symmetry axis goes round the angular momentum at L / I1, fitted over ten seconds."""
-    axis, up = axis_and_momentum(device, inertia, tilted)
-    east = axis[0] - (axis[0] @ up) * up
-    east /= np.linalg.norm(east)
-    azimuth = np.unwrap(np.arctan2(axis @ np.cross(up, east), axis @ east))
-    rate = np.polyfit(DT * np.arange(len(azimuth)), azimuth, 1)[0]
-    assert rate == pytest.approx(precession, rel=1e-3)
-
-
-@pytest.mark.parametrize("tilted", [False, True])
-@pytest.mark.parametrize(
-    ("inertia", "degrees"),
-    [(DISC, 2.86241), (ROD, 11.3099)],
-    ids=["disc", "rod"],
-)
-def test_torque_free_top_keeps_its_angle(device, inertia, degrees, tilted):
-    """V10: at every step the axis is at the same angle to the angular momentum."""
-    axis, up = axis_and_momentum(device, inertia, tilted)
-    np.testing.assert_allclose(np.degrees(np.arccos(axis @ up)), degrees, rtol=1e-3)
-
-
-def crossings(values):
-    """Times at which a series changes its sign, by linear interpolation [steps]."""
-    k = np.flatnonzero(np.sign(values[:-1]) != np.sign(values[1:]))
-    return k + values[k] / (values[k] - values[k + 1])
-
-
-MIDDLE = np.array([1.0, 2.0, 3.0])
-
-
-def test_dzhanibekov_flips_on_time(device):
-    """V11: a spin about the middle axis flips every 5.025929 s, within 0.2 %."""
-    turns, spins = follow(free_body(device, MIDDLE, (0.01, 5.0, 0.01)), 3800)
-    flips = DT * crossings(np.einsum("ni,ni->n", turns[:, :, 1], spins))
-    assert len(flips) == 3
-    np.testing.assert_allclose(np.diff(flips), 5.025929, rtol=2e-3)
-
-
-def test_dzhanibekov_keeps_energy_and_momentum(device):
-    """V11: over ten seconds the energy stays within 2e-4 and the angular momentum's size within 1e-5."""
-    turns, spins = follow(free_body(device, MIDDLE, (0.01, 5.0, 0.01)), 2400)
-    assert len(crossings(np.einsum("ni,ni->n", turns[:, :, 1], spins))) == 2
-    size = np.linalg.norm(momentum(turns, spins, MIDDLE), axis=1)
-    assert np.abs(size / size[0] - 1.0).max() < 1e-5
-    total = energy(turns, spins, MIDDLE)
-    assert np.abs(total / total[0] - 1.0).max() < 2e-4
-
-
-def test_angular_momentum_over_ten_thousand_steps(device):
-    """Capability 48: |L| of a tumbling body stays within 1e-5 over 1e4 steps."""
-    inertia = np.array([1.0, 2.0, 2.5])
-    sim = free_body(device, inertia, (3.0, 4.0, 5.0), random_quaternion(np.random.default_rng(2)))
-    turns, spins = follow(sim, 1)
-    start = momentum(turns, spins, inertia)[0]
-    sim.step(9998)
-    turns, spins = follow(sim, 1)
-    end = momentum(turns, spins, inertia)[1]
-    assert np.linalg.norm(end) == pytest.approx(np.linalg.norm(start), rel=1e-5)
 
 
 def test_momentum_keeps_its_direction(device):

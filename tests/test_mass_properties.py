@@ -1,4 +1,4 @@
-"""Mass properties against closed forms and against trimesh (V01, V02; capability 1)."""
+"""Mass properties against closed forms and against trimesh (V01 and V02 themselves are in the validation)."""
 
 import math
 
@@ -7,50 +7,20 @@ import pytest
 import trimesh
 
 from tests.geometry_oracles import (
-    TETRAHEDRON_FACES,
     cube,
-    hollow_cube,
-    l_prism,
     random_rotation,
     star_prism,
 )
-from warp_rigid import mass_properties, meshes
+from warp_rigid import mass_properties
 from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
+from warp_rigid.validation.mass_and_distance import exact_solids
 
-CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
-REGULAR = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) / 8.0**0.5
-BOX = cube()[0] * np.array([1.0, 2.0, 3.0])
-
-SOLIDS = {
-    "corner_tetra": (
-        CORNER, TETRAHEDRON_FACES, 1 / 6, (0.25, 0.25, 0.25),
-        np.full((3, 3), 1 / 480) + np.eye(3) * (1 / 80 - 1 / 480),
-    ),
-    "regular_tetra": (
-        REGULAR, TETRAHEDRON_FACES, 1 / (6 * 2**0.5), (0, 0, 0), np.eye(3) / (120 * 2**0.5),
-    ),
-    "box": (BOX, cube()[1], 6.0, (0, 0, 0), np.diag([6.5, 5.0, 2.5])),
-    "hollow_cube": (*hollow_cube(), 0.488, (0, 0, 0), np.eye(3) * (1 - 0.8**5) / 6),
-    "l_prism": (
-        *l_prism(), 5.0, (1.1, 1.1, 0.5),
-        np.array([[121 / 30, 1.8, 0], [1.8, 121 / 30, 0], [0, 0, 217 / 30]]),
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", SOLIDS)
-def test_polyhedra_have_their_exact_mass_properties(name):
-    vertices, faces, volume, center, inertia = SOLIDS[name]
-    mesh = Mesh(vertices, faces)
-    assert mesh.repairs == []
-    assert mesh.volume == pytest.approx(volume, rel=1e-12)
-    np.testing.assert_allclose(mesh.center_of_mass, center, atol=1e-12)
-    np.testing.assert_allclose(mesh.inertia, inertia, rtol=1e-12, atol=1e-12)
+SOLIDS = exact_solids()
 
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_mass_properties_move_with_the_mesh(name):
-    vertices, faces, volume, center, inertia = SOLIDS[name]
+    (vertices, faces), volume, center, inertia = SOLIDS[name]
     generator = np.random.default_rng(3)
     for _ in range(5):
         _, rotation = random_rotation(generator)
@@ -76,24 +46,6 @@ def test_mesh_integrals_agree_with_trimesh(tessellation):
     assert mesh.volume == pytest.approx(reference.volume, rel=1e-12)
     np.testing.assert_allclose(mesh.center_of_mass, reference.center_mass, atol=1e-12)
     np.testing.assert_allclose(mesh.inertia, reference.moment_inertia, atol=1e-12)
-
-
-def test_torus_mesh_has_the_values_of_its_polyhedron():
-    torus = meshes.torus(1.0, 0.3, segments=64)
-    assert len(torus.vertices) == 64 * 32
-    assert torus.volume == pytest.approx(1.7623015, abs=1e-7)
-    np.testing.assert_allclose(np.diag(torus.inertia), [0.978136, 0.978136, 1.877477], atol=1e-6)
-
-
-def test_tessellations_converge_to_the_torus_at_second_order():
-    exact = np.array([1.7765288, 0.988194, 1.896445])
-    errors = []
-    for segments in (32, 64, 128):
-        torus = meshes.torus(1.0, 0.3, segments=segments)
-        values = np.array([torus.volume, torus.inertia[0, 0], torus.inertia[2, 2]])
-        errors.append(np.abs(values / exact - 1.0))
-    ratios = np.array(errors[:-1]) / np.array(errors[1:])
-    assert ((ratios > 3.9) & (ratios < 4.1)).all(), ratios
 
 
 def test_icospheres_have_the_known_volume_errors():

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from tests.oracles import GROUND, ground_scene, opened, random_pile, rotate_about
-from warp_rigid.kernels.predict import CONTACT_DISTANCE
+from tests.oracles import GROUND, ground_scene, opened, random_pile
 from warp_rigid.kernels.push_out import FASTEST, RECOVERY, SLOP
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Capsule, Sphere
+from warp_rigid.shapes import Box, Sphere
 
 DT = 1 / 240
 
@@ -86,34 +85,6 @@ def test_a_tower_is_set_right_from_the_ground_up(device, top_first):
         np.testing.assert_allclose(joints, series[step], atol=2e-4 * series[0] + 1e-5)
         last = height
     np.testing.assert_allclose(sim.get("linear_velocity"), 0.0, atol=1e-4)
-
-
-CUBE = Box((0.1, 0.1, 0.1))
-STUCK = pytest.mark.xfail(strict=True, reason="boxes that share so much that no face of one opposes the other stay so")
-
-
-@pytest.mark.parametrize(
-    ("shape", "overlap", "degrees"),
-    [
-        (Sphere(0.1), 0.9, 0),
-        (Capsule(0.1, 0.2), 0.9, 0),
-        (CUBE, 0.1, 0),
-        (CUBE, 0.3, 0),
-        (CUBE, 0.2, 35),
-        (CUBE, 0.5, 0),
-        pytest.param(CUBE, 0.8, 35, marks=STUCK),
-    ],
-)
-def test_overlapping_bodies_separate_within_half_a_second(device, shape, overlap, degrees):
-    """Capability 35, for two equal bodies sharing a part of their width: parted, and no velocity comes of it."""
-    scene = Scene(gravity=(0, 0, 0))
-    scene.add_body(shape)
-    scene.add_body(shape, position=(0.2 * (1.0 - overlap), 0.01, 0.02), orientation=rotate_about((1, 2, 3), degrees))
-    sim, _ = opened(scene, device)
-    assert sim.penetration()[0] > 0.015
-    sim.step(120)
-    assert sim.penetration()[0] < CONTACT_DISTANCE * 0.2
-    assert np.abs(sim.get("linear_velocity")).max() < 1e-6
 
 
 def test_velocity_after_the_step_does_not_know_of_the_push(device):

@@ -207,14 +207,3 @@ def test_modes_differ_between_the_environments_of_a_batch(device):
         single.step(20)
         assert sim.get("position")[env].tolist() == single.get("position")[0].tolist()
         assert sim.get("linear_velocity")[env].tolist() == single.get("linear_velocity")[0].tolist()
-
-
-@pytest.mark.parametrize(("mode", "sinks"), [("off", True), ("two_pass", False)])
-def test_a_heavy_load_on_light_bodies(device, mode, sinks):
-    """V35's point in short: 1000 times the weight on top stands with shock propagation, and sinks without."""
-    sim, _ = opened(tower((1.0, 1.0, 1000.0)), device, settings=Settings(shock_propagation=mode))
-    sim.step(120)
-    lost = 0.5 - sim.get("position")[0, 3, 2]
-    assert (lost > 2e-3) == sinks
-    if not sinks:
-        assert abs(lost) < 1e-4
