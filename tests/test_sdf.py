@@ -1,4 +1,4 @@
-"""Distance grids of meshes: values, interpolation, cache (signs and errors of V05 to V07 are in the validation; capabilities 2-4)."""
+"""Distance grids of meshes: values, interpolation, cache; their signs and errors, V05 to V07, are in the validation."""
 
 import os
 import warnings

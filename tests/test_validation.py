@@ -1,13 +1,14 @@
 """The validation: its quick cases hold on every device, and its table, files and exit status tell the truth."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from warp_rigid import cli
-from warp_rigid.validation import report, shock_comparison, suite
+from warp_rigid.validation import impact, report, shock_comparison, suite
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
@@ -199,3 +200,19 @@ def test_comparison_of_shock_alternatives(capsys, monkeypatch):
     out = capsys.readouterr().out
     assert "STANDS" in out and "COLLAPSES" in out and "1 of 2" in out and "2 of 2" in out
     assert cli.main(["validate", "--compare-shock", "-o", "anywhere"]) == 2
+
+
+def test_exact_bounces_are_parabolas():
+    """The dashed curve of V17: apexes e^2n at the closed form's times, and contact in between."""
+    restitution = np.array([1.0, 0.5])
+    experiment = impact.dropped_ball(restitution, 2.0, 1000)
+    time = np.arange(2001) / 1000
+    trace = SimpleNamespace(experiment=experiment, time=time)
+    high = impact.exact_height(trace)
+    first = np.sqrt(2 / 9.81)
+    for env, e in enumerate(restitution):
+        apex = first * (1 + e)
+        np.testing.assert_allclose(
+            np.interp([apex, apex + first * e * (1 + e)], time, high[:, env]), [e**2, e**4], atol=1e-5
+        )
+        np.testing.assert_allclose(np.interp([first, first * (1 + 2 * e)], time, high[:, env]), 0.0, atol=5e-3)

@@ -55,7 +55,7 @@ def save_overview(findings: Sequence[Finding], folder: Path) -> Path:
     axes.set_yticks(range(len(shown)), [f"{f.case.id} {f.check.quantity} ({f.device})" for f in shown], fontsize=6)
     axes.set(xscale="log", xlim=(SMALLEST, 100.0), xlabel="worst error over tolerance")
     axes.axvline(1.0, color="black", lw=1)
-    axes.invert_yaxis()
+    axes.set_ylim(len(shown) - 0.5, -0.5)
     path = folder / "overview.png"
     chart.savefig(path, dpi=120)
     return path
