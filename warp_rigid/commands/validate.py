@@ -110,7 +110,7 @@ class _Writer:
 
     def __init__(self, folder: str):
         self.folder = Path(folder)
-        check_outputs(None, {"overview.png": ".png"})
+        check_outputs(None, {"overview.png": (".png",)})
         self.folder.mkdir(parents=True, exist_ok=True)
         self.files: list[str] = []
 

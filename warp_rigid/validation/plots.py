@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_rigid.validation.case import Case, Curve, Finding
+from warp_rigid.validation.case import Case, Finding
 from warp_rigid.validation.experiment import Trace
 from warp_rigid.validation.report import COLORS
 
@@ -22,7 +22,8 @@ def save_case(case: Case, device: str, traces: tuple[Trace, ...], folder: Path) 
     """Draw a case's curve for its variants; returns the PNG's path."""
     from matplotlib.figure import Figure
 
-    curve: Curve = case.curve
+    curve = case.curve
+    assert curve is not None
     chart = Figure(figsize=(8, 5), layout="constrained")
     axes = chart.add_subplot()
     lines = [(trace, env) for trace in traces for env in range(len(trace.labels))]

@@ -2,8 +2,11 @@
 
 import numpy as np
 
+Triangles = tuple[np.ndarray, np.ndarray]
+"""Vertices (n, 3) and faces (m, 3)."""
 
-def star_prism(points=5, outer=1.0, inner=0.3, thickness=0.2):
+
+def star_prism(points=5, outer=1.0, inner=0.3, thickness=0.2) -> Triangles:
     """A star with fanned caps: vertices, faces."""
     count = 2 * points
     angle = np.pi * np.arange(count) / points
@@ -25,7 +28,7 @@ def star_prism(points=5, outer=1.0, inner=0.3, thickness=0.2):
     return vertices, np.array(faces)
 
 
-def extrude(polygon, triangles, height):
+def extrude(polygon, triangles, height) -> Triangles:
     """Prism over a counter-clockwise polygon in the plane z = 0, cut into the given triangles."""
     polygon, triangles = np.asarray(polygon, dtype=np.float64), np.asarray(triangles)
     count = len(polygon)
@@ -37,7 +40,7 @@ def extrude(polygon, triangles, height):
     return vertices, np.concatenate([triangles[:, ::-1], triangles + count, walls])
 
 
-def cube(half=0.5, inward=False):
+def cube(half=0.5, inward=False) -> Triangles:
     """Cube around the origin: vertices, faces; facing inward if asked."""
     corners = half * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -45,7 +48,7 @@ def cube(half=0.5, inward=False):
     return corners, faces[:, ::-1] if inward else faces
 
 
-def hollow_cube(outer=0.5, inner=0.4):
+def hollow_cube(outer=0.5, inner=0.4) -> Triangles:
     """Cube with a cubic cavity, whose faces point into the hollow."""
     wall, hollow = cube(outer), cube(inner, inward=True)
     return np.concatenate([wall[0], hollow[0]]), np.concatenate([wall[1], hollow[1] + 8])
@@ -55,24 +58,24 @@ L_POLYGON = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
 L_TRIANGLES = [(0, 1, 3), (1, 2, 3), (0, 3, 5), (3, 4, 5)]
 
 
-def l_prism():
+def l_prism() -> Triangles:
     """The L of arms 3 and width 1, height 1."""
     return extrude(L_POLYGON, L_TRIANGLES, 1.0)
 
 
-def tetrahedron(corners):
+def tetrahedron(corners) -> Triangles:
     """Tetrahedron of four corners, facing outward if the last is on the positive side of the first three."""
     return np.asarray(corners, np.float64), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def spike(height=3.0):
+def spike(height=3.0) -> Triangles:
     """Pyramid over a unit square around the origin, its tip up."""
     square = [[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]]
     faces = [[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
     return np.array([*square, [0, 0, height]], np.float64), np.array(faces)
 
 
-def wedge(height=3.0, length=2.0):
+def wedge(height=3.0, length=2.0) -> Triangles:
     """Prism over a triangle: base 1 along x and `length` along y, its edge up."""
     x = [-0.5, 0.5, 0.0]
     z = [0.0, 0.0, height]

@@ -1,5 +1,7 @@
 """Section E: stacks, towers, pyramids and what their weight does, with and without shock propagation."""
 
+from typing import Any
+
 import numpy as np
 
 from warp_rigid.shapes import Box, Plane, Sphere
@@ -26,7 +28,7 @@ def cases(quick: bool) -> list[Case]:
         leaning_towers(2.0 if quick else 5.0),
         pyramid(8 if quick else 20, 1.0 if quick else 10.0),
         falling_towers(2.0 if quick else 6.0),
-        piles(3.0 if quick else 10.0, 20 if quick else 40),
+        piles(6.0 if quick else 12.0, 20 if quick else 40),
         card_house(2, 1.0 if quick else 2.0),
     ]
     return listed if quick else [*listed, beams(10.0), balls_that_spread(10.0)]
@@ -200,7 +202,7 @@ def tower_falls(count, offset) -> bool:
     return any(place[k:].mean() > edges[k] + 1e-9 for k in range(count))
 
 
-WAYS = {
+WAYS: dict[str, dict[str, Any]] = {
     "default": {},
     "two_pass, cold": {"warm_starting": False},
     "off": {"shock_propagation": "off"},
@@ -373,7 +375,7 @@ def falling_towers(duration):
 
 def pile_scene(count, draw):
     """Boxes and spheres in layers of four above level ground between four walls, clear of one another."""
-    rough = {"friction": 0.6, "rolling_friction": 2e-3, "spinning_friction": 2e-3}
+    rough: dict[str, Any] = {"friction": 0.6, "rolling_friction": 2e-3, "spinning_friction": 2e-3}
     scene = level_ground(**rough)
     for normal in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
         scene.add_static(Plane(normal=normal, offset=-0.35), **rough)
