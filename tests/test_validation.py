@@ -31,14 +31,12 @@ def slug(case):
 
 @pytest.mark.parametrize("case", QUICK, ids=slug)
 def test_quick_case(case, device):
-    """Every check is within its tolerance, or is a known miss; a miss that is met must be listed no longer.
-
-    How much energy a falling tower of V62 gains depends on the last bit of every number.
-    """
+    """Every check is within its tolerance, or is a known miss; a lasting miss that is met must be listed no longer."""
     _, findings = judge(case, device)
     for finding in findings:
         told = "; ".join(report.row(finding, with_device=True)) + " " + finding.note
-        due = {"PASS"} if not finding.check.miss else {"MISS", "PASS"} if case.id == "V62" else {"MISS"}
+        miss = finding.check.miss
+        due = {"PASS"} if not miss else {"MISS"} if miss.always else {"MISS", "PASS"}
         assert finding.verdict in due, told
 
 

@@ -63,10 +63,12 @@ class Miss:
     Attributes:
         reason: why, in one sentence.
         at_most: error that was measured, rounded up; a larger one is a failure.
+        always: whether it is missed on every run; False where the last bits of a chaotic motion decide.
     """
 
     reason: str
     at_most: float
+    always: bool = True
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from warp_rigid.validation.experiment import Experiment, Start
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
 CROSSING = "where edges cross deep enough, no sample of one box opposes the face of the other that it is under"
+SHARP = "edges that meet at 6 m/s come 60 mm nearer in a step of 0.01 s; their overlap is gone five steps later"
 OVER = 1e-4
 """Height of a tip above what it is dropped on [m]."""
 
@@ -88,6 +89,8 @@ def tips_on_tips():
                 each(lambda t: t.overlap.max(axis=0)),
                 0.0,
                 at_most(0.01),
+                (),
+                Miss(SHARP, 0.06, always=False),
             ),
             Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 20.0, at_most(0.0)),
         ),

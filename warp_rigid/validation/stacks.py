@@ -354,8 +354,8 @@ def energy_checks(warm, cold, names):
 
     return (
         check("by impulses from cold starts", lambda t: t.work_free_energy, cold, 1e-6),
-        check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, Miss(SWEEPS, 1e-3)),
-        check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, Miss(LIFTED, 1e-3)),
+        check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, Miss(SWEEPS, 1e-3, always=False)),
+        check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, Miss(LIFTED, 1e-3, always=False)),
     )
 
 
@@ -404,12 +404,12 @@ def piles(duration, count):
             *energy_checks(warm, [3], names),
             Check(
                 "largest speed in the last half second",
-                "m/s or rad/s",
-                lambda s: s[0].speed[-120:, warm].max(axis=0),
+                "m/s",
+                lambda s: np.linalg.norm(s[0].linear_velocity[-120:, warm], axis=-1).max(axis=(0, 2)),
                 0.0,
                 at_most(0.01),
                 names[:3],
-                Miss("some piles creep for seconds, at millimetres a second, before they rest", 0.1),
+                Miss("some piles creep for seconds, at millimetres a second, before they rest", 0.1, always=False),
             ),
             Check(
                 "deepest overlap at the end",
@@ -418,7 +418,11 @@ def piles(duration, count):
                 0.0,
                 at_most(5e-4),
                 names[:3],
-                Miss("two boxes can slide into each other where their edges cross, unseen by any sample (V63)", 3e-3),
+                Miss(
+                    "two boxes can slide into each other where their edges cross, unseen by any sample (V63)",
+                    3e-3,
+                    always=False,
+                ),
             ),
         ),
         (Experiment(lambda: pile_scene(count, np.random.default_rng(8)), duration, names, starts),),
