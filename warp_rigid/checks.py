@@ -69,11 +69,10 @@ def box_corners(name, value):
     """
     try:
         array = np.asarray(value, dtype=np.float64)
-        ok = array.shape == (2, 3) and bool((array[0] < array[1]).all())
     except (ValueError, TypeError):
-        ok = False
-    if not ok:
-        raise ValueError(f"{name}: must be (lower, upper), three numbers each, lower below upper, got {value!r}")
+        array = np.zeros(0)
+    if array.shape != (2, 3) or not (array[0] < array[1]).all():
+        raise ValueError(f"{name}: must be (lower, upper), three numbers each, lower below upper, got {shown(value)}")
     return tuple(tuple(float(x) for x in corner) for corner in array)
 
 

@@ -340,7 +340,7 @@ def _summary(
 def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:
     """Status records of the chosen environments."""
     return [
-        {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names}
+        {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names or ()}
         for env in np.flatnonzero(chosen)
     ]
 

@@ -147,7 +147,7 @@ class Stages:
         self.pair_lanes = PAIR_LANES if device.is_cuda else 1
         self.teams = min(pools.sizes["pairs"], MOST_TEAMS) if device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
-        self.kept = data.allocate(data.History, pools.sizes, self.device) if sleeping else None
+        self.kept: Any = data.allocate(data.History, pools.sizes, self.device) if sleeping else None
         self.grid = self._make_grid()
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
