@@ -146,7 +146,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
         f"{summary['frames']} frames ({summary['time']:.4g} s) on {summary['device']}",
         f"{summary['contacts']} contacts, {summary['levels']} levels; deepest overlap "
         f"{1e3 * deepest:.3g} mm, at the end {1e3 * at_end:.3g} mm",
-        f"{summary['env_frames_per_second']:.4g} env-frames/s (set-up {summary['setup_seconds']:.2g} s)",
+        f"{summary['env_frames_per_second']:.4g} env-frames/s, {_frame_seconds(summary):.3g} s a frame "
+        f"(set-up {summary['setup_seconds']:.2g} s)",
     ]
     lines += [
         f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
@@ -159,6 +160,12 @@ def _print_summary(summary: dict[str, Any]) -> None:
         out.print(_conclusion(summary["verdicts"]), highlight=False, markup=False)
     for path in summary["files"]:
         out.print(f"wrote {path}", highlight=False, markup=False)
+
+
+def _frame_seconds(summary: dict[str, Any]) -> float:
+    """What a frame of all environments takes [s]; 0 if there was none."""
+    rate = summary["env_frames_per_second"]
+    return summary["envs"] / rate if rate > 0.0 else 0.0
 
 
 def _verdict_table(summary: dict[str, Any]) -> Table:
