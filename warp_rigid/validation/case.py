@@ -50,7 +50,12 @@ def at_most(limit: float) -> Tolerance:
     return Tolerance("at_most", limit)
 
 
-AT_LEAST = Tolerance("at_least", 0.0)
+def at_least(limit: float) -> Tolerance:
+    """No more than so much below the reference, in the quantity's unit."""
+    return Tolerance("at_least", limit)
+
+
+AT_LEAST = at_least(0.0)
 """No less than the reference."""
 OUTCOME = Tolerance("outcome", 0.0)
 """Happens (1) or does not (0), as the reference says."""
