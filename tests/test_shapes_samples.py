@@ -147,6 +147,13 @@ def test_the_boundary_of_an_open_mesh_is_covered_by_segments():
     np.testing.assert_allclose(length, 12.0, rtol=1e-5)
 
 
+def test_long_edges_of_a_box_have_short_segments():
+    """A face as wide as the beam spans more than one segment, so that both places where an edge leaves it are found."""
+    samples = Box((1.0, 0.1, 0.1)).samples()
+    length = 2.0 * np.linalg.norm(samples.slide[samples.kind == EDGE], axis=1)
+    assert length.max() < 0.2 and len(length) == 4 * 16 + 8 * 4
+
+
 def test_box_samples():
     half = np.array([0.5, 0.3, 0.2])
     samples = Box(half).samples()

@@ -16,7 +16,8 @@ from warp_rigid.geometry import (
 )
 from warp_rigid.sampling import VERTEX, SampleKind, SampleList, split_segments
 
-BOX_EDGE_PIECES = 4
+FEWEST_EDGE_PIECES, MOST_EDGE_PIECES = 4, 16
+"""Of a box's edge. A segment touches in one place; where a long beam crosses one of its own width it must in two."""
 RIM_POINTS = 16
 SURFACE_SECTIONS = 32
 
@@ -101,21 +102,23 @@ class Box(Shape):
         return [Part(PartKind.BOX, (*self.half_extents.tolist(), 0.0))]
 
     def sample_list(self):
-        """8 vertices, 4 EDGE segments on each edge, and 9 FACE points on each face."""
+        """8 vertices, 9 FACE points a face, and 4 to 16 EDGE segments an edge, half as long as the box is wide."""
         half = self.half_extents
+        width = np.sort(half)[1]
         collected = SampleList()
         corners = tessellation.box(half)[0]
         collected.add(SampleKind.POINT, corners, np.sign(corners) / 3.0**0.5, rank=VERTEX)
-        steps = (2.0 * np.arange(BOX_EDGE_PIECES) + 1.0) / BOX_EDGE_PIECES - 1.0
         inner = np.array([-0.5, 0.0, 0.5])
         for axis in range(3):
             others = [(axis + 1) % 3, (axis + 2) % 3]
+            pieces = int(np.clip(np.ceil(2.0 * half[axis] / width), FEWEST_EDGE_PIECES, MOST_EDGE_PIECES))
+            steps = (2.0 * np.arange(pieces) + 1.0) / pieces - 1.0
             slide = np.zeros(3)
-            slide[axis] = half[axis] / BOX_EDGE_PIECES
+            slide[axis] = half[axis] / pieces
             for signs in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
                 normal = np.zeros(3)
                 normal[others] = np.array(signs) / 2.0**0.5
-                point = np.zeros((BOX_EDGE_PIECES, 3))
+                point = np.zeros((pieces, 3))
                 point[:, others] = signs * half[others]
                 point[:, axis] = steps * half[axis]
                 collected.add(SampleKind.EDGE, point, normal, slide)
