@@ -49,9 +49,18 @@ def boxes_overlap(motions: Motions, i: int, j: int):
 
 
 @wp.func
-def visit_pair(i: int, j: int, found: int, write: int, motions: Motions, pairs: Pairs):
+def are_apart(i: int, j: int, bodies: Bodies):
+    """Whether bodies i and j of an environment, by their numbers in it, never touch by the user's wish."""
+    found = bool(False)
+    for k in range(bodies.apart_start[i], bodies.apart_start[i + 1]):
+        found = found or bodies.apart[k] == j
+    return found
+
+
+@wp.func
+def visit_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodies, motions: Motions, pairs: Pairs):
     """Count the pair if its boxes overlap, and write it in the second round. Returns the new count."""
-    if not boxes_overlap(motions, i, j):
+    if not boxes_overlap(motions, i, j) or are_apart(i - first, j - first, bodies):
         return found
     if write == 1:
         slot = pairs.start[i] + found
@@ -90,18 +99,18 @@ def visit_wide(
         j = first + wide[w]
         both_wide = bodies.wide[i] == 1
         if i != j and not (both_wide and j < i) and may_meet(motions.role[i], motions.role[j]):
-            total = visit_pair(i, j, total, write, motions, pairs)
+            total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
     return total
 
 
 @wp.func
-def visit_small(i: int, first: int, write: int, small: wp.array[int], motions: Motions, pairs: Pairs):
+def visit_small(i: int, first: int, write: int, small: wp.array[int], bodies: Bodies, motions: Motions, pairs: Pairs):
     """Visit the pairs of body i with all later small bodies of its environment."""
     total = int(0)
     for s in range(small.shape[0]):
         j = first + small[s]
         if j > i and may_meet(motions.role[i], motions.role[j]):
-            total = visit_pair(i, j, total, write, motions, pairs)
+            total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
     return total
 
 
@@ -126,7 +135,7 @@ def pairs_by_trying_all(
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
                 if bodies.wide[i] == 0:
-                    found = visit_small(i, first, write, small, motions, pairs)
+                    found = visit_small(i, first, write, small, bodies, motions, pairs)
                 found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
             found = carry_dormant(i, found, write, motions, history, pairs)
         if write == 0:
@@ -186,9 +195,9 @@ def pairs_by_grid(
                         for neighbour in wp.hash_grid_query(grid, middle, around, env):
                             j = first + small[neighbour - env * small.shape[0]]
                             if j > i and may_meet(motions.role[i], motions.role[j]):
-                                found = visit_pair(i, j, found, write, motions, pairs)
+                                found = visit_pair(i, j, first, found, write, bodies, motions, pairs)
                     else:
-                        found = visit_small(i, first, write, small, motions, pairs)
+                        found = visit_small(i, first, write, small, bodies, motions, pairs)
                 found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
             found = carry_dormant(i, found, write, motions, history, pairs)
         if write == 0:

@@ -192,6 +192,8 @@ Bodies = layout(
     restitution=Field(float, "bodies", "", "coefficient of restitution"),
     rolling_friction=Field(float, "bodies", "m", "rolling torque limit divided by the normal force"),
     spinning_friction=Field(float, "bodies", "m", "spinning torque limit divided by the normal force"),
+    apart_start=Field(int, "env_bodies + 1", "", "first of those that a body of any environment never touches"),
+    apart=Field(int, "apart", "", "their numbers in the environment; every pair is listed both ways"),
 )
 
 State = layout(

@@ -9,6 +9,7 @@ from warp_rigid.model import OVERSIZED
 from warp_rigid.scene import Motion, Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Capsule, Plane, Sphere
+from warp_rigid.simulator import Simulator
 
 
 @pytest.fixture(params=["all", "grid"])
@@ -210,3 +211,36 @@ def check_sweep(scene, device):
         ever |= overlapping(*true_boxes(scene, time, stages.dt))
     assert len(ever) > 2 * len(at_start)
     assert ever <= found_pairs(stages)
+
+
+def test_filtered_pairs_are_left_out_of_both_searches(search):
+    """Of all pairs of a crowd some are filtered, wide bodies' too; the others stay as they are."""
+    generator = np.random.default_rng(5)
+    scene = mixed_scene(generator, count=40)
+    count = len(scene.bodies)
+    whole = found_pairs(opened(scene, "cpu", num_envs=2)[1])
+    chosen = generator.permutation(sorted(sorted(body % count for body in pair) for pair in whole))[::3]
+    for a, b in chosen.tolist():
+        scene.filter_pair(b, a)
+    left = found_pairs(opened(scene, "cpu", num_envs=2)[1])
+    gone = {frozenset((env * count + a, env * count + b)) for env in range(2) for a, b in chosen.tolist()}
+    assert len(gone & whole) >= 20 and left == whole - gone
+
+
+def test_bodies_of_a_filtered_pair_fall_through_each_other(device):
+    scene = ground_scene()
+    table = scene.add_static(Box((1.0, 1.0, 0.1)), position=(0, 0, 1.0))
+    balls = [scene.add_body(Sphere(0.1), position=(x, 0, 1.3)) for x in (-0.5, 0.5)]
+    scene.filter_pair(balls[0], table)
+    sim = Simulator(scene, num_envs=2, device=device)
+    sim.step(240)
+    height = sim.get("position")[:, balls, 2]
+    np.testing.assert_allclose(height, [[0.1, 1.2]] * 2, atol=2e-3)
+    assert (sim.penetration() < 1e-3).all()
+
+
+def test_only_two_bodies_of_the_scene_can_be_filtered():
+    scene = ground_scene()
+    for pair, message in (((0, 1), "b: must be a whole number from 0 to 0"), ((0, 0), "b: must be another body")):
+        with pytest.raises(ValueError, match=message):
+            scene.filter_pair(*pair)

@@ -42,6 +42,7 @@ def every_shape():
         )
     scene.add_force_field(wr.UniformField((0.1, 0, 0)))
     scene.add_force_field(wr.PointField((0, 0, -5), 2.0))
+    scene.filter_pair(3, 4)
     return scene
 
 
@@ -118,6 +119,7 @@ def test_scenes_survive_as_plain_data():
         again = scene_from_data(json.loads(json.dumps(data)), arrays)
         assert again.bodies == scene.bodies
         assert again.force_fields == scene.force_fields
+        assert again.filtered_pairs == scene.filtered_pairs == {(3, 4)}
         assert (again.gravity, again.friction_combine, again.restitution_combine) == (
             scene.gravity,
             scene.friction_combine,
@@ -213,7 +215,7 @@ def with_header(saved, path, change):
 
 def test_a_newer_version_is_told(saved, tmp_path):
     path = with_header(saved, tmp_path / "newer", lambda header: header.update(version=99))
-    assert "version 99, but 1 is what can be read" in refused(path)
+    assert "version 99, but 2 is what can be read" in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -229,6 +231,7 @@ def test_a_newer_version_is_told(saved, tmp_path):
         lambda h: h["scene"]["bodies"][0].update(orientation=[0, 0, 0, 7]),
         lambda h: h["scene"]["shapes"][0].update(key="0"),
         lambda h: h["scene"]["bodies"].clear(),
+        lambda h: h["scene"].update(filtered_pairs=[[0, 99]]),
         lambda h: h["used"].update(contacts=3),
         lambda h: h.update(steps=None),
     ],

@@ -32,6 +32,8 @@ class HandMadeGraph:
         sizes = {
             "envs": self.count,
             "bodies": self.count * self.per_env,
+            "env_bodies": self.per_env,
+            "apart": 0,
             "levels": self.count * (self.per_env + 2),
             "pairs": max(1, len(rows)),
             "contacts": 1,

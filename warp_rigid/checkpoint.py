@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from warp_rigid.simulator import Simulator
 
 KIND = "checkpoint"
-VERSION = 1  # raise whenever older files could no longer be read
+VERSION = 2  # raise whenever older files could no longer be read
 
-FROM_SCENE = ("shape", "motion", "wide", "center_of_mass")
+FROM_SCENE = ("shape", "motion", "wide", "center_of_mass", "apart_start", "apart")
 """Arrays of bodies that follow from the scene."""
 
 LEVELS = ("level", "level_count")

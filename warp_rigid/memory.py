@@ -9,6 +9,7 @@ import warp as wp
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import data
+from warp_rigid.model import body_sizes
 from warp_rigid.scene import Scene
 from warp_rigid.sdf import grid_layout
 from warp_rigid.shapes import Compound, Heightfield, Mesh, Shape
@@ -22,9 +23,9 @@ def pool_bytes(sizes: dict[str, int]) -> int:
     return sum(data.byte_size(struct, sizes) for struct in structs)
 
 
-def body_bytes(num_envs: int, bodies_per_env: int) -> int:
+def body_bytes(scene: Scene, num_envs: int) -> int:
     """Bytes of all that is sized with bodies and environments: parameters, state and its copies, settings."""
-    sizes = {"envs": num_envs, "bodies": num_envs * bodies_per_env}
+    sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
     structs = (data.Bodies, *[data.State] * 3, *[data.Rest] * 2, data.Motions, data.Environments)
     return sum(data.byte_size(struct, sizes) for struct in structs)
 

@@ -71,7 +71,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
         shapes=pool,
         surfaces=surfaces,
         surface_vertices=surface_vertices,
-        bodies=_upload_bodies(scene.bodies, place[shape_of_body], step[shape_of_body], wide, num_envs, device),
+        bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], wide, num_envs, device),
         fields=fields,
         field_count=len(scene.force_fields),
         combine_rules=wp.vec2i(
@@ -147,6 +147,21 @@ def _extent(shape: Shape) -> np.ndarray:
     return np.clip(upper, -UNBOUNDED, UNBOUNDED) - np.clip(lower, -UNBOUNDED, UNBOUNDED)
 
 
+def body_sizes(scene: Scene, num_envs: int) -> dict[str, int]:
+    """How long the arrays of Bodies are."""
+    count = len(scene.bodies)
+    return {"bodies": num_envs * count, "env_bodies": count, "apart": 2 * len(scene.filtered_pairs)}
+
+
+def _apart(scene: Scene) -> list[list[int]]:
+    """For each body of an environment those that it never touches."""
+    others: list[list[int]] = [[] for _ in scene.bodies]
+    for a, b in sorted(scene.filtered_pairs):
+        others[a].append(b)
+        others[b].append(a)
+    return others
+
+
 def _upload_fields(fields: Any, force_fields: list) -> None:
     """Write the force fields."""
     point = [isinstance(field, PointField) for field in force_fields]
@@ -158,10 +173,15 @@ def _upload_fields(fields: Any, force_fields: list) -> None:
 
 
 def _upload_bodies(
-    bodies: list[Body], shape_of_body: np.ndarray, step: np.ndarray, wide: list[int], num_envs: int, device: Any
+    scene: Scene, shape_of_body: np.ndarray, step: np.ndarray, wide: list[int], num_envs: int, device: Any
 ) -> Any:
     """Write one environment's rows and repeat them; each environment's shape lies `step` further than the last's."""
-    rows = data.allocate(data.Bodies, {"bodies": num_envs * len(bodies)}, device)
+    bodies = scene.bodies
+    apart = _apart(scene)
+    rows = data.allocate(data.Bodies, body_sizes(scene, num_envs), device)
+    rows.apart_start.assign(_starts([len(others) for others in apart]))
+    if scene.filtered_pairs:
+        rows.apart.assign(np.concatenate(apart).astype(np.int32))
     host: dict[str, np.ndarray] = {
         "motion": np.array([int(body.motion) for body in bodies], np.int32),
         "wide": np.isin(np.arange(len(bodies)), wide).astype(np.int32),

@@ -7,13 +7,17 @@ value is checked when it is given, so that a mistake is reported at the line tha
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion
+from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.geometry import Shape
 from warp_rigid.heightfield import Heightfield
+
+if TYPE_CHECKING:
+    from warp_rigid.usd.report import ImportReport
 
 __all__ = ["COMBINE_RULES", "Body", "Motion", "Scene"]
 
@@ -88,6 +92,8 @@ class Scene:
     Attributes:
         bodies: list of Body, in the order in which they were added.
         force_fields: list of fields that act on the dynamic bodies beside gravity.
+        filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
+        import_report: what a file had that the scene has not; None unless import_usd made the scene.
         gravity: as given.
         friction_combine: as given.
         restitution_combine: as given.
@@ -114,6 +120,8 @@ class Scene:
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
         self.bodies: list[Body] = []
         self.force_fields: list[UniformField | PointField] = []
+        self.filtered_pairs: set[tuple[int, int]] = set()
+        self.import_report: ImportReport | None = None
 
     def __repr__(self) -> str:
         """Tell how many bodies of each kind the scene holds."""
@@ -236,6 +244,22 @@ class Scene:
         if not isinstance(field, UniformField | PointField):
             raise ValueError(f"field: must be a UniformField or a PointField, got {shown(field)}")
         self.force_fields.append(field)
+
+    def filter_pair(self, a: int, b: int) -> None:
+        """Let two bodies pass through each other.
+
+        Args:
+            a: index of one body, as add_body gave it.
+            b: index of the other.
+
+        Raises:
+            ValueError: There is no such body, or both are the same.
+        """
+        last = len(self.bodies) - 1
+        first, second = sorted((whole_in("a", a, 0, last), whole_in("b", b, 0, last)))
+        if first == second:
+            raise ValueError(f"b: must be another body than a, got {b} for both")
+        self.filtered_pairs.add((first, second))
 
     def _check_shape(self, shape, motion):
         if not isinstance(shape, Shape):

@@ -50,6 +50,7 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         "fields": [_field_to_data(field) for field in scene.force_fields],
         "shapes": shapes,
         "bodies": bodies,
+        "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
     }
     return data, arrays
 
@@ -72,6 +73,8 @@ def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scen
         shapes.append(shape)
     for index, entry in enumerate(data["bodies"]):
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
+    for a, b in data["filtered_pairs"]:
+        scene.filter_pair(a, b)
     return scene
 
 

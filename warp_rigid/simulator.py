@@ -273,7 +273,7 @@ class Simulator:
         return Pools.sizes_for(self.num_envs, self.num_bodies, pairs, contacts)
 
     def _bytes_without_pools(self) -> int:
-        return body_bytes(self.num_envs, self.num_bodies) + shape_bytes(self.scene)
+        return body_bytes(self.scene, self.num_envs) + shape_bytes(self.scene)
 
     def _room_for_history(self) -> Any:
         return data.allocate(data.History, self._pools.sizes, self.device)
