@@ -13,12 +13,13 @@ print(sim.get("position")[:, 1])
 from warp_rigid import scenes
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.fields import PointField, UniformField
+from warp_rigid.gltf import export_gltf
 from warp_rigid.recording import Recording, record
 from warp_rigid.scene import Body, Motion, Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.simulator import Simulator
-from warp_rigid.usd_export import export_usd
+from warp_rigid.usd import UsdStream, export_usd, import_usd
 
 __version__ = "0.1.0"
 
@@ -43,7 +44,10 @@ __all__ = [
     "Simulator",
     "Sphere",
     "UniformField",
+    "UsdStream",
+    "export_gltf",
     "export_usd",
+    "import_usd",
     "record",
     "scenes",
 ]

@@ -7,22 +7,26 @@ import math
 
 import numpy as np
 
-from warp_rigid.recording import Recording, Surface, is_moving
+from warp_rigid.recording import Frame, Recording, Surface, is_moving
 from warp_rigid.scene import Motion
 
 __all__ = [
     "COLORINGS",
+    "Spread",
     "body_colors",
     "bound_corners",
     "continuous_signs",
     "corner_normals",
     "drawn_surfaces",
+    "environment_colors",
     "environment_offsets",
     "environment_spacing",
+    "frame_colors",
     "level_colors",
     "rotate",
     "rotation_matrices",
     "speed_colors",
+    "told_colors",
 ]
 
 # Colours on screen (sRGB). Neighbours in the list differ in hue and lightness, so that bodies
@@ -33,9 +37,11 @@ DYNAMIC_COLORS = (
 )  # fmt: skip
 STATIC_COLOR = "#c9c6bf"
 KINEMATIC_COLOR = "#9a8f7a"
+ASLEEP_COLOR = "#3c4a63"
 
-COLORINGS = ("body", "level", "speed")
-"""What colours can tell of dynamic bodies: which one it is, its level in the contact graph, or how fast it moves."""
+COLORINGS = ("body", "environment", "level", "speed", "asleep")
+"""What the colour of a dynamic body can tell: which one it is, its environment, its level in the contact graph, how
+fast it moves, or whether it sleeps."""
 
 LEVEL_COLORS = ("#8a8f96", "#440154", "#3b528b", "#21918c", "#5ec962", "#fde725", "#f89540", "#cc4778")
 """Of bodies that rest on nothing, then of levels 1, 2, ...; further levels begin anew at 1."""
@@ -67,8 +73,14 @@ def body_colors(motion) -> np.ndarray:
     return colors.astype(np.float32)
 
 
+def environment_colors(env) -> np.ndarray:
+    """A colour for each environment by its number, (...) -> (..., 3) float32 in linear light."""
+    palette = np.array([linear_color(code) for code in DYNAMIC_COLORS])
+    return palette[np.asarray(env) % len(palette)].astype(np.float32)
+
+
 def level_colors(level) -> np.ndarray:
-    """A colour for each level of the contact graph, (n,) -> (n, 3) float32 in linear light."""
+    """A colour for each level of the contact graph, (...) -> (..., 3) float32 in linear light."""
     palette = np.array([linear_color(code) for code in LEVEL_COLORS])
     level = np.asarray(level)
     cycle = (np.maximum(level, 1) - 1) % (len(palette) - 1) + 1
@@ -76,10 +88,55 @@ def level_colors(level) -> np.ndarray:
 
 
 def speed_colors(speed) -> np.ndarray:
-    """From blue at rest to red at QUICK and beyond, (n,) [m/s] -> (n, 3) float32 in linear light."""
+    """From blue at rest to red at QUICK and beyond, (...) [m/s] -> (..., 3) float32 in linear light."""
     ends = np.array([linear_color(code) for code in (SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR)])
     part = np.clip(np.asarray(speed) / QUICK, 0.0, 1.0)
     return np.stack([np.interp(part, (0.0, 0.5, 1.0), ends[:, k]) for k in range(3)], axis=-1).astype(np.float32)
+
+
+def told_colors(coloring: str, plain, dynamic, told) -> np.ndarray:
+    """Colours in which the dynamic bodies tell something.
+
+    Args:
+        coloring: one of COLORINGS.
+        plain: (..., 3) the bodies' own colours.
+        dynamic: (...) which bodies are dynamic.
+        told: (...) what is told: the environment's number, the level, the speed [m/s] or whether the body is asleep;
+            not looked at where the colouring is "body".
+
+    Returns:
+        (..., 3) float32 in linear light.
+    """
+    if coloring == "body":
+        return plain
+    if coloring == "asleep":
+        return np.where((dynamic & told)[..., None], linear_color(ASLEEP_COLOR).astype(np.float32), plain)
+    tell = {"environment": environment_colors, "level": level_colors, "speed": speed_colors}[coloring]
+    return np.where(np.asarray(dynamic)[..., None], tell(told), plain)
+
+
+def frame_colors(coloring: str, recording: Recording, row: int, frame: Frame) -> np.ndarray:
+    """One colour a body of an environment at one time, (bodies, 3) float32 in linear light.
+
+    Args:
+        coloring: one of COLORINGS.
+        recording: what stays the same over time.
+        row: which of its environments.
+        frame: the state at that time.
+
+    Raises:
+        ValueError: The speed is wanted, but velocities were not recorded.
+    """
+    told = None
+    if coloring == "environment":
+        told = np.full(len(recording.motion), recording.envs[row])
+    elif coloring == "speed":
+        if frame.linear_velocity is None:
+            raise ValueError("color: speed needs a recording with velocities")
+        told = np.linalg.norm(frame.linear_velocity[row], axis=-1)
+    elif coloring != "body":
+        told = getattr(frame, coloring)[row]
+    return told_colors(coloring, body_colors(recording.motion), recording.motion == Motion.DYNAMIC, told)
 
 
 def corner_normals(vertices, faces) -> np.ndarray:
@@ -155,32 +212,48 @@ def bound_corners(vertices) -> np.ndarray:
     return np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
 
 
-def environment_spacing(recording: Recording) -> np.ndarray:
-    """Distances between neighbouring environments along x and y, (2,) [m].
+class Spread:
+    """How much room an environment takes, learned frame by frame.
 
-    Wide enough for everything finite at the start and for the moving bodies all along, but for the
-    few that fly far away.
+    Everything finite counts at the start, and the moving bodies all along, but for the few that fly far away.
+
+    Args:
+        recording: its surfaces, motions and first frame.
     """
-    lower, upper = [], []
-    moving = is_moving(recording.motion)
-    for index, surface in enumerate(recording.surfaces):
-        bodies = np.flatnonzero(recording.surface == index)
-        if len(surface.vertices) == 0 or (surface.endless and not moving[bodies].any()):
-            continue
-        corners = (
-            rotate(recording.orientation[0][:, bodies, None], bound_corners(surface.vertices))
-            + recording.position[0][:, bodies, None]
-        )
-        lower.append(corners.min(axis=(0, 1, 2)))
-        upper.append(corners.max(axis=(0, 1, 2)))
-    if moving.any():
-        path = recording.position[:, :, moving].reshape(-1, 3)
-        lower.append(np.percentile(path, 5.0, axis=0))
-        upper.append(np.percentile(path, 95.0, axis=0))
-    if not lower:
-        return np.ones(2)
-    extent = np.max(upper, axis=0)[:2] - np.min(lower, axis=0)[:2]
-    return np.maximum(SPACING * extent, 1e-3)
+
+    def __init__(self, recording: Recording):
+        """Take the bounds of the first frame."""
+        self._moving = is_moving(recording.motion)
+        self._lower, self._upper = np.full(3, np.inf), np.full(3, -np.inf)
+        for index, surface in enumerate(recording.surfaces):
+            bodies = np.flatnonzero(recording.surface == index)
+            if len(surface.vertices) == 0 or (surface.endless and not self._moving[bodies].any()):
+                continue
+            turned = rotate(recording.orientation[0][:, bodies, None], bound_corners(surface.vertices))
+            self._include((turned + recording.position[0][:, bodies, None]).reshape(-1, 3))
+
+    def add(self, position: np.ndarray) -> None:
+        """Take note of where the bodies are in a frame, (envs, bodies, 3) [m]."""
+        if self._moving.any():
+            self._include(np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0))
+
+    def spacing(self) -> np.ndarray:
+        """Distances between neighbouring environments along x and y, (2,) [m]."""
+        extent = (self._upper - self._lower)[:2]
+        return np.where(np.isfinite(extent), np.maximum(SPACING * extent, 1e-3), 1.0)
+
+    def _include(self, points: np.ndarray) -> None:
+        finite = points[np.isfinite(points).all(axis=-1)]
+        self._lower = np.minimum(self._lower, finite.min(axis=0, initial=np.inf))
+        self._upper = np.maximum(self._upper, finite.max(axis=0, initial=-np.inf))
+
+
+def environment_spacing(recording: Recording) -> np.ndarray:
+    """Distances between neighbouring environments along x and y for all of a recording, (2,) [m]."""
+    spread = Spread(recording)
+    for position in recording.position:
+        spread.add(position)
+    return spread.spacing()
 
 
 def environment_offsets(count: int, spacing) -> np.ndarray:

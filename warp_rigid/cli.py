@@ -14,6 +14,7 @@ from warp_rigid.commands.doctor import doctor_command
 from warp_rigid.commands.inspect import inspect_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
+from warp_rigid.commands.usd import usd_app
 from warp_rigid.commands.validate import validate_command
 from warp_rigid.commands.view import view_command
 from warp_rigid.commands.warmup import warmup_command
@@ -74,6 +75,7 @@ app.command("inspect")(inspect_command)
 app.command("view")(view_command)
 app.command("doctor")(doctor_command)
 app.command("warmup")(warmup_command)
+app.add_typer(usd_app, name="usd")
 app.command("validate")(validate_command)
 
 

@@ -12,12 +12,10 @@ from warp_rigid.appearance import (
     drawn_surfaces,
     environment_offsets,
     environment_spacing,
-    level_colors,
-    speed_colors,
+    frame_colors,
 )
 from warp_rigid.checks import one_of
 from warp_rigid.recording import Recording, Surface
-from warp_rigid.scene import Motion
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
 
@@ -130,19 +128,17 @@ def colored(film: Film, recording: Recording, by: str) -> Film:
     Args:
         film: of all environments of the recording, made by film_from_recording.
         recording: what it was made from.
-        by: "level" in the contact graph, "speed", or "body", which changes nothing.
+        by: one of COLORINGS; "body" changes nothing.
+
+    Raises:
+        ValueError: There is no such colouring, or it tells what was not recorded.
     """
     one_of("by", by, COLORINGS)
     if by == "body":
         return film
-    if by == "level":
-        told = level_colors(recording.level.reshape(film.num_frames, -1))
-    else:
-        path = film.position.astype(np.float64)
-        velocity = np.gradient(path, 1.0 / film.fps, axis=0) if film.num_frames > 1 else np.zeros_like(path)
-        told = speed_colors(np.linalg.norm(velocity, axis=-1))
-    dynamic = np.tile(recording.motion == Motion.DYNAMIC, len(recording.envs))
-    return replace(film, color=np.where(dynamic[:, None], told, film.color))
+    rows = range(len(recording.envs))
+    colors = [np.concatenate([frame_colors(by, recording, row, f) for row in rows]) for f in recording.frames()]
+    return replace(film, color=np.stack(colors))
 
 
 def _drawn(surface: Surface, times: np.ndarray) -> DrawnMesh:
@@ -153,11 +149,11 @@ def _drawn(surface: Surface, times: np.ndarray) -> DrawnMesh:
 
 
 def film_from_usd(path) -> Film:
-    """Read the instances and meshes of a file that export_usd wrote, from the file alone.
+    """Read the bodies and meshes of a file that export_usd wrote, from the file alone.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It is no USD file, or one without instances.
+        ValueError: It is no USD file, or one without bodies.
     """
     from pxr import Tf, Usd, UsdGeom
 
@@ -169,33 +165,35 @@ def film_from_usd(path) -> Film:
         raise ValueError(f"{path}: not a readable USD file") from error
     root = stage.GetDefaultPrim()
     envs = [prim for prim in root.GetChildren() if prim.IsA(UsdGeom.Xform)] if root else []
-    instancers = [
-        (index, UsdGeom.PointInstancer(prim))
+    groups = [
+        (index, prim)
         for index, env in enumerate(envs)
         for prim in env.GetChildren()
-        if prim.IsA(UsdGeom.PointInstancer)
+        if prim.IsA(UsdGeom.PointInstancer) or prim.HasAttribute("xformOp:orient")
     ]
-    if not instancers:
-        raise ValueError(f"{path}: holds no environment with instances, as export_usd writes them")
+    if not groups:
+        raise ValueError(f"{path}: holds no environment with bodies, as export_usd writes them")
 
     frames = np.arange(stage.GetStartTimeCode(), stage.GetEndTimeCode() + 1)
     offset = np.array([_translation(prim) for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
-    for index, instancer in instancers:
-        drawn, key = _read_prototype(stage, instancer, frames)
+    for index, group in groups:
+        read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
+        drawn, places, turns, colors = read(group, frames)
+        key = drawn.vertices.tobytes() + drawn.faces.tobytes()
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
-        poses = _read(instancer.GetPositionsAttr(), frames)
-        position.append(poses + offset[index].astype(np.float32))
-        orientation.append(_read(instancer.GetOrientationsfAttr(), frames))
-        color.append(np.array(UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor").Get()))
-        mesh.append(np.full(poses.shape[1], mesh_index[key]))
-        env.append(np.full(poses.shape[1], index))
+        position.append(places + offset[index].astype(np.float32))
+        orientation.append(turns)
+        color.append(colors)
+        mesh.append(np.full(places.shape[1], mesh_index[key]))
+        env.append(np.full(places.shape[1], index))
+    told = np.concatenate(color, axis=1)
     return Film(
         meshes=tuple(meshes),
         mesh=np.concatenate(mesh),
-        color=np.concatenate(color),
+        color=told if (told != told[0]).any() else told[0],
         position=np.concatenate(position, axis=1),
         orientation=np.concatenate(orientation, axis=1),
         fps=stage.GetFramesPerSecond(),
@@ -205,18 +203,50 @@ def film_from_usd(path) -> Film:
     )
 
 
-def _read_prototype(stage, instancer, frames) -> tuple[DrawnMesh, bytes]:
-    """An instancer's only mesh, and a key that is equal for equal meshes."""
+def _read_instancer(prim, frames):
+    """A PointInstancer's only mesh, and positions, quaternions and colours of its instances."""
     from pxr import UsdGeom
 
-    path = instancer.GetPrototypesRel().GetTargets()[0]
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath(path))
+    instancer = UsdGeom.PointInstancer(prim)
+    mesh = UsdGeom.Mesh(prim.GetStage().GetPrimAtPath(instancer.GetPrototypesRel().GetTargets()[0]))
     points = mesh.GetPointsAttr()
     vertices = np.array(points.Get(), dtype=np.float32)
-    moving = tuple(_read(points, frames)) if points.GetNumTimeSamples() else ()
+    moving = tuple(_read(points, frames)) if points.ValueMightBeTimeVarying() else ()
     faces = np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int32).reshape(-1, 3)
     normals = np.array(mesh.GetNormalsAttr().Get(), dtype=np.float32).reshape(-1, 3, 3)
-    return DrawnMesh(vertices, faces, normals, moving), vertices.tobytes() + faces.tobytes()
+    color = _read(UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor").GetAttr(), frames)
+    places = _read(instancer.GetPositionsAttr(), frames)
+    return DrawnMesh(vertices, faces, normals, moving), places, _read(instancer.GetOrientationsfAttr(), frames), color
+
+
+def _read_body(prim, frames):
+    """The same of a body of its own; several colliders make one mesh."""
+    from pxr import Usd, UsdGeom
+
+    from warp_rigid.usd.prims import matrix_of, triangles_of
+
+    vertices, faces, count, moving = [], [], 0, {}
+    for part in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+        if part.IsA(UsdGeom.Gprim):
+            matrix = matrix_of(UsdGeom.XformCache().ComputeRelativeTransform(part, prim)[0])
+            points, triangles = triangles_of(part)
+            attribute = part.GetAttribute("points")
+            if attribute and attribute.ValueMightBeTimeVarying():
+                moving[len(vertices)] = _read(attribute, frames) @ matrix[:3, :3].T + matrix[:3, 3]
+            vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
+            faces.append(triangles + count)
+            count += len(points)
+    joined = np.concatenate(vertices).astype(np.float32)
+    corners = np.concatenate(faces).astype(np.int32)
+    shown = [
+        np.concatenate([moving[k][f] if k in moving else part for k, part in enumerate(vertices)]).astype(np.float32)
+        for f in range(len(frames) if moving else 0)
+    ]
+    color = _read(UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor").GetAttr(), frames)
+    places = _read(prim.GetAttribute("xformOp:translate"), frames).astype(np.float32)
+    turns = _read(prim.GetAttribute("xformOp:orient"), frames)
+    drawn = DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown))
+    return drawn, places[:, None], turns[:, None], color
 
 
 def _translation(prim) -> np.ndarray:
@@ -227,8 +257,18 @@ def _translation(prim) -> np.ndarray:
 
 
 def _read(attribute, frames) -> np.ndarray:
-    """An attribute's arrays at some time codes; one that never changes is read once."""
-    if attribute.GetNumTimeSamples() == 0:
-        value = np.array(attribute.Get())
+    """An attribute's values at some time codes; one that never changes is read once.
+
+    Quaternions come as (x, y, z, w).
+    """
+    if not attribute.ValueMightBeTimeVarying():
+        value = _numbers(attribute.Get())
         return np.broadcast_to(value, (len(frames), *value.shape))
-    return np.stack([np.array(attribute.Get(frame)) for frame in frames])
+    return np.stack([_numbers(attribute.Get(frame)) for frame in frames])
+
+
+def _numbers(value) -> np.ndarray:
+    """A value of USD's as an array: a single quaternion's parts must be asked for."""
+    if hasattr(value, "GetImaginary"):
+        return np.array([*value.GetImaginary(), value.GetReal()], dtype=np.float32)
+    return np.array(value)

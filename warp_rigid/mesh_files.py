@@ -58,7 +58,7 @@ def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         if not prim.IsA(UsdGeom.Mesh):
             continue
-        points, triangles = _usd_triangles(UsdGeom.Mesh(prim))
+        points, triangles = usd_triangles(UsdGeom.Mesh(prim))
         matrix = np.array(places.GetLocalToWorldTransform(prim))
         if np.linalg.det(matrix[:3, :3]) < 0.0:
             triangles = triangles[:, ::-1]
@@ -73,7 +73,7 @@ def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return joined, np.concatenate(faces)
 
 
-def _usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
+def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) of one USD mesh, and its polygons cut into fans."""
     from pxr import UsdGeom
 

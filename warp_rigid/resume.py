@@ -119,6 +119,7 @@ def _identity(plan: Any, progress: Progress) -> dict[str, Any]:
             "settings": asdict(plan.sim.settings),
             "variants": plan.variants,
             "recorded": progress.recorder.envs.tolist(),
+            "quantities": progress.recorder.quantities,
         }
     )
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +18,9 @@ from warp_rigid.scene import Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.settings import Settings
 from warp_rigid.simulator import Simulator
+from warp_rigid.usd import import_usd
+from warp_rigid.usd.load import film_duration
+from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
 
 __all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "step_frame"]
 
@@ -70,17 +74,23 @@ class Result:
 
 
 def find_scene(source: str) -> Demo:
-    """A built-in scene by name, or the one that a .py file makes with its function scene().
+    """A built-in scene by name, the one that a .py file makes with its function scene(), or that of a USD file.
 
     Raises:
-        ValueError: There is no such scene, or the file has no function scene().
+        ValueError: There is no such scene, the file has no function scene(), or its format needs a converter.
         FileNotFoundError: There is no such file.
     """
     if source.endswith(".py"):
         return _scene_of_file(Path(source))
+    if source.endswith(USD_SUFFIXES):
+        return _scene_of_usd(Path(source))
+    if source.endswith((".urdf", ".xml", ".mjcf")):
+        converter = "urdf-usd-converter" if source.endswith(".urdf") else "mujoco-usd-converter"
+        raise ValueError(f"{source}: convert it to USD first, with {converter}; joints are not simulated")
     if source not in scenes.names():
         raise ValueError(
-            f"scene: must be a .py file with a function scene() or one of {', '.join(scenes.names())}; got {source!r}"
+            "scene: must be a USD file, a .py file with a function scene() or one of "
+            f"{', '.join(scenes.names())}; got {source!r}"
         )
     return scenes.get(source)
 
@@ -154,6 +164,8 @@ def execute(
     envs=None,
     on_frame: Callable[[int], None] | None = None,
     checkpoints: Checkpoints | None = None,
+    velocities: bool = False,
+    contacts: bool = False,
 ) -> Result:
     """Run a plan: step, fire the scene's events, let its outcome observe every frame.
 
@@ -162,6 +174,8 @@ def execute(
         envs: environments to record; None records all.
         on_frame: called with the number of frames done after each.
         checkpoints: where to go on from, and to write checkpoints to.
+        velocities: whether to record the bodies' velocities too.
+        contacts: whether to record the contacts too.
 
     Raises:
         ValueError: An environment does not exist, fps does not divide the step rate, or the checkpoint to go on from
@@ -172,7 +186,7 @@ def execute(
     events = sorted(plan.demo.events(scene), key=lambda event: event[0])
     outcome = plan.demo.outcome(scene)
     labels = [plan.labels[env] for env in envs] if envs is not None else plan.labels
-    recorder = Recorder(sim, plan.fps, envs, labels)
+    recorder = Recorder(sim, plan.fps, envs, labels, velocities, contacts)
     progress = Progress(recorder, outcome, events, np.zeros(sim.num_envs))
     if not (checkpoints and checkpoints.resume(plan, progress)):
         recorder.capture(sim)
@@ -223,6 +237,31 @@ def _scene_of_file(path: Path) -> Demo:
         build=build,
         outcome=_NoOutcome,
         duration=FILE_SCENE_DURATION,
+        variants={},
+    )
+
+
+def _scene_of_usd(path: Path) -> Demo:
+    """A scene without an outcome; it runs as long as the file's own film, where it has one.
+
+    A name without a folder may be that of a file which comes with the built-in scenes.
+    """
+    shipped = Path(scenes.__file__).parent / path
+    if not path.is_file() and path.name == str(path) and shipped.is_file():
+        path = shipped
+
+    def build(root: str | None = None, sdf_resolution: int = 64) -> Scene:
+        with warnings.catch_warnings():
+            # The caller tells all that the report says.
+            warnings.filterwarnings("ignore", message=".*see scene.import_report")
+            return import_usd(path, root, sdf_resolution=sdf_resolution)
+
+    return Demo(
+        name=path.stem,
+        summary=f"the bodies of {path.name}",
+        build=build,
+        outcome=_NoOutcome,
+        duration=film_duration(path) or FILE_SCENE_DURATION,
         variants={},
     )
 

@@ -18,9 +18,17 @@ _LIBRARIES = {
     ".gif": ("PIL",),
     ".mp4": ("PIL", "imageio_ffmpeg"),
     ".html": ("viser",),
+    ".glb": ("pygltflib",),
 }
 """What writing a file takes beyond the package's own requirements."""
-_EXTRAS = {"PIL": "picture", "matplotlib": "picture", "imageio_ffmpeg": "picture", "viser": "viewer"}
+_EXTRAS = {
+    "PIL": "picture",
+    "matplotlib": "picture",
+    "imageio_ffmpeg": "picture",
+    "viser": "viewer",
+    "pygltflib": "gltf",
+}
+"""Which extra of the package brings a library."""
 
 PLAIN_WIDTH = 120
 """Width of tables where there is no terminal."""
@@ -37,14 +45,15 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def check_outputs(usd: str | None, pictures: dict[str, tuple[str, ...]]) -> None:
+def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> None:
     """Refuse names and missing libraries before the simulation runs, not after it."""
-    if usd and not usd.endswith((".usdc", ".usda", ".usdz", ".usd")):
-        raise ValueError(f"-o: must end in .usdc, .usda, .usdz or .usd, got {usd}")
+    if output and not output.endswith((".usdc", ".usda", ".usdz", ".usd", ".glb")):
+        raise ValueError(f"-o: must end in .usdc, .usda, .usdz, .usd or .glb, got {output}")
     for path, endings in pictures.items():
         if not path.endswith(endings):
             raise ValueError(f"{path}: must end in {' or '.join(endings)}")
-        for module in _LIBRARIES[Path(path).suffix]:
+    for path in (output, *pictures) if output else pictures:
+        for module in _LIBRARIES.get(Path(path).suffix, ()):
             importlib.import_module(module)
 
 

@@ -12,7 +12,8 @@ from warp_rigid.appearance import COLORINGS
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.resume import Checkpoints
 from warp_rigid.terminal import check_outputs, console, note, progress
-from warp_rigid.usd_export import export_usd
+from warp_rigid.usd import ImportReport, UsdStream, export_usd
+from warp_rigid.usd.options import UsdOptions
 
 CAPACITY, NON_FINITE = 3, 4
 MOST_RECORDED = 16
@@ -22,7 +23,7 @@ MOST_COLUMNS = 8
 
 
 def run_command(
-    scene: Annotated[str, typer.Argument(help="A built-in scene, or a .py file with scene().")],
+    scene: Annotated[str, typer.Argument(help="A built-in scene, a USD file, or a .py file with scene().")],
     envs: Annotated[int | None, typer.Option(help="Environments.")] = None,
     frames: Annotated[int | None, typer.Option(help="Frames; the scene's own if left out.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
@@ -39,13 +40,20 @@ def run_command(
         ),
     ] = None,
     compare: Annotated[bool, typer.Option("--compare", help="One environment for each variant of the scene.")] = False,
-    output: Annotated[str | None, typer.Option("-o", "--output", help="Film: .usdc, .usda or .usdz.")] = None,
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Film: .usdc, .usda, .usdz or .glb.")] = None,
     usd_envs: Annotated[str | None, typer.Option(help="Environments in films and pictures: 0,5,7 or all.")] = None,
+    usd_profile: Annotated[
+        str, typer.Option(help="animation (instances), scene (with physics) or auto (a scene up to 2000 bodies).")
+    ] = "auto",
+    usd_layout: Annotated[
+        str, typer.Option(help="single (one file), payloads (one an environment) or clips (one for each 24 frames).")
+    ] = "single",
+    usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Draw contacts and impulses.")] = False,
     picture: Annotated[str | None, typer.Option(help="The last frame, .png.")] = None,
     film: Annotated[str | None, typer.Option(help="The film, .gif or .mp4.")] = None,
     contact_sheet: Annotated[str | None, typer.Option(help="Eight frames, .png.")] = None,
     html: Annotated[str | None, typer.Option(help="A page that plays the film without a server, .html.")] = None,
-    color: Annotated[str, typer.Option(help="Colours of pictures: body, level or speed.")] = "body",
+    color: Annotated[str, typer.Option(help="What colours tell: body, environment, level, speed or asleep.")] = "body",
     checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file; SCENE.ckpt if left out.")] = None,
     checkpoint_every: Annotated[int | None, typer.Option(help="Write it whenever so many frames are done.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint, if there is one.")] = False,
@@ -58,6 +66,10 @@ def run_command(
     pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
     check_outputs(output, {path: endings for path, endings in pictures.items() if path})
     one_of("--color", color, COLORINGS)
+    usd = UsdOptions(usd_profile, color, usd_layout, usd_contacts)
+    to_usd = output is not None and not output.endswith(".glb")
+    if output and to_usd:
+        usd.check_path(Path(output))
     plan = runner.plan_run(
         runner.find_scene(scene),
         assignments or (),
@@ -77,13 +89,19 @@ def run_command(
         note(f"{checkpoints.path}: no checkpoint yet, starting from the beginning")
     written = [path for path in (output, picture, film, contact_sheet, html) if path]
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
-    with progress(plan.demo.name, plan.frames) as advance:
-        result = runner.execute(plan, chosen, advance, checkpoints)
-    if output:
-        export_usd(result.recording, output)
+    _tell_import(plan.scene.import_report)
+    # A resumed run writes its film from the beginning, so a run with checkpoints keeps the frames in them.
+    if output and to_usd and checkpoint_every is None and not resume:
+        result = _execute_to_usd(plan, output, chosen, usd)
+    else:
+        with progress(plan.demo.name, plan.frames) as advance:
+            result = runner.execute(
+                plan, chosen, advance, checkpoints, velocities=color == "speed", contacts=usd_contacts
+            )
+        if output:
+            _export(result.recording, output, usd)
     if picture or film or contact_sheet or html:
-        drawn = _film(result.recording, output, color)
-        _draw(drawn, picture, film, contact_sheet, html)
+        _draw(_film(result.recording, output if to_usd else None, color), picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:
         print(json.dumps(summary))
@@ -102,6 +120,26 @@ def _memory_limit(text: str | None) -> int | float | None:
         raise ValueError(f"--memory-limit: must be bytes or a fraction such as 0.5, got {text}") from None
 
 
+def _execute_to_usd(plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions) -> runner.Result:
+    """Run with each frame going into the file at once, so that a long run needs no memory and can be cut short."""
+    labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
+    with UsdStream(plan.sim, path, plan.fps, envs, labels, **vars(options)) as stream:
+        with progress(plan.demo.name, plan.frames) as advance:
+
+            def on_frame(done: int) -> None:
+                stream.capture(plan.sim)
+                if advance is not None:
+                    advance(done)
+
+            return runner.execute(plan, [], on_frame)
+
+
+def _tell_import(report: ImportReport | None) -> None:
+    """Everything that the scene has not or has otherwise than its file."""
+    for finding in report.findings if report is not None else ():
+        note(str(finding))
+
+
 def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
     """Which environments films and pictures show; None for all."""
     if text == "all" or (text is None and num_envs <= MOST_RECORDED):
@@ -115,11 +153,21 @@ def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
         raise ValueError(f"--usd-envs: must be numbers such as 0,5,7 or all, got {text}") from None
 
 
+def _export(recording, path: str, options: UsdOptions) -> None:
+    """Write the film of a run that is done."""
+    if path.endswith(".glb"):
+        from warp_rigid.gltf import export_gltf
+
+        export_gltf(recording, path)
+    else:
+        export_usd(recording, path, **vars(options))
+
+
 def _film(recording, usd: str | None, color: str):
     """What is drawn: the exported file where there is one, so that pictures show what was written."""
     from warp_rigid.film import colored, film_from_recording, film_from_usd
 
-    if usd and color == "body":
+    if usd:
         return film_from_usd(usd)
     return colored(film_from_recording(recording), recording, color)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.appearance import level_colors, speed_colors
+from warp_rigid.appearance import told_colors
 from warp_rigid.film import Film, film_from_recording
 from warp_rigid.recording import Recorder
 from warp_rigid.scene import Motion
@@ -308,14 +308,13 @@ class LiveViewer:
         sim, by = self.session.sim, self._options["coloring"]
         if by == "body":
             return self._plain
-        colors = self._film.color
-        if by == "level":
-            levels = level_colors(sim.get("level")[self.rows].reshape(-1))
-            colors = np.where(self._dynamic[:, None], levels, colors)
+        if by == "environment":
+            told = np.repeat(self.rows, sim.num_bodies)
         elif by == "speed":
-            speed = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
-            colors = np.where(self._dynamic[:, None], speed_colors(speed), colors)
-        return bytes_of_light(colors)
+            told = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
+        else:
+            told = sim.get(by)[self.rows].reshape(-1)
+        return bytes_of_light(told_colors(by, self._film.color, self._dynamic, told))
 
     def _opacity(self) -> np.ndarray:
         # Contacts lie inside the bodies.

@@ -1,0 +1,186 @@
+"""The animation profile: bodies of one shape are the instances of one PointInstancer.
+
+It holds no physics, but ten thousand bodies take two milliseconds a frame.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from pxr import Sdf, Tf, Vt
+
+from warp_rigid.appearance import bound_corners, frame_colors, rotate
+from warp_rigid.recording import Frame, Recording, is_moving
+from warp_rigid.usd.library import Library
+from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
+
+__all__ = ["Instancers"]
+
+NAMES = Sdf.ValueTypeNames
+
+
+@dataclass(eq=False)
+class _Group:
+    """One instancer: which bodies, and their latest values."""
+
+    bodies: np.ndarray
+    corners: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    color: np.ndarray
+    tracks: dict[str, Track] = field(default_factory=dict)
+
+
+class Instancers:
+    """The bodies of one environment.
+
+    Args:
+        film: what stays the same over time.
+        row: which of its environments.
+        color: what a body's colour tells, one of COLORINGS.
+        velocities: whether velocities are written, for motion blur.
+    """
+
+    def __init__(self, film: Recording, row: int, color: str, velocities: bool):
+        """Nothing is written yet."""
+        self._film, self._row, self._color, self._velocities = film, row, color, velocities
+        self._groups: list[_Group] = []
+
+    def define(self, samples: Samples, root: str, library: Library, frame: Frame) -> None:
+        """Write everything as it is in the first frame, as default values.
+
+        Readers that look at a stage without a time, physics parsers among them, see only default values; without
+        them all bodies would lie at the origin.
+
+        Args:
+            samples: where the later frames will go; its layer takes the definitions.
+            root: path of the environment's prim.
+            library: has the film's surfaces.
+            frame: the first frame.
+        """
+        colors = frame_colors(self._color, self._film, self._row, frame)
+        for name, bodies in _groups(self._film).items():
+            surface = self._film.surface[bodies[0]]
+            group = _Group(
+                bodies,
+                bound_corners(self._film.surfaces[surface].reach),
+                np.ascontiguousarray(frame.position[self._row, bodies]),
+                np.ascontiguousarray(frame.orientation[self._row, bodies]),
+                colors[bodies],
+            )
+            self._define_group(samples, f"{root}/{name}", group, library, frame)
+            self._groups.append(group)
+
+    def _define_group(self, samples: Samples, path: str, group: _Group, library: Library, frame: Frame) -> None:
+        layer = samples.layer
+        prim = define(layer, path, "PointInstancer")
+        define(layer, f"{path}/Prototypes", "Scope")
+        prototype = define(layer, f"{path}/Prototypes/shape", "Mesh")
+        library.refer(prototype, library.mesh_path(self._film.surface[group.bodies[0]]))
+        relate(prim, "prototypes", f"{path}/Prototypes/shape")
+        indices = np.zeros(len(group.bodies), dtype=np.int32)
+        set_attribute(prim, "protoIndices", NAMES.IntArray, Vt.IntArray.FromNumpy(indices))
+        set_attribute(prim, "ids", NAMES.Int64Array, Vt.Int64Array.FromNumpy(group.bodies.astype(np.int64)))
+        values = {**_pose_values(group), "primvars:displayColor": Vt.Vec3fArray.FromNumpy(group.color)}
+        if self._velocities:
+            values |= self._velocity_values(group, frame)
+        for name, value in values.items():
+            vertex = "vertex" if name.startswith("primvars:") else ""
+            attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
+            group.tracks[name] = samples.track(attribute)
+
+    def sample(self, samples: Samples, time: float, frame: Frame) -> None:
+        """Write what has changed since the frame before."""
+        colors = None if self._color in STEADY else frame_colors(self._color, self._film, self._row, frame)
+        for group in self._groups:
+            position = np.ascontiguousarray(frame.position[self._row, group.bodies])
+            orientation = np.ascontiguousarray(frame.orientation[self._row, group.bodies])
+            # q and -q are one rotation, but a reader that interpolates goes from the one to the other literally.
+            turned = np.einsum("ij,ij->i", orientation, group.orientation) < 0.0
+            orientation[turned] *= -1.0
+            values = {}
+            if not (np.array_equal(position, group.position) and np.array_equal(orientation, group.orientation)):
+                group.position, group.orientation = position, orientation
+                values |= _pose_values(group)
+            if colors is not None and not np.array_equal(colors[group.bodies], group.color):
+                group.color = colors[group.bodies]
+                values["primvars:displayColor"] = Vt.Vec3fArray.FromNumpy(group.color)
+            if self._velocities:
+                values |= self._velocity_values(group, frame)
+            samples.put([group.tracks[name] for name in values], time, values.values())
+
+    def _velocity_values(self, group: _Group, frame: Frame) -> dict:
+        """Velocities of the instances' origins [m/s], and about them [degree/s]."""
+        bodies = group.bodies
+        spin = frame.angular_velocity[self._row, bodies]
+        centers = np.array([_center(self._film, body) for body in bodies])
+        arm = rotate(group.orientation, centers)
+        speed = frame.linear_velocity[self._row, bodies] - np.cross(spin, arm)
+        degrees = np.ascontiguousarray(spin * np.float32(math.degrees(1.0)))
+        return {
+            "velocities": Vt.Vec3fArray.FromNumpy(speed.astype(np.float32)),
+            "angularVelocities": Vt.Vec3fArray.FromNumpy(degrees),
+        }
+
+
+STEADY = ("body", "environment")
+"""Colourings that do not change over time."""
+
+_TYPES = {
+    "positions": NAMES.Point3fArray,
+    "orientationsf": NAMES.QuatfArray,
+    "extent": NAMES.Float3Array,
+    "primvars:displayColor": NAMES.Color3fArray,
+    "velocities": NAMES.Vector3fArray,
+    "angularVelocities": NAMES.Vector3fArray,
+}
+
+
+def _center(film: Recording, body: int) -> np.ndarray:
+    """Centre of mass of a body in its own frame; a file's recording does not tell, so the origin must do."""
+    if film.scene is None or not is_moving(film.motion[body]):
+        return np.zeros(3)
+    return film.scene.bodies[body].shape.center_of_mass
+
+
+def _groups(film: Recording) -> dict[str, np.ndarray]:
+    """Bodies that share a surface, static ones apart from moving ones, by a prim's name."""
+    groups = {}
+    moving = is_moving(film.motion)
+    for index in range(len(film.surfaces)):
+        for moves in (False, True):
+            bodies = np.flatnonzero((film.surface == index) & (moving == moves))
+            if len(bodies):
+                name = Tf.MakeValidIdentifier(film.names[bodies[0]])
+                groups[name if name not in groups else f"{name}_{bodies[0]}"] = bodies
+    return groups
+
+
+def _pose_values(group: _Group) -> dict:
+    """Positions, rotations and the box around all instances."""
+    reach = _reach(group.position, group.orientation, group.corners)
+    return {
+        "positions": Vt.Vec3fArray.FromNumpy(group.position),
+        "orientationsf": Vt.QuatfArray.FromNumpy(group.orientation),
+        "extent": Vt.Vec3fArray.FromNumpy(reach),
+    }
+
+
+def _reach(position: np.ndarray, orientation: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Box around all instances of a shape whose own box has these corners, (2, 3) float32 [m].
+
+    Column by column: this runs for every instance in every frame.
+    """
+    center, half = (corners[-1] + corners[0]) / 2.0, (corners[-1] - corners[0]) / 2.0
+    x, y, z, w = np.ascontiguousarray(orientation.T)
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    box = np.empty((2, 3), dtype=np.float32)
+    for axis, row in enumerate(rows):
+        middle = position[:, axis] + sum(factor * c for factor, c in zip(row, center, strict=True) if c != 0.0)
+        reach = sum(np.abs(factor) * h for factor, h in zip(row, half, strict=True))
+        box[:, axis] = (middle - reach).min(), (middle + reach).max()
+    return box

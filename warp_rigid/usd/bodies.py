@@ -1,0 +1,208 @@
+"""The scene profile: one Xform a body, with the physics that makes it a scene again elsewhere."""
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Tf, Vt
+
+from warp_rigid.appearance import frame_colors, rotate
+from warp_rigid.fields import PointField
+from warp_rigid.recording import Frame, Recording
+from warp_rigid.scene import Body, Motion, Scene
+from warp_rigid.shapes import Shape
+from warp_rigid.usd.animation import STEADY
+from warp_rigid.usd.geometry import MARK, gf_quaternion, quaternion_of_matrix
+from warp_rigid.usd.library import Library, Material, simple_shapes, write_pose
+from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
+
+__all__ = ["Bodies"]
+
+NAMES = Sdf.ValueTypeNames
+PHYSICS_SCENE = "PhysicsScene"
+
+
+class Bodies:
+    """The bodies of one environment.
+
+    Args:
+        film: what stays the same over time; its scene must be known.
+        row: which of its environments.
+        color: what a body's colour tells, one of COLORINGS.
+        several: whether other environments share the stage.
+    """
+
+    def __init__(self, film: Recording, row: int, color: str, several: bool):
+        """Nothing is written yet."""
+        self._film, self._row, self._color, self._several = film, row, color, several
+        self._place: list[Track] = []
+        self._turn: list[Track] = []
+        self._hue: list[Track] = []
+
+    def define(self, samples: Samples, root: str, library: Library, frame: Frame) -> None:
+        """Write everything as it is in the first frame, as default values.
+
+        Args:
+            samples: where the later frames will go; its layer takes the definitions.
+            root: path of the environment's prim.
+            library: takes the colliders.
+            frame: the first frame.
+        """
+        scene, start = self._film.scene, self._film.start
+        _write_scene(samples.layer, f"{root}/{PHYSICS_SCENE}", scene, start["gravity"][self._row])
+        self._position = frame.position[self._row].copy()
+        self._orientation = frame.orientation[self._row].copy()
+        self._colors = frame_colors(self._color, self._film, self._row, frame)
+        # USD gives a body's velocities in its own frame, in degrees.
+        back = self._orientation * np.array([-1.0, -1.0, -1.0, 1.0])
+        self._velocity = _vectors(rotate(back, start["linear_velocity"][self._row]))
+        self._spin = _vectors(np.degrees(rotate(back, start["angular_velocity"][self._row])))
+        taken, paths = {PHYSICS_SCENE, "contacts", "impulses"}, []
+        for index, body in enumerate(scene.bodies):
+            name = _free_name(body.name, taken)
+            prim = self._define_body(samples, f"{root}/{name}", index, body)
+            if name != body.name:
+                prim.SetInfo("displayName", body.name)
+            geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
+            library.refer(geometry, library.collider(body.shape, Material(*self._coefficients(index))))
+            self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
+            paths.append(f"{root}/{name}")
+        self._keep_apart(samples.layer, paths)
+
+    def _keep_apart(self, layer: Sdf.Layer, paths: list[str]) -> None:
+        """Name for each body those that it passes through; static ones by their colliders, being no bodies in USD."""
+        scene = self._film.scene
+        partners: dict[int, list[str]] = {}
+        for pair in sorted(scene.filtered_pairs):
+            body, other = sorted(pair, key=lambda index: -scene.bodies[index].motion)
+            targets = [paths[other]]
+            if scene.bodies[other].motion == Motion.STATIC:
+                count = len(simple_shapes(scene.bodies[other].shape))
+                targets = [f"{paths[other]}/geometry/collider_{index}" for index in range(count)]
+            partners.setdefault(body, []).extend(targets)
+        for body, targets in partners.items():
+            prim = layer.GetPrimAtPath(paths[body])
+            applied = prim.GetInfo("apiSchemas")
+            applied.prependedItems = [*applied.prependedItems, "PhysicsFilteredPairsAPI"]
+            prim.SetInfo("apiSchemas", applied)
+            relate(prim, "physics:filteredPairs", *targets)
+
+    def _coefficients(self, index: int) -> tuple[float, ...]:
+        names = ("friction", "restitution", "rolling_friction", "spinning_friction")
+        return tuple(float(self._film.start[name][self._row, index]) for name in names)
+
+    def _define_body(self, samples: Samples, path: str, index: int, body: Body) -> Sdf.PrimSpec:
+        """A body without its geometry."""
+        start, row = self._film.start, self._row
+        apis = [[], ["PhysicsRigidBodyAPI"], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]][body.motion]
+        prim = define(samples.layer, path, "Xform", apis)
+        prim.SetInfo("customData", {MARK: {"motion": body.motion.name.lower()}})
+        place, turn = write_pose(prim, self._position[index], self._orientation[index])
+        hue = set_attribute(
+            prim, "primvars:displayColor", NAMES.Color3fArray, _color(self._colors[index]), interpolation="constant"
+        )
+        for tracks, attribute in ((self._place, place), (self._turn, turn), (self._hue, hue)):
+            tracks.append(samples.track(attribute))
+        if body.motion == Motion.STATIC:
+            return prim
+        set_attribute(prim, "physics:velocity", NAMES.Vector3f, self._velocity[index])
+        set_attribute(prim, "physics:angularVelocity", NAMES.Vector3f, self._spin[index])
+        if body.motion == Motion.KINEMATIC:
+            set_attribute(prim, "physics:kinematicEnabled", NAMES.Bool, True)
+        else:
+            _write_mass(prim, body, float(start["mass"][row, index]))
+        return prim
+
+    def _assign(self, prim: Sdf.PrimSpec, geometry: Sdf.PrimSpec, body: Body, owner: str) -> None:
+        """Say to which physics scene a body belongs, where there are several."""
+        geometry.instanceable = not (self._several and body.motion == Motion.STATIC)
+        if geometry.instanceable:
+            if self._several:
+                relate(prim, "physics:simulationOwner", owner)
+            return
+        # Only its colliders themselves can say where a static body belongs, and an instance's cannot be changed.
+        for index in range(len(simple_shapes(body.shape))):
+            over = define(prim.layer, f"{geometry.path}/collider_{index}", specifier=Sdf.SpecifierOver)
+            relate(over, "physics:simulationOwner", owner)
+
+    def sample(self, samples: Samples, time: float, frame: Frame) -> None:
+        """Write what has changed since the frame before."""
+        position, orientation = frame.position[self._row], frame.orientation[self._row].copy()
+        orientation[np.einsum("ij,ij->i", orientation, self._orientation) < 0.0] *= -1.0
+        moved = np.flatnonzero((position != self._position).any(axis=1))
+        values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
+        samples.put([self._place[index] for index in moved.tolist()], time, values)
+        turned = np.flatnonzero((orientation != self._orientation).any(axis=1))
+        values = Vt.QuatfArray.FromNumpy(np.ascontiguousarray(orientation[turned]))
+        samples.put([self._turn[index] for index in turned.tolist()], time, values)
+        self._position, self._orientation = position.copy(), orientation
+        if self._color not in STEADY:
+            self._sample_colors(samples, time, frame)
+
+    def _sample_colors(self, samples: Samples, time: float, frame: Frame) -> None:
+        colors = frame_colors(self._color, self._film, self._row, frame)
+        changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
+        samples.put([self._hue[index] for index in changed], time, [_color(colors[index]) for index in changed])
+        self._colors = colors
+
+
+def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray) -> None:
+    """Gravity, and as custom data what UsdPhysics has no words for: rules of pairs and force fields."""
+    prim = define(layer, path, "PhysicsScene")
+    strength = math.hypot(*(float(x) for x in gravity))
+    direction = np.asarray(gravity, dtype=np.float64) / strength if strength > 0.0 else np.array([0.0, 0.0, -1.0])
+    set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, _vector(direction))
+    set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
+    points = [field for field in scene.force_fields if isinstance(field, PointField)]
+    uniform = [field for field in scene.force_fields if not isinstance(field, PointField)]
+    told: dict[str, Any] = {
+        "frictionCombine": scene.friction_combine,
+        "restitutionCombine": scene.restitution_combine,
+    }
+    if points:
+        told["pointFieldCenters"] = Vt.Vec3dArray([tuple(field.center) for field in points])
+        told["pointFieldStrengths"] = Vt.DoubleArray([field.strength for field in points])
+    if uniform:
+        told["uniformFields"] = Vt.Vec3dArray([tuple(field.acceleration) for field in uniform])
+    prim.SetInfo("customData", {MARK: told})
+
+
+def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:
+    """Mass, centre of mass and principal moments."""
+    center, moments, axes = _principal(body.shape)
+    set_attribute(prim, "physics:mass", NAMES.Float, mass)
+    set_attribute(prim, "physics:centerOfMass", NAMES.Point3f, center)
+    set_attribute(prim, "physics:diagonalInertia", NAMES.Float3, _vector(mass * moments))
+    set_attribute(prim, "physics:principalAxes", NAMES.Quatf, axes)
+
+
+@lru_cache(maxsize=256)
+def _principal(shape: Shape) -> tuple[Any, np.ndarray, Any]:
+    """Centre of mass, principal moments per mass [m^2], and the rotation to their axes."""
+    moments, axes = np.linalg.eigh(np.asarray(shape.inertia) / shape.volume)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0
+    return _vector(shape.center_of_mass), moments, gf_quaternion(quaternion_of_matrix(axes))
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """A prim's name that is not taken yet."""
+    base = Tf.MakeValidIdentifier(name)
+    found, number = base, 1
+    while found in taken:
+        found, number = f"{base}_{number}", number + 1
+    taken.add(found)
+    return found
+
+
+def _vector(value: np.ndarray) -> Any:
+    return _vectors(np.asarray(value).reshape(1, 3))[0]
+
+
+def _vectors(values: np.ndarray) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
+
+
+def _color(value: np.ndarray) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.asarray(value, dtype=np.float32).reshape(1, 3))

@@ -1,0 +1,88 @@
+"""Contacts of an environment as points, and their impulses as lines."""
+
+import numpy as np
+from pxr import Sdf, Vt
+
+from warp_rigid.recording import Frame, Recording
+from warp_rigid.scene import Motion
+from warp_rigid.usd.specs import Samples, Track, define, set_attribute
+
+__all__ = ["ContactMarks"]
+
+NAMES = Sdf.ValueTypeNames
+GRAVITY = 9.81
+POINT_COLOR, LINE_COLOR = (0.8, 0.05, 0.02), (0.9, 0.5, 0.02)
+
+
+class ContactMarks:
+    """Points where bodies touch, and a line for each impulse.
+
+    The weight of a median body over one frame draws a line as long as that body: supports and hits can be told
+    apart at any size. A frame without contacts shows none.
+
+    Args:
+        film: what stays the same over time; its scene must be known.
+        row: which of its environments.
+    """
+
+    def __init__(self, film: Recording, row: int):
+        """Nothing is written yet."""
+        self._env = film.envs[row]
+        dynamic = [body for body in film.scene.bodies if body.motion == Motion.DYNAMIC]
+        self._size = float(np.median([body.shape.size for body in dynamic])) if dynamic else 1.0
+        mass = float(np.median([body.mass for body in dynamic])) if dynamic else 1.0
+        self._scale = self._size * film.fps / (mass * GRAVITY)
+        self._tracks: dict[str, Track] = {}
+        self._count = 0
+
+    def define(self, samples: Samples, root: str, frame: Frame) -> None:
+        """Write the first frame as default values."""
+        points = define(samples.layer, f"{root}/contacts", "Points")
+        lines = define(samples.layer, f"{root}/impulses", "BasisCurves")
+        set_attribute(lines, "type", NAMES.Token, "linear", uniform=True)
+        for prim, width, color in ((points, 0.08, POINT_COLOR), (lines, 0.03, LINE_COLOR)):
+            widths = Vt.FloatArray([width * self._size])
+            set_attribute(prim, "widths", NAMES.FloatArray, widths, interpolation="constant")
+            hue = Vt.Vec3fArray([color])
+            set_attribute(prim, "primvars:displayColor", NAMES.Color3fArray, hue, interpolation="constant")
+        values = self._values(frame)
+        for key, value in values.items():
+            prim = points if key.startswith("point") else lines
+            name = key.split(".")[1]
+            self._tracks[key] = samples.track(set_attribute(prim, name, _TYPES[name], value))
+        self._count = len(values["points.points"])
+
+    def sample(self, samples: Samples, time: float, frame: Frame) -> None:
+        """Write a frame."""
+        values = self._values(frame)
+        count = len(values["points.points"])
+        if count or self._count:
+            samples.put([self._tracks[key] for key in values], time, values.values())
+        self._count = count
+
+    def _values(self, frame: Frame) -> dict:
+        records = frame.contacts[frame.contacts["env"] == self._env]
+        start = np.ascontiguousarray(records["position"], dtype=np.float32)
+        ends = np.stack([start, start + np.float32(self._scale) * records["impulse"]], axis=1).reshape(-1, 3)
+        return {
+            "points.points": Vt.Vec3fArray.FromNumpy(start),
+            "points.extent": _extent(start, 0.04 * self._size),
+            "lines.points": Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(ends)),
+            "lines.curveVertexCounts": Vt.IntArray.FromNumpy(np.full(len(start), 2, dtype=np.int32)),
+            "lines.extent": _extent(ends, 0.015 * self._size),
+        }
+
+
+_TYPES = {
+    "points": NAMES.Point3fArray,
+    "extent": NAMES.Float3Array,
+    "curveVertexCounts": NAMES.IntArray,
+}
+
+
+def _extent(points: np.ndarray, margin: float) -> Vt.Vec3fArray:
+    """Box around some points and their thickness; around the origin where there are none."""
+    if not len(points):
+        points = np.zeros((1, 3), dtype=np.float32)
+    box = np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
+    return Vt.Vec3fArray.FromNumpy(box.astype(np.float32))

@@ -1,0 +1,99 @@
+"""PointInstancers as Xforms: for readers, physics parsers first of all, that see nothing in an instancer."""
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+
+__all__ = ["expand_instancers"]
+
+
+def expand_instancers(root: Usd.Prim, times: list[Usd.TimeCode]) -> int:
+    """Replace the instancers below a prim, in the stage's edit target.
+
+    Every instance becomes an Xform beside its instancer that refers to its prototype, and the instancer is switched
+    off. Instances of one name sort in the order of the instancer.
+
+    Args:
+        root: where to look.
+        times: at which times to sample the poses; only [Default] leaves default values.
+
+    Returns:
+        How many instances there are now.
+    """
+    total = 0
+    stage = root.GetStage()
+    for path in [prim.GetPath() for prim in Usd.PrimRange(root) if prim.IsA(UsdGeom.PointInstancer)]:
+        total += _expand(UsdGeom.PointInstancer(stage.GetPrimAtPath(path)), times)
+    return total
+
+
+def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int:
+    """One instancer."""
+    prim, stage = instancer.GetPrim(), instancer.GetPrim().GetStage()
+    layer = stage.GetEditTarget().GetLayer()
+    prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
+    moments = [_transforms(instancer, time) for time in times]
+    indices = np.array(instancer.GetProtoIndicesAttr().Get(times[0]) or [], dtype=np.int64)
+    if any(len(moment) != len(indices) for moment in moments):
+        raise ValueError(f"{prim.GetPath()}: the number of its instances changes over time, or its arrays differ")
+    if len(indices) and not (0 <= indices.min() and indices.max() < len(prototypes)):
+        raise ValueError(f"{prim.GetPath()}: protoIndices must be from 0 to {len(prototypes) - 1}")
+    masked = instancer.ComputeMaskAtTime(times[0])
+    visible = np.array(masked, dtype=bool) if masked else np.ones(len(indices), dtype=bool)
+    outer = UsdGeom.Xformable(prim).GetLocalTransformation(Usd.TimeCode.Default())
+    group = f"{prim.GetPath()}_instances"
+    width = len(str(max(len(indices) - 1, 0)))
+    colors = _colors(instancer, len(indices))
+    with Sdf.ChangeBlock():
+        parent = Sdf.CreatePrimInLayer(layer, group)
+        parent.specifier, parent.typeName = Sdf.SpecifierDef, "Xform"
+        _set_matrix(parent, [outer], times[:1])
+        for index in np.flatnonzero(visible).tolist():
+            spec = Sdf.PrimSpec(parent, f"instance_{index:0{width}d}", Sdf.SpecifierDef, "Xform")
+            _set_matrix(spec, [moment[index] for moment in moments], times)
+            inner = Sdf.PrimSpec(spec, "prototype", Sdf.SpecifierDef)
+            inner.referenceList.prependedItems = [Sdf.Reference("", prototypes[indices[index]])]
+            if colors is not None:
+                hue = Sdf.AttributeSpec(spec, "primvars:displayColor", Sdf.ValueTypeNames.Color3fArray)
+                hue.default = Vt.Vec3fArray([colors[index]])
+                hue.SetInfo("interpolation", "constant")
+            _set_velocities(inner, stage.GetPrimAtPath(prototypes[indices[index]]), instancer, index)
+    prim.SetActive(False)
+    return int(visible.sum())
+
+
+def _transforms(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode):
+    """Poses of all instances, without the prototypes' own."""
+    return instancer.ComputeInstanceTransformsAtTime(
+        time, time, UsdGeom.PointInstancer.ExcludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
+    )
+
+
+def _set_matrix(spec: Sdf.PrimSpec, matrices: list[Gf.Matrix4d], times: list[Usd.TimeCode]) -> None:
+    attribute = Sdf.AttributeSpec(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
+    attribute.default = matrices[0]
+    for time, matrix in zip(times, matrices, strict=True):
+        if not time.IsDefault():
+            spec.layer.SetTimeSample(attribute.path, time.GetValue(), matrix)
+    order = Sdf.AttributeSpec(spec, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
+    order.default = Vt.TokenArray(["xformOp:transform"])
+
+
+def _set_velocities(spec: Sdf.PrimSpec, prototype: Usd.Prim, instancer: UsdGeom.PointInstancer, index: int) -> None:
+    """What the instancer says of an instance's motion becomes that of its rigid body."""
+    if "PhysicsRigidBodyAPI" not in prototype.GetAppliedSchemas():
+        return
+    sources = (
+        (instancer.GetVelocitiesAttr(), "physics:velocity"),
+        (instancer.GetAngularVelocitiesAttr(), "physics:angularVelocity"),
+    )
+    for source, name in sources:
+        values = source.Get()
+        if values and index < len(values):
+            Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Vector3f).default = values[index]
+
+
+def _colors(instancer: UsdGeom.PointInstancer, count: int):
+    """One colour an instance; None where there are none."""
+    primvar = UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor")
+    values = primvar.Get() if primvar else None
+    return values if values and len(values) == count else None

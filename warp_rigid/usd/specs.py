@@ -1,0 +1,161 @@
+"""Prims and attributes written straight into a layer.
+
+A stage recomposes after every change, which costs a hundred times what the change itself does; a layer only stores.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pxr import Sdf, Tf
+
+__all__ = ["Samples", "Track", "define", "open_layer", "relate", "save_layer", "set_attribute", "stage_metadata"]
+
+
+def open_layer(path: Path) -> Sdf.Layer:
+    """An empty layer that will be saved at a path; one that is open under that name is emptied.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    layer = Sdf.Layer.Find(str(path))
+    if layer is not None:
+        layer.Clear()
+        return layer
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Sdf.Layer.CreateNew(str(path))
+    except Tf.ErrorException:
+        raise OSError(f"{path}: cannot be written") from None
+
+
+def save_layer(layer: Sdf.Layer) -> None:
+    """Bring a layer's changes to its file.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    try:
+        saved = layer.Save()
+    except Tf.ErrorException:
+        saved = False
+    if not saved:
+        raise OSError(f"{layer.realPath or layer.identifier}: cannot be written")
+
+
+def stage_metadata(layer: Sdf.Layer, default_prim: str, fps: float) -> None:
+    """What a stage tells of itself: z up, metres, kilograms, one time code a frame."""
+    root = layer.pseudoRoot
+    root.SetInfo("upAxis", "Z")
+    root.SetInfo("metersPerUnit", 1.0)
+    root.SetInfo("kilogramsPerUnit", 1.0)
+    layer.defaultPrim = default_prim
+    # Readers disagree on which of the two rates they play by.
+    layer.framesPerSecond = fps
+    layer.timeCodesPerSecond = fps
+    layer.startTimeCode = 0.0
+    layer.endTimeCode = 0.0
+
+
+def define(
+    layer: Sdf.Layer,
+    path: str,
+    type_name: str = "",
+    apis: Iterable[str] = (),
+    specifier: Sdf.Specifier = Sdf.SpecifierDef,
+) -> Sdf.PrimSpec:
+    """A prim with its type and applied schemas."""
+    prim = Sdf.CreatePrimInLayer(layer, path)
+    prim.specifier = specifier
+    prim.typeName = type_name
+    applied = list(apis)
+    if applied:
+        prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=applied))
+    return prim
+
+
+def set_attribute(
+    prim: Sdf.PrimSpec,
+    name: str,
+    type_name: Sdf.ValueTypeName,
+    value: Any = None,
+    *,
+    uniform: bool = False,
+    interpolation: str = "",
+) -> Sdf.AttributeSpec:
+    """An attribute with its default value; one that is there takes the new value."""
+    attribute = prim.layer.GetAttributeAtPath(prim.path.AppendProperty(name))
+    if attribute is None:
+        variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
+        attribute = Sdf.AttributeSpec(prim, name, type_name, variability)
+    if value is not None:
+        attribute.default = value
+    if interpolation:
+        attribute.SetInfo("interpolation", interpolation)
+    return attribute
+
+
+def relate(prim: Sdf.PrimSpec, name: str, *targets: Any) -> None:
+    """A relationship with its targets."""
+    relationship = Sdf.RelationshipSpec(prim, name, custom=False)
+    relationship.targetPathList.explicitItems = [Sdf.Path(str(target)) for target in targets]
+
+
+class Track:
+    """One attribute over time.
+
+    Attributes:
+        path: of the attribute.
+        type_name: of its values.
+        value: the latest one.
+        written: time code of its latest sample; None before the first.
+    """
+
+    __slots__ = ("path", "type_name", "value", "written")
+
+    def __init__(self, attribute: Sdf.AttributeSpec):
+        """Start with the attribute's default value."""
+        self.path = attribute.path
+        self.type_name = attribute.typeName
+        self.value = attribute.default
+        self.written: float | None = None
+
+
+class Samples:
+    """Writes values that change over time into a layer; a value that stays is not repeated.
+
+    Readers interpolate between samples, so a value that changes after a while is written once more just before.
+
+    Args:
+        layer: where the samples go.
+    """
+
+    def __init__(self, layer: Sdf.Layer):
+        """Begin without tracks."""
+        self.layer = layer
+        self.tracks: list[Track] = []
+
+    def track(self, attribute: Sdf.AttributeSpec) -> Track:
+        """Follow an attribute whose default value is that of the first frame."""
+        made = Track(attribute)
+        self.tracks.append(made)
+        return made
+
+    def put(self, tracks: Iterable[Track], time: float, values: Iterable[Any]) -> None:
+        """Write values that differ from the latest ones, one for each track; one frame is one time code."""
+        write, before = self.layer.SetTimeSample, time - 1.0
+        for track, value in zip(tracks, values, strict=True):
+            if track.written != before:
+                write(track.path, before, track.value)
+            write(track.path, time, value)
+            track.value, track.written = value, time
+
+    def move_on(self, layer: Sdf.Layer, time: float, first: bool) -> None:
+        """Go on in another layer; both hold all values at the time where they meet."""
+        for track in self.tracks:
+            if not first and track.written != time:
+                self.layer.SetTimeSample(track.path, time, track.value)
+            Sdf.JustCreatePrimAttributeInLayer(layer, track.path, track.type_name)
+            layer.SetTimeSample(track.path, time, track.value)
+            track.written = time
+        self.layer = layer

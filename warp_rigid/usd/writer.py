@@ -1,0 +1,272 @@
+"""The writer: frames go in one after another, and a file that can be opened at any time comes out."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Tf, UsdUtils, Vt
+
+from warp_rigid.appearance import Spread, drawn_surfaces, environment_offsets
+from warp_rigid.recording import Frame, Recording
+from warp_rigid.usd.animation import Instancers
+from warp_rigid.usd.bodies import Bodies
+from warp_rigid.usd.contacts import ContactMarks
+from warp_rigid.usd.geometry import MARK
+from warp_rigid.usd.library import Library
+from warp_rigid.usd.options import UsdOptions
+from warp_rigid.usd.specs import Samples, define, open_layer, save_layer, set_attribute, stage_metadata
+
+__all__ = ["UsdWriter"]
+
+WORLD = "/World"
+FLUSH_EVERY = 24
+"""So many frames wait for the disk; a clip is as long."""
+
+
+class UsdWriter:
+    """Writes a film frame by frame.
+
+    Args:
+        film: what stays the same over time, and at least one frame, from which the places of the environments follow.
+        path: the file.
+        rows: which of the film's environments to write.
+        options: how.
+        live: whether frames come while a simulation runs, so that they must get to disk now and then.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+
+    def __init__(self, film: Recording, path: Path, rows: np.ndarray, options: UsdOptions, live: bool):
+        """Open the file; nothing is in it yet."""
+        self._live = live or options.layout == "clips"
+        self._film, self._path, self._rows, self._options = film, path, rows, options
+        self._package = tempfile.TemporaryDirectory() if path.suffix == ".usdz" else None
+        inner = Path(self._package.name) / f"{path.stem}.usdc" if self._package else path
+        self._suffix = ".usda" if path.suffix == ".usda" else ".usdc"
+        self._parts = inner.parent / f"{inner.stem}_parts"
+        self._profile = options.chosen_profile(film, len(rows))
+        self._spread = Spread(film)
+        self._root = open_layer(inner)
+        self._layers = [self._root]
+        self._writers: list[tuple[Samples, Instancers | Bodies | ContactMarks]] = []
+        self._clips: Clips | None = None
+        self._frames = self._flushed = 0
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame.
+
+        Raises:
+            OSError: A file cannot be written.
+        """
+        with Sdf.ChangeBlock():
+            if self._frames == 0:
+                self._define(frame)
+            else:
+                for samples, writer in self._writers:
+                    writer.sample(samples, float(self._frames), frame)
+                self._library.sample(float(self._frames), frame.time)
+        if len(self._rows) > 1:
+            self._spread.add(frame.position[self._rows])
+        self._frames += 1
+        if self._live and self._frames - self._flushed >= self._patience():
+            self.flush()
+
+    def _patience(self) -> int:
+        """How many frames may wait for the disk.
+
+        A text file is written anew each time, and one with many attributes nearly so: there it is a share of the film.
+        """
+        if self._frames == 1:
+            return 1
+        cheap = self._options.layout == "clips" or (self._profile == "animation" and self._suffix == ".usdc")
+        return FLUSH_EVERY if cheap else max(FLUSH_EVERY, self._flushed // 4)
+
+    def flush(self) -> None:
+        """Bring everything to disk: what is there then can be opened whatever happens later.
+
+        Raises:
+            OSError: A file cannot be written.
+        """
+        for layer in self._layers:
+            if layer.HasEndTimeCode():
+                layer.endTimeCode = float(self._frames - 1)
+        if self._clips is not None:
+            self._clips.flush(self._frames - 1)
+        # The root comes last: it never names a file that is not there.
+        for layer in reversed(self._layers):
+            if layer.dirty:
+                save_layer(layer)
+        self._flushed = self._frames
+
+    def close(self) -> None:
+        """Give the environments the room that they took in the end, and finish the file.
+
+        Raises:
+            OSError: A file cannot be written.
+        """
+        if len(self._rows) > 1 and self._frames:
+            with Sdf.ChangeBlock():
+                self._arrange()
+        if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
+            self.flush()
+        if self._package:
+            self._pack()
+        elif self._live and self._profile == "scene":
+            self._compact()
+
+    def _compact(self) -> None:
+        """Leave out what each flush wrote anew."""
+        for layer in self._layers:
+            path = Path(layer.realPath)
+            fresh = path.with_name(f".{path.name}")
+            if not layer.Export(str(fresh)):
+                raise OSError(f"{path}: cannot be written")
+            fresh.replace(path)
+
+    def _define(self, frame: Frame) -> None:
+        """Write what stays, and the first frame as default values."""
+        stage_metadata(self._root, "World", self._film.fps)
+        define(self._root, WORLD, "Xform")
+        apart = self._options.layout == "payloads"
+        if self._options.layout == "clips":
+            base = self._new_part("topology", "World")
+            self._root.GetPrimAtPath(WORLD).referenceList.prependedItems = [Sdf.Reference(self._asset(base), WORLD)]
+        else:
+            base = self._new_part("shapes", "Shapes") if apart else self._root
+        self._library = Library(base, "/Shapes" if apart else f"{WORLD}/Shapes", frame.time)
+        if self._profile == "animation":
+            for index, surface in enumerate(self._film.surfaces):
+                self._library.mesh(index, surface)
+        shared = Samples(base)
+        for row in self._rows.tolist():
+            name = f"env_{self._film.envs[row]:04d}"
+            samples = Samples(self._new_part(name, name)) if apart else shared
+            self._define_env(samples, row, f"/{name}" if apart else f"{WORLD}/{name}", frame)
+            if apart:
+                prim = define(self._root, f"{WORLD}/{name}", "Xform")
+                prim.payloadList.prependedItems = [Sdf.Payload(self._asset(samples.layer))]
+        self._arrange()
+        if self._options.layout == "clips":
+            self._clips = Clips(self._root, shared, self._parts, self._suffix)
+
+    def _define_env(self, samples: Samples, row: int, root: str, frame: Frame) -> None:
+        """One environment, and whoever writes its later frames."""
+        prim = define(samples.layer, root, "Xform")
+        prim.SetInfo("customData", {MARK: {"environment": int(self._film.envs[row])}})
+        if self._film.labels[row]:
+            prim.SetInfo("displayName", self._film.labels[row])
+        color, several = self._options.color, len(self._rows) > 1
+        if self._profile == "scene":
+            body_writer = Bodies(self._film, row, color, several)
+        else:
+            body_writer = Instancers(self._film, row, color, self._options.velocities)
+        body_writer.define(samples, root, self._library, frame)
+        self._writers.append((samples, body_writer))
+        if self._options.contacts:
+            marks = ContactMarks(self._film, row)
+            marks.define(samples, root, frame)
+            self._writers.append((samples, marks))
+
+    def _arrange(self) -> None:
+        """Put the environments on a grid, by their own prims only: poses inside stay exact."""
+        spacing = self._spread.spacing()
+        layer = self._library.layer if self._options.layout == "clips" else self._root
+        offsets = environment_offsets(len(self._rows), spacing)
+        for row, offset in zip(self._rows.tolist(), offsets.tolist(), strict=True):
+            prim = layer.GetPrimAtPath(f"{WORLD}/env_{self._film.envs[row]:04d}")
+            set_attribute(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))
+            order = Vt.TokenArray(["xformOp:translate"])
+            set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
+        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), spacing)):
+            original = self._film.surfaces[index]
+            if surface is original:
+                continue
+            if self._profile == "animation":
+                self._library.mesh(index, surface)
+            else:
+                shape = self._film.scene.bodies[int(np.flatnonzero(self._film.surface == index)[0])].shape
+                width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
+                self._library.fit_plane(shape, width)
+
+    def _new_part(self, name: str, default_prim: str) -> Sdf.Layer:
+        """A file beside the root's."""
+        layer = open_layer(self._parts / f"{name}{self._suffix}")
+        stage_metadata(layer, default_prim, self._film.fps)
+        self._layers.append(layer)
+        return layer
+
+    def _asset(self, part: Sdf.Layer) -> str:
+        """How the root names a file beside it."""
+        return f"./{self._parts.name}/{Path(part.realPath).name}"
+
+    def _pack(self) -> None:
+        """Make the one file of a .usdz."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            written = UsdUtils.CreateNewUsdzPackage(self._root.realPath, str(self._path))
+        except Tf.ErrorException:
+            written = False
+        finally:
+            self._package.cleanup()
+        if not written:
+            raise OSError(f"{self._path}: cannot be written")
+
+
+class Clips:
+    """Samples in one file for each stretch of time.
+
+    Args:
+        root: the layer that names the files.
+        samples: followed tracks; their definitions are in a layer that the root refers to, since a default value in
+            the root itself would hide the files' samples.
+        folder: where the files go.
+        suffix: their ending.
+    """
+
+    def __init__(self, root: Sdf.Layer, samples: Samples, folder: Path, suffix: str):
+        """Begin the first one, and write which attributes they hold."""
+        self._root, self._samples, self._folder, self._suffix = root, samples, folder, suffix
+        self._starts: list[float] = []
+        self._files: list[str] = []
+        manifest = self._new_layer()
+        for track in samples.tracks:
+            Sdf.JustCreatePrimAttributeInLayer(manifest, track.path, track.type_name)
+        self._manifest = self._export(manifest, "manifest")
+        self._begin(0.0, first=True)
+
+    def _new_layer(self) -> Sdf.Layer:
+        layer = Sdf.Layer.CreateAnonymous(self._suffix)
+        layer.timeCodesPerSecond = self._root.timeCodesPerSecond
+        return layer
+
+    def _begin(self, time: float, first: bool = False) -> None:
+        """Go on in a new file, which the root names once it is written."""
+        self._layer, self._start = self._new_layer(), time
+        self._samples.move_on(self._layer, time, first)
+
+    def flush(self, time: float) -> None:
+        """Finish the file of now, which ends with the frame at `time`."""
+        if time == self._start:
+            return
+        finished = self._layer
+        self._starts.append(self._start)
+        with Sdf.ChangeBlock():
+            self._begin(time)
+        self._files.append(self._export(finished, f"clip_{len(self._files):04d}"))
+        told = {
+            "assetPaths": Sdf.AssetPathArray([Sdf.AssetPath(file) for file in self._files]),
+            "active": Vt.Vec2dArray([(start, index) for index, start in enumerate(self._starts)]),
+            "times": Vt.Vec2dArray([(0.0, 0.0), (time, time)]),
+            "primPath": WORLD,
+            "manifestAssetPath": Sdf.AssetPath(self._manifest),
+        }
+        self._root.GetPrimAtPath(WORLD).SetInfo("clips", {"default": told})
+
+    def _export(self, layer: Sdf.Layer, name: str) -> str:
+        """Write a file; how the root names it."""
+        path = self._folder / f"{name}{self._suffix}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not layer.Export(str(path)):
+            raise OSError(f"{path}: cannot be written")
+        return f"./{self._folder.name}/{path.name}"
