@@ -31,7 +31,11 @@ class FakeSimulator:
         self.steps += count
 
     def get(self, name):
-        return getattr(self, name)()
+        if name == "gravity":
+            return np.tile(np.array(self.scene.gravity), (self.num_envs, 1))
+        if hasattr(self, name):
+            return getattr(self, name)()
+        return np.stack([[getattr(body, name) for body in self.scene.bodies]] * self.num_envs)
 
     def penetration(self):
         return np.full(self.num_envs, 0.001 * self.steps)

@@ -150,7 +150,7 @@ def test_lists_run_side_by_side(capsys, scene_file):
         (["run", "box_stack", "--picture", "film.bmp"], "film.bmp: must end in .png"),
         (["run", "box_stack", "--film", "film.avi"], "film.avi: must end in .gif or .mp4"),
         (["run", "box_stack", "--html", "page.htm"], "page.htm: must end in .html"),
-        (["run", "box_stack", "--color", "mass"], "--color: must be one of body, level, speed"),
+        (["run", "box_stack", "--color", "mass"], "--color: must be one of body, environment, level, speed, asleep"),
         (["view", "box_stak"], "scene: must be"),
         (["view", "missing.py"], "missing.py: no such file"),
         (["view", "missing.npz"], "missing.npz"),

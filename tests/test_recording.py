@@ -5,7 +5,8 @@ import pytest
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, Sphere
-from warp_rigid.recording import Recorder, Recording, record, steps_per_frame
+from warp_rigid.access import CONTACT_RECORD
+from warp_rigid.recording import CAPTURED, VELOCITIES, Recorder, Recording, record, steps_per_frame
 
 
 @pytest.fixture
@@ -99,6 +100,71 @@ def test_disk_keeps_every_bit(scene, tmp_path):
         assert one.vertices.tobytes() == other.vertices.tobytes()
         assert one.faces.tobytes() == other.faces.tobytes()
         assert one.endless == other.endless
+
+
+class Touching(FakeSimulator):
+    """Moves as it falls, and has as many contacts as it has made frames, none at the start."""
+
+    def contacts(self):
+        records = np.zeros(self.steps // 4, CONTACT_RECORD)
+        for name in CONTACT_RECORD.names:
+            shape = records[name].shape
+            records[name] = np.arange(np.prod(shape), dtype=int).reshape(shape) + self.steps
+        records["env"] = 0
+        return records
+
+    def linear_velocity(self):
+        return self.position() * np.float32(1.5)
+
+    def angular_velocity(self):
+        return self.position() * np.float32(2.5)
+
+
+def bits(recording):
+    return [getattr(recording, name).tobytes() for name in (*CAPTURED, *VELOCITIES, "time")] + [
+        (records.dtype, records.tobytes()) for records in recording.contacts
+    ]
+
+
+def test_disk_keeps_velocities_and_contacts(scene, tmp_path):
+    before = record(Touching(scene, num_envs=2), 3, velocities=True, contacts=True)
+    before.save(tmp_path / "run.npz")
+    after = Recording.load(tmp_path / "run.npz")
+    assert [len(records) for records in after.contacts] == [0, 1, 2, 3]
+    assert after.contacts[3]["position"].tolist() == [[12, 13, 14], [15, 16, 17], [18, 19, 20]]
+    assert bits(after) == bits(before)
+    record(Touching(scene), 3).save(tmp_path / "run.npz")
+    bare = Recording.load(tmp_path / "run.npz")
+    assert bare.contacts is None and bare.linear_velocity is None and bare.angular_velocity is None
+
+
+def test_recorder_goes_on_with_velocities_and_contacts(scene):
+    whole = record(Touching(scene), 4, velocities=True, contacts=True)
+    sim = Touching(scene)
+    first, second = (Recorder(sim, 60.0, velocities=True, contacts=True) for _ in range(2))
+    for _ in range(2):
+        first.capture(sim)
+        sim.step(4)
+    second.restore(first.arrays())
+    for _ in range(3):
+        second.capture(sim)
+        sim.step(4)
+    assert bits(second.recording()) == bits(whole)
+    without = Recorder(sim, 60.0)
+    without.capture(sim)
+    with pytest.raises(ValueError, match="contact_count is missing"):
+        second.restore(without.arrays())
+
+
+@pytest.mark.parametrize("counts", [[0, 1, 2, 4], [0, -1, 2, 5], [0, 1, 2], [2**62, 2**62, 2**62, 2**62 + 6]])
+def test_contacts_that_do_not_add_up_are_refused(scene, tmp_path, counts):
+    record(Touching(scene), 3, contacts=True).save(tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz") as file:
+        arrays = dict(file)
+    arrays["contact_count"] = np.array(counts, np.int64)
+    np.savez(tmp_path / "run.npz", **arrays)
+    with pytest.raises(ValueError, match="not a recording.*contact_count"):
+        Recording.load(tmp_path / "run.npz")
 
 
 def test_file_needs_no_pickle(scene, tmp_path):

@@ -105,6 +105,21 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path):
     ]
 
 
+def test_a_usd_film_goes_on_with_the_run(tmp_path, monkeypatch):
+    """Colours that tell speeds, and contacts, are those of a run that was not interrupted and wrote as it went."""
+    from warp_rigid.film import film_from_usd
+
+    monkeypatch.chdir(tmp_path)
+    made = ["run", "box_stack", "--device", "cpu", "--color", "speed", "--usd-contacts", "-o"]
+    assert cli.main([*made, "whole.usdc", "--frames", "6"]) == 0
+    assert cli.main([*made, "part.usdc", "--frames", "3", "--checkpoint-every", "3"]) == 0
+    assert cli.main([*made, "rest.usdc", "--frames", "6", "--resume"]) == 0
+    whole, rest = film_from_usd("whole.usdc"), film_from_usd("rest.usdc")
+    assert whole.num_frames == 7 and whole.color.shape[0] == 7
+    for name in ("position", "orientation", "color"):
+        assert getattr(rest, name).tobytes() == getattr(whole, name).tobytes(), name
+
+
 def test_resume_without_a_checkpoint_starts_and_says_so(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "incline", "--frames", "2", "--device", "cpu", "--resume", "--checkpoint-every", "2"]) == 0

@@ -9,7 +9,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdValidation
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
 from warp_rigid.recording import record
-from warp_rigid.usd_export import export_usd
+from warp_rigid.usd import export_usd
 
 FRAMES = 24
 
@@ -30,7 +30,7 @@ def recording():
 @pytest.fixture(scope="module", params=["film.usdc", "film.usda", "film.usdz"])
 def path(request, recording, tmp_path_factory):
     path = tmp_path_factory.mktemp("usd") / "made" / request.param
-    export_usd(recording, path)
+    export_usd(recording, path, profile="animation")
     return path
 
 
@@ -181,9 +181,9 @@ def test_one_environment_stands_at_the_origin(recording, tmp_path):
 
 def test_a_file_is_replaced(recording, tmp_path):
     path = tmp_path / "film.usdc"
-    export_usd(recording, path)
+    export_usd(recording, path, profile="animation")
     held = Usd.Stage.Open(str(path))
-    export_usd(recording, path, envs=[0])
+    export_usd(recording, path, envs=[0], profile="animation")
     assert held
     del held
     stage = Usd.Stage.Open(str(path))

@@ -1,0 +1,244 @@
+"""The scene profile: what other programs read in it, and that it comes back as the scene it was."""
+
+import numpy as np
+import pytest
+from omni.asset_validator import IssueSeverity, ValidationEngine
+from pxr import Usd, UsdGeom, UsdPhysics
+
+import warp_rigid as wr
+from tests.fakes import FakeSimulator
+from tests.oracles import rotation_matrix
+from tests.usd_tools import Resting, start_of, validator_errors
+from warp_rigid import scenes
+from warp_rigid.recording import Recorder
+from warp_rigid.usd.check import check_usd
+
+SMALL = {"bunny_pile": {"bodies": 2}, "carpet": {}, "bone_pile": {}, "rings_on_poles": {}}
+"""Sizes of scenes that would take long otherwise; the kinds of bodies stay the same."""
+
+
+def small(name):
+    """A built-in scene at a size at which everything of it occurs."""
+    known = scenes.get(name).parameters
+    return scenes.load(name, **{key: value for key, value in SMALL.get(name, {}).items() if key in known})
+
+
+def failures(path):
+    """What the Omniverse validator finds that is worse than a warning."""
+    issues = ValidationEngine(init_rules=True).validate(str(path)).issues()
+    bad = (IssueSeverity.ERROR, IssueSeverity.FAILURE)
+    return [
+        f"{issue.rule.__name__ if issue.rule else ''}: {issue.message}" for issue in issues if issue.severity in bad
+    ]
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Every kind of shape and body."""
+    scene = wr.Scene(gravity=(0.3, 0.0, -3.7), friction_combine="average", restitution_combine="max")
+    scene.add_force_field(wr.PointField(center=(0, 0, -10), strength=100.0))
+    scene.add_force_field(wr.UniformField(acceleration=(0.5, 0, 0)))
+    scene.add_static(wr.Plane(normal=(0.2, 0.0, 1.0), offset=-0.3), friction=0.7, name="slope")
+    heights = np.random.default_rng(1).uniform(0, 0.2, (4, 5))
+    scene.add_static(wr.Heightfield(heights, (2.0, 3.0)), position=(0, 5, 0), name="terrain")
+    joined = wr.Compound(
+        [
+            (wr.Box((0.3, 0.05, 0.05)), (0, 0, 0), (0, 0, 0, 1)),
+            (wr.Compound([(wr.Sphere(0.1), (0.1, 0, 0), (0, 0, 0, 1))]), (0.3, 0, 0), (0, 0, 0.6, 0.8)),
+        ]
+    )
+    scene.add_static(joined, position=(4, 0, 0), name="rail 1")
+    turned = (0.1, -0.2, 0.3, 0.9)
+    scene.add_body(joined, position=(0, 0, 2), orientation=turned, linear_velocity=(1, 2, 3), name="rail 1")
+    scene.add_body(wr.Capsule(0.1, 0.3), position=(1, 0, 2), angular_velocity=(4, 5, 6), orientation=turned, mass=3.0)
+    scene.add_body(wr.Cylinder(0.1, 0.3), position=(2, 0, 2), rolling_friction=0.01, spinning_friction=0.02)
+    scene.add_body(wr.meshes.torus(sdf_resolution=20), position=(3, 0, 2), restitution=0.25, density=2500.0)
+    scene.add_kinematic(wr.Cylinder(1.0, 0.05), position=(0, -3, 1), angular_velocity=(0, 0, 2), name="3rd table")
+    for pair in ((0, 3), (2, 4), (4, 5), (5, 7)):
+        scene.filter_pair(*pair)
+    return scene
+
+
+def assert_same(one, other):
+    """Two scenes of the same bodies."""
+    np.testing.assert_allclose(one.gravity, other.gravity, rtol=1e-6, atol=1e-6)
+    assert (one.friction_combine, one.restitution_combine) == (other.friction_combine, other.restitution_combine)
+    assert one.filtered_pairs == other.filtered_pairs
+    assert sorted(map(repr, one.force_fields)) == sorted(map(repr, other.force_fields))
+    assert [(body.name, body.motion) for body in one.bodies] == [(body.name, body.motion) for body in other.bodies]
+    for mine, theirs in zip(one.bodies, other.bodies, strict=True):
+        scale = max(1.0, float(np.abs(mine.position).max()))
+        np.testing.assert_allclose(mine.position, theirs.position, rtol=0, atol=1e-6 * scale)
+        np.testing.assert_allclose(
+            rotation_matrix(mine.orientation), rotation_matrix(theirs.orientation), rtol=0, atol=1e-6
+        )
+        assert theirs.mass == pytest.approx(mine.mass, rel=1e-5)
+        for name in ("friction", "restitution", "rolling_friction", "spinning_friction"):
+            assert getattr(theirs, name) == pytest.approx(getattr(mine, name), rel=1e-6)
+        for name in ("linear_velocity", "angular_velocity"):
+            np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name), rtol=1e-5, atol=1e-5)
+        assert_same_shape(mine.shape, theirs.shape)
+
+
+def assert_same_shape(mine, theirs):
+    """By what they do: their extent, their mass properties and their distances."""
+    finite = np.isfinite(mine.bounds)
+    assert (finite == np.isfinite(theirs.bounds)).all()
+    size = mine.size if np.isfinite(mine.size) else 1.0
+    np.testing.assert_allclose(np.array(mine.bounds)[finite], np.array(theirs.bounds)[finite], atol=1e-5 * size)
+    if not mine.static_only:
+        assert theirs.volume == pytest.approx(mine.volume, rel=1e-5)
+        np.testing.assert_allclose(mine.center_of_mass, theirs.center_of_mass, atol=1e-5 * size)
+        np.testing.assert_allclose(mine.inertia, theirs.inertia, rtol=1e-4, atol=1e-5 * np.abs(mine.inertia).max())
+    if isinstance(mine, wr.Mesh):
+        assert isinstance(theirs, wr.Mesh) and mine.sdf_resolution == theirs.sdf_resolution
+        return
+    points = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * 2.0 * size
+    np.testing.assert_allclose(
+        mine.signed_distance(points)[0], theirs.signed_distance(points)[0], rtol=0, atol=2e-6 * max(size, 1.0)
+    )
+
+
+@pytest.mark.parametrize("suffix", [".usdc", ".usda", ".usdz"])
+def test_every_kind_of_body_comes_back(mixed, tmp_path, suffix):
+    path = tmp_path / f"mixed{suffix}"
+    wr.export_usd(start_of(mixed), path)
+    back = wr.import_usd(path, strict=True)
+    assert_same(mixed, back)
+
+
+@pytest.mark.parametrize("name", scenes.names())
+def test_built_in_scene_comes_back(name, tmp_path):
+    scene = small(name)
+    wr.export_usd(start_of(scene), tmp_path / "scene.usdc", profile="scene")
+    assert_same(scene, wr.import_usd(tmp_path / "scene.usdc", strict=True))
+
+
+@pytest.mark.parametrize("profile", ["scene", "animation"])
+@pytest.mark.parametrize("name", scenes.names())
+def test_validators_find_nothing_in_built_in_scenes(name, profile, tmp_path):
+    path = tmp_path / "scene.usdc"
+    sim = Resting(small(name), num_envs=2)
+    recorder = Recorder(sim, 60.0)
+    recorder.capture(sim)
+    wr.export_usd(recorder.recording(), path, profile=profile)
+    assert check_usd(path) == []
+    assert failures(path) == []
+
+
+def test_the_validators_can_find_something(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "bad.usda"))
+    mesh = UsdGeom.Mesh.Define(stage, "/mesh")
+    UsdPhysics.RigidBodyAPI.Apply(mesh.GetPrim())
+    stage.Save()
+    assert validator_errors(tmp_path / "bad.usda") and failures(tmp_path / "bad.usda")
+
+
+def parsed(path, kind):
+    """Descriptions by path, from the USD library's own physics parser."""
+    stage = Usd.Stage.Open(str(path))
+    found = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
+    return {str(path): description for path, description in zip(*found.get(kind, ([], [])), strict=True)}
+
+
+def test_the_physics_parser_reads_what_was_simulated(mixed, tmp_path):
+    path = tmp_path / "mixed.usdc"
+    wr.export_usd(start_of(mixed), path)
+    bodies = parsed(path, UsdPhysics.ObjectType.RigidBody)
+    root = "/World/env_0000"
+    assert set(bodies) == {f"{root}/{name}" for name in ("rail_1_1", "capsule_4", "cylinder_5", "mesh_6", "_rd_table")}
+    assert [path for path, body in bodies.items() if body.kinematicBody] == [f"{root}/_rd_table"]
+    np.testing.assert_allclose(bodies[f"{root}/capsule_4"].position, (1, 0, 2), atol=1e-6)
+    # The parser gives velocities as they are in the file: in the body's frame, in degrees.
+    turn = rotation_matrix(mixed.bodies[4].orientation)
+    spin = np.radians(turn @ np.array(bodies[f"{root}/capsule_4"].angularVelocity))
+    np.testing.assert_allclose(spin, (4, 5, 6), rtol=1e-5)
+    (gravity,) = parsed(path, UsdPhysics.ObjectType.Scene).values()
+    np.testing.assert_allclose(
+        np.array(gravity.gravityDirection) * gravity.gravityMagnitude, (0.3, 0.0, -3.7), rtol=1e-6, atol=1e-6
+    )
+    (mesh,) = (d for p, d in parsed(path, UsdPhysics.ObjectType.MeshShape).items() if "mesh_6" in p)
+    assert mesh.approximation == "none" and len(mesh.materials) == 1
+    capsules = parsed(path, UsdPhysics.ObjectType.CapsuleShape)
+    (capsule,) = capsules.values()
+    assert (capsule.radius, capsule.halfHeight) == (pytest.approx(0.1), pytest.approx(0.3))
+    materials = parsed(path, UsdPhysics.ObjectType.RigidBodyMaterial)
+    assert materials[str(mesh.materials[0])].restitution == pytest.approx(0.25)
+
+
+def test_mass_properties_are_those_simulated(mixed, tmp_path):
+    path = tmp_path / "mixed.usdc"
+    wr.export_usd(start_of(mixed), path)
+    stage = Usd.Stage.Open(str(path))
+    body = mixed.bodies[3]
+    api = UsdPhysics.MassAPI(stage.GetPrimAtPath("/World/env_0000/rail_1_1"))
+    axes = rotation_matrix(
+        (*api.GetPrincipalAxesAttr().Get().GetImaginary(), api.GetPrincipalAxesAttr().Get().GetReal())
+    )
+    inertia = axes @ np.diag(api.GetDiagonalInertiaAttr().Get()) @ axes.T
+    wanted = body.shape.inertia * body.mass / body.shape.volume
+    np.testing.assert_allclose(inertia, wanted, atol=1e-5 * np.abs(wanted).max())
+    np.testing.assert_allclose(api.GetCenterOfMassAttr().Get(), body.shape.center_of_mass, atol=1e-6)
+
+
+def test_each_environment_has_its_own_values_and_belongs_to_its_own_physics(mixed, tmp_path):
+    class Varied(Resting):
+        def get(self, name):
+            factor = np.array([[1.0], [0.5]]) if name in ("gravity", "friction") else 1.0
+            return super().get(name) * factor
+
+    sim = Varied(mixed, 2)
+    recorder = Recorder(sim, 60.0)
+    recorder.capture(sim)
+    path = tmp_path / "two.usdc"
+    wr.export_usd(recorder.recording(), path, profile="scene")
+    with pytest.raises(ValueError, match="several gravities; choose a root, one of /World/env_0000, /World/env_0001"):
+        wr.import_usd(path)
+    first, second = (wr.import_usd(path, root, strict=True) for root in ("/World/env_0000", "/World/env_0001"))
+    assert_same(mixed, first)
+    np.testing.assert_allclose(second.gravity, 0.5 * np.array(mixed.gravity), rtol=1e-6)
+    assert [body.friction for body in second.bodies] == pytest.approx([0.5 * body.friction for body in mixed.bodies])
+    for kind in (UsdPhysics.ObjectType.RigidBody, UsdPhysics.ObjectType.CubeShape, UsdPhysics.ObjectType.PlaneShape):
+        for site, description in parsed(path, kind).items():
+            env = site.split("/")[2]
+            owners = [str(owner) for owner in description.simulationOwners]
+            if kind == UsdPhysics.ObjectType.RigidBody or "rail_1/" in site or "slope" in site:
+                assert owners == [f"/World/{env}/PhysicsScene"], site
+
+
+@pytest.mark.parametrize("frame", [0, 7, 24])
+def test_poses_over_time_are_the_recordings(frame, tmp_path):
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    scene.add_body(wr.Box((0.1, 0.2, 0.3)), position=(1, 2, 3), name="brick")
+    recording = wr.record(FakeSimulator(scene), 24, fps=24.0)
+    wr.export_usd(recording, tmp_path / "film.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "film.usdc"))
+    brick = stage.GetPrimAtPath("/World/env_0000/brick")
+    matrix = np.array(UsdGeom.XformCache(frame).GetLocalToWorldTransform(brick)).T
+    np.testing.assert_array_equal(matrix[:3, 3].astype(np.float32), recording.position[frame, 0, 1])
+    turn = rotation_matrix(recording.orientation[frame, 0, 1].astype(float))
+    np.testing.assert_allclose(matrix[:3, :3], turn, atol=3e-7)
+
+
+def test_small_films_are_scenes_and_large_ones_animations(tmp_path):
+    def instancers(count, **options):
+        scene = wr.Scene()
+        for i in range(count):
+            scene.add_body(wr.Sphere(0.1), position=(i, 0, 0))
+        wr.export_usd(start_of(scene), tmp_path / "film.usdc", **options)
+        stage = Usd.Stage.Open(str(tmp_path / "film.usdc"))
+        return sum(prim.IsA(UsdGeom.PointInstancer) for prim in stage.Traverse())
+
+    assert instancers(3) == 0 and instancers(2001) == 1
+    assert instancers(3, profile="animation") == 1
+
+
+def test_a_saved_recording_has_no_physics_but_a_film(tmp_path):
+    scene = scenes.load("box_stack")
+    start_of(scene).save(tmp_path / "run.npz")
+    loaded = wr.Recording.load(tmp_path / "run.npz")
+    wr.export_usd(loaded, tmp_path / "film.usdc")
+    assert check_usd(tmp_path / "film.usdc") == []
+    with pytest.raises(ValueError, match="profile: a recording that was read from a file has no masses"):
+        wr.export_usd(loaded, tmp_path / "film.usdc", profile="scene")
