@@ -36,6 +36,9 @@ FLAT = wp.constant(0.01)
 FOUND = wp.constant(1.0e-4)
 """An edge's place is found when it moves by less than this part of the half-length."""
 
+ASIDE = wp.constant(0.01)
+"""How far to the sides of a crossing its directions are taken, as a part of the half-length."""
+
 DONE = wp.constant(-1)
 
 EDGE_MIDDLE = wp.constant(0)
@@ -45,6 +48,8 @@ EDGE_INSIDE = wp.constant(3)
 EDGE_LAST_INSIDE = wp.constant(7)
 EDGE_CLAMPED = wp.constant(8)
 EDGE_FACING = wp.constant(9)
+EDGE_BEFORE = wp.constant(10)
+EDGE_AFTER = wp.constant(11)
 
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
@@ -78,7 +83,7 @@ class Search:
     slope_low: float
     slope_high: float
     turning: float
-    mixture: wp.vec3
+    way: wp.vec3
 
 
 @wp.func
@@ -134,7 +139,6 @@ def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
     if low < -STEEP and high > STEEP:
         search.turning = 0.0
         search.crossing = 1
-    search.mixture = wp.max(high, 0.0) * gradient(search.low) + wp.max(-low, 0.0) * gradient(d)
     search.stage = EDGE_INSIDE
     search = next_inside(search)
     if convex == 1 and search.low[3] + low * (search.t - search.left) > reach:
@@ -144,27 +148,35 @@ def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
 
 @wp.func
 def edge_found(search: Search, radius: float, convex: int, weight: float):
-    """The place is found. A flat edge is measured once more, to the faces that its own normal opposes.
-
-    On a convex shape the direction of a crossing is the mixture of both faces' without slope along the edge: it is
-    perpendicular to both edges. Along it the edge is d / (g . n) away where both faces are d away.
-    """
-    if radius > 0.0 and convex == 0:
-        # The middle line of a rod may lie beyond a grid where its surface does not.
-        search.start = search.query
-        search.stage = BALL_CENTER
+    """The place is found. A crossing looks to both sides, a flat edge is measured to the faces its normal opposes."""
+    if search.crossing == 1 and convex == 1:
+        search.stage = EDGE_BEFORE
+        search.query = search.start + (search.t - ASIDE * search.half) * search.along
         return search
-    if search.crossing == 1:
-        search.stage = DONE
-        if convex == 1:
-            search.direction = direction_or_up(search.mixture)
-            if search.distance < 0.0:
-                search.distance /= wp.max(wp.dot(gradient(search.low), search.direction), 0.3)
-    else:
-        search.stage = EDGE_FACING
-        search.facing = weight * search.normal
+    search.stage = wp.where(search.crossing == 1, DONE, EDGE_FACING)
+    search.facing = weight * search.normal
     search.distance -= radius
     search.query -= radius * search.direction
+    return search
+
+
+@wp.func
+def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float):
+    """The direction of a crossing of a convex shape's edge, from the gradients on both sides of it.
+
+    Their mixture without slope along the edge is perpendicular to both edges. Along it the edge is d / (g . n) away
+    where both faces are d away.
+    """
+    rise = wp.max(slope(after, search.along), 0.0)
+    fall = wp.max(-slope(before, search.along), 0.0)
+    mixture = rise * gradient(before) + fall * gradient(after)
+    if wp.length_sq(mixture) > 0.0:
+        search.direction = wp.normalize(mixture)
+        if search.distance < 0.0:
+            search.distance /= wp.max(wp.dot(gradient(before), search.direction), 0.3)
+    search.stage = DONE
+    search.distance -= radius
+    search.query = search.start + search.t * search.along - radius * search.direction
     return search
 
 
@@ -188,6 +200,13 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         return look_at(search, search.right)
     if search.stage == EDGE_HIGH:
         return edge_has_ends(search, d, reach + radius, convex)
+    if search.stage == EDGE_BEFORE:
+        search.low = d
+        search.stage = EDGE_AFTER
+        search.query = search.start + (search.t + ASIDE * search.half) * search.along
+        return search
+    if search.stage == EDGE_AFTER:
+        return edge_crossed(search, search.low, d, radius)
     if search.stage == EDGE_FACING:
         if d[3] < search.distance - BORDER * size:
             return nowhere(search)
@@ -260,16 +279,16 @@ def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int
         return search
     if search.stage == BALL_FIRST or d[3] < search.distance:
         if search.stage > BALL_FIRST:
-            search.along = search.mixture
+            search.along = search.way
             search.t = wp.min(2.0 * search.t, search.half)
         search.direction = gradient(d)
         search.distance = d[3]
     else:
         search.t *= 0.5
-    search.mixture = direction_or_up((1.0 - search.t) * search.along + search.t * search.direction)
+    search.way = direction_or_up((1.0 - search.t) * search.along + search.t * search.direction)
     if search.stage == BALL_LAST:
-        search.mixture = search.along
-    search.query = search.start - radius * search.mixture
+        search.way = search.along
+    search.query = search.start - radius * search.way
     search.stage = wp.where(search.stage == BALL_LAST, DONE, search.stage + 1)
     return search
 
