@@ -6,10 +6,7 @@ from warp_rigid.kernels.data import Bodies, Pairs, Shapes, State
 from warp_rigid.kernels.distance import signed_distance
 from warp_rigid.kernels.samples import bring_to_touch
 
-wp.set_module_options({"enable_backward": False})
-
-NARROWPHASE = wp.get_module("warp_rigid.kernels.narrowphase")
-"""Kernels that evaluate distances share one compilation unit."""
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
 @wp.func
@@ -31,7 +28,7 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
     return deepest
 
 
-@wp.kernel(module=NARROWPHASE)
+@wp.kernel
 def deepest_overlap(
     bodies_per_env: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array[float]
 ):

@@ -19,10 +19,8 @@ from warp_rigid.kernels.narrowphase import NEAR, matters
 from warp_rigid.kernels.predict import DRIVEN, FREE, UNBOUNDED
 from warp_rigid.kernels.samples import RIM
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-NARROWPHASE = wp.get_module("warp_rigid.kernels.narrowphase")
-"""Kernels that evaluate distances share one compilation unit."""
 
 FAST = wp.constant(0.25)
 """A pair is followed if it moves further in a step than this part of the smaller size."""
@@ -213,7 +211,7 @@ def limit_way(dt: float, state: State, motions: Motions):
     motions.next_share[b] = share
 
 
-@wp.kernel(module=NARROWPHASE)
+@wp.kernel
 def follow(
     again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):

@@ -66,6 +66,8 @@ def load_kernels(device: Any, baking: bool, on_module: Callable[[int, int], None
     """
     modules = [
         narrowphase,
+        swept,
+        overlap,
         *([bake] if baking else []),
         integrate,
         collisions,
@@ -76,7 +78,6 @@ def load_kernels(device: Any, baking: bool, on_module: Callable[[int, int], None
         line_search,
         push_out,
         predict,
-        swept,
         broadphase,
         contacts,
         rest,

@@ -12,7 +12,6 @@ from warp_rigid.validation.common import NO_GRAVITY, level_ground, random_turns,
 from warp_rigid.validation.experiment import Experiment, Start
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
-CROSSING = "where edges cross deep enough, no sample of one box opposes the face of the other that it is under"
 SHARP = "edges that meet at 6 m/s come 60 mm nearer in a step of 0.01 s; their overlap is gone five steps later"
 OVER = 1e-4
 """Height of a tip above what it is dropped on [m]."""
@@ -23,7 +22,7 @@ def cases(quick: bool) -> list[Case]:
     listed = [sliding_tips(), tips_on_tips(), internal_edges(0.5 if quick else 2.0), push_out()]
     if quick:
         return [*listed, random_overlaps(256)]
-    return [*listed, random_overlaps(2048, Miss(CROSSING, 0.01)), bypass(1 / 240), bypass(0.05)]
+    return [*listed, random_overlaps(2048), bypass(1 / 240), bypass(0.05)]
 
 
 def spike_mesh(cells=64) -> Mesh:
@@ -208,7 +207,7 @@ def push_out():
             ),
             check(lambda s: each(lambda t: t.overlap[-1])(s[:-2]), names(experiments)),
             check(lambda s: s[-2].overlap[-1], names((stuck,)), Miss(reason, 0.1)),
-            check(lambda s: s[-1].overlap[-1], crossing.variants, Miss(CROSSING, 0.005)),
+            check(lambda s: s[-1].overlap[-1], crossing.variants),
             Check("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-6)),
         ),
         (*experiments, stuck, crossing),
