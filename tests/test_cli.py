@@ -194,7 +194,7 @@ def test_capacity_is_status_3(capsys):
 
 
 def test_interruption_is_status_130(capsys, scene_file, monkeypatch):
-    def interrupt(*_):
+    def interrupt(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(runner, "execute", interrupt)

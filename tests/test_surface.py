@@ -13,7 +13,7 @@ from warp_rigid.scene import Motion, Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, HarmonicMotion, Heightfield, Sphere
 from warp_rigid.simulator import Simulator
-from warp_rigid.usd_export import export_usd
+from warp_rigid.usd import export_usd
 
 DT = 1.0 / 240.0
 FREQUENCY = 2.0 * math.pi * 2.0
@@ -162,12 +162,12 @@ def test_recordings_and_films_show_the_ground_as_it_is(device, tmp_path):
     scene, field = wave_scene(friction=0.5)
     recording = record(Simulator(scene, device=device), frames=6, fps=20)
     recording.save(tmp_path / "wave.npz")
-    export_usd(recording, tmp_path / "wave.usdc")
-    films = [
-        film_from_recording(recording),
-        film_from_recording(Recording.load(tmp_path / "wave.npz")),
-        film_from_usd(tmp_path / "wave.usdc"),
-    ]
+    films = [film_from_recording(recording), film_from_recording(Recording.load(tmp_path / "wave.npz"))]
+    for profile in ("animation", "scene"):
+        for layout in ("single", "payloads", "clips"):
+            path = tmp_path / f"{profile}_{layout}.usdc"
+            export_usd(recording, path, profile=profile, layout=layout)
+            films.append(film_from_usd(path))
     for film in films:
         (ground,) = (mesh for mesh in film.meshes if mesh.frames)
         for frame, vertices in enumerate(ground.frames):
