@@ -93,6 +93,10 @@ def assert_same_shape(mine, theirs):
     if isinstance(mine, wr.Mesh):
         assert isinstance(theirs, wr.Mesh) and mine.sdf_resolution == theirs.sdf_resolution
         return
+    if isinstance(mine, wr.Heightfield):
+        assert mine.moving == theirs.moving and mine.angular_frequency == theirs.angular_frequency
+        np.testing.assert_array_equal(mine.amplitude, theirs.amplitude)
+        np.testing.assert_array_equal(mine.phase, theirs.phase)
     points = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * 2.0 * size
     np.testing.assert_allclose(
         mine.signed_distance(points)[0], theirs.signed_distance(points)[0], rtol=0, atol=2e-6 * max(size, 1.0)

@@ -58,14 +58,6 @@ class Surface:
     angular_frequency: float = 0.0
 
     @property
-    def reach(self) -> np.ndarray:
-        """Where the vertices get to, (k, 3) float32 [m]."""
-        if not self.moves:
-            return self.vertices
-        rise = np.hypot(*self.swing)[:, None] * np.array([0.0, 0.0, 1.0])
-        return np.concatenate([self.vertices - rise, self.vertices + rise]).astype(np.float32)
-
-    @property
     def moves(self) -> bool:
         """Whether the surface changes its shape in time."""
         return self.swing.size > 0

@@ -5,6 +5,7 @@ It holds no physics, but ten thousand bodies take two milliseconds a frame.
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Tf, Vt
@@ -63,7 +64,7 @@ class Instancers:
             surface = self._film.surface[bodies[0]]
             group = _Group(
                 bodies,
-                bound_corners(self._film.surfaces[surface].reach),
+                bound_corners(self._film.surfaces[surface].vertices_at(frame.time)),
                 np.ascontiguousarray(frame.position[self._row, bodies]),
                 np.ascontiguousarray(frame.orientation[self._row, bodies]),
                 colors[bodies],
@@ -98,7 +99,11 @@ class Instancers:
             # q and -q are one rotation, but a reader that interpolates goes from the one to the other literally.
             turned = np.einsum("ij,ij->i", orientation, group.orientation) < 0.0
             orientation[turned] *= -1.0
-            values = {}
+            values: dict[str, Any] = {}
+            surface = self._film.surfaces[self._film.surface[group.bodies[0]]]
+            if surface.moves:
+                group.corners = bound_corners(surface.vertices_at(frame.time))
+                values |= _pose_values(group)
             if not (np.array_equal(position, group.position) and np.array_equal(orientation, group.orientation)):
                 group.position, group.orientation = position, orientation
                 values |= _pose_values(group)
@@ -112,6 +117,7 @@ class Instancers:
     def _velocity_values(self, group: _Group, frame: Frame) -> dict:
         """Velocities of the instances' origins [m/s], and about them [degree/s]."""
         bodies = group.bodies
+        assert frame.angular_velocity is not None and frame.linear_velocity is not None
         spin = frame.angular_velocity[self._row, bodies]
         centers = np.array([_center(self._film, body) for body in bodies])
         arm = rotate(group.orientation, centers)

@@ -35,7 +35,9 @@ class Bodies:
 
     def __init__(self, film: Recording, row: int, color: str, several: bool):
         """Nothing is written yet."""
+        assert film.scene is not None
         self._film, self._row, self._color, self._several = film, row, color, several
+        self._scene = film.scene
         self._place: list[Track] = []
         self._turn: list[Track] = []
         self._hue: list[Track] = []
@@ -49,7 +51,7 @@ class Bodies:
             library: takes the colliders.
             frame: the first frame.
         """
-        scene, start = self._film.scene, self._film.start
+        scene, start = self._scene, self._film.start
         _write_scene(samples.layer, f"{root}/{PHYSICS_SCENE}", scene, start["gravity"][self._row])
         self._position = frame.position[self._row].copy()
         self._orientation = frame.orientation[self._row].copy()
@@ -72,7 +74,7 @@ class Bodies:
 
     def _keep_apart(self, layer: Sdf.Layer, paths: list[str]) -> None:
         """Name for each body those that it passes through; static ones by their colliders, being no bodies in USD."""
-        scene = self._film.scene
+        scene = self._scene
         partners: dict[int, list[str]] = {}
         for pair in sorted(scene.filtered_pairs):
             body, other = sorted(pair, key=lambda index: -scene.bodies[index].motion)

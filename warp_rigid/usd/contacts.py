@@ -27,6 +27,7 @@ class ContactMarks:
 
     def __init__(self, film: Recording, row: int):
         """Nothing is written yet."""
+        assert film.scene is not None
         self._env = film.envs[row]
         dynamic = [body for body in film.scene.bodies if body.motion == Motion.DYNAMIC]
         self._size = float(np.median([body.shape.size for body in dynamic])) if dynamic else 1.0
@@ -61,6 +62,7 @@ class ContactMarks:
         self._count = count
 
     def _values(self, frame: Frame) -> dict:
+        assert frame.contacts is not None
         records = frame.contacts[frame.contacts["env"] == self._env]
         start = np.ascontiguousarray(records["position"], dtype=np.float32)
         ends = np.stack([start, start + np.float32(self._scale) * records["impulse"]], axis=1).reshape(-1, 3)

@@ -39,11 +39,11 @@ def filter_pairs(stage: Usd.Stage, scene: Scene, body_of: dict[str, int], told: 
 
 def _by_relationship(body_of: dict[str, int], told: dict) -> set[tuple[str, str]]:
     """Colliders kept apart by name: of themselves, or of the bodies to which they belong."""
-    apart = set()
+    apart: set[tuple[str, str]] = set()
     for path, description in told.items():
         for target in map(str, description.filteredCollisions):
             for one in _below(path, body_of):
-                apart |= {tuple(sorted((one, other))) for other in _below(target, body_of)}
+                apart |= {(min(one, other), max(one, other)) for other in _below(target, body_of)}
     return apart
 
 
@@ -63,7 +63,7 @@ def _by_group(stage: Usd.Stage, body_of: dict[str, int], told: dict) -> set[tupl
     table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage)
     groups = sorted(members)
     return {
-        tuple(sorted((one, other)))
+        (min(one, other), max(one, other))
         for index, first in enumerate(groups)
         for second in groups[index:]
         if not table.IsCollisionEnabled(first, second)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Vt
@@ -62,14 +63,14 @@ class Library:
         for surface, tracks in self._moving.values():
             points = surface.vertices_at(time)
             normals = corner_normals(points, surface.faces).reshape(-1, 3)
-            self._samples.put(tracks, frame, [Vt.Vec3fArray.FromNumpy(points), Vt.Vec3fArray.FromNumpy(normals)])
+            values = [Vt.Vec3fArray.FromNumpy(points), Vt.Vec3fArray.FromNumpy(normals), _extent(points)]
+            self._samples.put(tracks, frame, values)
 
     def _write(self, prim: Sdf.PrimSpec, surface: Surface) -> None:
         """Triangles as they are in the first frame; those that move are followed."""
         write_mesh(prim, surface.vertices_at(self._time), surface.faces)
         if surface.moves:
-            set_attribute(prim, "extent", Sdf.ValueTypeNames.Float3Array, _extent(surface.reach))
-            tracks = [self._samples.track(prim.attributes[name]) for name in ("points", "normals")]
+            tracks = [self._samples.track(prim.attributes[name]) for name in ("points", "normals", "extent")]
             self._moving[str(prim.path)] = surface, tracks
 
     def fit_plane(self, shape: Shape, width: float) -> None:
@@ -93,7 +94,7 @@ class Library:
             define(self.layer, path, "Xform")
             _write_material(self.layer, f"{path}/material", material)
             for index, (part, position, orientation) in enumerate(simple_shapes(shape)):
-                prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation)
+                prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, self._time)
                 if moves(part):
                     self._write(prim, drawn_surface(part))
                 relate(prim, "material:binding:physics", f"{path}/material")
@@ -144,8 +145,8 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
     ]
 
 
-def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientation) -> Sdf.PrimSpec:
-    """One collider."""
+def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientation, time: float) -> Sdf.PrimSpec:
+    """One collider as it is at a time [s]."""
     names = Sdf.ValueTypeNames
     if isinstance(shape, Plane):
         position, orientation = frame_of_plane(shape)
@@ -167,8 +168,8 @@ def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientatio
         set_attribute(prim, "axis", names.Token, "Z", uniform=True)
         set_attribute(prim, "width", names.Double, PLANE_WIDTH)
         set_attribute(prim, "length", names.Double, PLANE_WIDTH)
-    else:
-        _write_triangles(prim, shape)
+    elif isinstance(shape, Mesh | Heightfield):
+        _write_triangles(prim, shape, time)
     if not isinstance(shape, Mesh | Heightfield):
         set_attribute(prim, "extent", names.Float3Array, _gprim_extent(shape))
     write_pose(prim, position, orientation, scale)
@@ -181,14 +182,23 @@ _TYPES = {
 }  # fmt: skip
 
 
-def _write_triangles(prim: Sdf.PrimSpec, shape: Mesh | Heightfield) -> None:
+def _write_triangles(prim: Sdf.PrimSpec, shape: Mesh | Heightfield, time: float) -> None:
     """Exact triangles, with the resolution of the grid of signed distances that stands for them."""
     names = Sdf.ValueTypeNames
     write_mesh(prim, *shape.surface())
     set_attribute(prim, "physics:approximation", names.Token, "none", uniform=True)
     if isinstance(shape, Heightfield):
         rows, columns = shape.heights.shape
-        prim.SetInfo("customData", {MARK: {"heightfieldRows": rows, "heightfieldColumns": columns}})
+        told: dict[str, Any] = {"heightfieldRows": rows, "heightfieldColumns": columns}
+        if shape.moving:
+            told |= {
+                "heightfieldHeights": Vt.DoubleArray(shape.heights.reshape(-1).tolist()),
+                "heightfieldAmplitude": Vt.DoubleArray(shape.amplitude.reshape(-1).tolist()),
+                "heightfieldPhase": Vt.DoubleArray((shape.phase + shape.angular_frequency * time).reshape(-1).tolist()),
+                "heightfieldSize": Vt.DoubleArray(shape.extent.tolist()),
+                "heightfieldFrequency": shape.angular_frequency,
+            }
+        prim.SetInfo("customData", {MARK: told})
         return
     rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
     set_attribute(prim, "newton:sdfMaxResolution", names.Int, rounded, uniform=True)

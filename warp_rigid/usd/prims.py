@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom
 from warp_rigid import tessellation
 from warp_rigid.checks import whole_in
 from warp_rigid.mesh_files import usd_triangles
-from warp_rigid.shapes import Box, Capsule, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
+from warp_rigid.shapes import Box, Capsule, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.usd.geometry import MARK, quaternion_of_matrix
 
 __all__ = ["Unreadable", "marked", "matrix_of", "place", "triangles_of"]
@@ -138,7 +138,7 @@ def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[s
     if "heightfieldRows" in told:
         heights = vertices[:, 2].reshape(told["heightfieldRows"], told["heightfieldColumns"])
         if np.array_equal(matrix, np.eye(4)):
-            return Heightfield(heights, np.ptp(vertices[:, :2], axis=0))
+            return Heightfield(*_field(told, heights, np.ptp(vertices[:, :2], axis=0)))
     if not len(faces):
         raise Unreadable("the mesh has no triangles")
     attribute = prim.GetAttribute("physics:approximation")
@@ -148,6 +148,16 @@ def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[s
     if told:
         return _solid(vertices, faces, matrix, int(told["sdfResolution"]), [])
     return _solid(vertices, faces, matrix, _resolution(prim, vertices, matrix, sdf_resolution, notes), notes)
+
+
+def _field(told: dict, heights: np.ndarray, size: np.ndarray) -> tuple:
+    """Heights, size and motion of a height field; a field that moves has its mean heights beside the drawn ones."""
+    if "heightfieldFrequency" not in told:
+        return heights, size, None
+    mean, amplitude, phase = (
+        np.array(told[f"heightfield{name}"]).reshape(heights.shape) for name in ("Heights", "Amplitude", "Phase")
+    )
+    return mean, np.array(told["heightfieldSize"]), HarmonicMotion(amplitude, told["heightfieldFrequency"], phase)
 
 
 def _resolution(prim: Usd.Prim, vertices, matrix, otherwise: int, notes: list[str]) -> int:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
@@ -10,7 +11,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.geometry import quaternion_matrix
 from warp_rigid.scene import Motion, Scene
-from warp_rigid.shapes import Compound, Shape
+from warp_rigid.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
@@ -230,9 +231,13 @@ class Reader:
             solid = [collider for collider in found if not collider.shape.static_only]
             groups = [[collider] for collider in endless] + ([solid] if solid else [])
         else:
+            fields = [collider for collider in endless if isinstance(collider.shape, Heightfield)]
+            kept = fields if body.motion == Motion.KINEMATIC else []
             for collider in endless:
-                self._leave_out(collider.prim.GetPath(), "planes and height fields can only be static")
-            groups = [[collider for collider in found if not collider.shape.static_only]]
+                if collider not in kept:
+                    self._leave_out(collider.prim.GetPath(), "planes and height fields can not be dynamic")
+            groups = [[collider] for collider in kept]
+            groups.append([collider for collider in found if not collider.shape.static_only])
         self._note_motion(body)
         for group in groups:
             if group:
@@ -240,7 +245,7 @@ class Reader:
 
     def _add_group(self, scene: Scene, body: _Body, group: list[_Collider], position, rotation) -> None:
         shape, where, turn = _joined(group, body.motion)
-        common = {
+        common: dict[str, Any] = {
             "position": position + rotation @ where,
             "orientation": quaternion_of_matrix(rotation @ quaternion_matrix(turn)),
             "name": body.prim.GetDisplayName() or body.prim.GetName(),
@@ -250,7 +255,8 @@ class Reader:
             if body.motion == Motion.STATIC:
                 index = scene.add_static(shape, **common)
             elif body.motion == Motion.KINEMATIC:
-                index = scene.add_kinematic(shape, **common, **self._velocities(body.prim, rotation))
+                common |= self._velocities(body.prim, rotation)
+                index = scene.add_kinematic(shape, **common)
             else:
                 common |= self._velocities(body.prim, rotation)
                 index = scene.add_body(shape, mass=self._mass(body, group, shape), **common)
@@ -391,5 +397,5 @@ def _positive(attribute: Usd.Attribute) -> float | None:
     return float(value) if value is not None and 0.0 < value < math.inf else None
 
 
-def _words(kind: Types) -> str:
+def _words(kind: Any) -> str:
     return str(kind).rpartition(".")[2]

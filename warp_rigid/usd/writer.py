@@ -111,7 +111,7 @@ class UsdWriter:
         if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
             self.flush()
         if self._package:
-            self._pack()
+            self._pack(self._package)
         elif self._live and self._profile == "scene":
             self._compact()
 
@@ -157,6 +157,7 @@ class UsdWriter:
         if self._film.labels[row]:
             prim.SetInfo("displayName", self._film.labels[row])
         color, several = self._options.color, len(self._rows) > 1
+        body_writer: Bodies | Instancers
         if self._profile == "scene":
             body_writer = Bodies(self._film, row, color, several)
         else:
@@ -184,7 +185,7 @@ class UsdWriter:
                 continue
             if self._profile == "animation":
                 self._library.mesh(index, surface)
-            else:
+            elif self._film.scene is not None:
                 shape = self._film.scene.bodies[int(np.flatnonzero(self._film.surface == index)[0])].shape
                 width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
                 self._library.fit_plane(shape, width)
@@ -200,7 +201,7 @@ class UsdWriter:
         """How the root names a file beside it."""
         return f"./{self._parts.name}/{Path(part.realPath).name}"
 
-    def _pack(self) -> None:
+    def _pack(self, package: tempfile.TemporaryDirectory) -> None:
         """Make the one file of a .usdz."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -208,7 +209,7 @@ class UsdWriter:
         except Tf.ErrorException:
             written = False
         finally:
-            self._package.cleanup()
+            package.cleanup()
         if not written:
             raise OSError(f"{self._path}: cannot be written")
 
