@@ -75,6 +75,8 @@ class Demo:
         settings: what all variants of this scene need to differ from `Settings()`.
         vary: function(sim, **parameters) that gives each environment of a batch a start of its own; None if all
             start alike. A run that compares settings leaves the starts alike.
+        goes_with: for settings by name and value, what a sweep over that setting also sets, unless it is told
+            otherwise: what it takes to see in this scene what the value is known for.
     """
 
     name: str
@@ -86,6 +88,7 @@ class Demo:
     events: Callable[[Scene], list[tuple[float, Callable[[Any], None]]]] = no_events
     settings: dict[str, Any] = field(default_factory=dict)
     vary: Callable[..., None] | None = None
+    goes_with: dict[str, dict[Any, dict[str, Any]]] = field(default_factory=dict)
 
     @property
     def parameters(self) -> dict[str, Any]:

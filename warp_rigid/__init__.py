@@ -19,6 +19,7 @@ from warp_rigid.scene import Body, Motion, Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.simulator import Simulator
+from warp_rigid.sweep import Choice, Integers, LogUniform, Normal, SweepResult, Uniform, search, sweep
 from warp_rigid.usd import UsdStream, export_usd, import_usd
 
 __version__ = "0.1.0"
@@ -28,13 +29,17 @@ __all__ = [
     "Box",
     "CapacityError",
     "Capsule",
+    "Choice",
     "Compound",
     "Cylinder",
     "HarmonicMotion",
     "Heightfield",
+    "Integers",
+    "LogUniform",
     "Mesh",
     "Motion",
     "NonFiniteError",
+    "Normal",
     "Plane",
     "PointField",
     "Recording",
@@ -43,6 +48,8 @@ __all__ = [
     "Shape",
     "Simulator",
     "Sphere",
+    "SweepResult",
+    "Uniform",
     "UniformField",
     "UsdStream",
     "export_gltf",
@@ -50,4 +57,6 @@ __all__ = [
     "import_usd",
     "record",
     "scenes",
+    "search",
+    "sweep",
 ]

@@ -299,6 +299,13 @@ def counts(sim: "Simulator") -> dict[str, int]:
     }
 
 
+def counts_of_environments(sim: "Simulator") -> tuple[np.ndarray, np.ndarray]:
+    """Pairs and contacts of the last step in each environment, two (envs,) arrays."""
+    history = sim._pools.history
+    pairs = history.pair_start.numpy()[:: sim.num_bodies]
+    return np.diff(pairs), np.diff(history.contact_start.numpy()[pairs])
+
+
 def _rotations(sim: "Simulator") -> np.ndarray:
     """Rotation matrices of all bodies in float64, (envs, bodies, 3, 3)."""
     x, y, z, w = np.moveaxis(read(sim, "orientation").astype(np.float64), -1, 0)

@@ -10,14 +10,16 @@ import inspect
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from warp_rigid.access import COEFFICIENTS, STATE_NAMES
 from warp_rigid.checks import shown
 from warp_rigid.settings import Settings
 
-__all__ = ["COEFFICIENTS", "PROPERTIES", "Assignments", "parse_assignment", "sort_assignments"]
+__all__ = ["COEFFICIENTS", "PROPERTIES", "Assignments", "parse_assignment", "place_of", "sort_assignments"]
 
-COEFFICIENTS = ("friction", "restitution", "rolling_friction", "spinning_friction")
-PROPERTIES = (*COEFFICIENTS, "mass", "linear_velocity", "angular_velocity", "gravity")
+PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "gravity")
 """What can be set in a simulation beside the settings; all bodies get the same value."""
+
+SETTINGS = tuple(f.name for f in fields(Settings))
 
 
 @dataclass
@@ -42,20 +44,52 @@ class Assignments:
         return max((len(values) for values in self.batched.values()), default=None)
 
 
-def parse_assignment(text: str) -> tuple[str, list]:
+def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     """Split "name=value" or "name=value,value,..." into the name and its values.
 
     A value is a number, true, false, a vector in brackets such as (0,0,-9.81), or else a word.
+
+    Args:
+        text: what to split.
+        flag: where it comes from, for the message.
 
     Raises:
         ValueError: The text has another form.
     """
     name, equals, values = text.partition("=")
-    name = name.strip().replace("-", "_")
+    name, bracket, bodies = name.strip().partition("[")
+    name = name.replace("-", "_")
     parts = [part.strip() for part in _split(values)]
-    if not equals or not name.isidentifier() or not all(parts):
-        raise ValueError(f"--set: must be name=value or name=value,value,..., got {shown(text)}")
-    return name, [_value(part) for part in parts]
+    if not equals or not name.isidentifier() or (bracket and not bodies.endswith("]")) or not all(parts):
+        raise ValueError(f"{flag}: must be name=value or name=value,value,..., got {shown(text)}")
+    return name + bracket + bodies, [_value(part) for part in parts]
+
+
+def place_of(name: str, parameters, flag: str = "--set") -> str:
+    """Say what a name sets: "scene", "setting" or "property".
+
+    A parameter of the scene comes before a property of the same name, since the scene knows which bodies it means.
+
+    Args:
+        name: the name; that of a property can choose bodies, such as "mass[box_*]".
+        parameters: the names of the scene's parameters.
+        flag: where it comes from, for the message.
+
+    Raises:
+        ValueError: The name is unknown, or chooses bodies where there are none to choose.
+    """
+    plain, bracket, _ = name.partition("[")
+    if bracket:
+        if plain not in PROPERTIES or plain == "gravity":
+            raise ValueError(f"{flag} {name}: is no property of bodies, so it cannot choose bodies")
+        return "property"
+    if name in parameters:
+        return "scene"
+    if name in SETTINGS:
+        return "setting"
+    if name in PROPERTIES:
+        return "property"
+    raise ValueError(_unknown(name, (*parameters, *SETTINGS, *PROPERTIES), flag))
 
 
 def sort_assignments(texts, build) -> Assignments:
@@ -69,7 +103,6 @@ def sort_assignments(texts, build) -> Assignments:
         ValueError: A name is unknown or given twice, or lists differ in length.
     """
     parameters = tuple(inspect.signature(build).parameters)
-    settings = tuple(f.name for f in fields(Settings))
     result, seen = Assignments(), set()
     for text in texts:
         name, values = parse_assignment(text)
@@ -77,17 +110,16 @@ def sort_assignments(texts, build) -> Assignments:
             raise ValueError(f"--set {name}: given twice")
         seen.add(name)
         several = len(values) > 1
-        if name in parameters and not (several and name in PROPERTIES):
+        place = place_of(name, parameters)
+        if place == "scene" and not (several and name in PROPERTIES):
             if several:
                 raise ValueError(f"--set {name}: is a parameter of the scene and takes one value, not a list")
             result.scene[name] = values[0]
-        elif name not in settings and name not in PROPERTIES:
-            raise ValueError(_unknown(name, parameters + settings + PROPERTIES))
         elif several and name == "dt":
             raise ValueError("--set dt: is one for the whole simulation and takes one value")
         elif several:
             result.batched[name] = values
-        elif name in settings:
+        elif place == "setting":
             result.settings[name] = values[0]
         else:
             result.properties[name] = values[0]
@@ -119,7 +151,7 @@ def _value(text: str) -> Any:
         return text
 
 
-def _unknown(name: str, names: tuple[str, ...]) -> str:
+def _unknown(name: str, names: tuple[str, ...], flag: str) -> str:
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(dict.fromkeys(names))}"
-    return f"--set {name}: unknown name{hint}"
+    return f"{flag} {name}: unknown name{hint}"

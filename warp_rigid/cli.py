@@ -1,7 +1,7 @@
 """Command line: `warp-rigid COMMAND`; the commands are in `commands`, one a file.
 
 Results go to stdout, everything else to stderr. Exit status: 0 done, 1 a device that does not work or a failed check,
-2 usage or bad input, 3 capacity, 4 non-finite state, 130 interrupted.
+2 usage or bad input, 3 capacity, 4 non-finite state, 5 a sweep with failed runs, 130 interrupted.
 """
 
 import sys
@@ -12,8 +12,10 @@ import typer
 import warp_rigid
 from warp_rigid.commands.doctor import doctor_command
 from warp_rigid.commands.inspect import inspect_command
+from warp_rigid.commands.merge import merge_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
+from warp_rigid.commands.sweep import sweep_command
 from warp_rigid.commands.usd import usd_app
 from warp_rigid.commands.validate import validate_command
 from warp_rigid.commands.view import view_command
@@ -42,7 +44,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with messages_on_stderr():
             start_warp()
-            return app(args=argv, prog_name="warp-rigid", standalone_mode=False) or 0
+            given = sys.argv[1:] if argv is None else argv
+            return app(args=argv, prog_name="warp-rigid", standalone_mode=False, obj=["warp-rigid", *given]) or 0
     except UsageError as error:
         return _fail(USAGE, error.format_message())
     except CapacityError as error:
@@ -75,6 +78,8 @@ app.command("inspect")(inspect_command)
 app.command("view")(view_command)
 app.command("doctor")(doctor_command)
 app.command("warmup")(warmup_command)
+app.command("sweep")(sweep_command)
+app.command("merge")(merge_command)
 app.add_typer(usd_app, name="usd")
 app.command("validate")(validate_command)
 

@@ -4,6 +4,7 @@ All are centred on their centre of mass. `sdf_resolution` means the same as in `
 """
 
 import os
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.mesh import Mesh
 
 
+@lru_cache(maxsize=8)
 def bunny(size: float = 0.2, sdf_resolution: int = 64) -> Mesh:
     """The Stanford bunny (6102 vertices, closed) from Warp's examples.
 

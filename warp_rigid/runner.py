@@ -1,5 +1,6 @@
 """Runner: one simulation from a scene's name to its recording, verdicts and figures."""
 
+import fnmatch
 import importlib.util
 import time
 import warnings
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
-from warp_rigid.assignments import COEFFICIENTS, Assignments, sort_assignments
+from warp_rigid.assignments import COEFFICIENTS, PROPERTIES, Assignments, sort_assignments
 from warp_rigid.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.resume import Checkpoints, Progress
 from warp_rigid.scene import Motion, Scene
@@ -22,7 +23,7 @@ from warp_rigid.usd import import_usd
 from warp_rigid.usd.load import film_duration
 from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
 
-__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "step_frame"]
+__all__ = ["Plan", "Result", "execute", "find_scene", "module_of_file", "plan_run", "set_each", "step_frame"]
 
 FILE_SCENE_DURATION = 4.0
 """How long a scene from a user's file runs unless told otherwise [s]."""
@@ -209,25 +210,36 @@ def execute(
     return Result(recorder.recording(), verdicts, status, summary)
 
 
-class _NoOutcome:
+class NoOutcome:
     """A scene from a user's file says nothing of how it must end."""
 
     def __init__(self, scene: Scene):
-        pass
+        """Nothing to expect."""
 
     def observe(self, sim: Simulator) -> None:
-        pass
+        """Nothing to look for."""
 
     def verdicts(self, sim: Simulator) -> list[Verdict]:
+        """Nothing to judge."""
         return []
 
 
-def _scene_of_file(path: Path) -> Demo:
+def module_of_file(path: Path) -> Any:
+    """What a user's .py file defines.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+    """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     spec: Any = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+def _scene_of_file(path: Path) -> Demo:
+    module = module_of_file(path)
     build = getattr(module, "scene", None)
     if not callable(build):
         raise ValueError(f"{path}: has no function scene()")
@@ -235,7 +247,7 @@ def _scene_of_file(path: Path) -> Demo:
         name=path.stem,
         summary=(module.__doc__ or "").partition("\n")[0],
         build=build,
-        outcome=_NoOutcome,
+        outcome=NoOutcome,
         duration=FILE_SCENE_DURATION,
         variants={},
     )
@@ -260,7 +272,7 @@ def _scene_of_usd(path: Path) -> Demo:
         name=path.stem,
         summary=f"the bodies of {path.name}",
         build=build,
-        outcome=_NoOutcome,
+        outcome=NoOutcome,
         duration=film_duration(path) or FILE_SCENE_DURATION,
         variants={},
     )
@@ -306,23 +318,44 @@ def _apply(sim: Simulator, given: Assignments, variants: dict) -> None:
         default = getattr(sim.settings, name)
         sim.set(name, [variant.get(name, default) for variant in variants.values()])
     for name, value in given.properties.items():
-        sim.set(name, value, bodies=_bodies(sim, name))
+        set_each(sim, name, [value] * sim.num_envs)
     for name, values in given.batched.items():
-        if _bodies(sim, name) is None:
-            sim.set(name, values)
-        else:
-            # One value an environment, (envs, 1) or (envs, 1, 3), for all its bodies.
-            sim.set(name, np.asarray(values)[:, None], bodies=_bodies(sim, name))
+        set_each(sim, name, values)
 
 
-def _bodies(sim: Simulator, name: str) -> list[int] | None:
-    """Which bodies a property is for; None where it belongs to an environment."""
-    if name in COEFFICIENTS:
-        return list(range(sim.num_bodies))
-    if name in ("mass", "linear_velocity", "angular_velocity"):
-        bodies = sim.scene.bodies
-        return [index for index, body in enumerate(bodies) if body.motion == Motion.DYNAMIC]
-    return None
+def set_each(sim: Simulator, name: str, values: list) -> None:
+    """Give each environment its value of a setting or property.
+
+    Args:
+        sim: the simulator.
+        name: a name that Simulator.set takes. That of a body's property can choose bodies, by name, pattern or index:
+            "mass[box_3]", "mass[box_*]", "mass[4]". Without a choice a coefficient is for all bodies, every other
+            property for the dynamic ones.
+        values: one value for each environment, the same for all of its chosen bodies.
+
+    Raises:
+        ValueError: No body is chosen, or a value is out of range.
+    """
+    plain, _, choice = name.partition("[")
+    if plain == "gravity" or plain not in PROPERTIES:
+        sim.set(plain, values)
+    else:
+        # One value an environment, (envs, 1) or (envs, 1, 3), for all its bodies.
+        sim.set(plain, np.asarray(values)[:, None], bodies=chosen_bodies(sim.scene, name, plain, choice.rstrip("]")))
+
+
+def chosen_bodies(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
+    """Indices of the bodies that a property is for; see set_each."""
+    bodies = list(enumerate(scene.bodies))
+    if choice.isdigit():
+        found = [index for index, _ in bodies if index == int(choice)]
+    elif choice:
+        found = [index for index, body in bodies if fnmatch.fnmatchcase(body.name, choice)]
+    else:
+        found = [index for index, body in bodies if plain in COEFFICIENTS or body.motion == Motion.DYNAMIC]
+    if not found:
+        raise ValueError(f"{name}: chooses no body; there are {', '.join(body.name for _, body in bodies)}")
+    return found
 
 
 def _labels(given: Assignments, count: int) -> tuple[str, ...]:
@@ -331,7 +364,13 @@ def _labels(given: Assignments, count: int) -> tuple[str, ...]:
 
 
 def step_frame(sim: Simulator, steps: int, events: list) -> None:
-    """Step one frame; an event takes place before the first step that begins at or after it."""
+    """Do steps; an event, (time, function(sim)), takes place before the first step that begins at or after it.
+
+    Args:
+        sim: the simulator.
+        steps: how many.
+        events: those still to come, by time; what takes place is removed.
+    """
     dt = sim.settings.dt
     done = 0
     while done < steps:

@@ -267,7 +267,7 @@ class Simulator:
         for name in given:
             one_of("capacity", name, pools.NAMES)
         dynamic = sum(body.mass > 0.0 for body in self.scene.bodies)
-        estimate = min(self.num_envs * max(8, 6 * dynamic), pools.LARGEST)
+        estimate, _ = pools.expected_room(self.num_envs, dynamic)
         pairs = whole_in("capacity pairs", given.get("pairs", estimate), 1, pools.LARGEST)
         contacts = whole_in("capacity contacts", given.get("contacts", min(6 * pairs, pools.LARGEST)), 1, pools.LARGEST)
         return Pools.sizes_for(self.num_envs, self.num_bodies, pairs, contacts)

@@ -27,8 +27,13 @@ _EXTRAS = {
     "imageio_ffmpeg": "picture",
     "viser": "viewer",
     "pygltflib": "gltf",
+    "pyarrow": "sweep",
+    "scipy": "sweep",
+    "zarr": "trajectories",
+    "distributed": "cluster",
+    "optuna": "opt",
 }
-"""Which extra of the package brings a library."""
+"""Which extra brings a library that is imported only where it is needed."""
 
 PLAIN_WIDTH = 120
 """Width of tables where there is no terminal."""
@@ -93,7 +98,7 @@ def start_warp() -> None:
 def explain(error: Exception) -> str:
     """One line on what went wrong."""
     if isinstance(error, ModuleNotFoundError):
-        extra = _EXTRAS.get(error.name or "")
+        extra = _EXTRAS.get((error.name or "").partition(".")[0])
         package = f"'warp-rigid[{extra}]'" if extra else "--force-reinstall warp-rigid"
         return f"{error.name} is not installed; pip install {package} brings it"
     if isinstance(error, OSError) and error.filename:

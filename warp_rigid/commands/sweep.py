@@ -1,0 +1,173 @@
+"""`warp-rigid sweep`: a scene with many values of its parameters, to a table and a picture."""
+
+import json
+import time
+from typing import Annotated, Any
+
+import typer
+
+from warp_rigid.terminal import console, note, progress
+
+FAILED_RUNS = 5
+
+
+def sweep_command(
+    context: typer.Context,
+    scene: Annotated[str, typer.Argument(help="A built-in scene, or a .py file with scene().")],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUES",
+            help="An axis, repeatable: a parameter of the scene, a setting or a property. VALUES: 0.1:1.0:10 (first, "
+            "last, how many), A,B,C, 0.1:1.0 (uniform), or uniform(..), log_uniform(..), normal(..), integers(..), "
+            "choice(..).",
+        ),
+    ] = None,
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="The same for all runs; repeatable.")
+    ] = None,
+    metrics: Annotated[
+        str | None, typer.Option(help="Names, outcome and .py files with functions of the simulator: A,B,my.py.")
+    ] = None,
+    design: Annotated[str, typer.Option(help="grid, zip, random or lhs.")] = "grid",
+    samples: Annotated[int | None, typer.Option(help="Points of the designs random and lhs.")] = None,
+    repeats: Annotated[int, typer.Option(help="Runs of every point, each with the next seed.")] = 1,
+    seed: Annotated[int | None, typer.Option(help="Of the draws and the scene's random numbers.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated seconds; the scene's own if left out.")] = None,
+    fps: Annotated[float, typer.Option(help="Looks at the state per simulated second.")] = 10.0,
+    batch: Annotated[str, typer.Option(help="Most environments at once, or auto.")] = "auto",
+    device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Table, .parquet.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Keep the finished rows of the table.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the table.")] = False,
+    trajectories: Annotated[str | None, typer.Option(help="Poses of all runs, .zarr.")] = None,
+    plot: Annotated[str | None, typer.Option(help="Picture, .png or .svg.")] = None,
+    plot_x: Annotated[str | None, typer.Option(help="Axis along which to draw.")] = None,
+    plot_y: Annotated[str | None, typer.Option(help="Metric to draw.")] = None,
+    plot_kind: Annotated[str | None, typer.Option(help="line, heatmap or scatter.")] = None,
+    shard: Annotated[str | None, typer.Option(metavar="I/N", help="Run every N-th run, from the I-th on.")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="local, a Dask scheduler's address, or a .py file with cluster().")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Worker processes of --cluster local.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> int:
+    """Run a scene with many values of its parameters: one row a run."""
+    from warp_rigid.sweep import sweep
+    from warp_rigid.sweep.axes import parse_axis
+    from warp_rigid.sweep.metrics import check_metrics
+    from warp_rigid.sweep.plots import check_plot
+
+    axes = _by_name(map(parse_axis, vary or ()), "--vary")
+    measured = check_metrics(metrics.split(",") if metrics else None)
+    if plot:
+        check_plot(plot, plot_kind)
+        _check_columns(plot_x, plot_y, axes, measured)
+    start = time.perf_counter()
+    with progress(scene, 1) as advance:
+        result = sweep(
+            scene,
+            axes,
+            fixed=_fixed(assignments or ()),
+            metrics=measured,
+            design=design,
+            samples=samples,
+            repeats=repeats,
+            seed=seed,
+            duration=duration,
+            fps=fps,
+            batch=_batch(batch),
+            device=device,
+            output=output,
+            resume=resume,
+            overwrite=overwrite,
+            trajectories=trajectories,
+            shard=_shard(shard),
+            cluster=_cluster(cluster),
+            workers=workers,
+            on_progress=advance and (lambda done, total: advance(done / total)),
+            command=context.obj,
+        )
+    seconds = time.perf_counter() - start
+    if plot:
+        result.plot(plot, plot_x, plot_y, plot_kind)
+    tell(result, [path for path in (output, trajectories, plot) if path], as_json, seconds)
+    return FAILED_RUNS if result.failed else 0
+
+
+def tell(result: Any, files: list[str], as_json: bool, seconds: float | None = None) -> None:
+    """Print what a table holds."""
+    failed = result.failed
+    if as_json:
+        summary = {"runs": len(result), "failed": len(failed), "seconds": seconds, "files": files}
+        print(json.dumps({**summary, "about": result.about, "rows": result.rows}, default=str))
+    else:
+        out = console()
+        took = f" in {seconds:.3g} s" if seconds is not None else ""
+        lines = [f"{result.about['scene'].partition(':')[0]}: {len(result)} runs, {len(failed)} failed{took}"]
+        for name in result.metrics:
+            values = result.column(name)
+            if values.dtype.kind in "iufb" and len(values):
+                finite = [value for value in values.astype(float).tolist() if value == value]
+                if finite:
+                    lines.append(f"{name}: {min(finite):.4g} to {max(finite):.4g}")
+        for line in lines + [f"wrote {path}" for path in files]:
+            out.print(line, highlight=False, markup=False)
+    if failed:
+        first = failed[0]
+        note(f"{len(failed)} run(s) failed, first run {first['run']}: {first['status']}: {first['reason']}")
+
+
+def _check_columns(x: str | None, y: str | None, axes: dict[str, Any], measured: tuple) -> None:
+    """Refuse a plot of columns that the table will not have."""
+    from warp_rigid.sweep.metrics import OUTCOME, metric_name
+
+    if x is not None and x not in axes:
+        raise ValueError(f"--plot-x: must be an axis ({', '.join(axes)}), got {x}")
+    names = [metric_name(metric) for metric in measured]
+    # The scene's own outcome has columns that only the scene knows.
+    if y is not None and y not in names and not (OUTCOME in names and y.startswith("outcome_")):
+        raise ValueError(f"--plot-y: must be a metric ({', '.join(names)}), got {y}")
+
+
+def _by_name(pairs: Any, flag: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, values in pairs:
+        if name in found:
+            raise ValueError(f"{flag} {name}: given twice")
+        found[name] = values
+    return found
+
+
+def _fixed(texts: Any) -> dict[str, Any]:
+    """Values that all runs share, by name."""
+    from warp_rigid.assignments import parse_assignment
+
+    given = _by_name(map(parse_assignment, texts), "--set")
+    for name, values in given.items():
+        if len(values) > 1:
+            raise ValueError(f"--set {name}: takes one value here; --vary takes several")
+    return {name: values[0] for name, values in given.items()}
+
+
+def _batch(text: str) -> int | str:
+    return int(text) if text.isdigit() else text
+
+
+def _shard(text: str | None) -> tuple[int, int] | None:
+    """The numbers of I/N."""
+    if text is None:
+        return None
+    number, slash, count = text.partition("/")
+    if not (slash and number.isdigit() and count.isdigit() and 1 <= int(number) <= int(count)):
+        raise ValueError(f"--shard: must be I/N with 1 <= I <= N, got {text}")
+    return int(number), int(count)
+
+
+def _cluster(text: str | None) -> Any:
+    """What a sweep takes as its cluster."""
+    if text is not None and text.endswith(".py"):
+        from warp_rigid.sweep.cluster import cluster_of_file
+
+        return cluster_of_file(text)
+    return text

@@ -1,0 +1,28 @@
+"""Sweeps: from a question to a table and a picture.
+
+import numpy as np
+import warp_rigid as wr
+
+axes = {"offset": np.linspace(0.05, 0.2, 16), "shock_propagation": ["one_pass", "two_pass"]}
+result = wr.sweep("leaning_tower", axes)
+result.plot("tower.png", x="offset", y="top_height")
+"""
+
+from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Normal, Uniform
+from warp_rigid.sweep.run import sweep
+from warp_rigid.sweep.search import search
+from warp_rigid.sweep.table import SweepResult, merge, read
+
+__all__ = [
+    "Choice",
+    "Distribution",
+    "Integers",
+    "LogUniform",
+    "Normal",
+    "SweepResult",
+    "Uniform",
+    "merge",
+    "read",
+    "search",
+    "sweep",
+]

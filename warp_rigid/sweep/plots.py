@@ -1,0 +1,192 @@
+"""Plots of a sweep: lines over one axis, a heat map over two, or a scatter matrix over more."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.checks import one_of
+from warp_rigid.sweep.table import SweepResult
+
+__all__ = ["KINDS", "plot"]
+
+KINDS = ("line", "heatmap", "scatter")
+SUFFIXES = (".png", ".svg", ".pdf")
+MOST_LINES = 12
+
+
+def check_plot(path: Any, kind: str | None = None) -> None:
+    """Refuse what cannot be drawn before anything runs.
+
+    Raises:
+        ValueError: The name has another ending than a picture's, or there is no such kind.
+        ModuleNotFoundError: matplotlib is not installed.
+    """
+    import matplotlib  # noqa: F401
+
+    if Path(path).suffix not in SUFFIXES:
+        raise ValueError(f"plot: must end in {', '.join(SUFFIXES)}, got {path}")
+    if kind is not None:
+        one_of("kind", kind, KINDS)
+
+
+def plot(result: SweepResult, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
+    """Draw a table.
+
+    Args:
+        result: the table.
+        path: the picture, .png, .svg or .pdf.
+        x: the axis along which to draw; None takes the one of most values.
+        y: the metric; None takes the first one.
+        kind: "line" (a line for each value of the other axes), "heatmap" (over x and one more axis of numbers, a panel
+            for each value of the rest) or "scatter" (all axes of numbers and the metric against each other). None takes
+            lines where there is one axis of numbers, a heat map where a grid has two, else a scatter matrix.
+
+    Returns:
+        The matplotlib Figure, for those who want to add to it.
+
+    Raises:
+        ValueError: There is no such column or kind, or nothing to draw.
+    """
+    check_plot(path, kind)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    if not result.rows or not result.axes:
+        raise ValueError("plot: there are no rows or no axes to draw")
+    y = y or _first_number(result)
+    numeric = [name for name in result.axes if _is_number(result.column(name))]
+    x = x or max(numeric or result.axes, key=lambda name: len(set(result.column(name).tolist())))
+    values = result.column(y)
+    if not (_is_number(values) or values.dtype == bool):
+        raise ValueError(f"plot: y must be a column of numbers, got {y}")
+    result.column(x)
+    others = [name for name in result.axes if name != x]
+    kind = kind or _kind(result, x, [name for name in numeric if name != x])
+    figure = Figure(layout="constrained", dpi=100)
+    FigureCanvasAgg(figure)
+    if kind == "line":
+        _lines(figure, result, x, y, others)
+    elif kind == "heatmap":
+        along = next((name for name in others if name in numeric), None)
+        if along is None or x not in numeric:
+            raise ValueError("plot: a heat map needs two axes of numbers")
+        _heat_maps(figure, result, x, along, y, [name for name in others if name != along])
+    else:
+        _scatter_matrix(figure, result, [*numeric, y])
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+    return figure
+
+
+def _kind(result: SweepResult, x: str, others: list[str]) -> str:
+    """The kind that suits a table."""
+    if not others:
+        return "line"
+    cells = len(set(result.column(x).tolist())) * len(set(result.column(others[0]).tolist()))
+    return "heatmap" if len(others) == 1 and cells <= 2 * len(result) else "scatter"
+
+
+def _lines(figure: Any, result: SweepResult, x: str, y: str, others: list[str]) -> None:
+    """A line for each combination of the other axes; of repeats the mean, and the range as a band."""
+    axes = figure.subplots()
+    place, height = result.column(x), result.column(y).astype(float)
+    words = not _is_number(place)
+    groups = _groups(result, others)
+    for rank, (label, rows) in enumerate(list(groups.items())[:MOST_LINES]):
+        stops = sorted(set(place[rows].tolist()), key=None if not words else str)
+        parts = [height[rows][place[rows] == stop] for stop in stops]
+        mean, low, high = (np.array([_of(part, pick) for part in parts]) for pick in (np.mean, np.min, np.max))
+        ticks = np.arange(len(stops)) if words else np.array(stops, float)
+        # Lines that coincide are seen one inside the other.
+        width = 1.5 + 1.5 * max(0, min(len(groups), 4) - 1 - rank)
+        line = axes.plot(ticks, mean, linewidth=width, marker="o", markersize=2.0 * width, label=label)[0]
+        if any(len(part) > 1 for part in parts):
+            axes.fill_between(ticks, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+        if words:
+            axes.set_xticks(ticks, [str(stop) for stop in stops])
+    axes.set(xlabel=x, ylabel=y, title=_title(result))
+    axes.grid(alpha=0.3)
+    if len(groups) > 1:
+        axes.legend(title=", ".join(others), fontsize="small")
+
+
+def _heat_maps(figure: Any, result: SweepResult, x: str, along: str, y: str, others: list[str]) -> None:
+    """A panel for each combination of the other axes, all with the same colours."""
+    groups = _groups(result, others)
+    columns, rows, values = result.column(x), result.column(along), result.column(y).astype(float)
+    across, up = np.unique(columns), np.unique(rows)
+    figure.set_size_inches(1.2 + 3.6 * len(groups), 3.6)
+    image: Any = None
+    panels = figure.subplots(1, len(groups), squeeze=False, sharex=True, sharey=True)[0]
+    finite = values[np.isfinite(values)]
+    shades = {"vmin": finite.min(), "vmax": finite.max()} if len(finite) else {}
+    for panel, (label, chosen) in zip(panels, groups.items(), strict=True):
+        cells = np.full((len(up), len(across)), np.nan)
+        for i, v in enumerate(up):
+            for j, h in enumerate(across):
+                cells[i, j] = _of(values[chosen & (rows == v) & (columns == h)], np.mean)
+        image = panel.pcolormesh(_edges(across), _edges(up), cells, **shades)
+        panel.set(xlabel=x, title=label)
+    panels[0].set_ylabel(along)
+    figure.colorbar(image, ax=list(panels), label=y)
+
+
+def _scatter_matrix(figure: Any, result: SweepResult, names: list[str]) -> None:
+    """Every column against every other, coloured by the last; histograms on the diagonal."""
+    columns = [result.column(name).astype(float) for name in names]
+    size = len(names)
+    figure.set_size_inches(1.0 + 2.0 * size, 2.0 * size)
+    panels = figure.subplots(size, size, squeeze=False)
+    for i, up in enumerate(columns):
+        for j, across in enumerate(columns):
+            panel = panels[i][j]
+            if i == j:
+                panel.hist(across[np.isfinite(across)], bins=24, color="0.6")
+            else:
+                panel.scatter(across, up, s=6, c=columns[-1])
+            panel.set(xlabel=names[j] if i == size - 1 else "", ylabel=names[i] if j == 0 else "")
+            panel.tick_params(labelsize=7)
+
+
+def _groups(result: SweepResult, names: list[str]) -> dict[str, np.ndarray]:
+    """Rows (as masks) by the values of some axes, labelled by them, in the order of the design."""
+    labels = [", ".join(_word(row[name]) for name in names) for row in result.rows]
+    return {label: np.array([other == label for other in labels]) for label in dict.fromkeys(labels)}
+
+
+def _word(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _of(values: np.ndarray, pick: Any) -> float:
+    """A statistic of the finite values, NaN if there are none."""
+    finite = values[np.isfinite(values)]
+    return float(pick(finite)) if len(finite) else np.nan
+
+
+def _edges(centers: np.ndarray) -> np.ndarray:
+    """Borders of cells about sorted centres."""
+    if len(centers) == 1:
+        return np.array([centers[0] - 0.5, centers[0] + 0.5])
+    between = 0.5 * (centers[1:] + centers[:-1])
+    return np.concatenate([[1.5 * centers[0] - 0.5 * centers[1]], between, [1.5 * centers[-1] - 0.5 * centers[-2]]])
+
+
+def _is_number(values: np.ndarray) -> bool:
+    return values.dtype.kind in "iuf"
+
+
+def _first_number(result: SweepResult) -> str:
+    """The first metric that is one number a run."""
+    for name in result.metrics:
+        values = result.column(name)
+        if _is_number(values) or values.dtype == bool:
+            return name
+    raise ValueError("plot: no metric is a number a run")
+
+
+def _title(result: SweepResult) -> str:
+    failed = len(result.failed)
+    scene = result.about["scene"].partition(":")[0]
+    return f"{scene}, {len(result)} runs" + (f", {failed} failed" if failed else "")
