@@ -9,7 +9,23 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ["pxr", "viser", "pandas", "trimesh", "typer", "rich", "PIL", "matplotlib", "scipy"]
+HEAVY = [
+    "pxr",
+    "viser",
+    "pandas",
+    "trimesh",
+    "typer",
+    "rich",
+    "PIL",
+    "matplotlib",
+    "scipy",
+    "pyarrow",
+    "zarr",
+    "distributed",
+    "dask",
+    "optuna",
+    "polars",
+]
 
 
 @pytest.fixture(scope="module")

@@ -128,6 +128,30 @@ def test_one_value_reaches_all_dynamic_bodies():
     assert plan.sim.get("linear_velocity")[0, :, 0].tolist() == [0, 1, 1, 1]
 
 
+def test_bodies_are_chosen_by_name_pattern_or_index():
+    build = dataclasses.replace(DEMO, build=named_scene)
+    given = ["mass[left]=3", "mass[2]=4", "friction[*t]=0.1,0.2", "restitution[ground]=0.9"]
+    plan = plan_run(build, given, device="cpu")
+    assert plan.sim.get("mass")[1].tolist() == [0, 3, 4]
+    np.testing.assert_allclose(plan.sim.get("friction"), [[0.5, 0.1, 0.1], [0.5, 0.2, 0.2]], rtol=1e-6)
+    np.testing.assert_allclose(plan.sim.get("restitution")[0], [0.9, 0, 0], rtol=1e-6)
+    assert plan_run(build, ["position[left]=(0,0,5)"], device="cpu").sim.get("position")[0, 1].tolist() == [0, 0, 5]
+    for text, message in (
+        ("mass[up]=1", "chooses no body; there are ground, left, right"),
+        ("dt[left]=1", "cannot choose"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            plan_run(build, [text], device="cpu")
+
+
+def named_scene() -> Scene:
+    scene = Scene()
+    scene.add_static(Plane(), name="ground")
+    for x, name in ((-1, "left"), (1, "right")):
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(x, 0, 0.1), name=name)
+    return scene
+
+
 def test_vectors_differ_between_environments():
     plan = plan_run(DEMO, ["linear_velocity=(1,0,0),(0,2,0)"], device="cpu")
     np.testing.assert_array_equal(plan.sim.get("linear_velocity")[:, 1], [[1, 0, 0], [0, 2, 0]])

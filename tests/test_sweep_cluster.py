@@ -1,0 +1,62 @@
+"""Sweeps on worker processes: the same rows, also when a worker is killed."""
+
+import os
+import signal
+
+import distributed
+import pytest
+from distributed import LocalCluster
+
+import warp_rigid as wr
+from tests.test_sweep import ball, quick, values
+from warp_rigid.sweep.cluster import cluster_of_file
+
+AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
+OPTIONS = {"duration": 1.0, "metrics": ["final_pose", "drift"]}
+
+
+def test_rows_are_the_same_when_a_worker_is_killed(tmp_path, monkeypatch):
+    made, killed = [], []
+    monkeypatch.setattr(distributed, "LocalCluster", lambda **options: made.append(LocalCluster(**options)) or made[0])
+
+    def kill_one(done, total):
+        if not killed:
+            nanny = next(iter(made[0].workers.values()))
+            killed.append(nanny.pid)
+            os.kill(nanny.pid, signal.SIGKILL)
+
+    result = quick(
+        AXES, batch=2, cluster="local", workers=2, on_progress=kill_one, output=tmp_path / "t.parquet",
+        trajectories=tmp_path / "t.zarr", **OPTIONS,
+    )  # fmt: skip
+    assert killed and not result.failed
+    alone = values(quick(AXES, **OPTIONS))
+    assert [{name: row[name] for name in alone[0]} for row in values(result)] == alone
+
+
+def test_what_fails_on_a_worker_is_a_row_with_its_reason():
+    def cluster():
+        return LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0")
+
+    failed = quick({"height": [1.0]}, cluster=cluster, metrics=[lambda sim: [1, 2, 3]])
+    assert "must return (1,)" in failed.rows[0]["reason"]
+
+
+def test_workers_with_several_threads_are_refused():
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address="127.0.0.1:0") as made,
+        pytest.raises(ValueError, match="every worker must have one thread"),
+    ):
+        quick(AXES, cluster=made)
+
+
+def test_mistakes_are_named(tmp_path):
+    with pytest.raises(ValueError, match="workers: is for the local cluster"):
+        wr.sweep(ball, AXES, cluster="tcp://127.0.0.1:1", workers=2)
+    with pytest.raises(FileNotFoundError):
+        cluster_of_file(str(tmp_path / "none.py"))
+    (tmp_path / "hook.py").write_text("def cluster():\n    return 'tcp://somewhere:8786'\n")
+    assert cluster_of_file(str(tmp_path / "hook.py")) == "tcp://somewhere:8786"
+    (tmp_path / "hook.py").write_text("")
+    with pytest.raises(ValueError, match="has no function cluster"):
+        cluster_of_file(str(tmp_path / "hook.py"))

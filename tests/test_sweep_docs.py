@@ -1,0 +1,140 @@
+"""The sweep's examples run, small, and every command and program of its pages does; what they claim is looked at."""
+
+import importlib.util
+import re
+import shlex
+from pathlib import Path
+
+import distributed
+import numpy as np
+import pytest
+from PIL import Image
+from pxr import Usd
+
+import warp_rigid as wr
+from warp_rigid import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted((ROOT / "docs" / "sweeps").glob("*.md"))
+
+
+def blocks(language):
+    text = "\n".join(page.read_text() for page in PAGES)
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+COMMANDS = [line for block in blocks("bash") for line in block.splitlines() if line]
+
+
+def example(name):
+    """An example as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_stability_map_agrees_with_statics(tmp_path):
+    result = example("stability_map").main(["--size", "2", "--heights", "4", "--out", str(tmp_path)])
+    sound = [row for row in result.rows if row["shock_propagation"] != "one_pass"]
+    # Statics: N d > 1 falls; at d = 0.04 both stand, at d = 0.4 both fall.
+    assert [row["toppled"] for row in sound] == [row["height"] * row["offset"] > 1 for row in sound]
+    assert not any(row["toppled"] for row in result.rows if row["shock_propagation"] == "one_pass")
+    assert Image.open(tmp_path / "stability.png").size[0] > 500
+
+
+def test_slope_is_that_of_a_cone():
+    module = example("angle_of_repose")
+
+    class Cone:
+        """Points that fill a cone of 35 degrees evenly, after a ground body."""
+
+        def get(self, name):
+            rng = np.random.default_rng(0)
+            points = rng.uniform((-1, -1, 0), (1, 1, 1), (400_000, 3))
+            inside = points[np.hypot(points[:, 0], points[:, 1]) < 1.0 - points[:, 2]]
+            inside[:, 2] *= np.tan(np.radians(35.0))
+            return np.concatenate([np.zeros((1, 3)), inside])[None]
+
+    assert module.slope(Cone()) == pytest.approx([35.0], abs=0.2)
+
+
+def test_friction_makes_the_heap_steeper(tmp_path):
+    arguments = ["--size", "2", "--grains", "8", "--duration", "1.0", "--out", str(tmp_path)]
+    slope = example("angle_of_repose").main(arguments).column("slope").reshape(2, 3)
+    assert slope[0].max() < slope[1].min()
+    assert (tmp_path / "repose.png").stat().st_size > 1000
+
+
+def test_best_drop_is_exported_alone_and_ends_as_measured(tmp_path):
+    module = example("best_drop")
+    result, best = module.main(["--size", "3", "--duration", "0.5", "--out", str(tmp_path)])
+    assert best["upright"] <= result.column("upright").max()
+    sim = result.replay(best)
+    sim.step(120)
+    assert module.upright(sim)[0] == best["upright"]
+    stage = Usd.Stage.Open(str(tmp_path / "best_drop.usdc"))
+    assert len([prim for prim in stage.GetDefaultPrim().GetChildren() if prim.GetName().startswith("env_")]) == 1
+    assert module.bowl().volume == pytest.approx(cap_shell_volume(0.3, 0.33), rel=0.02)
+
+
+def cap_shell_volume(inner, outer):
+    """Between two concentric spheres, within 45 degrees of straight down: a cone-bounded sector of the shell."""
+    solid_angle = 2.0 * np.pi * (1.0 - np.cos(0.25 * np.pi))
+    return solid_angle * (outer**3 - inner**3) / 3.0
+
+
+def test_material_is_found_again(tmp_path):
+    study = example("fit_material").main(["--size", "128", "--out", str(tmp_path)])
+    # Guessing at random would miss by a quarter of each range on average.
+    assert study.best_params["friction"] == pytest.approx(0.22, abs=0.04)
+    assert study.best_params["restitution"] == pytest.approx(0.55, abs=0.04)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where the commands of the pages run, one after another."""
+    return tmp_path_factory.mktemp("pages")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_of_the_pages_run(command, folder, monkeypatch):
+    """All of them, but only for an instant; the examples, and worker processes, have their own tests."""
+    monkeypatch.chdir(folder)
+    made = distributed.LocalCluster
+    monkeypatch.setattr(
+        distributed, "LocalCluster", lambda **options: made(**options | {"processes": False, "n_workers": 1})
+    )
+    program, *arguments = shlex.split(command)
+    if program == "python":
+        assert (ROOT / arguments[0]).is_file()
+        return
+    assert program == "warp-rigid"
+    if arguments[0] == "sweep":
+        arguments += ["--duration", "0.02"]
+    assert cli.main(arguments) == 0
+    assert all((folder / part).stat().st_size > 0 for part in arguments if part.startswith("out/"))
+
+
+@pytest.mark.parametrize("program", blocks("python"))
+def test_programs_of_the_pages_run(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(program.replace("duration=2.0", "duration=0.02"), "page.py", "exec"), {"wr": wr})
+    assert all((tmp_path / path).is_file() for path in re.findall(r'"(out/[^"]+)"', program))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[page.stem for page in PAGES])
+def test_links_and_pictures_are_there(page):
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+        file = page.parent / target
+        assert file.is_file() and (file.suffix != ".png" or file.stat().st_size < 100_000)
+
+
+def test_pages_name_every_metric_and_design():
+    from warp_rigid.sweep.axes import DISTRIBUTIONS
+    from warp_rigid.sweep.design import DESIGNS
+    from warp_rigid.sweep.metrics import METRICS
+
+    text = (ROOT / "docs" / "sweeps" / "index.md").read_text()
+    assert all(f"`{name}`" in text for name in METRICS)
+    assert all(name in text for name in (*DESIGNS, *DISTRIBUTIONS) if name != "uniform")

@@ -1,0 +1,214 @@
+"""Tables on disk: nothing is lost, nothing is mixed, and others can read them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas
+import polars
+import pyarrow.parquet
+import pytest
+import zarr
+
+import warp_rigid as wr
+from tests.test_sweep import ball, quick, values
+from warp_rigid.sweep import batch as batch_module
+from warp_rigid.sweep import merge, read
+from warp_rigid.sweep import table as table_module
+from warp_rigid.sweep.table import SweepResult, write
+
+ROOT = Path(__file__).resolve().parents[1]
+AXES = {"height": [0.1, 0.5, 0.9], "friction": [0.2, 0.8]}
+
+
+@pytest.fixture
+def runs_done(monkeypatch):
+    """How many runs each batch had."""
+    sizes, inner = [], batch_module._run
+    monkeypatch.setattr(
+        batch_module, "_run", lambda job, runs, start: sizes.append(len(runs)) or inner(job, runs, start)
+    )
+    return sizes
+
+
+def test_tables_are_read_by_all(tmp_path):
+    axes = {"height": [1.0, 2.0], "gravity": [(0, 0, -1), (0, 0, -2)], "warm_starting": [True, False]}
+    result = quick(axes, metrics=["drift", "final_pose", "settle_time"], output=tmp_path / "t.parquet")
+    back = read(tmp_path / "t.parquet")
+    assert back.about == json.loads(json.dumps(result.about)) and back.names == result.names
+    for frame in (pandas.read_parquet(tmp_path / "t.parquet"), result.to_pandas()):
+        assert len(frame) == 8 and frame["settle_time"].isna().all()
+        assert frame["warm_starting"].tolist() == [True, False] * 4
+        assert frame["final_position"][3].tolist() == result.rows[3]["final_position"]
+    frame = polars.read_parquet(tmp_path / "t.parquet")
+    assert frame["drift"].to_list() == result.column("drift").tolist()
+    assert frame["gravity"].to_list() == [list(row["gravity"]) for row in result.rows]
+    assert back.replay(back.rows[0], ball, "cpu").get("position")[0, 1].tolist() == [0, 0, 1]
+
+
+def test_what_made_the_table_is_told_beside_it(tmp_path):
+    quick(AXES, output=tmp_path / "t.parquet", seed=4, command=["warp-rigid", "sweep"], fixed={"mass": 2.0})
+    about = json.loads((tmp_path / "t.parquet.json").read_text())
+    assert about["version"] == wr.__version__ and set(about["versions"]) == {"python", "warp", "numpy"}
+    assert about["design"]["axes"] == AXES and about["design"]["seed"] == 4
+    assert about["command"] == ["warp-rigid", "sweep"] and about["fixed"] == {"mass": 2.0}
+    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+    assert not head or about["commit"].removesuffix("-dirty") == head
+    assert about["state"] == "finished" and about["runs"] == 6
+
+
+def test_resuming_runs_what_is_missing_and_what_failed(tmp_path, runs_done):
+    path = tmp_path / "t.parquet"
+    whole = values(quick(AXES))
+    runs_done.clear()
+    first = quick(AXES, shard=(1, 3))
+    broken = [first.rows[0] | {"status": "error", "reason": "lost", "drift": None}, first.rows[1]]
+    about = first.about | {"shard": None}
+    write(SweepResult(broken, about), path)
+    runs_done.clear()
+    assert values(quick(AXES, output=path, resume=True)) == whole
+    assert sum(runs_done) == 5
+    runs_done.clear()
+    assert values(quick(AXES, output=path, resume=True)) == whole and runs_done == []
+    # A larger design keeps the rows of the smaller one and numbers them anew.
+    wider = quick({"height": [0.05, 0.1, 0.5, 0.9], "friction": [0.2, 0.8]}, output=path, resume=True)
+    assert sum(runs_done) == 2 and wider.column("run").tolist() == list(range(8))
+    assert [row["drift"] for row in wider.rows[2:]] == [row["drift"] for row in whole]
+
+
+def test_other_sweeps_are_not_mixed(tmp_path, runs_done):
+    path = tmp_path / "t.parquet"
+    quick(AXES, output=path)
+    before, _ = path.read_bytes(), runs_done.clear()
+    for options, message in (
+        ({}, "exists already; resume it, overwrite it"),
+        ({"resume": True, "duration": 0.2}, "holds another sweep: duration is 0.1 there, 0.2 here"),
+        ({"resume": True, "fixed": {"mass": 2.0}}, "holds another sweep: fixed"),
+        ({"resume": True, "metrics": ["drift"]}, "holds another sweep: metrics"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            quick(AXES, output=path, **options)
+    with pytest.raises(ValueError, match="holds 4 runs that are not of this design"):
+        quick({"height": [0.1], "friction": [0.2, 0.8]}, output=path, resume=True)
+    (tmp_path / "no.parquet").write_text("nothing")
+    with pytest.raises(ValueError, match="holds no rows of a sweep"):
+        quick(AXES, output=tmp_path / "no.parquet", resume=True)
+    assert path.read_bytes() == before and runs_done == []
+    assert len(quick({"height": [0.1]}, output=path, overwrite=True)) == 1
+
+
+def test_interrupted_writing_leaves_the_old_table(tmp_path, monkeypatch):
+    path = tmp_path / "t.parquet"
+    result = quick(AXES, output=path)
+    before = path.read_bytes()
+
+    def fail(*_):
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(table_module.os, "replace", fail)
+    with pytest.raises(OSError, match="disk is full"):
+        result.to_parquet(path)
+    assert path.read_bytes() == before
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["t.parquet", "t.parquet.json"]
+
+
+def test_an_error_in_the_caller_keeps_what_is_done(tmp_path):
+    def stop(done, total):
+        if done == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        quick(AXES, output=tmp_path / "t.parquet", batch=2, on_progress=stop)
+    kept = read(tmp_path / "t.parquet")
+    assert len(kept) == 4 and kept.about["state"] == "interrupted"
+
+
+def test_killed_processes_leave_a_table_to_resume(tmp_path):
+    """Killed twice while it runs: the file is readable each time, and in the end equals an undisturbed one."""
+    (tmp_path / "script.py").write_text(
+        "import sys, time\nimport warp_rigid as wr\nfrom tests.test_sweep import ball\n"
+        "heights = [0.1 + 0.01 * i for i in range(40)]\n"
+        "wr.sweep(ball, {'height': heights}, duration=1.0, device='cpu', batch=1, output=sys.argv[1], resume=True,\n"
+        "         on_progress=lambda *_: time.sleep(0.1))\n"
+    )
+    path = tmp_path / "t.parquet"
+    seen = 0
+    for _ in range(2):
+        command = [sys.executable, str(tmp_path / "script.py"), str(path)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        process = subprocess.Popen(
+            command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
+        until = time.monotonic() + 60.0
+        while process.poll() is None and time.monotonic() < until:
+            if path.exists() and pyarrow.parquet.read_metadata(path).num_rows >= seen + 3:
+                break
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL, process.stderr.read().decode()
+        table = read(path)
+        assert seen + 3 <= len(table) < 40 and not table.failed
+        seen = len(table)
+    axes = {"height": [0.1 + 0.01 * i for i in range(40)]}
+    result = wr.sweep(ball, axes, duration=1.0, device="cpu", output=path, resume=True)
+    assert values(result) == values(wr.sweep(ball, axes, duration=1.0, device="cpu"))
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["script.py", "t.parquet", "t.parquet.json"]
+
+
+def test_shards_merge_to_the_whole(tmp_path):
+    paths = [tmp_path / f"{i}.parquet" for i in (1, 2, 3)]
+    for i, path in enumerate(paths, 1):
+        quick(AXES, shard=(i, 3), output=path)
+    merged = merge(paths)
+    assert values(merged) == values(quick(AXES)) and merged.about["runs"] == 6
+    assert len(merge(paths[:2])) == 4
+    quick({"height": [0.1]}, output=tmp_path / "other.parquet")
+    with pytest.raises(ValueError, match="other.parquet: holds a shard of another design"):
+        merge([paths[0], tmp_path / "other.parquet"])
+    with pytest.raises(FileNotFoundError):
+        merge([tmp_path / "none.parquet"])
+    # Of two rows of one run the finished one counts, whichever file comes first.
+    lost = read(paths[0])
+    lost.rows[0] |= {"status": "error", "reason": "lost"}
+    lost.to_parquet(tmp_path / "lost.parquet")
+    for files in ([tmp_path / "lost.parquet", *paths], [*paths, tmp_path / "lost.parquet"]):
+        assert not merge(files).failed
+
+
+def test_trajectories_lie_beside_the_rows(tmp_path):
+    path = tmp_path / "t.zarr"
+    axes = {"height": [1.0, 2.0], "count": [1, 2]}
+    options = {"metrics": ["final_pose"], "trajectories": path, "output": tmp_path / "t.parquet", "fps": 60}
+    with pytest.raises(KeyboardInterrupt):
+        quick(axes, batch=1, on_progress=lambda done, _: done < 2 or _stop(), **options)
+    result = quick(axes, resume=True, **options)
+    folder = zarr.open_group(path, mode="r")
+    assert len(list(folder.group_keys())) == 2
+    for row in result.rows:
+        group = folder[row["trajectory"]]
+        poses = group["position"][row["run"]]
+        assert poses[-1].ravel().tolist() == row["final_position"] and poses.shape == (7, row["count"] + 1, 3)
+        assert poses[0, 1].tolist() == [0, 0, row["height"]]
+        np.testing.assert_allclose(group["time"][:], np.arange(7) / 60)
+        others = [other["run"] for other in result.rows if other["trajectory"] != row["trajectory"]]
+        assert np.isnan(group["position"][others[0]]).all()
+
+
+def _stop():
+    raise KeyboardInterrupt
+
+
+def test_large_tables_are_quick(tmp_path):
+    """100,000 rows; the bound is generous, for machines that are busy."""
+    row = quick({"height": [1.0]}).rows[0]
+    rows = [row | {"run": i, "id": f"{i:016x}", "height": 1e-5 * i} for i in range(100_000)]
+    start = time.perf_counter()
+    write(SweepResult(rows, {"axes": ["height"]}), tmp_path / "large.parquet")
+    back = read(tmp_path / "large.parquet")
+    assert time.perf_counter() - start < 20.0
+    assert back.rows[-1] == rows[-1] and len(back) == 100_000

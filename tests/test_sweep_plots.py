@@ -1,0 +1,89 @@
+"""Plots of sweeps: the kind that suits the axes, and what they show."""
+
+import matplotlib.figure
+import numpy as np
+import pytest
+from PIL import Image
+
+from warp_rigid.sweep.plots import plot
+from warp_rigid.sweep.table import SweepResult
+
+
+def table(axes, points):
+    """Rows whose metric is the sum of the numbers, and a second one that is text."""
+    rows = [
+        {"run": i, "id": str(i), "seed": 0, **dict(zip(axes, point, strict=True)), "status": "ok"}
+        | {"total": sum(v for v in point if not isinstance(v, str)) if i != 1 else None, "word": "x"}
+        for i, point in enumerate(points)
+    ]
+    return SweepResult(rows, {"scene": "s", "axes": axes, "parameters": axes})
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """The figures that were saved."""
+    saved, inner = [], matplotlib.figure.Figure.savefig
+    monkeypatch.setattr(
+        matplotlib.figure.Figure, "savefig", lambda self, *a, **k: saved.append(self) or inner(self, *a, **k)
+    )
+    return saved
+
+
+def test_one_axis_of_numbers_makes_lines(tmp_path, figures):
+    result = table(["a", "mode"], [(a, mode) for a in (0.0, 1.0, 2.0) for mode in ("u", "v")])
+    result.plot(tmp_path / "new" / "p.png")
+    lines = figures[0].axes[0].lines
+    assert [line.get_label() for line in lines] == ["u", "v"]
+    np.testing.assert_allclose(lines[0].get_ydata(), [0, 1, 2])
+    np.testing.assert_allclose(lines[1].get_ydata(), [np.nan, 1, 2])
+    assert Image.open(tmp_path / "new" / "p.png").size[0] > 300
+
+
+def test_repeats_make_a_mean_and_a_band(tmp_path, figures):
+    result = table(["a"], [(0,), (9,), (0,), (2,)])
+    result.rows[2]["total"] = 4
+    result.plot(tmp_path / "p.svg")
+    np.testing.assert_allclose(figures[0].axes[0].lines[0].get_ydata(), [2, 2, np.nan])
+    assert len(figures[0].axes[0].collections) == 1
+    assert (tmp_path / "p.svg").read_text().lstrip().startswith("<?xml")
+
+
+def test_two_axes_of_numbers_make_heat_maps(tmp_path, figures):
+    points = [(a, b, m) for m in ("u", "v") for a in (0, 1, 2) for b in (0.0, 0.5)]
+    plot(table(["a", "b", "mode"], points), tmp_path / "p.png", kind="heatmap", y="total")
+    first, second, bar = figures[0].axes
+    assert (first.get_title(), second.get_title(), bar.get_ylabel()) == ("u", "v", "total")
+    np.testing.assert_allclose(
+        np.ma.filled(first.collections[0].get_array().astype(float), np.nan), [[0, 1, 2], [np.nan, 1.5, 2.5]]
+    )
+    plot(table(["a", "b"], [(a, b) for a in (0, 1, 2) for b in (0.0, 0.5)]), tmp_path / "p.png")
+    assert len(figures[1].axes) == 2
+
+
+def test_scattered_points_make_a_matrix(tmp_path, figures):
+    rng = np.random.default_rng(0)
+    plot(table(["a", "b"], rng.random((20, 2)).tolist()), tmp_path / "p.png")
+    assert len(figures[0].axes) == 9
+
+
+def test_words_are_an_axis_too(tmp_path, figures):
+    plot(table(["mode"], [("u",), ("w",), ("v",)]), tmp_path / "p.png")
+    assert [tick.get_text() for tick in figures[0].axes[0].get_xticklabels()] == ["u", "v", "w"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"y": "totl"}, "column: must be one of"),
+        ({"x": "b"}, "column: must be one of"),
+        ({"y": "word"}, "y must be a column of numbers"),
+        ({"kind": "pie"}, "kind: must be one of"),
+        ({"kind": "heatmap"}, "needs two axes of numbers"),
+        ({"path": "p.bmp"}, "plot: must end in"),
+    ],
+)
+def test_mistakes_are_named(arguments, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        plot(table(["a"], [(1,), (2,)]), **{"path": tmp_path / "p.png"} | arguments)
+    with pytest.raises(ValueError, match="no rows or no axes"):
+        plot(table(["a"], []), tmp_path / "p.png")

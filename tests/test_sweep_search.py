@@ -1,0 +1,45 @@
+"""Search: Optuna's proposals are simulated a batch at a time."""
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from tests.test_sweep import ball
+from warp_rigid.sweep import batch as batch_module
+
+
+def test_a_speed_is_found_from_where_the_ball_ended(monkeypatch):
+    """The ball flies speed * time far, so that the speed that hits the mark is known."""
+    sizes, inner = [], batch_module._run
+    monkeypatch.setattr(
+        batch_module, "_run", lambda job, runs, start: sizes.append(len(runs)) or inner(job, runs, start)
+    )
+
+    def miss(row):
+        return abs(row["final_position"][3] - 0.15)
+
+    options = {"trials": 40, "batch": 10, "duration": 0.1, "device": "cpu", "metrics": ["final_pose"]}
+    study = wr.search(ball, {"speed": wr.Uniform(0, 3), "mass": [1.0, 2.0]}, miss, **options)
+    assert sizes == [10] * 4 and len(study.trials) == 40
+    assert study.best_params["speed"] == pytest.approx(1.5, abs=0.1)
+    again = wr.search(ball, {"speed": wr.Uniform(0, 3), "mass": [1.0, 2.0]}, miss, **options)
+    assert again.best_params == study.best_params
+    wr.search(ball, {"speed": wr.Uniform(0, 3), "mass": [1.0, 2.0]}, miss, study=study, **options | {"trials": 5})
+    assert len(study.trials) == 45
+
+
+def test_failed_runs_are_failed_trials_and_metrics_objectives():
+    axes = {"speed": wr.LogUniform(1, 2), "count": wr.Integers(1, 2)}
+    options = {"trials": 4, "batch": 4, "duration": 0.02, "device": "cpu", "fixed": {"mass": 1e-3}}
+    study = wr.search(ball, axes, "drift", direction="maximize", **options)
+    assert study.best_value == pytest.approx(max(t.values[0] for t in study.trials))
+    options["fixed"]["force[ball]"] = (3e38, 0.0, 0.0)
+    study = wr.search(ball, axes, "drift", **options)
+    assert {trial.state.name for trial in study.trials} == {"FAIL"}
+
+
+def test_mistakes_are_named():
+    with pytest.raises(ValueError, match="speed: a search needs"):
+        wr.search(ball, {"speed": wr.Normal(1, 1)}, "drift")
+    with pytest.raises(ValueError, match="direction: must be"):
+        wr.search(ball, {"speed": np.array([1, 2])}, "drift", direction="up")
