@@ -33,6 +33,9 @@ STEEP = wp.constant(0.05)
 FLAT = wp.constant(0.01)
 """Slope of the distance along an edge below which the edge lies flat."""
 
+CURVED = wp.constant(1.0e-3)
+"""Where the distance lies above its tangents by more than this part of the interval, it is no kink but a curve."""
+
 FOUND = wp.constant(1.0e-4)
 """An edge's place is found when it moves by less than this part of the half-length."""
 
@@ -83,6 +86,7 @@ class Search:
     slope_low: float
     slope_high: float
     turning: float
+    before: wp.vec4
     way: wp.vec3
 
 
@@ -115,10 +119,13 @@ def look_at(search: Search, t: float):
 
 
 @wp.func
-def next_inside(search: Search):
-    """Ask for the place where the tangents at both ends meet."""
+def next_inside(search: Search, curved: bool):
+    """Ask for the place where the tangents at both ends meet, or, on a curve, where the slope passes through zero."""
+    bend = wp.max(search.slope_high - search.slope_low, 1.0e-6)
     rise = search.slope_high * search.right - search.slope_low * search.left
-    t = (search.low[3] - search.high[3] + rise) / wp.max(search.slope_high - search.slope_low, 1.0e-6)
+    t = (search.low[3] - search.high[3] + rise) / bend
+    if curved:
+        t = search.left - search.slope_low * (search.right - search.left) / bend
     return look_at(search, wp.clamp(t, search.left, search.right))
 
 
@@ -140,7 +147,7 @@ def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
         search.turning = 0.0
         search.crossing = 1
     search.stage = EDGE_INSIDE
-    search = next_inside(search)
+    search = next_inside(search, False)
     if convex == 1 and search.low[3] + low * (search.t - search.left) > reach:
         return nowhere(search)
     return search
@@ -165,8 +172,11 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
     """The direction of a crossing of a convex shape's edge, from the gradients on both sides of it.
 
     Their mixture without slope along the edge is perpendicular to both edges. Along it the edge is d / (g . n) away
-    where both faces are d away.
+    where both faces are d away. Where the search has not come near enough to see both sides, its two ends stand in.
     """
+    if slope(before, search.along) >= 0.0 or slope(after, search.along) <= 0.0:
+        before = search.low
+        after = search.high
     rise = wp.max(slope(after, search.along), 0.0)
     fall = wp.max(-slope(before, search.along), 0.0)
     mixture = rise * gradient(before) + fall * gradient(after)
@@ -201,12 +211,12 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
     if search.stage == EDGE_HIGH:
         return edge_has_ends(search, d, reach + radius, convex)
     if search.stage == EDGE_BEFORE:
-        search.low = d
+        search.before = d
         search.stage = EDGE_AFTER
         search.query = search.start + (search.t + ASIDE * search.half) * search.along
         return search
     if search.stage == EDGE_AFTER:
-        return edge_crossed(search, search.low, d, radius)
+        return edge_crossed(search, search.before, d, radius)
     if search.stage == EDGE_FACING:
         if d[3] < search.distance - BORDER * size:
             return nowhere(search)
@@ -219,6 +229,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
     if search.stage == EDGE_CLAMPED:
         return edge_found(search, radius, convex, weight)
     before = search.t
+    curved = d[3] - search.low[3] - search.slope_low * (before - search.left) > CURVED * (search.right - search.left)
     if slope(d, search.along) < search.turning:
         search.left = before
         search.low = d
@@ -227,7 +238,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         search.right = before
         search.high = d
         search.slope_high = slope(d, search.along)
-    after = next_inside(search)
+    after = next_inside(search, curved)
     if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
         after.stage = search.stage + 1
         return after
