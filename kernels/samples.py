@@ -48,11 +48,11 @@ EDGE_MIDDLE = wp.constant(0)
 EDGE_LOW = wp.constant(1)
 EDGE_HIGH = wp.constant(2)
 EDGE_INSIDE = wp.constant(3)
-EDGE_LAST_INSIDE = wp.constant(7)
-EDGE_CLAMPED = wp.constant(8)
-EDGE_FACING = wp.constant(9)
-EDGE_BEFORE = wp.constant(10)
-EDGE_AFTER = wp.constant(11)
+EDGE_LAST_INSIDE = wp.constant(9)
+EDGE_CLAMPED = wp.constant(10)
+EDGE_FACING = wp.constant(11)
+EDGE_BEFORE = wp.constant(12)
+EDGE_AFTER = wp.constant(13)
 
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
@@ -156,6 +156,11 @@ def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
 @wp.func
 def edge_found(search: Search, radius: float, convex: int, weight: float):
     """The place is found. A crossing looks to both sides, a flat edge is measured to the faces its normal opposes."""
+    if radius > 0.0 and convex == 0:
+        # The middle line of a rod may lie beyond a grid where its surface does not.
+        search.start = search.query
+        search.stage = BALL_CENTER
+        return search
     if search.crossing == 1 and convex == 1:
         search.stage = EDGE_BEFORE
         search.query = search.start + (search.t - ASIDE * search.half) * search.along
@@ -171,8 +176,9 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
 def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float):
     """The direction of a crossing of a convex shape's edge, from the gradients on both sides of it.
 
-    Their mixture without slope along the edge is perpendicular to both edges. Along it the edge is d / (g . n) away
-    where both faces are d away. Where the search has not come near enough to see both sides, its two ends stand in.
+    Their mixture without slope along the edge is perpendicular to both edges. Where both faces are d away, the edge
+    leaves the shape along it through the one that it meets first, after d / (g . n). Where the search has not come near
+    enough to see both sides, its two ends stand in.
     """
     if slope(before, search.along) >= 0.0 or slope(after, search.along) <= 0.0:
         before = search.low
@@ -183,7 +189,8 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
     if wp.length_sq(mixture) > 0.0:
         search.direction = wp.normalize(mixture)
         if search.distance < 0.0:
-            search.distance /= wp.max(wp.dot(gradient(before), search.direction), 0.3)
+            n = search.direction
+            search.distance /= wp.max(wp.max(wp.dot(gradient(before), n), wp.dot(gradient(after), n)), 0.3)
     search.stage = DONE
     search.distance -= radius
     search.query = search.start + search.t * search.along - radius * search.direction

@@ -376,3 +376,19 @@ def test_sliding_over_a_flat_floor_does_not_snag(device, floor):
     sim, _ = opened(scene, device)
     sim.step(480)
     np.testing.assert_allclose(sim.get("linear_velocity")[0, slab], [1, 0, 0], atol=1e-4)
+
+
+@pytest.mark.parametrize("degrees", [10.0, 25.0, 45.0])
+@pytest.mark.parametrize("depth", [1e-4, 4e-4])
+def test_a_long_edge_in_a_thin_rod_is_as_deep_as_it_is(device, degrees, depth):
+    """An upright edge pokes into the side of a rod thinner than its segments: no contact is deeper than the edge is."""
+    turn = rotate_about((0, 0, 1), degrees)
+    normal = rotation_matrix(turn)[:, 1]
+    post = Box((0.01, 0.2, 0.5))
+    corner = np.array([0.01, -0.2, 0.0])
+    place = corner - (0.01 - depth) * normal - 0.3 * rotation_matrix(turn)[:, 0]
+    found = touch(device, post, Box((0.5, 0.01, 0.01)), position=place, orientation=turn)
+    assert len(found["gap"]) >= 2
+    assert found["gap"].min() == pytest.approx(-depth, abs=0.1 * depth)
+    assert found["position"][:, 2].min() < -0.009
+    assert found["position"][:, 2].max() > 0.009

@@ -81,6 +81,16 @@ def test_a_rod_hovers_over_a_coarse_mesh_without_touching(device, shape):
             assert found["gap"].min() == pytest.approx(-1e-3, abs=5e-4)
 
 
+@pytest.mark.parametrize("cells", [16, 32])
+def test_a_thick_capsule_lies_on_a_small_mesh_beyond_whose_grid_it_reaches(device, cells):
+    """Wider than the mesh: it touches the top where that is, not deeper."""
+    mesh = Mesh(*cube(0.1), sdf_resolution=cells)
+    turn = rotate_about((0, 1, 0), 90.0)
+    found = touch(device, mesh, Capsule(0.5, 0.5), position=(0.02, 0.01, 0.6), orientation=turn)
+    assert len(found["gap"]) >= 2
+    np.testing.assert_allclose(found["gap"], 0.0, atol=1e-4)
+
+
 def test_a_cylinder_that_wobbles_on_a_slab_stays_on_it(device):
     """On its rim, nearly upright: it settles within a second instead of being thrown aside."""
     scene = Scene()
