@@ -3,9 +3,10 @@
 Contacts are looked for near the pose at the start of a step: further on, neither the place nor the direction of a touch
 is known. So before the bodies move, pairs whose motion in the step is large against the smaller of both sizes are
 followed with the velocities that the solver has given them: the ball around a body, then the balls around its clusters,
-then its samples and its centre, each traced in the other body's distance (conservative advancement). A pair moves only
-up to where it would touch; the next step finds the contact there, with the true normal and the full speed, so that it
-rebounds as it should.
+then its samples and its centre, each traced in the other body's distance (conservative advancement). Edges are traced
+whole, at their deepest place: where two of them cross, no sampled point need come near. A pair moves only up to where
+it would touch; the next step finds the contact there, with the true normal and the full speed, so that it rebounds as
+it should.
 
 In a convex distance the way ahead is bounded by the tangent of the distance and by how fast the motion can curve, so a
 few rounds are enough, and what moves along a surface is not held up; elsewhere by the speed alone.
@@ -17,7 +18,7 @@ from warp_rigid.kernels.data import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.distance import HEIGHTFIELD, signed_distance
 from warp_rigid.kernels.narrowphase import NEAR, matters
 from warp_rigid.kernels.predict import DRIVEN, FREE, UNBOUNDED
-from warp_rigid.kernels.samples import RIM
+from warp_rigid.kernels.samples import EDGE, RIM, gradient, slope
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -33,6 +34,10 @@ CLOSE_ENOUGH = wp.constant(2.0e-3)
 
 ROUNDS = wp.constant(64)
 """Most rounds of a trace; one that needs more is taken to touch where it has come to."""
+
+
+EDGE_ROUNDS = wp.constant(4)
+"""Rounds of the search for an edge's deepest place; a V takes one."""
 
 
 @wp.struct
@@ -140,6 +145,104 @@ def trace(
 
 
 @wp.func
+def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
+    """Where a segment, middle +- slide, is deepest in a convex shape: from -1 to 1, with the distance there.
+
+    Ends are replaced by where the tangents at both meet, as for contacts (samples.py).
+    """
+    low = signed_distance(shapes, shape, middle - slide)
+    high = signed_distance(shapes, shape, middle + slide)
+    left = float(-1.0)
+    right = float(1.0)
+    place = float(wp.where(low[3] < high[3], left, right))
+    deepest = wp.where(low[3] < high[3], low, high)
+    for _round in range(EDGE_ROUNDS):
+        fall = slope(low, slide)
+        rise = slope(high, slide)
+        if fall < 0.0 and rise > 0.0:
+            t = wp.clamp((low[3] - high[3] + rise * right - fall * left) / (rise - fall), left, right)
+            d = signed_distance(shapes, shape, middle + t * slide)
+            if d[3] < deepest[3]:
+                place = t
+                deepest = d
+            if slope(d, slide) < 0.0:
+                left = t
+                low = d
+            else:
+                right = t
+                high = d
+    return place, deepest
+
+
+@wp.func
+def trace_edge(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    arm: wp.vec3,
+    slide: wp.vec3,
+    radius: float,
+    allowed: float,
+    tolerance: float,
+    begin: float,
+    end: float,
+):
+    """`trace` for a whole segment, arm +- slide, against a convex shape.
+
+    The tangent at its deepest place bounds the distance of both ends, and so of all between, as long as it has hardly
+    a slope along the segment: it has where edges cross below the surface, and there the speed alone counts.
+    """
+    other_spin = wp.length(other.angular)
+    reach = wp.max(wp.length(arm - slide), wp.length(arm + slide))
+    away = wp.length(own.center - other.center) + reach
+    speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * reach + other_spin * away
+    curve = wp.length_sq(own.angular) * reach + other_spin * (2.0 * speed + other_spin * away)
+    t = float(begin)
+    for _round in range(ROUNDS):
+        low = place_at(own, other, arm - slide, t)
+        high = place_at(own, other, arm + slide, t)
+        half = 0.5 * (high - low)
+        place, d = deepest_place(shapes, other.shape, low + half, half)
+        left = d[3] - radius + allowed
+        if left < tolerance:
+            return t
+        rise = slope(d, half)
+        bound = left - wp.max((place - 1.0) * rise, (place + 1.0) * rise)
+        if bound > 0.5 * left:
+            closing = wp.max(
+                closing_speed(own, other, arm - slide, low, gradient(d), t),
+                closing_speed(own, other, arm + slide, high, gradient(d), t),
+            )
+            t += 2.0 * bound / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * bound), 1.0e-12)
+        else:
+            t += left / wp.max(speed, 1.0e-12)
+        if t >= end:
+            return end
+    return t
+
+
+@wp.func
+def trace_segment(
+    shapes: Shapes, own: Course, other: Course, s: int, near: float, begin: float, end: float, size: float
+):
+    """Time at which an edge's sample would enter the other body, which is convex, too deep; see `trace_sample`."""
+    arm = wp.quat_rotate(own.turn, shapes.samples[s].point - own.local_center)
+    slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
+    radius = shapes.samples[s].radius
+    tolerance = CLOSE_ENOUGH * size
+    at = trace(shapes, own, other, arm, radius + wp.length(slide), 0.0, tolerance, begin, end)
+    if at >= end:
+        return end
+    low = place_at(own, other, arm - slide, 0.0)
+    half = 0.5 * (place_at(own, other, arm + slide, 0.0) - low)
+    _place, d = deepest_place(shapes, other.shape, low + half, half)
+    gap = d[3] - radius
+    if gap < near:
+        return trace_edge(shapes, own, other, arm, slide, radius, near - wp.min(gap, 0.0), tolerance, 0.0, end)
+    return trace_edge(shapes, own, other, arm, slide, radius, DEPTH * size, tolerance, at, end)
+
+
+@wp.func
 def trace_sample(
     shapes: Shapes,
     own: Course,
@@ -166,7 +269,7 @@ def trace_sample(
 
 @wp.func
 def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: float):
-    """Time at which a sample or the centre of one body would first enter the other too deep, at most `end`."""
+    """Time at which a sample, an edge or the centre of one body would first enter the other too deep, at most `end`."""
     earliest = float(end)
     if own.radius > UNBOUNDED:
         return earliest
@@ -183,7 +286,9 @@ def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: fl
             at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
             if at < earliest:
                 for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-                    if shapes.samples[s].kind != RIM:
+                    if shapes.samples[s].kind == EDGE and shapes.shapes[other.shape].convex == 1:
+                        earliest = trace_segment(shapes, own, other, s, NEAR * size, at, earliest, size)
+                    elif shapes.samples[s].kind != RIM:
                         p = shapes.samples[s].point
                         ball = shapes.samples[s].radius
                         earliest = trace_sample(shapes, own, other, p, ball, NEAR * size, at, earliest, size)

@@ -157,6 +157,32 @@ def test_bodies_do_not_pass_through_each_other(device, pair):
     assert (velocity[:, 1] - velocity[:, 0] > -1e-3 * SPEED).all()
 
 
+RODS = {"bar": Box((0.01, 0.01, 1.0)), "capsule": Capsule(0.01, 1.0), "cylinder": Cylinder(0.01, 1.0)}
+
+
+@pytest.mark.parametrize("kind", ["static", "free"])
+@pytest.mark.parametrize("pair", [("bar", "bar"), ("capsule", "bar"), ("cylinder", "capsule")], ids="-".join)
+def test_rods_that_cross_anywhere_meet(device, kind, pair):
+    """Rods 2 m long and 0.02 m thick at 60 m/s, crossed at any angle, each at any place of its length."""
+    count, speed = 48, 60.0
+    below, above = (RODS[name] for name in pair)
+    scene = Scene(gravity=(0, 0, 0))
+    add = scene.add_static if kind == "static" else scene.add_body
+    add(below, orientation=rotate_about((0, 1, 0), 90))
+    scene.add_body(above, linear_velocity=(0, 0, -speed))
+    generator = np.random.default_rng(0)
+    angle = generator.uniform(0.5, np.pi - 0.5, count)
+    along = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    across = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    place, share = generator.uniform(-0.8, 0.8, (2, count, 1))
+    start = place * [1, 0, 0] + share * along + generator.uniform(0.3, 0.6, (count, 1)) * [0, 0, 1]
+    sim = Simulator(scene, num_envs=count, settings=Settings(dt=DT), device=device)
+    sim.set("position", start[:, None], bodies=[1])
+    sim.set("orientation", [[rotate_about(axis, 90)] for axis in across], bodies=[1])
+    sim.step(4)
+    assert (sim.get("linear_velocity")[:, 1, 2] > -0.999 * speed).all()
+
+
 def test_the_tip_of_a_spinning_rod_is_stopped(device):
     """A rod turns about its middle, its tip by a quarter of a metre a step, against a post: it bounces off."""
     scene = Scene(gravity=(0, 0, 0))
