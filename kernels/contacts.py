@@ -135,7 +135,7 @@ def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state:
     """Evaluate the sample of a contact's identity once more."""
     side = key % 2
     approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), FAR, bodies, state)
-    placed = place_sample(shapes, key / 2, approach.shape, approach.turn, approach.shift, FAR)
+    placed = place_sample(shapes, key / 2, approach.own_shape, approach.shape, approach.turn, approach.shift, FAR)
     return touch_of(placed, side, approach.other, state)
 
 

@@ -260,7 +260,7 @@ def touching(
     result.gap = FAR
     if not sample_is_near(s, approach, shapes):
         return result
-    placed = place_sample(shapes, s, approach.shape, approach.turn, approach.shift, approach.reach)
+    placed = place_sample(shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.reach)
     if placed.distance >= approach.reach:
         return result
     touch = touch_of(placed, side, approach.other, state)

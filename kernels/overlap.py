@@ -23,7 +23,7 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
         d = signed_distance(shapes, shape, c)
         if d[3] < shapes.clusters[cluster].radius - deepest:
             for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-                found = bring_to_touch(shapes, s, shape, turn, shift, 0.0, 0.0)
+                found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, 0.0, 0.0)
                 deepest = wp.max(deepest, -found.distance)
     return deepest
 

@@ -33,6 +33,10 @@ STEEP = wp.constant(0.05)
 FLAT = wp.constant(0.01)
 """Slope of the distance along an edge below which the edge lies flat."""
 
+MUCH_DEEPER = wp.constant(3.0)
+DEEPER = wp.constant(0.1)
+"""A face that a point opposes may lie so many times as deep as the nearest, and this part of the size more."""
+
 CURVED = wp.constant(1.0e-3)
 """Where the distance lies above its tangents by more than this part of the interval, it is no kink but a curve."""
 
@@ -312,20 +316,22 @@ def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int
 
 
 @wp.func
-def point_next(search: Search, d: wp.vec4, size: float, flat: int):
-    """A point's distance; `flat` ones stand for a whole face.
+def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
+    """A point's distance. `flat` ones stand for a whole face, those of a `thin` shape may lie close to its far side.
 
-    Near an edge such a point may lie inside a face that it does not oppose, far from one that it does.
+    Near an edge a flat point may lie inside a face that it does not oppose, far from one that it does. And where the
+    thin ear of a mesh has entered a little, what lies on the ear's other side opposes only faces that are far away.
     """
     if search.stage == POINT_AGAIN:
-        if search.distance < 2.0 * d[3] - BORDER * size:
+        deepest = wp.where(flat == 1, 2.0 * d[3] - BORDER * size, MUCH_DEEPER * d[3] - DEEPER * size)
+        if search.distance < deepest:
             return nowhere(search)
         search.stage = DONE
         return search
     search.direction = gradient(d)
     search.distance = d[3]
     search.stage = DONE
-    if flat == 1 and d[3] < -BORDER * size:
+    if flat + thin > 0 and d[3] < -BORDER * size:
         search.stage = POINT_AGAIN
         search.facing = wp.vec3(0.0, 0.0, 0.0)
     return search
@@ -360,8 +366,10 @@ def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: 
 
 
 @wp.func
-def bring_to_touch(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float):
-    """Bring sample s to its touching place on `shape`, in that shape's frame.
+def bring_to_touch(
+    shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float
+):
+    """Bring sample s of `own_shape` to its touching place on `shape`, in the frame of that one.
 
     What is further than `reach` away may be told as infinitely far. With weight 1 the sample's own normal takes part
     in choosing the face; with 0 the distance alone decides.
@@ -372,6 +380,7 @@ def bring_to_touch(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.
     size = shapes.shapes[shape].size
     exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == HEIGHTFIELD, 1, convex)
     flat = wp.where(weight > 0.0 and (kind == FACE or kind == CAP), 1, 0)
+    thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, turn, shift, convex, weight)
     while search.stage >= 0:
         d = contact_distance(shapes, shape, search.query, search.facing)
@@ -382,7 +391,7 @@ def bring_to_touch(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.
         elif kind == RIM:
             search = rim_next(search, d, radius, weight)
         else:
-            search = point_next(search, d, size, flat)
+            search = point_next(search, d, size, flat, thin)
     return search
 
 
@@ -401,13 +410,13 @@ def opposed(cosine: float, kind: int, other: int):
 
 
 @wp.func
-def place_sample(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
+def place_sample(shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
     """Bring sample s to its touching place; FAR where it touches nothing that it faces.
 
     An edge that ends at a face without leaving it is no contact: its distance to the faces that it opposes is not its
     distance.
     """
-    found = bring_to_touch(shapes, s, shape, turn, shift, reach, 1.0)
+    found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, 1.0)
     other = shapes.parts[shapes.shapes[shape].part_start].kind
     if not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
         found.distance = FAR
