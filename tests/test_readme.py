@@ -1,25 +1,37 @@
-"""Every command and every program of the README and of docs/ runs; only sizes are cut."""
+"""Every command and every program of the README and of docs/ runs; only sizes are cut. Pictures come from commands."""
 
+import ast
+import inspect
 import re
 import shlex
+import textwrap
 import tomllib
 from pathlib import Path
 
 import pytest
+import warp as wp
 
-from warp_rigid import cli
+from warp_rigid import cli, kernels
+from warp_rigid.stages import Stages
+from warp_rigid.validation import suite
 from warp_rigid.viewer.page import stop_server
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 TEXT = "\n".join(page.read_text() for page in PAGES)
+MEASURES = {("overlap", "deepest_overlap")}
+"""Kernels that are no part of a step."""
+
+MOST_BYTES = {".png": 120_000, ".gif": 1_500_000}
 
 
 def blocks(language):
-    return re.findall(rf"```{language}\n(.*?)```", TEXT, flags=re.DOTALL)
+    """Code of a language on all pages, each text once."""
+    return list(dict.fromkeys(re.findall(rf"```{language}\n(.*?)```", TEXT, flags=re.DOTALL)))
 
 
-COMMANDS = [line.split("#")[0].strip() for block in blocks("bash") for line in block.splitlines() if line]
+COMMANDS = list(dict.fromkeys(line.split("#")[0].strip() for b in blocks("bash") for line in b.splitlines() if line))
 OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ")]
 
 
@@ -61,8 +73,39 @@ def test_make_targets_and_files_exist():
         if command.startswith("make "):
             assert f"\n{command.split()[1]}:" in makefile
     for page in PAGES:
-        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
-            assert "://" in target or (page.parent / target).is_file()
+        for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+            assert "://" in target or (page.parent / target).is_file(), (page, target)
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     asked = {extra for group in re.findall(r"'\.\[([\w,]+)\]'", TEXT) for extra in group.split(",")}
     assert asked and asked <= set(extras)
+
+
+def test_pictures_are_small_and_made_by_a_command():
+    pictures = [file for file in (DOCS / "pictures").iterdir()]
+    for picture in pictures:
+        assert any(f"out/{picture.name}" in command for command in OWN_COMMANDS), picture.name
+        assert any(f"pictures/{picture.name})" in page.read_text() for page in PAGES), picture.name
+        assert picture.stat().st_size <= MOST_BYTES[picture.suffix], picture.name
+
+
+def test_cases_that_prove_promises_exist():
+    cases = {case.id for case in suite.all_cases(quick=False)}
+    named = set(re.findall(r"\bV\d\d\b", (ROOT / "README.md").read_text()))
+    assert named and named <= cases
+
+
+def test_every_stage_has_a_page_with_its_kernels():
+    """The headings of the step's pages are the code's names."""
+    step = ast.parse(textwrap.dedent(inspect.getsource(Stages.step)))
+    stages = {node.func.attr for node in ast.walk(step) if isinstance(node, ast.Call)}
+    overview = (DOCS / "step" / "index.md").read_text()
+    assert stages == set(re.findall(r"^\| \[(\w+)\]", overview, flags=re.MULTILINE))
+    shown = set()
+    for page in (DOCS / "step").glob("*.md"):
+        text = page.read_text()
+        assert page.stem == "index" or (page.stem in stages and text.startswith(f"# {page.stem}\n"))
+        for module, options in re.findall(r"^::: warp_rigid\.kernels\.(\w+)\n((?: {4}.*\n)*)", text, flags=re.M):
+            shown |= {(module, name) for name in re.findall(r"^ {8}- (\w+)$", options, flags=re.M)}
+    named = {pair for pair in re.findall(r"\b(\w+)\.(\w+)\b", inspect.getsource(Stages)) if hasattr(kernels, pair[0])}
+    launched = {(m, name) for m, name in named if isinstance(getattr(getattr(kernels, m), name), wp.Kernel)}
+    assert shown == launched - MEASURES
