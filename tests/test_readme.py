@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
+import warp_rigid
 from warp_rigid import cli, kernels
 from warp_rigid.stages import Stages
 from warp_rigid.validation import suite
@@ -19,7 +20,6 @@ from warp_rigid.viewer.page import stop_server
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-TEXT = "\n".join(page.read_text() for page in PAGES)
 MEASURES = {("overlap", "deepest_overlap")}
 """Kernels that are no part of a step."""
 
@@ -27,8 +27,9 @@ MOST_BYTES = {".png": 120_000, ".gif": 1_500_000}
 
 
 def blocks(language):
-    """Code of a language on all pages, each text once."""
-    return list(dict.fromkeys(re.findall(rf"```{language}\n(.*?)```", TEXT, flags=re.DOTALL)))
+    """Code of a language, each text once; tests/test_sweep_docs.py runs that of the sweeps' pages."""
+    text = "\n".join(page.read_text() for page in PAGES if page.parent.name != "sweeps")
+    return list(dict.fromkeys(re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)))
 
 
 COMMANDS = list(dict.fromkeys(line.split("#")[0].strip() for b in blocks("bash") for line in b.splitlines() if line))
@@ -75,8 +76,9 @@ def test_make_targets_and_files_exist():
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
             assert "://" in target or (page.parent / target).is_file(), (page, target)
+    text = "\n".join(page.read_text() for page in PAGES)
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    asked = {extra for group in re.findall(r"'\.\[([\w,]+)\]'", TEXT) for extra in group.split(",")}
+    asked = {extra for group in re.findall(r"'\.\[([\w,]+)\]'", text) for extra in group.split(",")}
     assert asked and asked <= set(extras)
 
 
@@ -109,3 +111,12 @@ def test_every_stage_has_a_page_with_its_kernels():
     named = {pair for pair in re.findall(r"\b(\w+)\.(\w+)\b", inspect.getsource(Stages)) if hasattr(kernels, pair[0])}
     launched = {(m, name) for m, name in named if isinstance(getattr(getattr(kernels, m), name), wp.Kernel)}
     assert shown == launched - MEASURES
+
+
+def test_api_page_has_every_public_name():
+    paths = re.findall(r"^::: (\S+)$", (DOCS / "api.md").read_text(), flags=re.M)
+    assert sorted(path.split(".")[-1] for path in paths) == sorted(warp_rigid.__all__)
+
+
+def test_citation_has_this_version():
+    assert f"\nversion: {warp_rigid.__version__}\n" in (ROOT / "CITATION.cff").read_text()
