@@ -1,6 +1,6 @@
-"""Make docs/pictures: run each command of the documents whose picture they show, and make what it writes small.
+"""Make docs/pictures: run each command or program of the documents whose picture they show, and make the picture small.
 
-A command makes a picture of the documents if it writes `out/NAME.png` (or .gif) and `pictures/NAME.png` is shown.
+A picture is made by what writes `out/NAME.png` (or .gif), where `pictures/NAME.png` is shown.
 Run it from the top of the repository: `.venv/bin/python docs/make_pictures.py [NAME ...]`; all pictures without names.
 """
 
@@ -17,23 +17,23 @@ WIDEST = {".png": 1600, ".gif": 480}
 """Pictures are reduced to so many pixels a line."""
 
 
-def commands() -> dict[str, str]:
-    """The command behind each picture, by file name."""
+def makers() -> dict[str, list[str]]:
+    """Arguments of the Python that makes each picture, by file name."""
     text = "\n".join(page.read_text() for page in [*sorted(DOCS.glob("**/*.md")), DOCS.parent / "README.md"])
     shown = set(re.findall(r"pictures/(\w+\.(?:png|gif))", text))
-    lines = [line for block in re.findall(r"```bash\n(.*?)```", text, flags=re.DOTALL) for line in block.splitlines()]
-    made = {}
-    for line in lines:
-        for name in re.findall(r"out/(\w+\.(?:png|gif))", line):
-            if name in shown:
-                made.setdefault(name, line)
+    made: dict[str, list[str]] = {}
+    for language, block in re.findall(r"```(bash|python)\n(.*?)```", text, flags=re.DOTALL):
+        for source in block.splitlines() if language == "bash" else [block]:
+            for name in shown & set(re.findall(r"out/(\w+\.(?:png|gif))", source)):
+                command = ["-m", "warp_rigid.cli", *shlex.split(source)[1:]] if language == "bash" else ["-c", source]
+                made.setdefault(name, command)
     if shown - set(made):
-        raise ValueError(f"no command makes {', '.join(sorted(shown - set(made)))}")
+        raise ValueError(f"nothing makes {', '.join(sorted(shown - set(made)))}")
     return made
 
 
 def shrink(source: Path, target: Path) -> None:
-    """Reduce size and colours; of a film, keep every second picture."""
+    """Reduce size and colours."""
     with Image.open(source) as picture:
         width, height = picture.size
         scale = min(1.0, WIDEST[source.suffix] / width)
@@ -42,8 +42,8 @@ def shrink(source: Path, target: Path) -> None:
             small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
             small.quantize(128, dither=Image.Dither.NONE).save(target, optimize=True)
             return
-        duration = 2 * picture.info.get("duration", 40)
-        frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(picture)][::2]
+        duration = picture.info["duration"]
+        frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(picture)]
     palette = frames[len(frames) // 2].quantize(64, dither=Image.Dither.NONE)
     first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     first.save(target, save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
@@ -51,10 +51,9 @@ def shrink(source: Path, target: Path) -> None:
 
 def main(names: list[str]) -> None:
     """Make the pictures of these names, or all."""
-    for name, command in commands().items():
+    for name, command in sorted(makers().items()):
         if not names or Path(name).stem in names:
-            print(command)
-            subprocess.run([sys.executable, "-m", "warp_rigid.cli", *shlex.split(command)[1:]], check=True)
+            subprocess.run([sys.executable, *command], check=True)
             shrink(Path("out", name), DOCS / "pictures" / name)
 
 

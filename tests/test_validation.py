@@ -89,6 +89,14 @@ def test_verdicts(values, reference, tolerance, miss, verdict):
     assert not np.isfinite(finding.error[finding.worst]) or finding.error[finding.worst] == np.nanmax(finding.error)
 
 
+def test_a_bar_in_a_name_does_not_end_a_cell():
+    check = Check("error of |L|", "", lambda subject: subject, 1.0, relative(0.1), ("one",))
+    case = Case("V98", "made up", "nobody", (check,), compute=lambda device: 1.0, on_device=False)
+    heading, _, _, line = report.markdown([judge(case, "cpu")[1][0]]).splitlines()
+    assert r"error of \|L\|" in line
+    assert line.replace(r"\|", "").count("|") == heading.count("|")
+
+
 def test_a_case_that_breaks_is_an_error_and_stops_no_other():
     def broken(_):
         raise RuntimeError("no\nluck")

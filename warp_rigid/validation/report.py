@@ -62,7 +62,8 @@ def markdown(findings: Sequence[Finding]) -> str:
             case = finding.case
             lines.append(f"| **{case.id}** | **{case.title}** ({case.source}) |{' |' * 5}")
             last = case
-        lines.append(f"| | {' | '.join(row(finding, with_device))} |")
+        cells = [cell.replace("|", "\\|") for cell in row(finding, with_device)]
+        lines.append(f"| | {' | '.join(cells)} |")
         if finding.note:
             lines.append(f"| | {finding.note} |{' |' * 5}")
     return "\n".join(lines) + "\n"
