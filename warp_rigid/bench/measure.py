@@ -1,0 +1,184 @@
+"""Speed, work and quality of a case at one batch size, as plain data."""
+
+import os
+import subprocess
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid.bench.scenes import Case, moving
+from warp_rigid.bench.stage_times import stage_times
+from warp_rigid.doctor import versions
+from warp_rigid.settings import Settings
+from warp_rigid.simulator import Simulator
+
+FPS = 60
+STAGE_STEPS = 32
+"""Steps over which the times of the stages are averaged."""
+OURS = "warp_rigid"
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How a case is run.
+
+    Attributes:
+        envs: environments.
+        substeps: steps in a frame of 1/60 s.
+        settle: frames that are not timed, before those that are.
+        frames: frames that are timed.
+    """
+
+    envs: int
+    substeps: int
+    settle: int
+    frames: int
+
+
+def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, Any], Simulator]:
+    """Run a case and measure it.
+
+    Times are of the clock: `seconds` of the timed frames, with nothing between them, and `processor_seconds` of all
+    threads of this process meanwhile, which another program on the machine does not stretch.
+
+    Returns:
+        Figures, ready for JSON, and the simulator at the end of the timed frames.
+    """
+    begin = time.perf_counter()
+    sim = Simulator(case.build(), conditions.envs, Settings(dt=1.0 / (FPS * conditions.substeps)), device=device)
+    case.scatter(sim)
+    wp.synchronize_device(sim.device)
+    build_seconds = time.perf_counter() - begin
+    _advance(sim, conditions.substeps * max(1, conditions.settle))
+    seconds, processor_seconds = _advance(sim, conditions.substeps * conditions.frames)
+    rows = moving(sim.scene)
+    told = {
+        "engine": OURS,
+        "scene": case.name,
+        "bodies": case.bodies,
+        "envs": conditions.envs,
+        "substeps": conditions.substeps,
+        "settle": conditions.settle,
+        "frames": conditions.frames,
+        "collider": "samples against signed distances",
+        **rates(case, conditions, seconds, processor_seconds),
+        "build_seconds": build_seconds,
+        "memory": sim.memory,
+        **work(sim),
+        "quality": quality(case, sim, sim.get("position")[:, rows], sim.get("linear_velocity")[:, rows]),
+        "failed_envs": int((sim.status()["status"] != "ok").sum()),
+        "stage_seconds": stage_times(sim, STAGE_STEPS),
+    }
+    return told, sim
+
+
+def rates(case: Case, conditions: Conditions, seconds: float, processor_seconds: float) -> dict[str, float]:
+    """Frames, steps and steps of bodies a second over all environments, and frames a second of a processor."""
+    frames = conditions.envs * conditions.frames
+    return {
+        "seconds": seconds,
+        "processor_seconds": processor_seconds,
+        "env_frames_per_second": frames / seconds,
+        "env_frames_per_processor_second": frames / processor_seconds,
+        "env_steps_per_second": frames * conditions.substeps / seconds,
+        "body_steps_per_second": frames * conditions.substeps * case.bodies / seconds,
+    }
+
+
+def work(sim: Simulator) -> dict[str, Any]:
+    """Contacts and levels of the last step, and the part of each pool that was ever used."""
+    counts = sim.counts()
+    return {
+        "contacts": counts["contacts"],
+        "pairs": counts["pairs"],
+        "levels": counts["levels"],
+        "pair_capacity_used": counts["most_pairs"] / counts["pair_capacity"],
+        "contact_capacity_used": counts["most_contacts"] / counts["contact_capacity"],
+    }
+
+
+def quality(case: Case, sim: Simulator, position: np.ndarray, velocity: np.ndarray) -> dict[str, Any]:
+    """The same figures for every engine, from final states alone; lengths in metres.
+
+    Args:
+        case: what was simulated.
+        sim: a simulator in the state that is judged: it measures the overlap, with its own samples.
+        position: (envs, bodies, 3) of the dynamic bodies.
+        velocity: likewise.
+
+    Returns:
+        "deepest_overlap" and "max_speed", None where a body is not a number; "escaped"; for a stack "height_error"
+        (largest of any cube), "top_height_error" (mean of the top cubes) and "drift".
+    """
+    whole = bool(np.isfinite(position).all() and np.isfinite(velocity).all())
+    told: dict[str, Any] = {
+        "deepest_overlap": float(sim.penetration().max()) if whole else None,
+        "max_speed": float(np.linalg.norm(velocity, axis=-1).max()) if whole else None,
+        "escaped": case.escaped(position),
+    }
+    if case.name == "stack" and whole:
+        error = case.height_error(position.astype(np.float64))
+        told["height_error"] = float(np.abs(error).max())
+        told["top_height_error"] = float(error[:, -1].mean())
+        told["drift"] = float(case.drift(position).max())
+    return told
+
+
+def surroundings(device: Any) -> dict[str, Any]:
+    """Device, versions, commit and load of the machine."""
+    return {
+        "device": str(device),
+        "device_name": device.name,
+        "processors": os.cpu_count(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "versions": versions(),
+        "commit": commit(),
+    }
+
+
+def commit() -> str:
+    """The commit of the checkout that runs, with a + if files differ from it; "" where there is none."""
+    folder = Path(__file__).resolve().parents[2]
+    if not (folder / ".git").exists():
+        return ""
+    return _git(folder, "rev-parse", "--short=12", "HEAD") + (
+        "+" if _git(folder, "status", "--porcelain", "-uno") else ""
+    )
+
+
+def compare(rows: Sequence[dict[str, Any]]) -> None:
+    """Note in every row of another engine how many times faster ours was under the same conditions.
+
+    By the clock where one of the two ran on a GPU, else by the processor's seconds.
+    """
+    ours = {_conditions(row): row for row in rows if row["engine"] == OURS}
+    for row in rows:
+        if row["engine"] != OURS and "seconds" in row:
+            own = ours[_conditions(row)]
+            kind = "seconds" if "cuda" in own["device"] + row["device"] else "processor_seconds"
+            row["ratio"] = row[kind] / own[kind]
+
+
+def _conditions(row: dict[str, Any]) -> tuple:
+    return tuple(row[name] for name in ("scene", "bodies", "envs", "substeps", "settle", "frames"))
+
+
+def _advance(sim: Simulator, steps: int) -> tuple[float, float]:
+    """Seconds that steps take by the clock and of the process."""
+    start, begin = time.process_time(), time.perf_counter()
+    sim.step(steps)
+    wp.synchronize_device(sim.device)
+    return time.perf_counter() - begin, time.process_time() - start
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    try:
+        done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()
