@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 import warp_rigid
+from warp_rigid.commands.bench import bench_command
 from warp_rigid.commands.doctor import doctor_command
 from warp_rigid.commands.inspect import inspect_command
 from warp_rigid.commands.merge import merge_command
@@ -82,6 +83,7 @@ app.command("sweep")(sweep_command)
 app.command("merge")(merge_command)
 app.add_typer(usd_app, name="usd")
 app.command("validate")(validate_command)
+app.command("bench")(bench_command)
 
 
 def _fail(status: int, text: str) -> int:

@@ -54,7 +54,7 @@ def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, 
     case.scatter(sim)
     wp.synchronize_device(sim.device)
     build_seconds = time.perf_counter() - begin
-    _advance(sim, conditions.substeps * max(1, conditions.settle))
+    _advance(sim, conditions.substeps * conditions.settle)
     seconds, processor_seconds = _advance(sim, conditions.substeps * conditions.frames)
     rows = moving(sim.scene)
     told = {

@@ -14,6 +14,8 @@ from warp_rigid.scenes import rings_on_poles
 from warp_rigid.shapes import Box, Plane
 from warp_rigid.simulator import Simulator
 
+STANDARD = ("stack:10", "pile_box:32", "pile_torus:16", "pile_bunny:8", "rings:12")
+"""What is measured unless something else is asked for."""
 EDGE, GAP = 0.2, 0.001
 """Edge of a cube, and what is between two of a stack at the start [m]."""
 FRICTION, DENSITY = 0.5, 1000.0

@@ -1,0 +1,111 @@
+"""What the programs of this folder share: reading a problem, timing a run, writing what came out.
+
+Only numpy is needed here, so that each engine can live in an environment of its own; convex parts of meshes need coacd.
+"""
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+NOT_INSTALLED = 3
+COACD_THRESHOLD = 0.05
+
+
+class Problem:
+    """Bodies of one shape above the ground plane z = 0, in several environments.
+
+    Attributes:
+        position: (envs, bodies, 3) [m].
+        orientation: (envs, bodies, 4) unit quaternions (x, y, z, w).
+        half_extents: (3,) of a box, or None for a mesh [m].
+        vertices: (n, 3) of a mesh in its principal frame about its centre of mass [m], or None.
+        faces: (m, 3) of a mesh.
+        inertia: (3,) principal moments [kg m^2].
+        mass: [kg].
+        friction: Coulomb coefficient of every contact.
+        restitution: of every body.
+        gravity: (3,) [m/s^2].
+        dt: of a step [s].
+        substeps: steps in a frame.
+        settle: frames before the timed ones.
+        frames: that are timed.
+        fixed: static boxes and upright cylinders.
+        device: such as "cpu" or "cuda:0".
+        cache: folder for convex parts.
+    """
+
+    def __init__(self, path: str) -> None:
+        """Read what `warp-rigid bench` wrote."""
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        for name, value in json.loads(str(arrays.pop("told"))).items():
+            setattr(self, name, value)
+        self.half_extents = self.vertices = self.faces = None
+        for name, value in arrays.items():
+            setattr(self, name, value)
+        self.num_envs, self.num_bodies = self.position.shape[:2]
+
+    @property
+    def real_first(self) -> np.ndarray:
+        """Orientations as (w, x, y, z)."""
+        return self.orientation[..., [3, 0, 1, 2]]
+
+    def convex_parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Vertices and faces of the parts into which CoACD cuts the mesh; kept, for it may take a minute."""
+        key = hashlib.sha256(self.vertices.tobytes() + self.faces.tobytes()).hexdigest()[:24]
+        path = Path(self.cache) / f"convex-{key}-{COACD_THRESHOLD}.npz"
+        if not path.is_file():
+            import coacd
+
+            coacd.set_log_level("error")
+            mesh = coacd.Mesh(np.asarray(self.vertices, np.float64), np.asarray(self.faces, np.int32))
+            parts = coacd.run_coacd(mesh, threshold=COACD_THRESHOLD)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            named = {f"{kind}{i}": np.asarray(part[k]) for i, part in enumerate(parts) for k, kind in enumerate("vf")}
+            np.savez(path, **named)
+        with np.load(path) as file:
+            return [(file[f"v{i}"], file[f"f{i}"]) for i in range(len(file.files) // 2)]
+
+
+def timed(problem: Problem, advance: Callable[[int], None]) -> dict[str, float]:
+    """Settle, then time the frames.
+
+    Args:
+        problem: says how many.
+        advance: does so many frames of all environments, and returns when they are done.
+    """
+    advance(problem.settle)
+    begin, start = time.perf_counter(), time.process_time()
+    advance(problem.frames)
+    return {"seconds": time.perf_counter() - begin, "processor_seconds": time.process_time() - start}
+
+
+def write(told: dict, position: np.ndarray, orientation: np.ndarray, linear_velocity: np.ndarray) -> None:
+    """Write figures and final states, orientations as (x, y, z, w), to the path of the command line."""
+    states = {"position": position, "orientation": orientation, "linear_velocity": linear_velocity}
+    np.savez(sys.argv[2], told=json.dumps(told), **states)
+
+
+def as_obj(parts: list[tuple[np.ndarray, np.ndarray]]) -> str:
+    """Text of an OBJ file with one object a part."""
+    lines, first = [], 1
+    for i, (vertices, faces) in enumerate(parts):
+        lines.append(f"o part{i}")
+        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
+        lines += [f"f {a} {b} {c}" for a, b, c in np.asarray(faces) + first]
+        first += len(vertices)
+    return "\n".join(lines) + "\n"
+
+
+def main(run: Callable[[Problem], None]) -> None:
+    """Run a program on the problem of the command line; a missing engine has a status of its own."""
+    try:
+        run(Problem(sys.argv[1]))
+    except ModuleNotFoundError as error:
+        print(f"{error.name} is not installed", file=sys.stderr)
+        sys.exit(NOT_INSTALLED)

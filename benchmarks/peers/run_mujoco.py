@@ -1,0 +1,34 @@
+"""MuJoCo on one core of the CPU."""
+
+from problem import Problem, main, timed, write
+
+
+def run(problem: Problem) -> None:
+    """Step one environment after another."""
+    import mujoco
+    import mujoco_model
+    import numpy as np
+
+    model, collider = mujoco_model.build(problem)
+    worlds = [mujoco.MjData(model) for _ in range(problem.num_envs)]
+    for world, start in zip(worlds, mujoco_model.starts(problem), strict=True):
+        world.qpos[:] = start
+
+    def advance(frames: int) -> None:
+        for world in worlds:
+            mujoco.mj_step(model, world, nstep=frames * problem.substeps)
+
+    told = {
+        "engine": "mujoco",
+        "version": mujoco.__version__,
+        "collider": collider,
+        "device": "cpu",
+        **timed(problem, advance),
+        "contacts": int(sum(world.ncon for world in worlds)),
+    }
+    positions, velocities = np.array([w.qpos for w in worlds]), np.array([w.qvel for w in worlds])
+    write(told, *mujoco_model.final(positions, velocities, problem))
+
+
+if __name__ == "__main__":
+    main(run)

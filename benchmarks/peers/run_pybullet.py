@@ -1,0 +1,87 @@
+"""PyBullet on one core of the CPU; meshes as convex parts."""
+
+import tempfile
+from pathlib import Path
+
+from problem import Problem, as_obj, main, timed, write
+
+
+def run(problem: Problem) -> None:
+    """Step one client an environment."""
+    import numpy as np
+    import pybullet
+
+    parts = None if problem.vertices is None else problem.convex_parts()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "parts.obj"
+        if parts is not None:
+            path.write_text(as_obj(parts))
+        worlds = [_world(pybullet, problem, path, env) for env in range(problem.num_envs)]
+
+    def advance(frames: int) -> None:
+        for client, _ in worlds:
+            for _ in range(frames * problem.substeps):
+                pybullet.stepSimulation(physicsClientId=client)
+
+    seconds = timed(problem, advance)
+    poses = [[pybullet.getBasePositionAndOrientation(b, physicsClientId=c) for b in bodies] for c, bodies in worlds]
+    speeds = [[pybullet.getBaseVelocity(b, physicsClientId=c)[0] for b in bodies] for c, bodies in worlds]
+    # The eighth of a contact's items is how far it gapes.
+    touching = sum(point[8] <= 0.0 for c, _ in worlds for point in pybullet.getContactPoints(physicsClientId=c) or ())
+    told = {
+        "engine": "pybullet",
+        "version": str(pybullet.getAPIVersion()),
+        "collider": "box" if parts is None else f"{len(parts)} convex parts",
+        "device": "cpu",
+        **seconds,
+        "contacts": touching,
+    }
+    places, turned = (np.array([[pose[k] for pose in row] for row in poses]) for k in (0, 1))
+    write(told, places, turned, np.array(speeds))
+
+
+def _world(pybullet, problem: Problem, path: Path, env: int) -> tuple[int, list[int]]:
+    """Client and its bodies; nothing sleeps, nothing is damped."""
+    client = pybullet.connect(pybullet.DIRECT)
+    own = {"physicsClientId": client}
+    pybullet.setGravity(*problem.gravity, **own)
+    pybullet.setPhysicsEngineParameter(fixedTimeStep=problem.dt, deterministicOverlappingPairs=1, **own)
+    # Bullet multiplies the coefficients of the two bodies.
+    surface = {"lateralFriction": problem.friction**0.5, "restitution": problem.restitution}
+    still = [pybullet.createMultiBody(0, pybullet.createCollisionShape(pybullet.GEOM_PLANE, **own), **own)]
+    for part in problem.fixed:
+        shape = _fixed(pybullet, part, own)
+        still.append(pybullet.createMultiBody(0, shape, basePosition=part["position"], **own))
+    for body in still:
+        pybullet.changeDynamics(body, -1, **surface, **own)
+    if problem.vertices is None:
+        half = problem.half_extents.tolist()
+        shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, **own)
+    else:
+        shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, fileName=str(path), **own)
+    bodies = []
+    for place, turned in zip(problem.position[env].tolist(), problem.orientation[env].tolist(), strict=True):
+        body = pybullet.createMultiBody(problem.mass, shape, basePosition=place, baseOrientation=turned, **own)
+        pybullet.changeDynamics(
+            body,
+            -1,
+            **surface,
+            localInertiaDiagonal=problem.inertia.tolist(),
+            linearDamping=0,
+            angularDamping=0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            **own,
+        )
+        bodies.append(body)
+    return client, bodies
+
+
+def _fixed(pybullet, part: dict, own: dict) -> int:
+    if part["kind"] == "box":
+        return pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=part["half_extents"], **own)
+    sizes = {"radius": part["radius"], "height": 2.0 * part["half_height"]}
+    return pybullet.createCollisionShape(pybullet.GEOM_CYLINDER, **sizes, **own)
+
+
+if __name__ == "__main__":
+    main(run)

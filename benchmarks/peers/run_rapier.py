@@ -1,0 +1,82 @@
+"""Rapier on one core of the CPU; meshes as convex parts."""
+
+from importlib.metadata import version
+
+from problem import Problem, main, timed, write
+
+
+def run(problem: Problem) -> None:
+    """Step one world an environment."""
+    import numpy as np
+    import rapier3d
+
+    shapes = _shapes(rapier3d, problem)
+    worlds = [_world(rapier3d, problem, shapes, env) for env in range(problem.num_envs)]
+
+    def advance(frames: int) -> None:
+        for world, _ in worlds:
+            for _ in range(frames * problem.substeps):
+                world.step()
+
+    seconds = timed(problem, advance)
+    bodies = [[world.rigid_bodies[handle] for handle in handles] for world, handles in worlds]
+    read = [
+        [[(b.translation.x, b.translation.y, b.translation.z) for b in row] for row in bodies],
+        [[(b.rotation.i, b.rotation.j, b.rotation.k, b.rotation.w) for b in row] for row in bodies],
+        [[(b.linvel.x, b.linvel.y, b.linvel.z) for b in row] for row in bodies],
+    ]
+    told = {
+        "engine": "rapier",
+        "version": version("rapier3d"),
+        "collider": "box" if problem.vertices is None else f"{len(shapes)} convex parts",
+        "device": "cpu",
+        **seconds,
+        "contacts": sum(_touching(world) for world, _ in worlds),
+    }
+    write(told, *(np.array(values) for values in read))
+
+
+def _shapes(rapier3d, problem: Problem) -> list:
+    if problem.vertices is None:
+        return [rapier3d.SharedShape.cuboid(*problem.half_extents.tolist())]
+    return [rapier3d.SharedShape.convex_hull(part.astype("float32")) for part, _ in problem.convex_parts()]
+
+
+def _world(rapier3d, problem: Problem, shapes: list, env: int) -> tuple:
+    """World and the bodies' handles; nothing sleeps."""
+    world = rapier3d.PhysicsWorld(gravity=tuple(problem.gravity))
+    world.set_num_threads(1)
+    world.integration_parameters.dt = problem.dt
+    world.add_collider(rapier3d.Collider.halfspace((0.0, 0.0, 1.0)).friction(problem.friction))
+    for part in problem.fixed:
+        world.add_collider(_fixed(rapier3d, part).friction(problem.friction))
+    mass = rapier3d.MassProperties((0.0, 0.0, 0.0), problem.mass, problem.inertia.tolist())
+    handles = []
+    for place, turned in zip(problem.position[env].tolist(), problem.real_first[env].tolist(), strict=True):
+        pose = rapier3d.Isometry3(place, rapier3d.Rotation3.from_quaternion(*turned))
+        body = rapier3d.RigidBody.dynamic().position(pose).can_sleep(False).additional_mass_properties(mass)
+        colliders = [
+            rapier3d.Collider.new(s).friction(problem.friction).restitution(problem.restitution).density(0.0)
+            for s in shapes
+        ]
+        handles.append(world.add_body(body, colliders))
+    return world, handles
+
+
+def _fixed(rapier3d, part: dict):
+    if part["kind"] == "box":
+        return rapier3d.Collider.cuboid(*part["half_extents"]).translation(tuple(part["position"]))
+    # Rapier's cylinders stand along y.
+    upright = rapier3d.Rotation3.from_quaternion(0.5**0.5, 0.5**0.5, 0.0, 0.0)
+    made = rapier3d.Collider.cylinder(part["half_height"], part["radius"])
+    return made.position(rapier3d.Isometry3(part["position"], upright))
+
+
+def _touching(world) -> int:
+    """Points of contact that do not gape."""
+    manifolds = [m for pair in world.narrow_phase.contact_pairs() for m in pair.manifolds]
+    return sum(point.dist <= 0.0 for manifold in manifolds for point in manifold.points)
+
+
+if __name__ == "__main__":
+    main(run)

@@ -1,0 +1,209 @@
+"""Benchmarks: the same start for every engine, figures that add up, and faults told in one line."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import warp as wp
+from PIL import Image
+
+from warp_rigid import Settings, Simulator, cli
+from warp_rigid.bench import measure, peers
+from warp_rigid.bench.scenes import STANDARD, Case, find_case, moving
+from warp_rigid.bench.stage_times import stage_times
+
+NAMES = [find_case(text) for text in STANDARD]
+
+FAKE = '''"""An engine that lets everything fall without contacts, or fails."""
+import sys
+from problem import Problem, main, timed, write
+
+def run(problem):
+    import numpy as np
+    done = []
+    seconds = timed(problem, done.append)
+    time = problem.dt * problem.substeps * sum(done)
+    if problem.num_envs == 3:
+        raise RuntimeError("three is too many")
+    if problem.num_envs == 4:
+        import an_engine_that_is_missing
+    gravity = np.array(problem.gravity)
+    velocity = np.broadcast_to(gravity * time, problem.position.shape)
+    told = {"engine": "mujoco", "version": "1", "device": "cpu", "collider": "none", **seconds}
+    write(told, problem.position + 0.5 * gravity * time**2, problem.orientation, velocity)
+
+main(run)
+'''
+
+
+@pytest.fixture
+def fake_peer(tmp_path, monkeypatch):
+    """A folder of programs with one for the name mujoco that needs no engine."""
+    (tmp_path / "problem.py").write_text((peers.FOLDER / "problem.py").read_text())
+    (tmp_path / "run_mujoco.py").write_text(FAKE)
+    monkeypatch.setattr(peers, "FOLDER", tmp_path)
+
+
+def bench(capsys, *arguments):
+    status = cli.main(["bench", *map(str, arguments), "--device", "cpu", "--json"])
+    captured = capsys.readouterr()
+    return status, captured.out and json.loads(captured.out), captured.err
+
+
+@pytest.mark.parametrize("case", NAMES, ids=str)
+def test_bodies_start_apart_and_every_environment_in_its_own_way(case):
+    """Nothing overlaps at the start, so that what is found at the end came about on the way."""
+    sim = Simulator(case.build(), 2, device="cpu")
+    case.scatter(sim)
+    rows = moving(sim.scene)
+    position = sim.get("position")[:, rows]
+    assert len(rows) == case.bodies
+    assert sim.penetration().max() == 0.0
+    assert case.escaped(position) == 0
+    alike = np.array_equal(position[0], position[1])
+    assert alike == (case.name == "stack")
+    # The scene by itself is environment 0.
+    assert position[0] == pytest.approx(np.array([sim.scene.bodies[i].position for i in rows]), abs=1e-5)
+
+
+def test_piles_start_where_their_seed_says():
+    """Drawn here by hand: jitter first, then quaternions with the real part first."""
+    sim = Simulator(Case("pile_box", 8).build(), 2, device="cpu")
+    Case("pile_box", 8).scatter(sim)
+    draws = np.random.default_rng(1001)
+    jitter, turned = draws.uniform(-0.02, 0.02, (8, 3)), draws.normal(size=(8, 4))
+    lattice = np.array([[x, y, z] for z in (0.25, 0.63) for y in (-0.19, 0.19) for x in (-0.19, 0.19)])
+    rows = moving(sim.scene)
+    assert sim.get("position")[1, rows] == pytest.approx(lattice + jitter, abs=1e-6)
+    expected = turned[:, [1, 2, 3, 0]] / np.linalg.norm(turned, axis=1, keepdims=True)
+    assert sim.get("orientation")[1, rows] == pytest.approx(expected, abs=1e-6)
+
+
+def test_measured_figures_add_up(device):
+    case, conditions = Case("stack", 3), measure.Conditions(envs=2, substeps=2, settle=40, frames=10)
+    row, sim = measure.measure(case, conditions, wp.get_device(device))
+    assert row["env_frames_per_second"] == pytest.approx(20 / row["seconds"])
+    assert row["env_steps_per_second"] == pytest.approx(40 / row["seconds"])
+    assert row["body_steps_per_second"] == pytest.approx(120 / row["seconds"])
+    assert sim.time == pytest.approx(50 / 60)
+    # Four corners a face, or more samples of it; three faces in each environment.
+    assert row["contacts"] >= 2 * 3 * 4 and row["levels"] == 3
+    assert 0.0 < row["contact_capacity_used"] <= 1.0
+    assert row["quality"]["height_error"] < 1e-3 and row["quality"]["drift"] < 1e-4
+    assert row["quality"]["max_speed"] < 1e-2 and row["quality"]["escaped"] == row["failed_envs"] == 0
+
+
+def test_quality_sees_what_is_wrong():
+    """Cubes moved by hand: the figures are the moves."""
+    case = Case("stack", 2)
+    sim = Simulator(case.build(), 2, device="cpu")
+    position = np.zeros((2, 2, 3))
+    position[..., 2] = [0.1, 0.3]
+    position[1, 1] = [0.003, 0.004, 0.298]
+    rows = moving(sim.scene)
+    sim.set("position", position, bodies=rows)
+    found = measure.quality(case, sim, position, np.full((2, 2, 3), 0.1))
+    assert found["height_error"] == pytest.approx(0.002, abs=1e-6)
+    assert found["top_height_error"] == pytest.approx(-0.001, abs=1e-6)
+    assert found["drift"] == pytest.approx(0.005, abs=1e-6)
+    assert found["deepest_overlap"] == pytest.approx(0.002, abs=1e-5)
+    assert found["max_speed"] == pytest.approx(0.1 * 3**0.5)
+    position[0, 0, 0], position[1, 1, 0] = np.nan, 0.2
+    found = measure.quality(case, sim, position, np.zeros((2, 2, 3)))
+    assert found["escaped"] == 2 and found["deepest_overlap"] is None
+    pile = Case("pile_box", 1)
+    beside = np.array([[[0.0, 0.0, 0.1]], [[0.5, 0.0, 0.1]], [[0.0, 0.0, -0.1]], [[np.nan, 0.0, 0.1]]])
+    assert pile.escaped(beside) == 3
+
+
+def test_stages_are_timed_without_a_trace(device):
+    """The steps that are timed are undone, and the recorded step is as it was."""
+    scene = Case("stack", 3).build()
+    timed, plain = (Simulator(scene, 2, Settings(sleeping=True), device=device) for _ in range(2))
+    timed.step(20), plain.step(20)
+    seconds = stage_times(timed, 3)
+    assert {"predict", "find_contacts", "solve_contacts", "propagate_shock", "fall_asleep"} <= set(seconds)
+    assert all(taken > 0.0 for taken in seconds.values())
+    timed.step(20), plain.step(20)
+    for name in ("position", "orientation", "linear_velocity", "asleep"):
+        assert np.array_equal(timed.get(name), plain.get(name))
+    assert timed.counts() == plain.counts()
+
+
+def test_command_writes_lines_and_a_picture(capsys, tmp_path):
+    lines, drawn = tmp_path / "out" / "lines.jsonl", tmp_path / "out" / "bench.png"
+    few = ("--frames", 2, "--settle", 1, "--json-lines", lines, "-o", drawn)
+    status, told, _ = bench(capsys, "stack:2", "pile_box:2", "--envs", "1,2", "--substeps", "1,2", *few)
+    assert status == 0 and told["files"] == [str(lines), str(drawn)]
+    written = [json.loads(line) for line in lines.read_text().splitlines()]
+    assert written == told["rows"]
+    assert {(r["scene"], r["envs"], r["substeps"]) for r in written} == {
+        (scene, envs, steps) for scene in ("stack", "pile_box") for envs in (1, 2) for steps in (1, 2)
+    }
+    assert all(row["versions"]["warp-lang"] and row["device"] == "cpu" and "commit" in row for row in written)
+    assert np.asarray(Image.open(drawn)).std() > 10
+
+
+def test_other_engines_get_the_same_start_and_the_same_judge(capsys, fake_peer):
+    """The fake engine lets two cubes fall through the ground: where they end and how deep is known."""
+    few = ("--frames", 2, "--settle", 4, "--peers", "mujoco", "--peer-python", f"mujoco={sys.executable}")
+    status, told, _ = bench(capsys, "stack:2", "--envs", 2, *few)
+    own, other = told["rows"]
+    assert status == 0
+    fallen = 0.5 * 9.81 * 0.1**2
+    assert other["quality"]["height_error"] == pytest.approx(fallen - 0.001, abs=1e-5)
+    assert other["quality"]["max_speed"] == pytest.approx(0.981, rel=1e-5)
+    # The upper cube has its first touch with nothing: the lower one fell along with it.
+    assert other["quality"]["deepest_overlap"] == pytest.approx(fallen - 0.001, abs=1e-4)
+    assert other["ratio"] == pytest.approx(other["processor_seconds"] / own["processor_seconds"])
+
+
+def test_an_engine_that_is_missing_or_fails_is_told(capsys, fake_peer):
+    few = ("--frames", 1, "--settle", 0, "--peers", "mujoco")
+    status, told, error = bench(capsys, "stack:1", "--envs", "3,4", *few)
+    assert status == 0
+    assert [row.get("fault") for row in told["rows"]] == [
+        None,
+        "RuntimeError: three is too many",
+        None,
+        "not installed",
+    ]
+    assert "mujoco: stack:1: not installed" in error
+
+
+@pytest.mark.parametrize("name", peers.NAMES)
+def test_every_program_tells_that_its_engine_is_missing(name, tmp_path):
+    """Isolated from all installed packages but numpy, none finds its engine."""
+    case = Case("stack", 1)
+    sim = Simulator(case.build(), 1, device="cpu")
+    blocked = tmp_path / "python"
+    hide = "import sys; sys.modules.update(dict.fromkeys(['newton', 'mujoco', 'mujoco_warp', 'rapier3d', 'pybullet']))"
+    code = f"{hide}; import runpy; sys.argv = sys.argv[1:]; sys.path.insert(0, sys.argv[0].rsplit('/', 1)[0])"
+    blocked.write_text(
+        f'#!/bin/sh\nexec {sys.executable} -c "{code}; runpy.run_path(sys.argv[0], run_name=\'__main__\')" "$@"\n'
+    )
+    blocked.chmod(0o755)
+    row = peers.run_peer(name, str(blocked), case, measure.Conditions(1, 1, 0, 1), sim)
+    assert row["fault"] == "not installed"
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["tower:3"], "SCENE: must be one of stack, pile_box"),
+        (["stack"], "SCENE: must be a name and a number of bodies, such as stack:10, got 'stack'"),
+        (["stack:0"], "SCENE: bodies of stack: must be a whole number from 1"),
+        (["stack:1", "--envs", "1,x"], "--envs: must be whole numbers from 1 on"),
+        (["stack:1", "--substeps", "0"], "--substeps: must be whole numbers from 1 on"),
+        (["stack:1", "--frames", "0"], "--frames: must be >= 1, got 0"),
+        (["stack:1", "--settle", "-1"], "--settle: must be >= 0, got -1"),
+        (["stack:1", "-o", "bench.pdf"], "bench.pdf: must end in .png"),
+        (["stack:1", "--peers", "chrono"], "--peers: must be one of newton"),
+        (["stack:1", "--peers", "mujoco", "--peer-python", "mujoco=/nowhere"], "no interpreter at '/nowhere'"),
+        (["stack:1", "--peer-python", "rapier=/bin/sh"], "--peer-python: must be one of an engine of --peers"),
+    ],
+)
+def test_bad_input_is_one_line(capsys, arguments, message):
+    status, _, error = bench(capsys, *arguments)
+    assert status == 2 and message in error and error.count("\n") == 1

@@ -1,0 +1,158 @@
+"""Other engines on the same start, each in a process and an environment of its own.
+
+A program of benchmarks/peers reads a problem (.npz), simulates it, and writes what came out; speed is timed there, but
+quality is judged here, by the same figures as ours.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.bench.measure import FPS, Conditions, quality, rates
+from warp_rigid.bench.scenes import Case, moving
+from warp_rigid.checks import one_of
+from warp_rigid.scene import Scene
+from warp_rigid.sdf import cache_folder
+from warp_rigid.shapes import Box, Cylinder, Mesh
+from warp_rigid.simulator import Simulator
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
+NAMES = ("newton", "mujoco_warp", "mujoco", "rapier", "pybullet")
+NOT_INSTALLED = 3
+"""Exit status of a program whose engine is missing."""
+TIMEOUT = 3600.0
+
+
+def choose_peers(names: str | None, pythons: list[str] | None) -> dict[str, str]:
+    """Which engines to run, and the interpreter of each.
+
+    Args:
+        names: separated by commas.
+        pythons: texts "name=interpreter"; the others run with this process's own.
+
+    Raises:
+        ValueError: a name is unknown, an interpreter is given for no engine, or the programs are not here.
+    """
+    chosen = {one_of("--peers", name.strip(), NAMES): sys.executable for name in names.split(",")} if names else {}
+    if chosen and not FOLDER.is_dir():
+        raise ValueError(f"--peers: needs {FOLDER}, which a checkout of the repository has")
+    for text in pythons or ():
+        name, _, interpreter = text.partition("=")
+        one_of("--peer-python", name, tuple(chosen) or ("an engine of --peers",))
+        if not Path(interpreter).is_file():
+            raise ValueError(f"--peer-python: {name}: no interpreter at {interpreter!r}")
+        chosen[name] = interpreter
+    return chosen
+
+
+def run_peer(name: str, python: str, case: Case, conditions: Conditions, sim: Simulator) -> dict[str, Any]:
+    """Run one engine on the start that the simulator had.
+
+    Args:
+        name: the engine.
+        python: its interpreter.
+        case: what to simulate.
+        conditions: how.
+        sim: a simulator of the case; afterwards it is in the state that the engine reached.
+
+    Returns:
+        Figures as those of `measure`, as far as the engine tells them; only "engine" and "fault" where it gave none.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        problem, result = Path(folder) / "problem.npz", Path(folder) / "result.npz"
+        write_problem(problem, case, conditions, sim)
+        command = [python, str(FOLDER / f"run_{name}.py"), str(problem), str(result)]
+        # Nothing of our own environment may reach the other interpreter's imports.
+        surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, env=surroundings)
+        except subprocess.TimeoutExpired:
+            return _fault(name, case, conditions, f"not done after {TIMEOUT:.0f} s")
+        if done.returncode or not result.is_file():
+            lines = done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"]
+            missing = done.returncode == NOT_INSTALLED
+            return _fault(name, case, conditions, "not installed" if missing else lines[-1][:200])
+        with np.load(result) as found:
+            return _read_result(case, conditions, sim, {key: found[key] for key in found.files})
+
+
+def write_problem(path: Path, case: Case, conditions: Conditions, sim: Simulator) -> None:
+    """Write a case as plain arrays: starts, the bodies' common shape, mass and inertia, and all that stands still."""
+    scene = case.build()
+    body = scene.bodies[moving(scene)[0]]
+    sim.reset()
+    case.scatter(sim)
+    rows = moving(sim.scene)
+    volume = body.shape.mass_properties
+    density = body.mass / volume.volume
+    arrays: dict[str, Any] = {
+        "position": sim.get("position")[:, rows].astype(np.float64),
+        "orientation": sim.get("orientation")[:, rows].astype(np.float64),
+        "inertia": density * np.diag(volume.inertia),
+    }
+    if isinstance(body.shape, Mesh):
+        arrays |= {"vertices": body.shape.vertices, "faces": body.shape.faces}
+    elif isinstance(body.shape, Box):
+        arrays["half_extents"] = np.array(body.shape.half_extents)
+    told = {
+        "mass": body.mass,
+        "friction": body.friction,
+        "restitution": body.restitution,
+        "gravity": list(scene.gravity),
+        "dt": 1.0 / (FPS * conditions.substeps),
+        "substeps": conditions.substeps,
+        "settle": conditions.settle,
+        "frames": conditions.frames,
+        "fixed": _fixed(scene),
+        "device": str(sim.device),
+        "cache": str(cache_folder()),
+    }
+    np.savez(path, told=json.dumps(told), **arrays)
+
+
+def _fixed(scene: Scene) -> list[dict[str, Any]]:
+    """What stands on the ground plane z = 0, which every scene has."""
+    fixed: list[dict[str, Any]] = []
+    for body in scene.bodies:
+        if body.mass > 0.0:
+            continue
+        if isinstance(body.shape, Box):
+            fixed.append(
+                {"kind": "box", "half_extents": list(body.shape.half_extents), "position": list(body.position)}
+            )
+        elif isinstance(body.shape, Cylinder):
+            sizes = {"radius": body.shape.radius, "half_height": body.shape.half_height}
+            fixed.append({"kind": "cylinder", **sizes, "position": list(body.position)})
+    return fixed
+
+
+def _read_result(case: Case, conditions: Conditions, sim: Simulator, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The engine's figures; the simulator takes over its final state and measures the overlap."""
+    told = json.loads(str(found["told"]))
+    rows = moving(sim.scene)
+    position, velocity = found["position"].astype(np.float32), found["linear_velocity"].astype(np.float32)
+    if np.isfinite(position).all() and np.isfinite(found["orientation"]).all():
+        sim.set("position", position, bodies=rows)
+        sim.set("orientation", found["orientation"], bodies=rows)
+    seconds, processor_seconds = told.pop("seconds"), told.pop("processor_seconds")
+    return {
+        **_head(case, conditions),
+        **told,
+        **rates(case, conditions, seconds, processor_seconds),
+        "quality": quality(case, sim, position, velocity),
+    }
+
+
+def _fault(name: str, case: Case, conditions: Conditions, text: str) -> dict[str, Any]:
+    return {**_head(case, conditions), "engine": name, "fault": text}
+
+
+def _head(case: Case, conditions: Conditions) -> dict[str, Any]:
+    return {"scene": case.name, "bodies": case.bodies, **vars(conditions)}

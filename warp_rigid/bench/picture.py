@@ -1,0 +1,72 @@
+"""A picture of a benchmark: throughput against environments, and where the time of a step goes."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from warp_rigid.bench.measure import OURS
+
+MARKERS = "oxsd^v"
+"""Of the engines, ours first."""
+SMALL = 0.02
+"""Stages below this part of a step are drawn as one."""
+
+
+def save_picture(rows: Sequence[dict[str, Any]], path: str) -> None:
+    """Draw rows of `measure` and `run_peer` as a PNG."""
+    from matplotlib.figure import Figure
+
+    rows = [row for row in rows if "fault" not in row]
+    own = [row for row in rows if row["engine"] == OURS]
+    chart = Figure(figsize=(11, max(4.5, 1.5 + 0.4 * len(own))), layout="constrained")
+    left, right = chart.subplots(1, 2)
+    _draw_throughput(left, rows)
+    _draw_stages(right, own)
+    chart.savefig(path, dpi=120)
+
+
+def _draw_throughput(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
+    lines: dict[tuple, list] = {}
+    for row in rows:
+        lines.setdefault((row["engine"], row["scene"], row["bodies"], row["substeps"]), []).append(row)
+    engines = list(dict.fromkeys(key[0] for key in lines))
+    scenes = list(dict.fromkeys(key[1:3] for key in lines))
+    for (engine, scene, bodies, substeps), points in lines.items():
+        points.sort(key=lambda row: row["envs"])
+        axes.plot(
+            [row["envs"] for row in points],
+            [row["env_frames_per_second"] for row in points],
+            color=f"C{scenes.index((scene, bodies)) % 10}",
+            marker=MARKERS[engines.index(engine) % len(MARKERS)],
+            ls="-" if engine == OURS else "--",
+            label=f"{scene}:{bodies}, {substeps} steps a frame" + ("" if engine == OURS else f", {engine}"),
+        )
+    axes.set(xscale="log", yscale="log", xlabel="environments", ylabel="environments × frames / second")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7)
+
+
+def _draw_stages(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
+    totals = [sum(row["stage_seconds"].values()) for row in rows]
+    names = dict.fromkeys(name for row in rows for name in row["stage_seconds"])
+    wide = [
+        n for n in names if any(r["stage_seconds"].get(n, 0) > SMALL * t for r, t in zip(rows, totals, strict=True))
+    ]
+    ends = [0.0] * len(rows)
+    for k, name in enumerate([*wide, "rest"]):
+        for i, (row, total) in enumerate(zip(rows, totals, strict=True)):
+            parts = row["stage_seconds"]
+            share = parts.get(name, 0.0) if name in wide else sum(t for n, t in parts.items() if n not in wide)
+            label = name.replace("_", " ") if i == 0 else None
+            axes.barh(i, 100.0 * share / total, left=ends[i], color=f"C{k % 10}", hatch="//" * (k // 10), label=label)
+            ends[i] += 100.0 * share / total
+    labels = [
+        f"{r['scene']}:{r['bodies']} × {r['envs']}\n{_duration(t)} a step" for r, t in zip(rows, totals, strict=True)
+    ]
+    axes.set_yticks(range(len(rows)), labels, fontsize=7)
+    axes.set(xlabel="part of a step [%]", xlim=(0, 100))
+    axes.invert_yaxis()
+    axes.legend(fontsize=7, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def _duration(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} µs"

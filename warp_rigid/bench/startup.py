@@ -1,0 +1,76 @@
+"""What the first frame of a new process costs; `python -m warp_rigid.bench.startup stack:8 cpu` tells it as JSON."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+KERNELS, GRIDS = "WARP_CACHE_PATH", "WARP_RIGID_CACHE"
+"""Variables that name the folders of compiled kernels and of distance grids."""
+
+
+def start_up(case: str, device: str) -> dict[str, dict[str, Any]]:
+    """Cost of the first frame with empty caches ("cold") and once more with what that left in them ("warm")."""
+    with tempfile.TemporaryDirectory() as folder:
+        caches = {KERNELS: str(Path(folder) / "kernels"), GRIDS: str(Path(folder) / "grids")}
+        return {name: first_frame(case, device, caches) for name in ("cold", "warm")}
+
+
+def first_frame(case: str, device: str, variables: dict[str, str] | None = None) -> dict[str, Any]:
+    """Start a process that simulates one frame.
+
+    Args:
+        case: such as "stack:8".
+        device: name of a Warp device.
+        variables: of its environment, beside those of this process.
+
+    Returns:
+        "seconds" from the start of the process to the end of the frame, "processor_seconds" of it and the compilers it
+        ran, and "modules": how many modules of kernels it loaded.
+
+    Raises:
+        RuntimeError: the process failed.
+    """
+    root = Path(__file__).resolve().parents[2]
+    places = [str(root), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(place for place in places if place), **(variables or {})}
+    begin = time.perf_counter()
+    command = [sys.executable, "-m", "warp_rigid.bench.startup", case, device]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    seconds = time.perf_counter() - begin
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or ["the process of the first frame failed"])[-1])
+    return {"seconds": seconds, **json.loads(done.stdout.splitlines()[-1])}
+
+
+def _main(case: str, device: str) -> None:
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    from warp_rigid import Settings, Simulator
+    from warp_rigid.bench.scenes import find_case
+
+    sim = Simulator(find_case(case).build(), settings=Settings(), device=device)
+    sim.step(4)
+    wp.synchronize_device(sim.device)
+    loaded = {kernel.module.name for kernel in _kernels() if kernel.module.execs}
+    print(json.dumps({"processor_seconds": time.process_time(), "modules": len(loaded)}))
+
+
+def _kernels() -> list:
+    """All kernels of the package."""
+    import warp as wp
+
+    import warp_rigid.kernels
+
+    folder = f"{warp_rigid.kernels.__name__}."
+    modules = [module for name, module in sys.modules.items() if name.startswith(folder)]
+    return [value for module in modules for value in vars(module).values() if isinstance(value, wp.Kernel)]
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

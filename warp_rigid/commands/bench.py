@@ -1,0 +1,175 @@
+"""`warp-rigid bench`: speed, work and quality of scenes at several batch sizes, beside other engines if wanted."""
+
+import itertools
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from warp_rigid.bench.scenes import STANDARD, find_case
+from warp_rigid.simulator import choose_device
+from warp_rigid.terminal import check_outputs, console, note, progress
+
+
+def bench_command(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help=f"Scenes and bodies: stack, pile_box, pile_torus, pile_bunny, rings. [{', '.join(STANDARD)}]"
+        ),
+    ] = None,
+    envs: Annotated[str, typer.Option(help="Environments, such as 1024,4096.")] = "1",
+    substeps: Annotated[str, typer.Option(help="Steps in a frame of 1/60 s, such as 1,4.")] = "4",
+    frames: Annotated[int, typer.Option(help="Frames that are timed.")] = 60,
+    settle: Annotated[int, typer.Option(help="Frames before them.")] = 120,
+    device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
+    json_lines: Annotated[str | None, typer.Option(help="Append a JSON line for every run to this file.")] = None,
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Picture (.png) of all runs.")] = None,
+    peers: Annotated[
+        str | None, typer.Option(help="Other engines: newton, mujoco_warp, mujoco, rapier, pybullet.")
+    ] = None,
+    peer_python: Annotated[
+        list[str] | None, typer.Option(help="Interpreter that has an engine, as name=path; repeatable.")
+    ] = None,
+    cold: Annotated[bool, typer.Option("--cold", help="Also time the first frame of a new process.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+) -> int:
+    """Measure scenes: frames, steps and steps of bodies a second, time per stage, contacts, room used, and quality.
+
+    Nothing sleeps, and what a pile does while it falls is not timed. Other engines simulate the same starts for as
+    many frames; the overlap of their final states is measured as ours is. On the CPU every engine has one core, and
+    ratios are those of processor time.
+    """
+    from warp_rigid.bench import measure
+    from warp_rigid.bench import peers as other
+
+    cases = [find_case(text) for text in scenes or STANDARD]
+    sizes, steps = _numbers("--envs", envs), _numbers("--substeps", substeps)
+    for name, value, least in (("--frames", frames, 1), ("--settle", settle, 0)):
+        if value < least:
+            raise ValueError(f"{name}: must be >= {least}, got {value}")
+    chosen = other.choose_peers(peers, peer_python)
+    check_outputs(None, {output: (".png",)} if output else {})
+    found = choose_device(device)
+    told = measure.surroundings(found)
+    rows: list[dict[str, Any]] = []
+    started = {str(case): _start_up(str(case), str(found)) for case in cases} if cold else {}
+    runs = list(itertools.product(cases, steps, sizes))
+    with progress("bench", len(runs) * (1 + len(chosen))) as advance:
+        for case, substep, size in runs:
+            conditions = measure.Conditions(size, substep, settle, frames)
+            row, sim = measure.measure(case, conditions, found)
+            rows.append({**told, **row})
+            for name, python in chosen.items():
+                row = other.run_peer(name, python, case, conditions, sim)
+                if "fault" in row:
+                    note(f"{name}: {case}: {row['fault']}")
+                rows.append({**told, **row})
+            if advance:
+                advance(len(rows))
+    measure.compare(rows)
+    files = _write(rows, json_lines, output)
+    if as_json:
+        print(json.dumps({"rows": rows, "start_up": started, "files": files}))
+        return 0
+    _print(rows, started, files)
+    return 0
+
+
+def _numbers(name: str, text: str) -> list[int]:
+    parts = text.split(",")
+    if not all(part.isdigit() and int(part) > 0 for part in parts):
+        raise ValueError(f"{name}: must be whole numbers from 1 on such as 1,4, got {text!r}")
+    return [int(part) for part in parts]
+
+
+def _start_up(case: str, device: str) -> dict[str, Any]:
+    from warp_rigid.bench.startup import start_up
+
+    return start_up(case, device)
+
+
+def _write(rows: list[dict[str, Any]], json_lines: str | None, output: str | None) -> list[str]:
+    if json_lines:
+        Path(json_lines).parent.mkdir(parents=True, exist_ok=True)
+        with open(json_lines, "a") as file:
+            file.writelines(json.dumps(row) + "\n" for row in rows)
+    if output:
+        from warp_rigid.bench.picture import save_picture
+
+        Path(output).parent.mkdir(parents=True, exist_ok=True)
+        save_picture(rows, output)
+    return [path for path in (json_lines, output) if path]
+
+
+def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]) -> None:
+    out = console()
+    names = ("scene", "envs", "steps", "engine", "frames/s", "a core", "body·steps/s", "contacts", "room")
+    table = Table(box=None, pad_edge=False)
+    for name in (*names, "overlap", "error", "lost", "m/s", "ours"):
+        table.add_column(name, no_wrap=True, justify="left" if name in ("scene", "engine") else "right")
+    for row in rows:
+        if "fault" not in row:
+            table.add_row(*(escape(cell) for cell in _cells(row)))
+    out.print(table, highlight=False)
+    out.print(
+        "frames/s: of all environments; a core: in a second of processor time; room: most used of a pool; overlap: "
+        "deepest [mm]; error: largest in the height of a stack [mm]; lost: bodies; ours: our speed over theirs",
+        style="dim",
+        markup=False,
+        highlight=False,
+    )
+    for row in rows:
+        if "stage_seconds" in row:
+            out.print(_stages(row), highlight=False, markup=False)
+    for case, cost in started.items():
+        told = ", ".join(
+            f"{k} {v['seconds']:.2f} s ({v['processor_seconds']:.2f} s of processor)" for k, v in cost.items()
+        )
+        out.print(f"first frame of {case}: {told}, {cost['warm']['modules']} modules", highlight=False, markup=False)
+    for path in files:
+        out.print(f"wrote {path}", highlight=False, markup=False)
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    judged = row["quality"]
+    room = max(row.get(name, 0.0) for name in ("pair_capacity_used", "contact_capacity_used"))
+    return [
+        f"{row['scene']}:{row['bodies']}",
+        str(row["envs"]),
+        str(row["substeps"]),
+        row["engine"],
+        _short(row["env_frames_per_second"]),
+        _short(row["env_frames_per_processor_second"]),
+        _short(row["body_steps_per_second"]),
+        str(row.get("contacts", "")),
+        f"{room:.0%}" if room else "",
+        _millimetres(judged["deepest_overlap"]),
+        _millimetres(judged.get("height_error")),
+        str(judged["escaped"]),
+        "" if judged["max_speed"] is None else f"{judged['max_speed']:.0e}",
+        f"{row['ratio']:.3g}" if "ratio" in row else "",
+    ]
+
+
+def _short(number: float) -> str:
+    """Three figures, with k or M for thousands and millions."""
+    for size, letter in ((1e6, "M"), (1e3, "k")):
+        if number >= size:
+            return f"{number / size:.3g}{letter}"
+    return f"{number:.3g}"
+
+
+def _millimetres(length: float | None) -> str:
+    return "" if length is None else f"{1e3 * length:.3g}"
+
+
+def _stages(row: dict[str, Any]) -> str:
+    total = sum(row["stage_seconds"].values())
+    largest = sorted(row["stage_seconds"].items(), key=lambda item: -item[1])
+    parts = ", ".join(f"{name} {seconds / total:.0%}" for name, seconds in largest if seconds >= 0.02 * total)
+    case = f"{row['scene']}:{row['bodies']} × {row['envs']}, {row['substeps']} steps"
+    return f"{case}, {row['levels']} levels: {1e6 * total:.4g} µs a step: {parts}"
