@@ -27,6 +27,7 @@ class Problem:
         faces: (m, 3) of a mesh.
         inertia: (3,) principal moments [kg m^2].
         mass: [kg].
+        density: [kg/m^3].
         friction: Coulomb coefficient of every contact.
         restitution: of every body.
         gravity: (3,) [m/s^2].

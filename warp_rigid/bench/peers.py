@@ -103,6 +103,7 @@ def write_problem(path: Path, case: Case, conditions: Conditions, sim: Simulator
         arrays["half_extents"] = np.array(body.shape.half_extents)
     told = {
         "mass": body.mass,
+        "density": density,
         "friction": body.friction,
         "restitution": body.restitution,
         "gravity": list(scene.gravity),

@@ -1,0 +1,64 @@
+"""MuJoCo Warp on the device of the problem; a frame is one graph where the device has graphs."""
+
+from problem import Problem, main, timed, write
+
+PER_BODY = {"box": 12, "octree of distances": 120}
+"""Contacts and candidate pairs for which there is room, by collider; what overflows is a fault."""
+
+
+def run(problem: Problem) -> None:
+    """Step all worlds together."""
+    import mujoco_warp
+    import numpy as np
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_WARNING
+    import mujoco_model
+
+    host, collider = mujoco_model.build(problem)
+    room = PER_BODY[collider] * problem.num_bodies + 32
+    with wp.ScopedDevice(problem.device) as scope:
+        device = wp.get_device(problem.device)
+        model = mujoco_warp.put_model(host)
+        state = mujoco_warp.make_data(host, nworld=problem.num_envs, nconmax=room, njmax=4 * room)
+
+        def restart() -> None:
+            mujoco_warp.reset_data(model, state)
+            state.qpos.assign(mujoco_model.starts(problem).astype(np.float32))
+            state.qvel.zero_()
+            state.qacc_warmstart.zero_()
+
+        def frame() -> None:
+            for _ in range(problem.substeps):
+                mujoco_warp.step(model, state)
+
+        restart()
+        frame()  # compiles
+        graph = None
+        if device.is_cuda:
+            with wp.ScopedCapture() as capture:
+                frame()
+            graph = capture.graph
+        restart()
+
+        def advance(frames: int) -> None:
+            for _ in range(frames):
+                frame() if graph is None else wp.capture_launch(graph)
+            wp.synchronize_device(device)
+
+        seconds = timed(problem, advance)
+        if state.overflow.numpy().any():
+            raise RuntimeError(f"its room of {room} contacts a world overflowed")
+        told = {
+            "engine": "mujoco_warp",
+            "version": mujoco_warp.__version__,
+            "collider": collider,
+            "device": str(scope.device),
+            **seconds,
+            "contacts": int(state.nacon.numpy()[0]),
+        }
+        write(told, *mujoco_model.final(state.qpos.numpy(), state.qvel.numpy(), problem))
+
+
+if __name__ == "__main__":
+    main(run)
