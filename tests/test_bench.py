@@ -188,6 +188,25 @@ def test_every_program_tells_that_its_engine_is_missing(name, tmp_path):
     assert row["fault"] == "not installed"
 
 
+def test_table_fits_and_tells_the_cold_start(capsys, monkeypatch, fake_peer):
+    asked = []
+
+    def first_frame(case, device, variables):
+        asked.append((case, device, *sorted(variables.values())))
+        return {"seconds": 9.0 / len(asked), "processor_seconds": 1.5, "modules": 17}
+
+    monkeypatch.setattr("warp_rigid.bench.startup.first_frame", first_frame)
+    arguments = ["stack:2", "--frames", "1", "--settle", "0", "--cold", "--device", "cpu", "--peers", "mujoco"]
+    assert cli.main(["bench", *arguments]) == 0
+    out = capsys.readouterr().out
+    assert "first frame of stack:2: cold 9.00 s (1.50 s of processor), warm 4.50 s" in out and "17 modules" in out
+    # Both found the same folders for their caches, empty ones for the first.
+    assert len(asked) == 2 and asked[0] == asked[1]
+    assert "…" not in out and max(map(len, out.splitlines())) <= 120
+    heading, own, other = out.splitlines()[:3]
+    assert heading.split()[-1] == "ours" and own.split()[3] == "warp_rigid" and other.split()[3] == "mujoco"
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [

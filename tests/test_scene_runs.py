@@ -38,7 +38,7 @@ def test_every_variant_shows_what_it_must(name, device):
     ("name", "assignment"),
     [
         ("box_stack", "height=5"),
-        ("box_stack", "height=20"),
+        ("box_stack", "height=14"),
         ("leaning_tower", "offset=0.095"),
         ("leaning_tower", "offset=0.105"),
         ("incline", "friction=0.3"),

@@ -108,7 +108,7 @@ def _write(rows: list[dict[str, Any]], json_lines: str | None, output: str | Non
 def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]) -> None:
     out = console()
     names = ("scene", "envs", "steps", "engine", "frames/s", "a core", "body·steps/s", "contacts", "room")
-    table = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for name in (*names, "overlap", "error", "lost", "m/s", "ours"):
         table.add_column(name, no_wrap=True, justify="left" if name in ("scene", "engine") else "right")
     for row in rows:
