@@ -17,7 +17,7 @@ def run(problem: Problem) -> None:
 
     host, collider = mujoco_model.build(problem)
     room = PER_BODY[collider] * problem.num_bodies + 32
-    with wp.ScopedDevice(problem.device) as scope:
+    with wp.ScopedDevice(problem.device):
         device = wp.get_device(problem.device)
         model = mujoco_warp.put_model(host)
         state = mujoco_warp.make_data(host, nworld=problem.num_envs, nconmax=room, njmax=4 * room)
@@ -53,7 +53,7 @@ def run(problem: Problem) -> None:
             "engine": "mujoco_warp",
             "version": mujoco_warp.__version__,
             "collider": collider,
-            "device": str(scope.device),
+            "device": str(device),
             **seconds,
             "contacts": int(state.nacon.numpy()[0]),
         }
