@@ -195,24 +195,22 @@ def keep_contact(target: int, c: int, contacts: Contacts, history: History):
 
 
 @wp.kernel
-def keep_pairs(pairs: Pairs, history: History):
-    """Last stage, first half: remember which pairs touched."""
-    i = wp.tid()
-    if i < history.pair_start.shape[0]:
-        history.pair_start[i] = pairs.start[i]
-    if i < pairs.start[pairs.start.shape[0] - 1]:
-        history.body_b[i] = pairs.body_b[i]
-        history.seen[i] = pairs.seen[i]
-        history.seen_turn[i] = pairs.seen_turn[i]
-        history.seen_shift[i] = pairs.seen_shift[i]
-    if i < history.contact_start.shape[0]:
-        history.contact_start[i] = pairs.contact_start[i]
+def keep_pairs(threads: int, pairs: Pairs, history: History):
+    """Last stage, first half: the threads share the rows of the history and remember which pairs touched."""
+    for i in range(wp.tid(), wp.max(history.pair_start.shape[0], history.contact_start.shape[0]), threads):
+        if i < history.pair_start.shape[0]:
+            history.pair_start[i] = pairs.start[i]
+        if i < pairs.start[pairs.start.shape[0] - 1]:
+            history.body_b[i] = pairs.body_b[i]
+            history.seen[i] = pairs.seen[i]
+            history.seen_turn[i] = pairs.seen_turn[i]
+            history.seen_shift[i] = pairs.seen_shift[i]
+        if i < history.contact_start.shape[0]:
+            history.contact_start[i] = pairs.contact_start[i]
 
 
 @wp.kernel
-def keep_impulses(contacts: Contacts, pairs: Pairs, history: History):
-    """Last stage, second half: remember the contacts."""
-    c = wp.tid()
-    if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
-        return
-    keep_contact(c, c, contacts, history)
+def keep_impulses(threads: int, contacts: Contacts, pairs: Pairs, history: History):
+    """Last stage, second half: the threads share the contacts and remember them."""
+    for c in range(wp.tid(), pairs.contact_start[pairs.contact_start.shape[0] - 1], threads):
+        keep_contact(c, c, contacts, history)

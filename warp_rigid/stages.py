@@ -364,12 +364,12 @@ class Stages:
             self._shared(
                 rest.carry, self.pools.sizes["pairs"], [], [pairs, records, history, self.motions], [self.kept]
             )
-        wp.launch(contacts.keep_pairs, dim=rows, inputs=[pairs], outputs=[history], device=self.device)
+        self._shared(contacts.keep_pairs, rows, [], [pairs], [history])
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
             self._shared(rest.put_back, self.pools.sizes["contacts"], [], [self.kept], [history])
         else:
-            self._per_contact(contacts.keep_impulses, [records, pairs], [history])
+            self._shared(contacts.keep_impulses, self.pools.sizes["contacts"], [], [records, pairs], [history])
 
     def deepest_overlap(self) -> wp.array:
         """Deepest overlap of each environment in the present state, (envs,) [m]."""
@@ -407,10 +407,6 @@ class Stages:
 
     def _share_pairs(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.teams * self.pair_lanes, inputs=inputs, outputs=outputs, device=self.device)
-
-    def _per_contact(self, kernel: Any, inputs: list, outputs: list) -> None:
-        dim = self.pools.contacts.key.shape[0]
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
