@@ -6,6 +6,7 @@ are our own.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from warp_rigid.scenes.demo import (
 )
 from warp_rigid.shapes import Box, Mesh, Plane
 
-SURFACE = {"friction": 0.4, "restitution": 0.3, "rolling_friction": 0.003}
+SURFACE: dict[str, Any] = {"friction": 0.4, "restitution": 0.3, "rolling_friction": 0.003}
 DENSITY = 1500.0
 PITCH = 0.5
 JITTER = 0.02

@@ -1,5 +1,7 @@
 """The ground is a travelling wave that throws bodies and carries them."""
 
+from typing import Any
+
 import numpy as np
 
 from warp_rigid import assortment
@@ -14,7 +16,7 @@ FREQUENCY = 5.0
 WAVE_LENGTH = 10.0
 RADIUS = 0.5
 PITCH = 1.6
-SURFACE = {"friction": 0.5, "restitution": 0.3}
+SURFACE: dict[str, Any] = {"friction": 0.5, "restitution": 0.3}
 THROW = 0.1
 
 

@@ -1,5 +1,7 @@
 """Bodies fall from all sides on a small planet and settle all around it: nothing knows an "up"."""
 
+from typing import Any
+
 import numpy as np
 
 from warp_rigid import assortment, tessellation
@@ -24,7 +26,7 @@ STRENGTH = 100.0
 RADIUS = 0.5
 NEAREST, SPREAD = 6.5, 1.5
 KICK = 0.3
-SURFACE = {"friction": 0.9, "restitution": 0.1, "rolling_friction": 0.15 * RADIUS}
+SURFACE: dict[str, Any] = {"friction": 0.9, "restitution": 0.1, "rolling_friction": 0.15 * RADIUS}
 
 
 def build(bodies: int = 40, seed: int = 0) -> Scene:

@@ -5,6 +5,7 @@ Mass, friction, restitution, tilt and the cylinder of starts are those of Guende
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from warp_rigid.scenes.demo import (
 from warp_rigid.shapes import Cylinder, Plane
 
 MASS = 10.0
-SURFACE = {"friction": 0.6, "restitution": 0.3}
+SURFACE: dict[str, Any] = {"friction": 0.6, "restitution": 0.3}
 TILT = 0.2
 POLE_PITCH = 7.0
 POLE_RADIUS, POLE_HALF_HEIGHT = 0.5, 6.0

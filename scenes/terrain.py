@@ -1,5 +1,7 @@
 """Bodies slide without friction over a concave terrain: impacts take energy, sliding does not."""
 
+from typing import Any
+
 import numpy as np
 
 from warp_rigid import assortment
@@ -14,7 +16,7 @@ STEEPNESS = 0.04
 HILLS = 0.12
 RADIUS = 0.4
 PITCH = 1.4
-SURFACE = {"friction": 0.0, "restitution": 0.3}
+SURFACE: dict[str, Any] = {"friction": 0.0, "restitution": 0.3}
 
 
 def build(bodies: int = 16, seed: int = 0) -> Scene:

@@ -157,7 +157,7 @@ def test_a_device_that_breaks_while_running_is_one_line(capsys, monkeypatch):
     from warp_rigid import runner
 
     def broken(text):
-        def execute(*_):
+        def execute(*_, **__):
             raise RuntimeError(text)
 
         monkeypatch.setattr(runner, "execute", execute)

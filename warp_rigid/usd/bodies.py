@@ -136,7 +136,7 @@ class Bodies:
         values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
         samples.put([self._place[index] for index in moved.tolist()], time, values)
         turned = np.flatnonzero((orientation != self._orientation).any(axis=1))
-        values = Vt.QuatfArray.FromNumpy(np.ascontiguousarray(orientation[turned]))
+        values = Vt.QuatdArray.FromNumpy(orientation[turned].astype(np.float64))
         samples.put([self._turn[index] for index in turned.tolist()], time, values)
         self._position, self._orientation = position.copy(), orientation
         if self._color not in STEADY:

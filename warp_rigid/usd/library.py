@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Vt
+from pxr import Gf, Sdf, Vt
 
 from warp_rigid.appearance import bound_corners, corner_normals
 from warp_rigid.geometry import IDENTITY_ROTATION, quaternion_matrix, quaternion_product
@@ -223,7 +223,8 @@ def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> tuple[S
     operations = ["xformOp:translate", "xformOp:orient"]
     made = (
         set_attribute(prim, operations[0], names.Double3, place),
-        set_attribute(prim, operations[1], names.Quatf, gf_quaternion(orientation)),
+        # In double precision: OpenUSD loses a small rotation's digits where it makes a matrix of a float quaternion.
+        set_attribute(prim, operations[1], names.Quatd, Gf.Quatd(gf_quaternion(orientation))),
     )
     if scale is not None:
         factors = Vt.Vec3dArray.FromNumpy(np.asarray(scale, dtype=np.float64).reshape(1, 3))[0]
