@@ -14,7 +14,7 @@ from warp_rigid.kernels.data import (
     State,
 )
 from warp_rigid.kernels.distance import FAR
-from warp_rigid.kernels.narrowphase import approach_of, last_pair, touch_of
+from warp_rigid.kernels.narrowphase import BY_CENTER, approach_of, center_inside, last_pair, touch_of
 from warp_rigid.kernels.samples import place_sample
 from warp_rigid.kernels.tangents import tangent_of, world_vector
 
@@ -131,8 +131,10 @@ def start_from_history(c: int, row: ContactRecord, warm: int, contacts: Contacts
 
 
 @wp.func
-def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State):
-    """Evaluate the sample of a contact's identity once more."""
+def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """Evaluate the place of a contact's identity once more."""
+    if key <= BY_CENTER:
+        return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
     side = key % 2
     approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), FAR, bodies, state)
     placed = place_sample(shapes, key / 2, approach.own_shape, approach.shape, approach.turn, approach.shift, FAR)
@@ -165,7 +167,7 @@ def build_contacts(
         for k in range(wp.tid() % lanes, pairs.contact_start[pair + 1] - start, lanes):
             c = start + k
             key = pairs.kept[pair, k]
-            touch = touch_again(key, row.body_a, row.body_b, shapes, bodies, state)
+            touch = touch_again(key, row.body_a, row.body_b, shapes, bodies, state, motions)
             if touch.gap >= FAR:
                 touch.position = motions.center[row.body_a]
                 pairs.seen[pair] = 0

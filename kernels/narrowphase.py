@@ -8,6 +8,9 @@ Contacts are thinned while they are found. Touching samples are sorted into patc
 furthest sample in each of eight fixed directions of its tangent plane, and the deepest. What carries a load at all
 carries it with its convex hull, so nothing is lost; ties go to the first sample, so identities persist.
 
+Bodies may be so deep in each other that no surface of one opposes the other, or that contacts push against each other.
+The ball that fits into one about its centre then makes the contact: it overlaps only if the bodies do.
+
 A team of lanes does a pair. They try clusters, then a cluster's samples side by side; what touches is told to all of
 them, in the order of the samples, and each lane keeps its own slots.
 """
@@ -30,7 +33,7 @@ from warp_rigid.kernels.data import (
 )
 from warp_rigid.kernels.distance import FAR, HEIGHTFIELD, PLANE, SPHERE, signed_distance
 from warp_rigid.kernels.predict import CONTACT_DISTANCE, DRIVEN
-from warp_rigid.kernels.samples import EDGE, POINT, Search, place_sample
+from warp_rigid.kernels.samples import EDGE, POINT, Search, gradient, place_sample
 from warp_rigid.kernels.tangents import tangent_of
 from warp_rigid.kernels.team import bits_below, lowest_bit, meet, of_lane, votes
 
@@ -56,6 +59,13 @@ TIE = wp.constant(1.0e-5)
 
 NEAR = wp.constant(0.25)
 """Distance from which fast bodies have contacts, as a part of the smaller size."""
+
+
+AGAINST = wp.constant(-0.8)
+"""Two contact normals with a cosine below this push against each other."""
+
+BY_CENTER = wp.constant(-2)
+"""Identity of the contact of the ball about the first body's centre; the second's is one less."""
 
 
 @wp.struct
@@ -356,6 +366,55 @@ def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
 
 
 @wp.func
+def contradictory(pair: int, pairs: Pairs):
+    """Whether two patches of a pair push against each other."""
+    for p in range(pairs.patch_count[pair]):
+        for q in range(p):
+            if wp.dot(pairs.patch_normal[pair, p], pairs.patch_normal[pair, q]) < AGAINST:
+                return True
+    return False
+
+
+@wp.func
+def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """The touching place of the ball that fits into a pair's first (side 0) or second body about its centre of mass.
+
+    Where it enters the other body, the two overlap, whatever their surfaces tell. FAR where it cannot be told: only
+    convex bodies know how large the ball is, and beyond a grid its distance is a bound.
+    """
+    own = wp.where(side == 0, a, b)
+    other = wp.where(side == 0, b, a)
+    placed = Search()
+    placed.query = wp.quat_rotate_inv(state.orientation[other], motions.center[own] - state.position[other])
+    placed.distance = FAR
+    within = signed_distance(shapes, bodies.shape[own], bodies.center_of_mass[own])
+    radius = wp.where(shapes.shapes[bodies.shape[own]].convex == 1, -within[3], 0.0)
+    if radius > 0.0 and not out_of_box(placed.query, radius, bodies.shape[other], shapes):
+        d = signed_distance(shapes, bodies.shape[other], placed.query)
+        if d[3] < 0.0 or shapes.shapes[bodies.shape[other]].convex == 1:
+            placed.direction = gradient(d)
+            placed.distance = d[3] - radius
+            placed.query -= radius * placed.direction
+    return touch_of(placed, side, other, state)
+
+
+@wp.func
+def keep_center(
+    pair: int, kept: int, lane: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
+):
+    """Where samples do not tell the way out, the deeper of the balls about the centres takes their place, if any."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    first = center_inside(0, a, b, shapes, bodies, state, motions)
+    second = center_inside(1, a, b, shapes, bodies, state, motions)
+    if wp.min(first.gap, second.gap) >= 0.0:
+        return kept
+    if lane == 0:
+        pairs.kept[pair, 0] = wp.where(second.gap < first.gap, BY_CENTER - 1, BY_CENTER)
+    return 1
+
+
+@wp.func
 def look_for_contacts(
     pair: int,
     lane: int,
@@ -393,7 +452,11 @@ def look_for_contacts(
                 try_cluster(cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs)
         side += 1
     meet(lanes)
-    return keep_slots(pair, size, lane, lanes, pairs)
+    kept = int(keep_slots(pair, size, lane, lanes, pairs))
+    meet(lanes)
+    if kept == 0 or contradictory(pair, pairs):
+        kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
+    return kept
 
 
 @wp.func

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.oracles import GROUND, ground_scene, opened, random_pile
+from tests.oracles import GROUND, ground_scene, opened, random_pile, rotate_about
 from warp_rigid.kernels.push_out import FASTEST, RECOVERY, SLOP
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
@@ -104,3 +104,17 @@ def test_velocity_after_the_step_does_not_know_of_the_push(device):
     assert np.linalg.norm(pushed, axis=1).max() > 1e-4
     assert sim.get("linear_velocity").tolist() == before[0].tolist()
     assert sim.get("angular_velocity").tolist() == before[1].tolist()
+
+
+@pytest.mark.parametrize(("share", "degrees"), [(0.7, 60), (0.7, 90), (0.8, 35), (0.8, 45), (0.9, 15), (0.97, 25)])
+def test_cubes_that_share_most_of_their_width_part(device, share, degrees):
+    """No face of one opposes the other, or faces push against each other: they part, and keep no velocity of it."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(Box((0.1, 0.1, 0.1)))
+    turn = rotate_about((1, 2, 3), degrees)
+    scene.add_body(Box((0.1, 0.1, 0.1)), position=(0.2 * (1 - share), 0.01, 0.02), orientation=turn)
+    sim, _ = opened(scene, device)
+    assert sim.penetration()[0] > 0.03
+    sim.step(140)
+    assert sim.penetration()[0] < 2e-4
+    np.testing.assert_allclose(sim.get("linear_velocity"), 0.0, atol=1e-6)
