@@ -22,7 +22,8 @@ def cases(quick: bool) -> list[Case]:
     listed = [sliding_tips(), tips_on_tips(), internal_edges(0.5 if quick else 2.0), push_out()]
     if quick:
         return [*listed, random_overlaps(256)]
-    return [*listed, random_overlaps(2048), bypass(1 / 240), bypass(0.05)]
+    lost = Miss("a corner that has passed under a box's far edge opposes no face: 2 of 603 pairs keep 12 mm", 0.005)
+    return [*listed, random_overlaps(2048, lost), bypass(1 / 240), bypass(0.05)]
 
 
 def spike_mesh(cells=64) -> Mesh:
@@ -191,7 +192,6 @@ def push_out():
     def check(measure, labels, miss=None):
         return Check("overlap after 0.5 s", "m", measure, 0.0, at_most(0.2 * CONTACT_DISTANCE), labels, miss)
 
-    reason = "where two boxes share so much that no face of one opposes the other, no contact is found"
     return Case(
         "V63",
         "bodies that start within each other",
@@ -206,7 +206,7 @@ def push_out():
                 names(experiments),
             ),
             check(lambda s: each(lambda t: t.overlap[-1])(s[:-2]), names(experiments)),
-            check(lambda s: s[-2].overlap[-1], names((stuck,)), Miss(reason, 0.1)),
+            check(lambda s: s[-2].overlap[-1], names((stuck,))),
             check(lambda s: s[-1].overlap[-1], crossing.variants),
             Check("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-6)),
         ),
