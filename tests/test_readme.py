@@ -52,6 +52,8 @@ def test_command_runs(command, tmp_path, monkeypatch):
         monkeypatch.setattr("warp_rigid.viewer.playback.FilmViewer.run", lambda viewer: stop_server(viewer.server))
     for film in (part for part in arguments if arguments[0] == "view" and part.startswith("out/")):
         assert cli.main(["run", "seesaw", "-o", film, "--frames", "2", "--device", "cpu"]) == 0
+    if arguments[0] == "bench":
+        arguments += ["--device", "cpu"]
     if arguments[0] == "sweep":
         arguments += ["--duration", "0.01", "--device", "cpu"]
     if arguments[0] == "inspect":
