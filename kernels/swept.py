@@ -15,7 +15,7 @@ few rounds are enough, and what moves along a surface is not held up; elsewhere 
 import warp as wp
 
 from warp_rigid.kernels.data import Bodies, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.distance import HEIGHTFIELD, signed_distance
+from warp_rigid.kernels.distance import FAR, HEIGHTFIELD, signed_distance
 from warp_rigid.kernels.narrowphase import NEAR, matters
 from warp_rigid.kernels.predict import DRIVEN, FREE, UNBOUNDED
 from warp_rigid.kernels.samples import EDGE, RIM, gradient, slope
@@ -150,27 +150,36 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
 
     Ends are replaced by where the tangents at both meet, as for contacts (samples.py).
     """
-    low = signed_distance(shapes, shape, middle - slide)
-    high = signed_distance(shapes, shape, middle + slide)
+    low = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    high = wp.vec4(0.0, 0.0, 0.0, 0.0)
     left = float(-1.0)
     right = float(1.0)
-    place = float(wp.where(low[3] < high[3], left, right))
-    deepest = wp.where(low[3] < high[3], low, high)
-    for _round in range(EDGE_ROUNDS):
-        fall = slope(low, slide)
-        rise = slope(high, slide)
-        if fall < 0.0 and rise > 0.0:
-            t = wp.clamp((low[3] - high[3] + rise * right - fall * left) / (rise - fall), left, right)
-            d = signed_distance(shapes, shape, middle + t * slide)
-            if d[3] < deepest[3]:
-                place = t
-                deepest = d
-            if slope(d, slide) < 0.0:
-                left = t
-                low = d
-            else:
+    place = float(0.0)
+    deepest = wp.vec4(0.0, 0.0, 1.0, FAR)
+    t = float(left)
+    rounds = int(0)
+    while rounds < 2 + EDGE_ROUNDS:
+        d = signed_distance(shapes, shape, middle + t * slide)
+        if d[3] < deepest[3]:
+            place = t
+            deepest = d
+        if rounds == 0:
+            low = d
+            t = right
+        else:
+            if rounds == 1 or slope(d, slide) >= 0.0:
                 right = t
                 high = d
+            else:
+                left = t
+                low = d
+            fall = slope(low, slide)
+            rise = slope(high, slide)
+            if fall >= 0.0 or rise <= 0.0:
+                rounds = 2 + EDGE_ROUNDS
+            t = (low[3] - high[3] + rise * right - fall * left) / wp.max(rise - fall, 1.0e-12)
+            t = wp.clamp(t, left, right)
+        rounds += 1
     return place, deepest
 
 
@@ -237,9 +246,11 @@ def trace_segment(
     half = 0.5 * (place_at(own, other, arm + slide, 0.0) - low)
     _place, d = deepest_place(shapes, other.shape, low + half, half)
     gap = d[3] - radius
+    allowed = DEPTH * size
     if gap < near:
-        return trace_edge(shapes, own, other, arm, slide, radius, near - wp.min(gap, 0.0), tolerance, 0.0, end)
-    return trace_edge(shapes, own, other, arm, slide, radius, DEPTH * size, tolerance, at, end)
+        allowed = near - wp.min(gap, 0.0)
+        at = 0.0
+    return trace_edge(shapes, own, other, arm, slide, radius, allowed, tolerance, at, end)
 
 
 @wp.func
@@ -261,10 +272,12 @@ def trace_sample(
     arm = wp.quat_rotate(own.turn, p - own.local_center)
     d = signed_distance(shapes, other.shape, place_at(own, other, arm, 0.0))
     gap = d[3] - radius
+    allowed = DEPTH * size
+    earliest = float(begin)
     if gap < near:
         allowed = near - wp.min(gap, 0.0)
-        return trace(shapes, own, other, arm, radius, allowed, CLOSE_ENOUGH * size, 0.0, end)
-    return trace(shapes, own, other, arm, radius, DEPTH * size, CLOSE_ENOUGH * size, begin, end)
+        earliest = 0.0
+    return trace(shapes, own, other, arm, radius, allowed, CLOSE_ENOUGH * size, earliest, end)
 
 
 @wp.func
@@ -334,8 +347,14 @@ def follow(
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
             if is_fast(first, second, dt, size):
-                t = first_touch(shapes, first, second, dt, size)
-                t = first_touch(shapes, second, first, t, size)
+                t = float(dt)
+                side = int(0)
+                while side < 2:
+                    t = first_touch(shapes, first, second, t, size)
+                    swapped = first
+                    first = second
+                    second = swapped
+                    side += 1
                 if t < dt:
                     wp.atomic_min(motions.next_share, a, share_a * t / dt)
                     wp.atomic_min(motions.next_share, b, share_b * t / dt)
