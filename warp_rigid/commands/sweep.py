@@ -34,7 +34,7 @@ def sweep_command(
     repeats: Annotated[int, typer.Option(help="Runs of every point, each with the next seed.")] = 1,
     seed: Annotated[int | None, typer.Option(help="Of the draws and the scene's random numbers.")] = None,
     duration: Annotated[float | None, typer.Option(help="Simulated seconds; the scene's own if left out.")] = None,
-    fps: Annotated[float, typer.Option(help="Looks at the state per simulated second.")] = 10.0,
+    fps: Annotated[float, typer.Option(help="Looks at the state per simulated second.")] = 4.0,
     batch: Annotated[str, typer.Option(help="Most environments at once, or auto.")] = "auto",
     device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
     output: Annotated[str | None, typer.Option("-o", "--output", help="Table, .parquet.")] = None,

@@ -42,7 +42,7 @@ def sweep(
     repeats: int = 1,
     seed: int | None = None,
     metrics: Sequence[str | Callable] | None = None,
-    fps: float = 10.0,
+    fps: float = 4.0,
     batch: int | str = "auto",
     device: Any = None,
     output: Any = None,
