@@ -215,6 +215,7 @@ Motions = layout(
     "What the first stage derives from the state for the rest of the step.",
     center=Field(wp.vec3, "bodies", "m", "centre of mass in the world"),
     inverse_inertia=Field(wp.mat33, "bodies", "1/(kg m^2)", "in the world frame"),
+    sound=Field(int, "bodies", "", "1: its state was finite at the start of the step"),
     acceleration=Field(wp.vec3, "bodies", "m/s^2", "by gravity, fields and the held force"),
     spin_acceleration=Field(wp.vec3, "bodies", "rad/s^2", "by the held torque"),
     lower=Field(wp.vec3, "bodies", "m", "lower corner of the box swept in this step"),
@@ -249,7 +250,7 @@ Environments = layout(
     outside_step=Field(int, "envs", "", "step in which the first one did"),
     outside_body=Field(int, "envs", "", "body that did"),
     moving=Field(int, "envs", "", "1 + the last step in which a body was free or driven"),
-    broken=Field(int, "envs", "", "bodies from the first non-finite one to the last body, in this step; 0 if none"),
+    broken=Field(int, "envs", "", "rank of the first non-finite body in this step (integrate.watch); 0 if none"),
     strayed=Field(int, "envs", "", "the same from the first one that left the bounds"),
     step=Field(int, "envs", "", "steps done"),
 )

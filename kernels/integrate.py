@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.data import MOTION_DYNAMIC, MOTION_STATIC, Bodies, Environments, Motions, State
-from warp_rigid.kernels.predict import ABSENT, DRIVEN, FREE
+from warp_rigid.kernels.predict import ABSENT, DRIVEN, FREE, body_is_finite
 
 wp.set_module_options({"enable_backward": False})
 
@@ -95,28 +95,21 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
     return rotate_by(turn, dt * spin), spin
 
 
-@wp.func
-def is_finite(v: wp.vec3):
-    """Whether all components are finite numbers."""
-    return wp.isfinite(v[0]) and wp.isfinite(v[1]) and wp.isfinite(v[2])
-
-
-@wp.func
-def body_is_finite(b: int, state: State):
-    """Whether a body's velocity and place are finite."""
-    return is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b]) and is_finite(state.position[b])
-
-
 @wp.kernel
 def watch(bodies_per_env: int, motions: Motions, state: State, envs: Environments):
-    """One thread a body: note it if its velocity or pose is not finite; the environment's first such body counts."""
+    """One thread a body: note it if its velocity or pose is not finite; the environment's first such body counts.
+
+    What was not finite before the step comes before what it has touched in it: ranks fall with the body's number.
+    """
     b = wp.tid()
     env = b / bodies_per_env
     if motions.role[b] == ABSENT:
         return
-    finite = is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b])
-    if not (finite and is_finite(state.position[b])):
-        wp.atomic_max(envs.broken, env, (env + 1) * bodies_per_env - b)
+    rank = (env + 1) * bodies_per_env - b
+    if motions.sound[b] == 0:
+        wp.atomic_max(envs.broken, env, bodies_per_env + rank)
+    elif not body_is_finite(b, state):
+        wp.atomic_max(envs.broken, env, rank)
 
 
 @wp.func
@@ -165,7 +158,7 @@ def close_step(bodies_per_env: int, envs: Environments):
         envs.outside_step[env] = envs.step[env]
     if broken > 0:
         envs.failed[env] = 1
-        envs.failed_body[env] = bodies_per_env - broken
+        envs.failed_body[env] = bodies_per_env - 1 - (broken - 1) % bodies_per_env
         envs.failed_step[env] = envs.step[env]
     envs.step[env] = envs.step[env] + 1
 

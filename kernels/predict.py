@@ -70,6 +70,18 @@ def role_of(b: int, bodies: Bodies, state: State, rest: Rest):
     return wp.where(moving, DRIVEN, FIXED)
 
 
+@wp.func
+def is_finite(v: wp.vec3):
+    """Whether all components are finite numbers."""
+    return wp.isfinite(v[0]) and wp.isfinite(v[1]) and wp.isfinite(v[2])
+
+
+@wp.func
+def body_is_finite(b: int, state: State):
+    """Whether a body's velocity and place are finite."""
+    return is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b]) and is_finite(state.position[b])
+
+
 @wp.kernel
 def derive_motion(
     bodies_per_env: int,
@@ -84,6 +96,7 @@ def derive_motion(
     """Role, centre of mass, world inertia and external accelerations of each body."""
     b = wp.tid()
     motions.role[b] = role_of(b, bodies, state, rest)
+    motions.sound[b] = wp.where(body_is_finite(b, state), 1, 0)
     if motions.role[b] == FREE or motions.role[b] == DRIVEN:
         envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
     turn = state.orientation[b]

@@ -134,6 +134,7 @@ def test_swept_boxes_hold_the_bodies_and_their_way():
     assert sim.swept_boxes().shape == (2, 1, 2, 3)
     # In its first step of 1/240 s the body goes 0.1 m.
     assert (lower[0, 0] <= [0.9, 1.8, 2.7]).all() and (upper[0, 0] >= [1.2, 2.2, 3.3]).all()
-    assert (upper[0, 0] < [1.25, 2.25, 3.35]).all()
+    # Struck from the side it may go elsewhere, as far as half its size.
+    assert (upper[0, 0] < [1.25, 2.35, 3.45]).all()
     sim.penetration()
     assert sim.swept_boxes()[1, 0, 0] == pytest.approx([1.0, 1.8, 2.7], abs=0.02)

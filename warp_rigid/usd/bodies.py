@@ -13,7 +13,7 @@ from warp_rigid.recording import Frame, Recording
 from warp_rigid.scene import Body, Motion, Scene
 from warp_rigid.shapes import Shape
 from warp_rigid.usd.animation import STEADY
-from warp_rigid.usd.geometry import MARK, gf_quaternion, quaternion_of_matrix
+from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.library import Library, Material, simple_shapes, write_pose
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
 
@@ -136,7 +136,7 @@ class Bodies:
         values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
         samples.put([self._place[index] for index in moved.tolist()], time, values)
         turned = np.flatnonzero((orientation != self._orientation).any(axis=1))
-        values = Vt.QuatdArray.FromNumpy(orientation[turned].astype(np.float64))
+        values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[turned]))
         samples.put([self._turn[index] for index in turned.tolist()], time, values)
         self._position, self._orientation = position.copy(), orientation
         if self._color not in STEADY:

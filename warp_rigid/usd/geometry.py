@@ -5,7 +5,7 @@ from pxr import Gf
 
 from warp_rigid.shapes import Plane
 
-__all__ = ["MARK", "frame_of_plane", "gf_quaternion", "quaternion_of_matrix"]
+__all__ = ["MARK", "frame_of_plane", "gf_quaternion", "precise_quaternions", "quaternion_of_matrix"]
 
 MARK = "warp_rigid"
 """Key of the custom data that say what USD has no words for."""
@@ -15,6 +15,15 @@ def gf_quaternion(orientation) -> Gf.Quatf:
     """A quaternion (x, y, z, w) as USD's, which begins with the real part."""
     x, y, z, w = (float(component) for component in orientation)
     return Gf.Quatf(w, x, y, z)
+
+
+def precise_quaternions(orientation) -> np.ndarray:
+    """Unit quaternions (..., 4) in float64.
+
+    OpenUSD takes the angle from the real part alone, where the rounding of a float quaternion weighs most.
+    """
+    quaternion = np.asarray(orientation, dtype=np.float64)
+    return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
 
 
 def quaternion_of_matrix(rotation: np.ndarray) -> np.ndarray:

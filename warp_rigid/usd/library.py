@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Vt
+from pxr import Sdf, Vt
 
 from warp_rigid.appearance import bound_corners, corner_normals
 from warp_rigid.geometry import IDENTITY_ROTATION, quaternion_matrix, quaternion_product
 from warp_rigid.heightfield import moves
 from warp_rigid.recording import Surface, drawn_surface
 from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
-from warp_rigid.usd.geometry import MARK, frame_of_plane, gf_quaternion
+from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
 
 __all__ = ["Library", "Material", "simple_shapes", "write_pose"]
@@ -223,8 +223,7 @@ def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> tuple[S
     operations = ["xformOp:translate", "xformOp:orient"]
     made = (
         set_attribute(prim, operations[0], names.Double3, place),
-        # In double precision: OpenUSD loses a small rotation's digits where it makes a matrix of a float quaternion.
-        set_attribute(prim, operations[1], names.Quatd, Gf.Quatd(gf_quaternion(orientation))),
+        set_attribute(prim, operations[1], names.Quatd, Vt.QuatdArray.FromNumpy(precise_quaternions([orientation]))[0]),
     )
     if scale is not None:
         factors = Vt.Vec3dArray.FromNumpy(np.asarray(scale, dtype=np.float64).reshape(1, 3))[0]
