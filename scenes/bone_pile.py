@@ -19,6 +19,7 @@ from warp_rigid.scenes.demo import (
     Verdict,
     indices,
     overlap_verdict,
+    start_apart,
 )
 from warp_rigid.shapes import Box, Mesh, Plane
 
@@ -158,10 +159,7 @@ class BonesOutcome:
 
 def vary(sim, bones, seed, **_):
     """Start environment e where the scene of seed + e does; the order of the kinds is that of the first."""
-    own = indices(sim.scene, "bone_")
-    position, orientation = zip(*(starts(bones, seed + env) for env in range(sim.num_envs)), strict=True)
-    sim.set("position", np.array(position), bodies=own)
-    sim.set("orientation", np.array(orientation), bodies=own)
+    start_apart(sim, "bone_", lambda env: starts(bones, seed + env))
 
 
 DEMO = Demo(

@@ -7,7 +7,7 @@ import numpy as np
 from warp_rigid import assortment
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene import Scene
-from warp_rigid.scenes.demo import Demo, Verdict, indices, overlap_verdict
+from warp_rigid.scenes.demo import Demo, Verdict, indices, overlap_verdict, start_apart
 from warp_rigid.shapes import HarmonicMotion, Heightfield
 
 EXTENT = 30.0
@@ -93,10 +93,7 @@ class CarpetOutcome:
 
 def vary(sim, bodies, amplitude, seed, **_):
     """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    own = indices(sim.scene, "body_")
-    columns = zip(*(starts(bodies, seed + env, amplitude) for env in range(sim.num_envs)), strict=True)
-    for name, values in zip(("position", "orientation"), columns, strict=True):
-        sim.set(name, np.array(values), bodies=own)
+    start_apart(sim, "body_", lambda env: starts(bodies, seed + env, amplitude))
 
 
 DEMO = Demo(

@@ -97,6 +97,14 @@ class Demo:
         return {name: parameter.default for name, parameter in known.items()}
 
 
+def start_apart(sim: Any, prefix: str, starts: Callable[[int], tuple[np.ndarray, ...]]) -> None:
+    """Give each environment its own start: `starts(env)` tells position, orientation and, if it likes, velocity."""
+    own = indices(sim.scene, prefix)
+    columns = zip(*(starts(env) for env in range(sim.num_envs)), strict=True)
+    for name, values in zip(("position", "orientation", "linear_velocity"), columns, strict=False):
+        sim.set(name, np.array(values), bodies=own)
+
+
 def indices(scene: Scene, prefix: str) -> list[int]:
     """Indices of the bodies whose name begins with `prefix`, in the scene's order."""
     return [i for i, body in enumerate(scene.bodies) if body.name.startswith(prefix)]

@@ -15,6 +15,7 @@ from warp_rigid.scenes.demo import (
     indices,
     overlap_verdict,
     resting_verdict,
+    start_apart,
 )
 from warp_rigid.shapes import Mesh
 
@@ -106,10 +107,7 @@ class PlanetOutcome:
 
 def vary(sim, bodies, seed, **_):
     """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    own = indices(sim.scene, "body_")
-    columns = zip(*(starts(bodies, seed + env) for env in range(sim.num_envs)), strict=True)
-    for name, values in zip(("position", "orientation", "linear_velocity"), columns, strict=True):
-        sim.set(name, np.array(values), bodies=own)
+    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(

@@ -18,6 +18,7 @@ from warp_rigid.scenes.demo import (
     Verdict,
     indices,
     overlap_verdict,
+    start_apart,
     turn,
 )
 from warp_rigid.shapes import Cylinder, Plane
@@ -146,10 +147,7 @@ class RingsOutcome:
 
 def vary(sim, rings, poles, seed, **_):
     """Start environment e as the scene of seed + e does."""
-    own = indices(sim.scene, "ring_")
-    position, orientation = zip(*(starts(rings, _side(poles), seed + e) for e in range(sim.num_envs)), strict=True)
-    sim.set("position", np.array(position), bodies=own)
-    sim.set("orientation", np.array(orientation), bodies=own)
+    start_apart(sim, "ring_", lambda env: starts(rings, _side(poles), seed + env))
 
 
 DEMO = Demo(

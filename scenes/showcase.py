@@ -15,6 +15,7 @@ from warp_rigid.scenes.demo import (
     indices,
     overlap_verdict,
     resting_verdict,
+    start_apart,
 )
 from warp_rigid.shapes import Box
 
@@ -92,10 +93,7 @@ class RainOutcome:
 
 def vary(sim, bodies, seed, **_):
     """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    own = indices(sim.scene, "body_")
-    position, orientation = zip(*(starts(bodies, seed + env) for env in range(sim.num_envs)), strict=True)
-    sim.set("position", np.array(position), bodies=own)
-    sim.set("orientation", np.array(orientation), bodies=own)
+    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(

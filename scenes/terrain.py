@@ -7,7 +7,7 @@ import numpy as np
 from warp_rigid import assortment
 from warp_rigid.checks import whole_in
 from warp_rigid.scene import Scene
-from warp_rigid.scenes.demo import Demo, Verdict, below, indices, overlap_verdict
+from warp_rigid.scenes.demo import Demo, Verdict, below, indices, overlap_verdict, start_apart
 from warp_rigid.shapes import Heightfield
 
 EXTENT = 20.0
@@ -99,10 +99,7 @@ class SlideOutcome:
 
 def vary(sim, bodies, seed, **_):
     """Start environment e where the scene of seed + e does; shapes and terrain stay those of the first."""
-    own = indices(sim.scene, "body_")
-    position, orientation = zip(*(starts(bodies, seed + env) for env in range(sim.num_envs)), strict=True)
-    sim.set("position", np.array(position), bodies=own)
-    sim.set("orientation", np.array(orientation), bodies=own)
+    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(
