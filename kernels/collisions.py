@@ -15,17 +15,8 @@ stays rest; an impact too weak to come back up the gap is left to the contact st
 
 import warp as wp
 
-from warp_rigid.kernels.data import (
-    Bodies,
-    ContactRecord,
-    Contacts,
-    Environments,
-    Graph,
-    Motions,
-    PairRecord,
-    Pairs,
-    State,
-)
+from warp_rigid.kernels.arithmetic import quotient
+from warp_rigid.kernels.data import ContactRecord, Contacts, Environments, Graph, Motions, Order, PairRecord
 from warp_rigid.kernels.impulses import (
     SETTLED,
     Couple,
@@ -37,8 +28,9 @@ from warp_rigid.kernels.impulses import (
     take_up,
     with_impulse,
 )
+from warp_rigid.kernels.packed import REACTION, carry_with_target, contact_row, entry_at, first_three, load_quad
 from warp_rigid.kernels.tangents import world_vector
-from warp_rigid.kernels.team import any_of_team, meet
+from warp_rigid.kernels.team import any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -73,35 +65,38 @@ def set_targets(begin: int, end: int, couple: Couple, relative_pull: wp.vec3, dt
     """Give the pair's contacts their targets. Returns 1 if any collides."""
     colliding = int(0)
     for c in range(begin, end):
-        row = contacts.rows[c]
+        row = contact_row(c, contacts)
         speed = -wp.dot(slip_between(row, couple), row.normal)
         target = rebound(row, speed, wp.max(-wp.dot(relative_pull, row.normal), 0.0), dt)
-        contacts.loads[c].target = target
+        carry_with_target(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
         if target > NO_IMPACT:
             colliding = 1
-            contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
     return colliding
 
 
 @wp.func
 def collide_contact(c: int, couple: Couple, contacts: Contacts):
     """One visit inside a pair: bring the normal velocity to its target, the slip to zero within the cone."""
-    row = contacts.rows[c]
+    carries = load_quad(contacts.loads, c, REACTION)
+    target = carries[3]
+    if target <= NO_IMPACT:
+        return couple
+    row = contact_row(c, contacts)
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
-    old = contacts.loads[c].reaction
+    old = first_three(carries)
     slip = slip_between(row, couple)
     k_normal = row.normal_a + row.normal_b
-    normal = wp.max(old[0] + (contacts.loads[c].target - wp.dot(slip, n)) / k_normal, 0.0)
+    normal = wp.max(old[0] + quotient(target - wp.dot(slip, n), k_normal), 0.0)
     gained = normal - old[0]
     sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (row.coupling_a + row.coupling_b)
     k = row.tangent_a + row.tangent_b
     before = wp.vec2(old[1], old[2])
     after = friction_impulse(before, sliding, k, row.friction * normal)
     couple = with_impulse(row, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, couple)
-    contacts.loads[c].reaction = wp.vec3(normal, after[0], after[1])
-    change = k_normal * wp.abs(gained) + wp.sqrt((k[0] + k[2]) * k_normal) * wp.length(after - before)
+    carry_with_target(c, wp.vec3(normal, after[0], after[1]), target, contacts)
+    change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
     couple.change = wp.max(couple.change, change)
     return couple
 
@@ -116,9 +111,10 @@ def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, la
     linear = float(0.0)
     quadratic = float(0.0)
     for c in range(begin, end):
-        if contacts.loads[c].target > NO_IMPACT:
-            row = contacts.rows[c]
-            impulse = world_vector(row.normal, row.tangent, contacts.loads[c].reaction)
+        carries = load_quad(contacts.loads, c, REACTION)
+        if carries[3] > NO_IMPACT:
+            row = contact_row(c, contacts)
+            impulse = world_vector(row.normal, row.tangent, first_three(carries))
             slip = slip_between(row, before)
             linear += wp.dot(impulse, slip + lag)
             quadratic += 0.5 * wp.dot(impulse, slip_between(row, after) - slip)
@@ -128,21 +124,13 @@ def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, la
 
 
 @wp.func
-def collide_pair(
-    entry: PairRecord,
-    dt: float,
-    first: int,
-    bodies: Bodies,
-    motions: Motions,
-    contacts: Contacts,
-    state: State,
-):
+def collide_pair(entry: PairRecord, dt: float, first: int, motions: Motions, contacts: Contacts):
     """Let the contacts of a pair collide together. Returns 1 if any did."""
     begin = entry.begin
     end = entry.end
     a = entry.body_a
     b = entry.body_b
-    before = take_up(a, b, 1.0, 1.0, bodies, motions, state)
+    before = take_up(a, b, 1.0, 1.0, motions)
     relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
     if set_targets(begin, end, before, relative_pull, dt, contacts) == 0:
         return 0
@@ -151,15 +139,14 @@ def collide_pair(
     while left > 0:
         after.change = 0.0
         for c in range(begin, end):
-            if contacts.loads[c].target > NO_IMPACT:
-                after = collide_contact(c, after, contacts)
+            after = collide_contact(c, after, contacts)
         left = wp.where(after.change > SETTLED, left - 1, 0)
     keep = energy_neutral_share(begin, end, before, after, 0.5 * dt * relative_pull, contacts)
     after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
     after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
     after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
     after.angular_b = before.angular_b + keep * (after.angular_b - before.angular_b)
-    put_down(a, b, after, state)
+    put_down(a, b, after, motions)
     return 1
 
 
@@ -168,25 +155,23 @@ def collide(
     dt: float,
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     rows = env * (bodies_per_env + 2)
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
     while left > 0:
         collided = int(0)
-        for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
-            stride = stride_of_group(group, lanes, graph)
-            for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                collided |= collide_pair(graph.order[k], dt, first, bodies, motions, contacts, state)
-            meet(lanes)
-        left = any_of_team(collided, lanes) * (left - 1)
+        for group in range(order.level_start[rows], order.level_start[rows + order.level_count[env] + 1]):
+            stride = stride_of_group(group, team, order)
+            for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+                collided |= collide_pair(entry_at(k, order.entries), dt, first, motions, contacts)
+            meet(team)
+        left = any_of_team(collided, team) * (left - 1)

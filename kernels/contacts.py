@@ -15,6 +15,7 @@ from warp_rigid.kernels.data import (
 )
 from warp_rigid.kernels.distance import FAR
 from warp_rigid.kernels.narrowphase import BY_CENTER, approach_of, center_inside, last_pair, touch_of
+from warp_rigid.kernels.packed import IMPULSE, TWIST, carried, carry, inverse_inertia_of, put_contact_row
 from warp_rigid.kernels.samples import place_sample
 from warp_rigid.kernels.tangents import tangent_of, world_vector
 
@@ -83,13 +84,13 @@ def with_masses(row: ContactRecord, bodies: Bodies, motions: Motions):
     u = row.tangent
     v = wp.cross(n, u)
     mass = bodies.inverse_mass[row.body_a]
-    inertia = motions.inverse_inertia[row.body_a]
+    inertia = inverse_inertia_of(row.body_a, motions)
     r = row.arm_a
     row.normal_a = seen_along(r, n, n, mass, inertia)
     row.coupling_a = wp.vec2(seen_along(r, u, n, mass, inertia), seen_along(r, v, n, mass, inertia))
     row.tangent_a = tangential(r, u, v, mass, inertia)
     mass = bodies.inverse_mass[row.body_b]
-    inertia = motions.inverse_inertia[row.body_b]
+    inertia = inverse_inertia_of(row.body_b, motions)
     r = row.arm_b
     row.normal_b = seen_along(r, n, n, mass, inertia)
     row.coupling_b = wp.vec2(seen_along(r, u, n, mass, inertia), seen_along(r, v, n, mass, inertia))
@@ -126,8 +127,8 @@ def start_from_history(c: int, row: ContactRecord, warm: int, contacts: Contacts
         if last >= 0:
             impulse = in_contact_frame(row, history.impulse[last])
             twist = in_contact_frame(row, history.twist[last])
-    contacts.loads[c].impulse = wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2])
-    contacts.loads[c].twist = twist
+    carry(c, IMPULSE, wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2]), contacts)
+    carry(c, TWIST, twist, contacts)
 
 
 @wp.func
@@ -180,7 +181,7 @@ def build_contacts(
             row.arm_b = touch.position - motions.center[row.body_b]
             row.gap = touch.gap
             row.closing = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
-            contacts.rows[c] = with_coefficients(with_masses(row, bodies, motions), rules, bodies)
+            put_contact_row(c, with_coefficients(with_masses(row, bodies, motions), rules, bodies), contacts)
             start_from_history(c, row, envs.warm_starting[row.body_a / bodies_per_env], contacts, history)
 
 
@@ -189,8 +190,8 @@ def keep_contact(target: int, c: int, contacts: Contacts, history: History):
     """Write a solved contact to a row of the history, its impulses in the world frame."""
     row = contacts.rows[c]
     history.key[target] = contacts.key[c]
-    history.impulse[target] = world_vector(row.normal, row.tangent, contacts.loads[c].impulse)
-    history.twist[target] = world_vector(row.normal, row.tangent, contacts.loads[c].twist)
+    history.impulse[target] = world_vector(row.normal, row.tangent, carried(c, IMPULSE, contacts))
+    history.twist[target] = world_vector(row.normal, row.tangent, carried(c, TWIST, contacts))
     history.position[target] = contacts.position[c]
     history.normal[target] = row.normal
     history.gap[target] = row.gap

@@ -48,6 +48,8 @@ class Field(NamedTuple):
     meaning: str
 
 
+FILLER = Field(float, "", "", "fills a row of four words (packed.py)")
+
 LAYOUTS: dict[str, dict[str, Field]] = {}
 """Declared structs of arrays, and their fields."""
 
@@ -210,11 +212,31 @@ State = layout(
     spin_rest=Field(wp.vec3, "bodies", "rad/s", "what rounding left over of the angular velocity"),
 )
 
+MoverRecord = record(
+    "MoverRecord",
+    "A body as the solver sees it.",
+    linear=Field(wp.vec3, "", "m/s", "velocity of the centre of mass in this step so far"),
+    inverse_mass=Field(float, "", "1/kg", "0 unless dynamic"),
+    angular=Field(wp.vec3, "", "rad/s", "angular velocity in this step so far"),
+    row_end_1=FILLER,
+    inverse_inertia_xx=Field(wp.vec4, "", "1/(kg m^2)", "in the world: xx, xy, xz, yy"),
+    inverse_inertia_yz=Field(wp.vec3, "", "1/(kg m^2)", "yz, zz, and nothing"),
+    row_end_3=FILLER,
+    push_linear=Field(wp.vec3, "", "m/s", "pseudo-velocity of the push-out"),
+    row_end_4=FILLER,
+    push_angular=Field(wp.vec3, "", "rad/s", "pseudo-velocity of the push-out"),
+    row_end_5=FILLER,
+    start_linear=Field(wp.vec3, "", "m/s", "velocity before shock propagation"),
+    row_end_6=FILLER,
+    start_angular=Field(wp.vec3, "", "rad/s", "velocity before shock propagation"),
+    row_end_7=FILLER,
+)
+
 Motions = layout(
     "Motions",
     "What the first stage derives from the state for the rest of the step.",
     center=Field(wp.vec3, "bodies", "m", "centre of mass in the world"),
-    inverse_inertia=Field(wp.mat33, "bodies", "1/(kg m^2)", "in the world frame"),
+    movers=Field(MoverRecord, "bodies", "", "what the solver changes"),
     sound=Field(int, "bodies", "", "1: its state was finite at the start of the step"),
     acceleration=Field(wp.vec3, "bodies", "m/s^2", "by gravity, fields and the held force"),
     spin_acceleration=Field(wp.vec3, "bodies", "rad/s^2", "by the held torque"),
@@ -225,10 +247,6 @@ Motions = layout(
     room=Field(float, "bodies", "m", "how far the body may move: other bodies are looked for so far around it"),
     share=Field(float, "bodies", "", "part of the step's motion that nothing stops, as far as is known"),
     next_share=Field(float, "bodies", "", "the same after the round at hand; the body moves by it"),
-    push_linear=Field(wp.vec3, "bodies", "m/s", "pseudo-velocity of the push-out"),
-    push_angular=Field(wp.vec3, "bodies", "rad/s", "pseudo-velocity of the push-out"),
-    start_linear=Field(wp.vec3, "bodies", "m/s", "velocity before shock propagation"),
-    start_angular=Field(wp.vec3, "bodies", "rad/s", "velocity before shock propagation"),
 )
 
 Environments = layout(
@@ -276,7 +294,7 @@ Pairs = layout(
     patch_normal=Field(wp.vec3, "pairs, 4", "", "normal of a patch in the second body's frame"),
     dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 if it was searched"),
     slot_score=Field(float, "pairs, 36", "m", "how far out the remembered sample lies in its direction"),
-    slot_gap=Field(float, "pairs, 36", "m", "its predicted gap"),
+    slot_gap=Field(float, "pairs, 36", "m", "the gap that it is ranked by"),
     slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
     kept=Field(int, "pairs, 36", "", "identities of the samples that become contacts"),
     seen=Field(int, "pairs", "", "edge_samples + 1 at the last look for contacts; 0 if the next step must look"),
@@ -287,37 +305,43 @@ Pairs = layout(
 ContactRecord = record(
     "ContactRecord",
     "What is fixed about a contact while it is solved. The normal points from the second body to the first.",
-    body_a=Field(int, "", "", "first body"),
-    body_b=Field(int, "", "", "second body"),
     normal=Field(wp.vec3, "", "", "unit normal in the world"),
-    tangent=Field(wp.vec3, "", "", "first unit tangent in the world; the second is normal x tangent"),
-    arm_a=Field(wp.vec3, "", "m", "from the first body's centre of mass"),
-    arm_b=Field(wp.vec3, "", "m", "from the second body's centre of mass"),
     gap=Field(float, "", "m", "distance at the start of the step, negative inside"),
+    tangent=Field(wp.vec3, "", "", "first unit tangent in the world; the second is normal x tangent"),
     closing=Field(float, "", "m/s", "speed at which the bodies may still approach: the gap allows it"),
+    arm_a=Field(wp.vec3, "", "m", "from the first body's centre of mass"),
     friction=Field(float, "", "", "of the pair"),
+    arm_b=Field(wp.vec3, "", "m", "from the second body's centre of mass"),
     restitution=Field(float, "", "", "of the pair"),
+    surface=Field(wp.vec3, "", "m/s", "the surfaces' own relative velocity, zero unless ground moves"),
     rolling_friction=Field(float, "", "m", "of the pair"),
-    spinning_friction=Field(float, "", "m", "of the pair"),
+    tangent_a=Field(wp.vec3, "", "1/kg", "the first body's tangential inverse mass: 11, 12, 22"),
     normal_a=Field(float, "", "1/kg", "the first body's part of the inverse mass seen along the normal"),
+    tangent_b=Field(wp.vec3, "", "1/kg", "the second body's"),
     normal_b=Field(float, "", "1/kg", "the second body's part"),
     coupling_a=Field(wp.vec2, "", "1/kg", "how a normal impulse moves the first body along the two tangents"),
     coupling_b=Field(wp.vec2, "", "1/kg", "the second body"),
-    tangent_a=Field(wp.vec3, "", "1/kg", "the first body's tangential inverse mass: 11, 12, 22"),
-    tangent_b=Field(wp.vec3, "", "1/kg", "the second body's"),
-    surface=Field(wp.vec3, "", "m/s", "the surfaces' own relative velocity, zero unless ground moves"),
+    spinning_friction=Field(float, "", "m", "of the pair"),
+    body_a=Field(int, "", "", "first body"),
+    body_b=Field(int, "", "", "second body"),
+    row_end=FILLER,
 )
 
 LoadRecord = record(
     "LoadRecord",
     "What a contact carries, as the solver changes it. Components are along the normal and the two tangents.",
     impulse=Field(wp.vec3, "", "N s", "accumulated impulse"),
+    row_end_0=FILLER,
     twist=Field(wp.vec3, "", "N m s", "accumulated angular impulse"),
-    start_impulse=Field(wp.vec3, "", "N s", "impulse before shock propagation"),
-    start_twist=Field(wp.vec3, "", "N m s", "angular impulse before shock propagation"),
+    row_end_1=FILLER,
     reaction=Field(wp.vec3, "", "N s", "world impulse that a frozen body has not taken yet; an impact's impulse"),
-    twist_reaction=Field(wp.vec3, "", "N m s", "world angular impulse that a frozen body has not taken yet"),
     target=Field(float, "", "m/s", "normal velocity that an impact or the push-out aims at"),
+    twist_reaction=Field(wp.vec3, "", "N m s", "world angular impulse that a frozen body has not taken yet"),
+    row_end_3=FILLER,
+    start_impulse=Field(wp.vec3, "", "N s", "impulse before shock propagation"),
+    row_end_4=FILLER,
+    start_twist=Field(wp.vec3, "", "N m s", "angular impulse before shock propagation"),
+    row_end_5=FILLER,
 )
 
 Contacts = layout(
@@ -373,32 +397,40 @@ PairRecord = record(
     end=Field(int, "", "", "one past the last contact"),
     upper_a=Field(int, "", "", "1: the first body belongs to the pair's level, 0: to a lower one"),
     upper_b=Field(int, "", "", "the same of the second body"),
+    row_end=FILLER,
 )
 
 Graph = layout(
     "Graph",
-    "The contact graph: who rests on whom, levels, islands, and the order in which contacts are solved.",
+    "The contact graph: who rests on whom, levels, islands, and what the stages of the solver tell each other.",
     rests=Field(int, "pairs", "", "1: the first body rests on the second, 2: the other way, 3: both"),
     level=Field(int, "bodies", "", "0 for statics, else 1 + the highest support (cycles share a level)"),
-    waiting=Field(int, "bodies", "", "1: rests on a body whose level is not known yet"),
-    highest=Field(int, "bodies", "", "highest level among its supports that have one"),
-    cycle=Field(int, "bodies", "", "highest body that it reaches through supports without a level"),
-    within=Field(int, "bodies", "", "1: that body reaches this one too: both are in a cycle, or the same"),
+    waiting=Field(int, "bodies", "", "of a cycle's name: 1 if it rests on a body whose level is not known yet"),
+    highest=Field(int, "bodies", "", "of a cycle's name: highest level among its supports that have one"),
+    cycle=Field(int, "bodies", "", "name of its cycle, a body of it; its own while it is known to be in none"),
+    within=Field(int, "bodies", "", "1: its cycle is known, which may be the body alone"),
     island=Field(int, "bodies", "", "lowest body among those connected through dynamic bodies"),
-    numerator=Field(float, "bodies", "J", "of an island's line search"),
-    denominator=Field(float, "bodies", "J", "of an island's line search"),
-    pair_numerator=Field(float, "pairs", "J", "a pair's part of its island's sum"),
-    pair_denominator=Field(float, "pairs", "J", "a pair's part of its island's sum"),
+    numerator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
+    denominator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
+    largest=Field(float, "bodies", "J", "largest summand of either"),
+    pair_sums=Field(wp.vec2, "pairs", "J", "summands of a touching pair"),
     colors=Field(wp.uint32, "bodies, 2", "", "bit mask of the colours taken at a body: in its own level, above it"),
     bid=Field(int, "bodies, 2", "", "highest priority of the pairs that ask for a colour at a body"),
     pair_color=Field(int, "pairs", "", "colour; -1 for a pair that does not touch or has none yet"),
     pair_level=Field(int, "pairs", "", "level of the upper body"),
-    tally=Field(int, "levels, 32", "", "pairs of a level and colour, then where they go in `order`"),
-    order=Field(PairRecord, "pairs", "", "touching pairs by level and colour"),
-    group_start=Field(int, "pairs + envs", "", "first entry of `order` of a group: one level, one colour"),
-    group_color=Field(int, "pairs + envs", "", "colour of a group"),
-    level_start=Field(int, "levels", "", "first group of a level; bodies + 2 rows an environment"),
-    level_count=Field(int, "envs", "", "levels in use, statics not counted"),
+    tally=Field(int, "levels, 32", "", "pairs of a level and colour, then where they go in the order"),
+    level_pairs=Field(int, "levels", "", "touching pairs of a level, then those of lower ones"),
     settled=Field(int, "envs", "", "1: the contacts are solved, nothing is left to propagate"),
     overlapping=Field(int, "envs", "", "1: something is to be pushed out"),
+    gate=Field(wp.uint32, "envs, 4", "", "where the blocks of a team that is larger than one wait for each other"),
+)
+
+Order = layout(
+    "Order",
+    "Touching pairs in the order of solving. There are two: by colour alone, all in level 0, and by level and colour.",
+    entries=Field(PairRecord, "pairs", "", "touching pairs, group by group"),
+    group_start=Field(int, "pairs + envs", "", "first entry of a group: one level, one colour"),
+    group_color=Field(int, "pairs + envs", "", "colour of a group"),
+    level_start=Field(int, "levels", "", "first group of a level; bodies + 2 rows an environment"),
+    level_count=Field(int, "envs", "", "levels in use, the lowest, 0, not counted"),
 )

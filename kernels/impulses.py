@@ -11,20 +11,25 @@ before the next group; a lane keeps the two bodies of its pair at hand while it 
 
 import warp as wp
 
-from warp_rigid.kernels.data import (
-    COLORS,
-    Bodies,
-    ContactRecord,
-    Contacts,
-    Environments,
-    Graph,
-    Motions,
-    PairRecord,
-    Pairs,
-    State,
+from warp_rigid.kernels.arithmetic import inverse_root, quotient, root
+from warp_rigid.kernels.data import COLORS, ContactRecord, Contacts, Environments, Graph, Motions, Order, PairRecord
+from warp_rigid.kernels.packed import (
+    IMPULSE,
+    REACTION,
+    TWIST,
+    TWIST_REACTION,
+    VELOCITY,
+    carried,
+    carry,
+    contact_row,
+    entry_at,
+    first_three,
+    inverse_inertia_of,
+    mover_quad,
+    put_mover_quad,
 )
 from warp_rigid.kernels.tangents import world_vector
-from warp_rigid.kernels.team import any_of_team, meet
+from warp_rigid.kernels.team import Team, any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,31 +56,33 @@ class Couple:
 
 
 @wp.func
-def take_up(a: int, b: int, share_a: float, share_b: float, bodies: Bodies, motions: Motions, state: State):
+def take_up(a: int, b: int, share_a: float, share_b: float, motions: Motions):
     """Fetch two bodies; one whose share is 0 is frozen."""
     couple = Couple()
-    couple.linear_a = state.linear_velocity[a]
-    couple.angular_a = state.angular_velocity[a]
-    couple.linear_b = state.linear_velocity[b]
-    couple.angular_b = state.angular_velocity[b]
+    q = mover_quad(motions.movers, a, VELOCITY)
+    couple.linear_a = first_three(q)
+    couple.inverse_mass_a = wp.where(share_a > 0.0, q[3], 0.0)
+    couple.angular_a = first_three(mover_quad(motions.movers, a, VELOCITY + 1))
+    q = mover_quad(motions.movers, b, VELOCITY)
+    couple.linear_b = first_three(q)
+    couple.inverse_mass_b = wp.where(share_b > 0.0, q[3], 0.0)
+    couple.angular_b = first_three(mover_quad(motions.movers, b, VELOCITY + 1))
     if share_a > 0.0:
-        couple.inverse_mass_a = bodies.inverse_mass[a]
-        couple.inverse_inertia_a = motions.inverse_inertia[a]
+        couple.inverse_inertia_a = inverse_inertia_of(a, motions)
     if share_b > 0.0:
-        couple.inverse_mass_b = bodies.inverse_mass[b]
-        couple.inverse_inertia_b = motions.inverse_inertia[b]
+        couple.inverse_inertia_b = inverse_inertia_of(b, motions)
     return couple
 
 
 @wp.func
-def put_down(a: int, b: int, couple: Couple, state: State):
+def put_down(a: int, b: int, couple: Couple, motions: Motions):
     """Store the velocities of the bodies that answer."""
     if couple.inverse_mass_a > 0.0:
-        state.linear_velocity[a] = couple.linear_a
-        state.angular_velocity[a] = couple.angular_a
+        put_mover_quad(motions.movers, a, VELOCITY, couple.linear_a, couple.inverse_mass_a)
+        put_mover_quad(motions.movers, a, VELOCITY + 1, couple.angular_a, 0.0)
     if couple.inverse_mass_b > 0.0:
-        state.linear_velocity[b] = couple.linear_b
-        state.angular_velocity[b] = couple.angular_b
+        put_mover_quad(motions.movers, b, VELOCITY, couple.linear_b, couple.inverse_mass_b)
+        put_mover_quad(motions.movers, b, VELOCITY + 1, couple.angular_b, 0.0)
 
 
 @wp.func
@@ -106,32 +113,31 @@ def with_twist(twist: wp.vec3, couple: Couple):
 @wp.func
 def friction_impulse(old: wp.vec2, slip: wp.vec2, k: wp.vec3, limit: float):
     """New tangential impulse from the old one, the slip, the tangential matrix (11, 12, 22) and the disk's radius."""
-    determinant = wp.max(k[0] * k[2] - k[1] * k[1], 1.0e-30)
-    stick = old - wp.vec2(k[2] * slip[0] - k[1] * slip[1], k[0] * slip[1] - k[1] * slip[0]) / determinant
+    inverse = quotient(1.0, wp.max(k[0] * k[2] - k[1] * k[1], 1.0e-30))
+    stick = old - inverse * wp.vec2(k[2] * slip[0] - k[1] * slip[1], k[0] * slip[1] - k[1] * slip[0])
     if wp.length_sq(stick) <= limit * limit:
         return stick
     mean = 0.5 * (k[0] + k[2])
     deviation = 0.5 * (k[0] - k[2])
-    largest = mean + wp.sqrt(deviation * deviation + k[1] * k[1])
-    slide = old - slip / largest
-    length = wp.length(slide)
-    if length > limit:
-        slide = slide * (limit / length)
+    largest = mean + root(deviation * deviation + k[1] * k[1])
+    slide = old - quotient(1.0, largest) * slip
+    squared = wp.length_sq(slide)
+    if squared > limit * limit:
+        slide = slide * (limit * inverse_root(squared))
     return slide
 
 
 @wp.func
-def resist_turning(c: int, row: ContactRecord, couple: Couple, contacts: Contacts):
+def resist_turning(c: int, load: float, row: ContactRecord, couple: Couple, contacts: Contacts):
     """Rolling and spinning friction: torques up to a coefficient [m] times the normal impulse."""
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
     k = couple.inverse_inertia_a + couple.inverse_inertia_b
-    old = contacts.loads[c].twist
-    load = contacts.loads[c].impulse[0]
+    old = carried(c, TWIST, contacts)
     limit = row.spinning_friction * load
     spin = wp.dot(couple.angular_a - couple.angular_b, n)
-    about_normal = wp.clamp(old[0] - spin / wp.max(wp.dot(n, k * n), 1.0e-30), -limit, limit)
+    about_normal = wp.clamp(old[0] - quotient(spin, wp.max(wp.dot(n, k * n), 1.0e-30)), -limit, limit)
     couple = with_twist((about_normal - old[0]) * n, couple)
     spins = couple.angular_a - couple.angular_b
     matrix = wp.vec3(wp.dot(u, k * u), wp.dot(u, k * v), wp.dot(v, k * v))
@@ -139,9 +145,9 @@ def resist_turning(c: int, row: ContactRecord, couple: Couple, contacts: Contact
     rolling = friction_impulse(wp.vec2(old[1], old[2]), slip, matrix, row.rolling_friction * load)
     couple = with_twist((rolling[0] - old[1]) * u + (rolling[1] - old[2]) * v, couple)
     new = wp.vec3(about_normal, rolling[0], rolling[1])
-    contacts.loads[c].twist = new
+    carry(c, TWIST, new, contacts)
     if couple.inverse_mass_a * couple.inverse_mass_b == 0.0:
-        contacts.loads[c].twist_reaction += world_vector(n, u, new - old)
+        carry(c, TWIST_REACTION, carried(c, TWIST_REACTION, contacts) + world_vector(n, u, new - old), contacts)
     return couple
 
 
@@ -151,16 +157,16 @@ def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contac
 
     A share of 0 freezes that body: it weighs nothing in the contact, and what it did not take goes to `reaction`.
     """
-    row = contacts.rows[c]
+    row = contact_row(c, contacts)
     k_normal = share_a * row.normal_a + share_b * row.normal_b
     if k_normal < 1.0e-12:
         return couple
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
-    old = contacts.loads[c].impulse
+    old = carried(c, IMPULSE, contacts)
     slip = slip_between(row, couple)
-    normal = wp.max(old[0] - (wp.dot(slip, n) + row.closing) / k_normal, 0.0)
+    normal = wp.max(old[0] - quotient(wp.dot(slip, n) + row.closing, k_normal), 0.0)
     gained = normal - old[0]
     coupling = gained * (share_a * row.coupling_a + share_b * row.coupling_b)
     k = share_a * row.tangent_a + share_b * row.tangent_b
@@ -169,77 +175,79 @@ def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contac
     after = friction_impulse(before, sliding, k, row.friction * normal)
     impulse = gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v
     couple = with_impulse(row, impulse, couple)
-    contacts.loads[c].impulse = wp.vec3(normal, after[0], after[1])
+    carry(c, IMPULSE, wp.vec3(normal, after[0], after[1]), contacts)
     if share_a * share_b == 0.0:
-        contacts.loads[c].reaction += impulse
+        carry(c, REACTION, carried(c, REACTION, contacts) + impulse, contacts)
     if row.rolling_friction + row.spinning_friction > 0.0:
-        couple = resist_turning(c, row, couple, contacts)
-    change = k_normal * wp.abs(gained) + wp.sqrt((k[0] + k[2]) * k_normal) * wp.length(after - before)
+        couple = resist_turning(c, normal, row, couple, contacts)
+    change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
     couple.change = wp.max(couple.change, change)
     return couple
 
 
 @wp.func
-def visit_pair(
-    entry: PairRecord,
-    share_a: float,
-    share_b: float,
-    bodies: Bodies,
-    motions: Motions,
-    contacts: Contacts,
-    state: State,
-):
-    """Visit the contacts of a pair, one after another. Returns 1 if they changed a velocity."""
-    couple = take_up(entry.body_a, entry.body_b, share_a, share_b, bodies, motions, state)
-    for c in range(entry.begin, entry.end):
-        couple = visit_contact(c, share_a, share_b, couple, contacts)
-    put_down(entry.body_a, entry.body_b, couple, state)
-    return wp.where(couple.change > SETTLED, 1, 0)
+def visit_pair(entry: PairRecord, share_a: float, share_b: float, most: int, motions: Motions, contacts: Contacts):
+    """Visit the contacts of a pair, one after another, until nothing changes or `most` rounds are done.
+
+    Returns 1 if they changed a velocity.
+    """
+    couple = take_up(entry.body_a, entry.body_b, share_a, share_b, motions)
+    changed = int(0)
+    left = int(most)
+    while left > 0:
+        couple.change = 0.0
+        for c in range(entry.begin, entry.end):
+            couple = visit_contact(c, share_a, share_b, couple, contacts)
+        left -= 1
+        if couple.change > SETTLED:
+            changed = 1
+        else:
+            left = 0
+    put_down(entry.body_a, entry.body_b, couple, motions)
+    return changed
 
 
 @wp.func
-def first_of_group(group: int, lane: int, graph: Graph):
+def first_of_group(group: int, team: Team, order: Order):
     """Where in the order a lane begins with a group. Pairs that have to be solved in turn are the first lane's."""
-    if graph.group_color[group] == IN_TURN and lane > 0:
-        return graph.group_start[group + 1]
-    return graph.group_start[group] + lane
+    if order.group_color[group] == IN_TURN and team.lane > 0:
+        return order.group_start[group + 1]
+    return order.group_start[group] + team.lane
 
 
 @wp.func
-def stride_of_group(group: int, lanes: int, graph: Graph):
+def stride_of_group(group: int, team: Team, order: Order):
     """How far a lane goes from one pair of a group to its next."""
-    return wp.where(graph.group_color[group] == IN_TURN, 1, lanes)
+    return wp.where(order.group_color[group] == IN_TURN, 1, team.lanes)
 
 
 @wp.kernel
 def warm_start(
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: apply the impulses that the contacts start from."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     if envs.warm_starting[env] == 0:
         return
     rows = env * (bodies_per_env + 2)
-    for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
-        stride = stride_of_group(group, lanes, graph)
-        for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-            entry = graph.order[k]
-            couple = take_up(entry.body_a, entry.body_b, 1.0, 1.0, bodies, motions, state)
+    for group in range(order.level_start[rows], order.level_start[rows + order.level_count[env] + 1]):
+        stride = stride_of_group(group, team, order)
+        for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+            entry = entry_at(k, order.entries)
+            couple = take_up(entry.body_a, entry.body_b, 1.0, 1.0, motions)
             for c in range(entry.begin, entry.end):
-                row = contacts.rows[c]
-                couple = with_impulse(row, world_vector(row.normal, row.tangent, contacts.loads[c].impulse), couple)
-                couple = with_twist(world_vector(row.normal, row.tangent, contacts.loads[c].twist), couple)
-            put_down(entry.body_a, entry.body_b, couple, state)
-        meet(lanes)
+                row = contact_row(c, contacts)
+                couple = with_impulse(row, world_vector(row.normal, row.tangent, carried(c, IMPULSE, contacts)), couple)
+                couple = with_twist(world_vector(row.normal, row.tangent, carried(c, TWIST, contacts)), couple)
+            put_down(entry.body_a, entry.body_b, couple, motions)
+        meet(team)
 
 
 @wp.kernel
@@ -247,20 +255,18 @@ def sweep_contacts(
     after_shock: int,
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: half the contact iterations, before or after shock propagation, from the ground up.
 
     They end early when a sweep changes nothing; what is settled before shock propagation needs none.
     """
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     rows = env * (bodies_per_env + 2)
     left = (envs.contact_iterations[env] + 1 - after_shock) / 2
     if after_shock == 1:
@@ -268,12 +274,12 @@ def sweep_contacts(
     settled = int(0)
     while left > 0:
         changed = int(0)
-        for group in range(graph.level_start[rows], graph.level_start[rows + graph.level_count[env] + 1]):
-            stride = stride_of_group(group, lanes, graph)
-            for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                changed |= visit_pair(graph.order[k], 1.0, 1.0, bodies, motions, contacts, state)
-            meet(lanes)
-        settled = 1 - any_of_team(changed, lanes)
+        for group in range(order.level_start[rows], order.level_start[rows + order.level_count[env] + 1]):
+            stride = stride_of_group(group, team, order)
+            for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+                changed |= visit_pair(entry_at(k, order.entries), 1.0, 1.0, 1, motions, contacts)
+            meet(team)
+        settled = 1 - any_of_team(changed, team)
         left = (1 - settled) * (left - 1)
-    if after_shock == 0 and lane == 0:
+    if after_shock == 0 and team.lane == 0:
         graph.settled[env] = settled

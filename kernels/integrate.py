@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.data import MOTION_DYNAMIC, MOTION_STATIC, Bodies, Environments, Motions, State
-from warp_rigid.kernels.predict import ABSENT, DRIVEN, FREE, body_is_finite
+from warp_rigid.kernels.predict import ABSENT, DRIVEN, FREE, is_finite
 
 wp.set_module_options({"enable_backward": False})
 
@@ -96,7 +96,7 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
 
 
 @wp.kernel
-def watch(bodies_per_env: int, motions: Motions, state: State, envs: Environments):
+def watch(bodies_per_env: int, motions: Motions, envs: Environments):
     """One thread a body: note it if its velocity or pose is not finite; the environment's first such body counts.
 
     What was not finite before the step comes before what it has touched in it: ranks fall with the body's number.
@@ -108,7 +108,7 @@ def watch(bodies_per_env: int, motions: Motions, state: State, envs: Environment
     rank = (env + 1) * bodies_per_env - b
     if motions.sound[b] == 0:
         wp.atomic_max(envs.broken, env, bodies_per_env + rank)
-    elif not body_is_finite(b, state):
+    elif not (is_finite(motions.movers[b].linear) and is_finite(motions.movers[b].angular)):
         wp.atomic_max(envs.broken, env, rank)
 
 
@@ -186,16 +186,16 @@ def move(dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs:
         return
     step = wp.float64(dt * motions.next_share[b])
     turn = precise(state.orientation[b], state.turn_rest[b])
-    spin = wp.vec3d(state.angular_velocity[b]) + wp.vec3d(state.spin_rest[b])
+    spin = wp.vec3d(motions.movers[b].angular) + wp.vec3d(state.spin_rest[b])
     kept = rotate_by(turn, step * spin)
     if bodies.motion[b] == DYNAMIC:
         kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
-    after = rotate_by(kept, step * wp.vec3d(motions.push_angular[b]))
+    after = rotate_by(kept, step * wp.vec3d(motions.movers[b].push_angular))
     state.angular_velocity[b] = wp.vec3(spin)
     state.spin_rest[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
-    travel = step * wp.vec3d(state.linear_velocity[b] + motions.push_linear[b])
+    travel = step * wp.vec3d(motions.movers[b].linear + motions.movers[b].push_linear)
     stopped = dt * (1.0 - motions.next_share[b])
-    state.linear_velocity[b] = without_rest(state.linear_velocity[b], motions.acceleration[b], stopped)
+    state.linear_velocity[b] = without_rest(motions.movers[b].linear, motions.acceleration[b], stopped)
     center = wp.vec3d(bodies.center_of_mass[b])
     swing = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
     state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - swing)

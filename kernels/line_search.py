@@ -12,25 +12,42 @@ dv = M^-1 J^T dl, both sums run over contacts: v0.M dv = sum dl.(J v0) and dv.M 
 import warp as wp
 
 from warp_rigid.kernels.data import (
-    MOTION_DYNAMIC,
+    SHOCK_OFF,
     SHOCK_TWO_PASS,
-    Bodies,
     Contacts,
     Environments,
     Graph,
     Motions,
+    Order,
     PairRecord,
-    Pairs,
-    State,
 )
 from warp_rigid.kernels.impulses import slip_between, take_up
+from warp_rigid.kernels.packed import (
+    IMPULSE,
+    REACTION,
+    START,
+    START_IMPULSE,
+    START_TWIST,
+    TWIST,
+    TWIST_REACTION,
+    carried,
+    carry,
+    contact_row,
+    entry_at,
+    first_three,
+    mover_quad,
+    store_velocity,
+)
 from warp_rigid.kernels.tangents import world_vector
-from warp_rigid.kernels.team import meet
+from warp_rigid.kernels.team import meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
-DYNAMIC = wp.constant(MOTION_DYNAMIC)
+OFF = wp.constant(SHOCK_OFF)
 TWO_PASS = wp.constant(SHOCK_TWO_PASS)
+
+FINE = wp.constant(wp.float64(2.0**40))
+"""Into so many parts the largest summand of an island is divided: 2^22 of them fit into 63 bits."""
 
 
 @wp.func
@@ -43,49 +60,48 @@ def searched(env: int, envs: Environments, graph: Graph):
 def remember_start(
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: keep velocities and impulses as they are before the passes."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
-    if graph.settled[env] == 1:
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    if graph.settled[env] == 1 or envs.shock_propagation[env] == OFF:
         return
     first = env * bodies_per_env
-    for b in range(first + lane, first + bodies_per_env, lanes):
-        motions.start_linear[b] = state.linear_velocity[b]
-        motions.start_angular[b] = state.angular_velocity[b]
-    begin = pairs.contact_start[pairs.start[first]]
-    end = pairs.contact_start[pairs.start[first + bodies_per_env]]
-    for c in range(begin + lane, end, lanes):
-        contacts.loads[c].start_impulse = contacts.loads[c].impulse
-        contacts.loads[c].start_twist = contacts.loads[c].twist
-        contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
-        contacts.loads[c].twist_reaction = wp.vec3(0.0, 0.0, 0.0)
+    for b in range(first + team.lane, first + bodies_per_env, lanes):
+        store_velocity(b, START, motions.movers[b].linear, motions.movers[b].angular, motions)
+    rows = env * (bodies_per_env + 2)
+    end = order.group_start[order.level_start[rows + order.level_count[env] + 1]]
+    for k in range(order.group_start[order.level_start[rows]] + team.lane, end, lanes):
+        for c in range(order.entries[k].begin, order.entries[k].end):
+            carry(c, START_IMPULSE, carried(c, IMPULSE, contacts), contacts)
+            carry(c, START_TWIST, carried(c, TWIST, contacts), contacts)
+            carry(c, REACTION, wp.vec3(0.0, 0.0, 0.0), contacts)
+            carry(c, TWIST_REACTION, wp.vec3(0.0, 0.0, 0.0), contacts)
 
 
 @wp.func
-def pair_sums(entry: PairRecord, bodies: Bodies, motions: Motions, contacts: Contacts, state: State):
+def pair_sums(entry: PairRecord, motions: Motions, contacts: Contacts):
     """A pair's part of both sums: -(v0.M dv + b.dl) and dv.M dv."""
     a = entry.body_a
     b = entry.body_b
-    now = take_up(a, b, 0.0, 0.0, bodies, motions, state)
+    now = take_up(a, b, 0.0, 0.0, motions)
     then = now
-    then.linear_a = motions.start_linear[a]
-    then.angular_a = motions.start_angular[a]
-    then.linear_b = motions.start_linear[b]
-    then.angular_b = motions.start_angular[b]
+    then.linear_a = first_three(mover_quad(motions.movers, a, START))
+    then.angular_a = first_three(mover_quad(motions.movers, a, START + 1))
+    then.linear_b = first_three(mover_quad(motions.movers, b, START))
+    then.angular_b = first_three(mover_quad(motions.movers, b, START + 1))
     sums = wp.vec2(0.0, 0.0)
     for c in range(entry.begin, entry.end):
-        row = contacts.rows[c]
-        change = contacts.loads[c].impulse - contacts.loads[c].start_impulse
+        row = contact_row(c, contacts)
+        change = carried(c, IMPULSE, contacts) - carried(c, START_IMPULSE, contacts)
         impulse = world_vector(row.normal, row.tangent, change)
-        twist = world_vector(row.normal, row.tangent, contacts.loads[c].twist - contacts.loads[c].start_twist)
+        turn = carried(c, TWIST, contacts) - carried(c, START_TWIST, contacts)
+        twist = world_vector(row.normal, row.tangent, turn)
         before = slip_between(row, then)
         spin_before = then.angular_a - then.angular_b
         spin = now.angular_a - now.angular_b
@@ -95,86 +111,106 @@ def pair_sums(entry: PairRecord, bodies: Bodies, motions: Motions, contacts: Con
     return sums
 
 
+@wp.func
+def island_of(entry: PairRecord, motions: Motions, graph: Graph):
+    """The island of a touching pair."""
+    return graph.island[wp.where(motions.movers[entry.body_a].inverse_mass > 0.0, entry.body_a, entry.body_b)]
+
+
+@wp.func
+def add_up(island: int, numerator: wp.int64, denominator: wp.int64, graph: Graph):
+    """Add to both sums of an island; whole numbers, so the order in which lanes come makes no difference."""
+    if island >= 0:
+        wp.atomic_add(graph.numerator, island, numerator)
+        wp.atomic_add(graph.denominator, island, denominator)
+
+
 @wp.kernel
 def sum_energy(
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
-    """A team an environment: both sums of the line search, island by island, in the order of the pairs.
+    """A team an environment: both sums of the line search for each island.
 
-    Each pair's part is found by whichever lane; then an island's parts are added up by one lane.
+    The parts of the pairs are added as multiples of a 2^40th of the island's largest part.
     """
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     if not searched(env, envs, graph):
         return
     first = env * bodies_per_env
-    for b in range(first + lane, first + bodies_per_env, lanes):
-        graph.numerator[b] = 0.0
-        graph.denominator[b] = 0.0
+    for body in range(first + team.lane, first + bodies_per_env, lanes):
+        graph.numerator[body] = wp.int64(0)
+        graph.denominator[body] = wp.int64(0)
+        graph.largest[body] = 1.0e-30
+    meet(team)
     rows = env * (bodies_per_env + 2)
-    begin = graph.group_start[graph.level_start[rows]]
-    end = graph.group_start[graph.level_start[rows + graph.level_count[env] + 1]]
-    for k in range(begin + lane, end, lanes):
-        sums = pair_sums(graph.order[k], bodies, motions, contacts, state)
-        graph.pair_numerator[graph.order[k].pair] = sums[0]
-        graph.pair_denominator[graph.order[k].pair] = sums[1]
-    meet(lanes)
-    for pair in range(pairs.start[first], pairs.start[first + bodies_per_env]):
-        if pairs.contact_start[pair + 1] > pairs.contact_start[pair]:
-            a = pairs.body_a[pair]
-            island = wp.where(bodies.motion[a] == DYNAMIC, graph.island[a], graph.island[pairs.body_b[pair]])
-            if island % lanes == lane:
-                graph.numerator[island] = graph.numerator[island] + graph.pair_numerator[pair]
-                graph.denominator[island] = graph.denominator[island] + graph.pair_denominator[pair]
+    begin = order.group_start[order.level_start[rows]]
+    end = order.group_start[order.level_start[rows + order.level_count[env] + 1]]
+    for k in range(begin + team.lane, end, lanes):
+        entry = entry_at(k, order.entries)
+        sums = pair_sums(entry, motions, contacts)
+        graph.pair_sums[k] = sums
+        island = island_of(entry, motions, graph)
+        wp.atomic_max(graph.largest, island, wp.max(wp.abs(sums[0]), wp.abs(sums[1])))
+    meet(team)
+    last = int(-1)
+    numerator = wp.int64(0)
+    denominator = wp.int64(0)
+    for k in range(begin + team.lane, end, lanes):
+        island = island_of(entry_at(k, order.entries), motions, graph)
+        if island != last:
+            add_up(last, numerator, denominator, graph)
+            numerator = wp.int64(0)
+            denominator = wp.int64(0)
+            last = island
+        scale = FINE / wp.float64(graph.largest[island])
+        numerator += wp.int64(scale * wp.float64(graph.pair_sums[k][0]))
+        denominator += wp.int64(scale * wp.float64(graph.pair_sums[k][1]))
+    add_up(last, numerator, denominator, graph)
 
 
 @wp.func
 def accepted_share(island: int, graph: Graph):
     """The line search's t of an island."""
-    if graph.denominator[island] <= 0.0:
+    if graph.denominator[island] <= wp.int64(0):
         return 1.0
-    return wp.clamp(graph.numerator[island] / graph.denominator[island], 0.0, 1.0)
+    return wp.clamp(float(graph.numerator[island]) / float(graph.denominator[island]), 0.0, 1.0)
 
 
 @wp.kernel
 def accept(
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: go the accepted share of the way."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     if not searched(env, envs, graph):
         return
     first = env * bodies_per_env
-    for b in range(first + lane, first + bodies_per_env, lanes):
+    for b in range(first + team.lane, first + bodies_per_env, lanes):
         t = accepted_share(graph.island[b], graph)
-        state.linear_velocity[b] = motions.start_linear[b] + t * (state.linear_velocity[b] - motions.start_linear[b])
-        state.angular_velocity[b] = motions.start_angular[b] + t * (
-            state.angular_velocity[b] - motions.start_angular[b]
-        )
-    begin = pairs.contact_start[pairs.start[first]]
-    end = pairs.contact_start[pairs.start[first + bodies_per_env]]
-    for c in range(begin + lane, end, lanes):
-        a = contacts.rows[c].body_a
-        island = wp.where(bodies.motion[a] == DYNAMIC, graph.island[a], graph.island[contacts.rows[c].body_b])
-        t = accepted_share(island, graph)
-        start = contacts.loads[c].start_impulse
-        contacts.loads[c].impulse = start + t * (contacts.loads[c].impulse - start)
-        turn = contacts.loads[c].start_twist
-        contacts.loads[c].twist = turn + t * (contacts.loads[c].twist - turn)
+        mover = motions.movers[b]
+        motions.movers[b].linear = mover.start_linear + t * (mover.linear - mover.start_linear)
+        motions.movers[b].angular = mover.start_angular + t * (mover.angular - mover.start_angular)
+    rows = env * (bodies_per_env + 2)
+    end = order.group_start[order.level_start[rows + order.level_count[env] + 1]]
+    for k in range(order.group_start[order.level_start[rows]] + team.lane, end, lanes):
+        entry = entry_at(k, order.entries)
+        t = accepted_share(island_of(entry, motions, graph), graph)
+        for c in range(entry.begin, entry.end):
+            start = carried(c, START_IMPULSE, contacts)
+            carry(c, IMPULSE, start + t * (carried(c, IMPULSE, contacts) - start), contacts)
+            turn = carried(c, START_TWIST, contacts)
+            carry(c, TWIST, turn + t * (carried(c, TWIST, contacts) - turn), contacts)

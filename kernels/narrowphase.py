@@ -35,7 +35,7 @@ from warp_rigid.kernels.distance import FAR, HEIGHTFIELD, PLANE, SPHERE, signed_
 from warp_rigid.kernels.predict import CONTACT_DISTANCE, DRIVEN
 from warp_rigid.kernels.samples import EDGE, POINT, Search, gradient, place_sample
 from warp_rigid.kernels.tangents import tangent_of
-from warp_rigid.kernels.team import bits_below, lowest_bit, meet, of_lane, votes
+from warp_rigid.kernels.team import bits_below, lowest_bit, meet_in_warp, of_lane, votes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -49,6 +49,10 @@ SAME_PATCH = wp.constant(0.94)
 
 GAP_WEIGHT = wp.constant(20.0)
 """How much nearer in the tangent plane a sample counts for each metre of gap: those that touch come first."""
+
+FURTHEST_RANKED = wp.constant(0.02)
+"""Gaps beyond this part of the smaller size count as equal: of what a fast body will touch in the step, what is nearest
+must not push out the corners that its fall turns it onto."""
 
 STILL = wp.constant(2.5e-4)
 """Pairs that have moved less than this part of the smaller size, half the contact distance, keep their contacts."""
@@ -187,13 +191,13 @@ def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
             best = p
     if likeness < SAME_PATCH and count < MOST_PATCHES:
         best = count
-        meet(lanes)
+        meet_in_warp(lanes)
         if lane == 0:
             pairs.patch_count[pair] = count + 1
             pairs.patch_normal[pair, count] = normal
         for k in range(lane, SLOTS, lanes):
             pairs.slot_key[pair, count * SLOTS + k] = -1
-        meet(lanes)
+        meet_in_warp(lanes)
     return best
 
 
@@ -265,7 +269,7 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
 def touching(
     s: int, side: int, approach: Approach, dt: float, size: float, shapes: Shapes, state: State, motions: Motions
 ):
-    """The touching place of a sample in the second body's frame, its gap the predicted one; FAR if there is none."""
+    """The touching place of a sample in the second body's frame, its gap the one that it is ranked by; FAR if none."""
     result = Touch()
     result.gap = FAR
     if not sample_is_near(s, approach, shapes):
@@ -280,7 +284,7 @@ def touching(
     if gap < CONTACT_DISTANCE * size + approach.rise:
         result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
         result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
-        result.gap = gap
+        result.gap = wp.min(touch.gap, FURTHEST_RANKED * size)
     return result
 
 
@@ -435,7 +439,7 @@ def look_for_contacts(
     reach = contact_reach(a, b, size, dt, state, motions) + rise
     if lane == 0:
         pairs.patch_count[pair] = 0
-    meet(lanes)
+    meet_in_warp(lanes)
     side = int(0)
     while side < 2:
         approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
@@ -451,9 +455,9 @@ def look_for_contacts(
                 bits = bits & (bits - wp.uint32(1))
                 try_cluster(cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs)
         side += 1
-    meet(lanes)
+    meet_in_warp(lanes)
     kept = int(keep_slots(pair, size, lane, lanes, pairs))
-    meet(lanes)
+    meet_in_warp(lanes)
     if kept == 0 or contradictory(pair, pairs):
         kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
     return kept

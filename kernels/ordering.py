@@ -1,8 +1,9 @@
 """Sixth stage: the order in which touching pairs are solved.
 
-Pairs are sorted by level, the level of the upper body, so that a sweep runs from the ground up, and they are coloured:
-no two pairs of a colour share a dynamic body, so a colour's pairs can be solved at the same time, and in whatever order
-they are, the result is the same. One level and one colour make a group.
+Pairs are coloured: no two pairs of a colour share a dynamic body, so a colour's pairs can be solved at the same time,
+and in whatever order they are, the result is the same. Sweeps over all pairs go colour by colour. For shock propagation
+and push-out, which go from level to level, pairs are sorted by level, that of the upper body, and coloured within each:
+one level and one colour make a group.
 
 Pairs bid for colours (Jones and Plassmann 1993): in a round, the pair of highest priority at both its bodies takes the
 lowest colour free at both. The priority is a scrambled index, so that rows of pairs are not coloured one by one. What
@@ -11,10 +12,10 @@ finds all colours taken, as on a tray that carries many, is solved one after ano
 
 import warp as wp
 
-from warp_rigid.kernels.data import COLORS, Bodies, Graph, PairRecord, Pairs
+from warp_rigid.kernels.data import COLORS, Bodies, Graph, Order, PairRecord, Pairs
 from warp_rigid.kernels.impulses import IN_TURN
 from warp_rigid.kernels.support import DYNAMIC, touches
-from warp_rigid.kernels.team import any_of_team, lowest_bit, meet
+from warp_rigid.kernels.team import Team, any_of_team, lowest_bit, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -90,62 +91,91 @@ def take_color(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph
 
 
 @wp.kernel
-def color_pairs(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
-    """A team an environment: give each touching pair a colour that no other pair of its dynamic bodies has."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+def color_pairs(layered: int, lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+    """A team an environment: give each touching pair a colour that no other pair of its dynamic bodies has.
+
+    If the order is layered, no other pair of the same level; otherwise all pairs count to level 0.
+    """
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     first = env * bodies_per_env
     begin = pairs.start[first]
     end = pairs.start[first + bodies_per_env]
-    for b in range(first + lane, first + bodies_per_env, lanes):
+    for b in range(first + team.lane, first + bodies_per_env, lanes):
         for side in range(2):
             graph.colors[b, side] = wp.uint32(0)
             graph.bid[b, side] = NO_BID
-    for pair in range(begin + lane, end, lanes):
+    for pair in range(begin + team.lane, end, lanes):
         graph.pair_color[pair] = UNCOLORED
-        graph.pair_level[pair] = wp.max(graph.level[pairs.body_a[pair]], graph.level[pairs.body_b[pair]])
+        upper = wp.max(graph.level[pairs.body_a[pair]], graph.level[pairs.body_b[pair]])
+        graph.pair_level[pair] = layered * upper
     left = int(1)
     while left == 1:
-        meet(lanes)
-        for pair in range(begin + lane, end, lanes):
+        meet(team)
+        for pair in range(begin + team.lane, end, lanes):
             if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
                 place_bid(pair, begin, bodies, pairs, graph)
-        meet(lanes)
-        for pair in range(begin + lane, end, lanes):
+        meet(team)
+        for pair in range(begin + team.lane, end, lanes):
             if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
                 take_color(pair, begin, bodies, pairs, graph)
-        meet(lanes)
-        for b in range(first + lane, first + bodies_per_env, lanes):
+        meet(team)
+        for b in range(first + team.lane, first + bodies_per_env, lanes):
             graph.bid[b, 0] = NO_BID
             graph.bid[b, 1] = NO_BID
         left = int(0)
-        for pair in range(begin + lane, end, lanes):
+        for pair in range(begin + team.lane, end, lanes):
             if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
                 left = 1
-        left = any_of_team(left, lanes)
+        left = any_of_team(left, team)
 
 
 @wp.func
-def list_groups(env: int, rows: int, begin: int, graph: Graph):
-    """One lane: turn the tally of pairs by level and colour into the groups and where each begins."""
+def count_groups(row: int, graph: Graph, order: Order):
+    """How many groups and how many pairs a level has."""
+    groups = int(0)
+    count = int(0)
+    for color in range(MOST_COLORS):
+        if graph.tally[row, color] > 0:
+            groups += 1
+            count += graph.tally[row, color]
+    order.level_start[row] = groups
+    graph.level_pairs[row] = count
+
+
+@wp.func
+def add_levels(env: int, rows: int, begin: int, graph: Graph, order: Order):
+    """One lane: where each level's groups and pairs begin."""
     group = begin + env
     at = int(begin)
-    for level in range(graph.level_count[env] + 1):
-        graph.level_start[rows + level] = group
-        for color in range(MOST_COLORS):
-            count = graph.tally[rows + level, color]
-            if count > 0:
-                graph.tally[rows + level, color] = at
-                graph.group_start[group] = at
-                graph.group_color[group] = color
-                group += 1
-                at += count
-    graph.level_start[rows + graph.level_count[env] + 1] = group
-    graph.group_start[group] = at
+    for row in range(rows, rows + order.level_count[env] + 1):
+        groups = order.level_start[row]
+        count = graph.level_pairs[row]
+        order.level_start[row] = group
+        graph.level_pairs[row] = at
+        group += groups
+        at += count
+    order.level_start[rows + order.level_count[env] + 1] = group
+    order.group_start[group] = at
 
 
 @wp.func
-def write_in_order(pair: int, rows: int, pairs: Pairs, graph: Graph):
+def list_groups(row: int, graph: Graph, order: Order):
+    """Turn a level's tally of pairs by colour into its groups and where each begins."""
+    group = order.level_start[row]
+    at = graph.level_pairs[row]
+    for color in range(MOST_COLORS):
+        count = graph.tally[row, color]
+        if count > 0:
+            graph.tally[row, color] = at
+            order.group_start[group] = at
+            order.group_color[group] = color
+            group += 1
+            at += count
+
+
+@wp.func
+def write_in_order(pair: int, rows: int, pairs: Pairs, graph: Graph, order: Order):
     """Give a pair the next place of its group."""
     entry = PairRecord()
     entry.pair = pair
@@ -156,40 +186,52 @@ def write_in_order(pair: int, rows: int, pairs: Pairs, graph: Graph):
     entry.upper_a = 1 - side_of(entry.body_a, pair, graph)
     entry.upper_b = 1 - side_of(entry.body_b, pair, graph)
     slot = wp.atomic_add(graph.tally, rows + graph.pair_level[pair], graph.pair_color[pair], 1)
-    graph.order[slot] = entry
+    order.entries[slot] = entry
+
+
+@wp.func
+def tally_pairs(team: Team, begin: int, end: int, rows: int, pairs: Pairs, graph: Graph, order: Order):
+    """Count the levels, and the touching pairs of each level and colour. Returns 1 if any is to be solved in turn."""
+    if team.lane == 0:
+        order.level_count[team.env] = 0
+    meet(team)
+    for pair in range(begin + team.lane, end, team.lanes):
+        if touches(pair, pairs):
+            wp.atomic_max(order.level_count, team.env, graph.pair_level[pair])
+    meet(team)
+    for level in range(team.lane, order.level_count[team.env] + 1, team.lanes):
+        for color in range(MOST_COLORS):
+            graph.tally[rows + level, color] = 0
+    meet(team)
+    in_turn = int(0)
+    for pair in range(begin + team.lane, end, team.lanes):
+        if touches(pair, pairs):
+            wp.atomic_add(graph.tally, rows + graph.pair_level[pair], graph.pair_color[pair], 1)
+            in_turn |= wp.where(graph.pair_color[pair] == IN_TURN, 1, 0)
+    return any_of_team(in_turn, team)
 
 
 @wp.kernel
-def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph):
+def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph, order: Order):
     """A team an environment: sort the touching pairs by level and colour. Within a group their order is free."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
-    first = env * bodies_per_env
-    rows = env * (bodies_per_env + 2)
-    begin = pairs.start[first]
-    end = pairs.start[first + bodies_per_env]
-    if lane == 0:
-        graph.level_count[env] = 0
-    meet(lanes)
-    for pair in range(begin + lane, end, lanes):
-        if touches(pair, pairs):
-            wp.atomic_max(graph.level_count, env, graph.pair_level[pair])
-    meet(lanes)
-    for level in range(lane, graph.level_count[env] + 1, lanes):
-        for color in range(MOST_COLORS):
-            graph.tally[rows + level, color] = 0
-    meet(lanes)
-    for pair in range(begin + lane, end, lanes):
-        if touches(pair, pairs):
-            wp.atomic_add(graph.tally, rows + graph.pair_level[pair], graph.pair_color[pair], 1)
-    meet(lanes)
-    if lane == 0:
-        list_groups(env, rows, begin, graph)
-    meet(lanes)
-    for pair in range(begin + lane, end, lanes):
+    team = team_of(wp.tid(), lanes, graph.gate)
+    rows = team.env * (bodies_per_env + 2)
+    begin = pairs.start[team.env * bodies_per_env]
+    end = pairs.start[(team.env + 1) * bodies_per_env]
+    in_turn = tally_pairs(team, begin, end, rows, pairs, graph, order)
+    for row in range(rows + team.lane, rows + order.level_count[team.env] + 1, lanes):
+        count_groups(row, graph, order)
+    meet(team)
+    if team.lane == 0:
+        add_levels(team.env, rows, begin, graph, order)
+    meet(team)
+    for row in range(rows + team.lane, rows + order.level_count[team.env] + 1, lanes):
+        list_groups(row, graph, order)
+    meet(team)
+    for pair in range(begin + team.lane, end, lanes):
         if touches(pair, pairs) and graph.pair_color[pair] != IN_TURN:
-            write_in_order(pair, rows, pairs, graph)
-    if lane == 0:
+            write_in_order(pair, rows, pairs, graph, order)
+    if in_turn == 1 and team.lane == 0:
         for pair in range(begin, end):
             if touches(pair, pairs) and graph.pair_color[pair] == IN_TURN:
-                write_in_order(pair, rows, pairs, graph)
+                write_in_order(pair, rows, pairs, graph, order)

@@ -13,6 +13,7 @@ from warp_rigid.kernels.data import (
     Environments,
     FieldForces,
     Motions,
+    MoverRecord,
     Rest,
     Shapes,
     State,
@@ -102,11 +103,15 @@ def derive_motion(
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
-    motions.push_linear[b] = wp.vec3(0.0, 0.0, 0.0)
-    motions.push_angular[b] = wp.vec3(0.0, 0.0, 0.0)
     r = wp.quat_to_matrix(turn)
     inverse = r * bodies.inverse_inertia[b] * wp.transpose(r)
-    motions.inverse_inertia[b] = inverse
+    mover = MoverRecord()
+    mover.linear = state.linear_velocity[b]
+    mover.inverse_mass = bodies.inverse_mass[b]
+    mover.angular = state.angular_velocity[b]
+    mover.inverse_inertia_xx = wp.vec4(inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 1])
+    mover.inverse_inertia_yz = wp.vec3(inverse[1, 2], inverse[2, 2], 0.0)
+    motions.movers[b] = mover
     acceleration = wp.vec3(0.0, 0.0, 0.0)
     if bodies.motion[b] == DYNAMIC:
         acceleration = envs.gravity[b / bodies_per_env] + field_acceleration(fields, field_count, center)
@@ -149,10 +154,10 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
 
 
 @wp.kernel
-def accelerate(dt: float, when: int, bodies_per_env: int, motions: Motions, envs: Environments, state: State):
+def accelerate(dt: float, when: int, bodies_per_env: int, envs: Environments, motions: Motions):
     """Velocity update: add a step's acceleration where the environment's stage order is `when`."""
     b = wp.tid()
     if envs.collision_first[b / bodies_per_env] != when or motions.role[b] != FREE:
         return
-    state.linear_velocity[b] = state.linear_velocity[b] + dt * motions.acceleration[b]
-    state.angular_velocity[b] = state.angular_velocity[b] + dt * motions.spin_acceleration[b]
+    motions.movers[b].linear = motions.movers[b].linear + dt * motions.acceleration[b]
+    motions.movers[b].angular = motions.movers[b].angular + dt * motions.spin_acceleration[b]

@@ -1,15 +1,27 @@
 """Push-out: separate what still overlaps after the velocities are solved, without touching the velocities.
 
 Contacts that would end the step deeper than the slop get a pseudo-velocity that moves the bodies in this step only.
-Levels go from the ground up with the lower bodies frozen (Guendelman et al. 2003, section 8.3), so a deep stack
-is set right in one pass.
+What overlaps already is taken out bit by bit; what would come on top of it is kept from happening at all. Levels go
+from the ground up with the lower bodies frozen (Guendelman et al. 2003, section 8.3), so a deep stack is set right in
+one pass.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.data import Bodies, Contacts, Environments, Graph, Motions, PairRecord, Pairs, Shapes, State
+from warp_rigid.kernels.arithmetic import quotient
+from warp_rigid.kernels.data import (
+    Bodies,
+    ContactRecord,
+    Contacts,
+    Environments,
+    Graph,
+    Motions,
+    Order,
+    PairRecord,
+    Pairs,
+    Shapes,
+)
 from warp_rigid.kernels.impulses import (
-    SETTLED,
     Couple,
     first_of_group,
     slip_between,
@@ -17,7 +29,18 @@ from warp_rigid.kernels.impulses import (
     take_up,
     with_impulse,
 )
-from warp_rigid.kernels.team import any_of_team, meet
+from warp_rigid.kernels.packed import (
+    PUSH,
+    REACTION,
+    carry_with_target,
+    contact_row,
+    entry_at,
+    first_three,
+    load_quad,
+    mover_quad,
+    store_velocity,
+)
+from warp_rigid.kernels.team import any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,59 +50,90 @@ SLOP = wp.constant(1.0e-4)
 """Overlap left alone, as a part of the smaller body's size."""
 
 RECOVERY = wp.constant(0.25)
-"""Part of the overlap taken out in one step."""
+"""Part of the overlap at the start of the step that is taken out in it."""
+
+ENOUGH = wp.constant(1.0e-4)
+"""Bodies are apart when no visit changes a pseudo-velocity by more than this [m/s]: within a step, a micrometre."""
 
 FASTEST = wp.constant(2.0)
 """Largest speed at which bodies are pushed apart [m/s]."""
 
 
 @wp.func
-def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions, contacts: Contacts, state: State):
+def turned(v: wp.vec3, spin: wp.vec3, dt: float):
+    """A vector that goes with a spinning body, after the step."""
+    angle = dt * wp.length(spin)
+    if angle < 1.0e-6:
+        return v
+    return wp.quat_rotate(wp.quat_from_axis_angle(wp.normalize(spin), angle), v)
+
+
+@wp.func
+def gap_after(row: ContactRecord, key: int, dt: float, couple: Couple):
+    """Gap of a contact after the step, with its turning, which the velocities do not see; its normal goes with a face.
+
+    The sample is the first body's if the key is even, and the face the second's.
+    """
+    way_a = dt * couple.linear_a + turned(row.arm_a, couple.angular_a, dt) - row.arm_a
+    way_b = dt * couple.linear_b + turned(row.arm_b, couple.angular_b, dt) - row.arm_b
+    spin = couple.angular_b
+    if key % 2 == 1:
+        spin = couple.angular_a
+    return row.gap + wp.dot(way_a - way_b + dt * row.surface, turned(row.normal, spin, dt))
+
+
+@wp.func
+def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions, contacts: Contacts):
     """Separation speed that the contact needs [m/s], 0 if none."""
-    row = contacts.rows[c]
-    size = wp.min(shapes.shapes[bodies.shape[row.body_a]].size, shapes.shapes[bodies.shape[row.body_b]].size)
-    couple = take_up(row.body_a, row.body_b, 0.0, 0.0, bodies, motions, state)
-    left = row.gap + dt * wp.dot(slip_between(row, couple), row.normal) + SLOP * size
-    return wp.min(RECOVERY * wp.max(-left, 0.0) / dt, FASTEST)
+    row = contact_row(c, contacts)
+    a = contacts.rows[c].body_a
+    b = contacts.rows[c].body_b
+    size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
+    couple = take_up(a, b, 0.0, 0.0, motions)
+    overlap = wp.max(-gap_after(row, contacts.key[c], dt, couple) - SLOP * size, 0.0)
+    old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
+    return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
 
 
 @wp.func
 def push_contact(c: int, share_a: float, share_b: float, couple: Couple, contacts: Contacts):
     """One visit: bring the pseudo-velocity of separation to its target; reaction[0] is the pseudo-impulse."""
-    row = contacts.rows[c]
-    k = share_a * row.normal_a + share_b * row.normal_b
-    if k < 1.0e-12 or contacts.loads[c].target <= 0.0:
+    carries = load_quad(contacts.loads, c, REACTION)
+    target = carries[3]
+    if target <= 0.0:
         return couple
-    old = contacts.loads[c].reaction[0]
-    missing = contacts.loads[c].target - wp.dot(slip_between(row, couple), row.normal)
-    new = wp.max(old + missing / k, 0.0)
-    contacts.loads[c].reaction = wp.vec3(new, 0.0, 0.0)
+    row = contact_row(c, contacts)
+    k = share_a * row.normal_a + share_b * row.normal_b
+    if k < 1.0e-12:
+        return couple
+    old = carries[0]
+    missing = target - wp.dot(slip_between(row, couple), row.normal)
+    new = wp.max(old + quotient(missing, k), 0.0)
+    carry_with_target(c, wp.vec3(new, 0.0, 0.0), target, contacts)
     couple = with_impulse(row, (new - old) * row.normal, couple)
     couple.change = wp.max(couple.change, k * wp.abs(new - old))
     return couple
 
 
 @wp.func
-def push_pair(entry: PairRecord, bodies: Bodies, motions: Motions, contacts: Contacts, state: State):
+def push_pair(entry: PairRecord, motions: Motions, contacts: Contacts):
     """Visit the contacts of a pair; the bodies' pseudo-velocities stand in for their velocities."""
     a = entry.body_a
     b = entry.body_b
     share_a = float(entry.upper_a)
     share_b = float(entry.upper_b)
-    couple = take_up(a, b, share_a, share_b, bodies, motions, state)
-    couple.linear_a = motions.push_linear[a]
-    couple.angular_a = motions.push_angular[a]
-    couple.linear_b = motions.push_linear[b]
-    couple.angular_b = motions.push_angular[b]
+    couple = take_up(a, b, share_a, share_b, motions)
+    couple.linear_a = first_three(mover_quad(motions.movers, a, PUSH))
+    couple.angular_a = first_three(mover_quad(motions.movers, a, PUSH + 1))
+    couple.linear_b = first_three(mover_quad(motions.movers, b, PUSH))
+    couple.angular_b = first_three(mover_quad(motions.movers, b, PUSH + 1))
     for c in range(entry.begin, entry.end):
         couple = push_contact(c, share_a, share_b, couple, contacts)
     if couple.inverse_mass_a > 0.0:
-        motions.push_linear[a] = couple.linear_a
-        motions.push_angular[a] = couple.angular_a
+        store_velocity(a, PUSH, couple.linear_a, couple.angular_a, motions)
     if couple.inverse_mass_b > 0.0:
-        motions.push_linear[b] = couple.linear_b
-        motions.push_angular[b] = couple.angular_b
-    return wp.where(couple.change > SETTLED, 1, 0)
+        store_velocity(b, PUSH, couple.linear_b, couple.angular_b, motions)
+    return wp.where(couple.change > ENOUGH, 1, 0)
 
 
 @wp.kernel
@@ -89,28 +143,26 @@ def find_overlaps(
     bodies_per_env: int,
     shapes: Shapes,
     bodies: Bodies,
-    motions: Motions,
     envs: Environments,
-    graph: Graph,
     pairs: Pairs,
+    motions: Motions,
+    graph: Graph,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: the separation speed that each contact needs, and whether any needs one."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     first = env * bodies_per_env
     begin = pairs.contact_start[pairs.start[first]]
     end = pairs.contact_start[pairs.start[first + bodies_per_env]]
     found = int(0)
-    for c in range(begin + lane, end, lanes):
-        target = wanted_speed(c, dt, shapes, bodies, motions, contacts, state)
-        contacts.loads[c].target = target
-        contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(begin + team.lane, end, lanes):
+        target = wanted_speed(c, dt, shapes, bodies, motions, contacts)
+        carry_with_target(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
         if target > 0.0 and envs.contact_iterations[env] > 0:
             found = 1
-    found = any_of_team(found, lanes)
-    if lane == 0:
+    found = any_of_team(found, team)
+    if team.lane == 0:
         graph.overlapping[env] = found
 
 
@@ -118,27 +170,25 @@ def find_overlaps(
 def push_apart(
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: separate level by level, each against the frozen level below."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     if graph.overlapping[env] == 0:
         return
-    for level in range(1, graph.level_count[env] + 1):
+    for level in range(1, order.level_count[env] + 1):
         row = env * (bodies_per_env + 2) + level
         left = int(LEVEL_ITERATIONS)
         while left > 0:
             changed = int(0)
-            for group in range(graph.level_start[row], graph.level_start[row + 1]):
-                stride = stride_of_group(group, lanes, graph)
-                for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                    changed |= push_pair(graph.order[k], bodies, motions, contacts, state)
-                meet(lanes)
-            left = any_of_team(changed, lanes) * (left - 1)
+            for group in range(order.level_start[row], order.level_start[row + 1]):
+                stride = stride_of_group(group, team, order)
+                for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+                    changed |= push_pair(entry_at(k, order.entries), motions, contacts)
+                meet(team)
+            left = any_of_team(changed, team) * (left - 1)

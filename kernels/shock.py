@@ -11,17 +11,7 @@ What comes out is only a search direction: `line_search` decides how far to go i
 
 import warp as wp
 
-from warp_rigid.kernels.data import (
-    SHOCK_OFF,
-    SHOCK_TWO_PASS,
-    Bodies,
-    Contacts,
-    Environments,
-    Graph,
-    Motions,
-    Pairs,
-    State,
-)
+from warp_rigid.kernels.data import SHOCK_OFF, SHOCK_TWO_PASS, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.impulses import (
     first_of_group,
     put_down,
@@ -31,73 +21,55 @@ from warp_rigid.kernels.impulses import (
     with_impulse,
     with_twist,
 )
-from warp_rigid.kernels.team import any_of_team, meet
+from warp_rigid.kernels.packed import REACTION, TWIST_REACTION, carried, carry, contact_row, entry_at
+from warp_rigid.kernels.team import Team, any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
 OFF = wp.constant(SHOCK_OFF)
 TWO_PASS = wp.constant(SHOCK_TWO_PASS)
 
-LAYER_ITERATIONS = wp.constant(20)
-"""Most iterations of one level in one pass."""
+LAYER_ITERATIONS = wp.constant(8)
+"""Most iterations over the pairs of one level in one pass."""
+
+PAIR_ITERATIONS = wp.constant(4)
+"""Most rounds over the contacts of one pair in one of them."""
 
 
 @wp.func
-def solve_level(
-    level: int,
-    env: int,
-    lane: int,
-    lanes: int,
-    bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
-    graph: Graph,
-    contacts: Contacts,
-    state: State,
-):
+def solve_level(level: int, team: Team, bodies_per_env: int, order: Order, motions: Motions, contacts: Contacts):
     """Iterate one level with its lower bodies frozen until no visit changes anything."""
-    row = env * (bodies_per_env + 2) + level
+    row = team.env * (bodies_per_env + 2) + level
     left = int(LAYER_ITERATIONS)
     while left > 0:
         changed = int(0)
-        for group in range(graph.level_start[row], graph.level_start[row + 1]):
-            stride = stride_of_group(group, lanes, graph)
-            for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-                entry = graph.order[k]
+        for group in range(order.level_start[row], order.level_start[row + 1]):
+            stride = stride_of_group(group, team, order)
+            for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+                entry = entry_at(k, order.entries)
                 share_a = float(entry.upper_a)
-                changed |= visit_pair(entry, share_a, float(entry.upper_b), bodies, motions, contacts, state)
-            meet(lanes)
-        left = any_of_team(changed, lanes) * (left - 1)
+                changed |= visit_pair(entry, share_a, float(entry.upper_b), PAIR_ITERATIONS, motions, contacts)
+            meet(team)
+        left = any_of_team(changed, team) * (left - 1)
 
 
 @wp.func
-def hand_down(
-    level: int,
-    env: int,
-    lane: int,
-    lanes: int,
-    bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
-    graph: Graph,
-    contacts: Contacts,
-    state: State,
-):
+def hand_down(level: int, team: Team, bodies_per_env: int, order: Order, motions: Motions, contacts: Contacts):
     """Give the frozen bodies of a level the reactions that they did not take."""
-    row = env * (bodies_per_env + 2) + level
-    for group in range(graph.level_start[row], graph.level_start[row + 1]):
-        stride = stride_of_group(group, lanes, graph)
-        for k in range(first_of_group(group, lane, graph), graph.group_start[group + 1], stride):
-            entry = graph.order[k]
+    row = team.env * (bodies_per_env + 2) + level
+    for group in range(order.level_start[row], order.level_start[row + 1]):
+        stride = stride_of_group(group, team, order)
+        for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+            entry = entry_at(k, order.entries)
             lower_a = float(1 - entry.upper_a)
-            couple = take_up(entry.body_a, entry.body_b, lower_a, float(1 - entry.upper_b), bodies, motions, state)
+            couple = take_up(entry.body_a, entry.body_b, lower_a, float(1 - entry.upper_b), motions)
             for c in range(entry.begin, entry.end):
-                couple = with_impulse(contacts.rows[c], contacts.loads[c].reaction, couple)
-                couple = with_twist(contacts.loads[c].twist_reaction, couple)
-                contacts.loads[c].reaction = wp.vec3(0.0, 0.0, 0.0)
-                contacts.loads[c].twist_reaction = wp.vec3(0.0, 0.0, 0.0)
-            put_down(entry.body_a, entry.body_b, couple, state)
-        meet(lanes)
+                couple = with_impulse(contact_row(c, contacts), carried(c, REACTION, contacts), couple)
+                couple = with_twist(carried(c, TWIST_REACTION, contacts), couple)
+                carry(c, REACTION, wp.vec3(0.0, 0.0, 0.0), contacts)
+                carry(c, TWIST_REACTION, wp.vec3(0.0, 0.0, 0.0), contacts)
+            put_down(entry.body_a, entry.body_b, couple, motions)
+        meet(team)
 
 
 @wp.kernel
@@ -105,24 +77,22 @@ def propagate(
     repetition: int,
     lanes: int,
     bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
     envs: Environments,
+    order: Order,
     graph: Graph,
-    pairs: Pairs,
+    motions: Motions,
     contacts: Contacts,
-    state: State,
 ):
     """A team an environment: the pass up, and with two_pass the pass down."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     mode = envs.shock_propagation[env]
     if mode == OFF or repetition >= envs.shock_iterations[env] or graph.settled[env] == 1:
         return
-    levels = graph.level_count[env]
+    levels = order.level_count[env]
     passes = wp.where(mode == TWO_PASS, 2, 1)
     for k in range(passes * levels):
         level = wp.where(k < levels, k + 1, 2 * levels - k)
-        solve_level(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, contacts, state)
+        solve_level(level, team, bodies_per_env, order, motions, contacts)
         if k >= levels:
-            hand_down(level, env, lane, lanes, bodies_per_env, bodies, motions, graph, contacts, state)
+            hand_down(level, team, bodies_per_env, order, motions, contacts)

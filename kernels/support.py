@@ -7,14 +7,15 @@ in any force field. A body's level is one more than the highest level that it re
 other in a cycle are collapsed into one and share a level; statics are level 0.
 
 Levels are found from the ground up. In a round every body whose supports all have levels gets its own. Where no body is
-ready, cycles stand in the way: the lowest of them, those that rest on nothing else without a level, get one level each.
+ready, cycles stand in the way: they are found, and from then on each gets its level like a single body.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Contacts, Graph, Motions, Pairs, State
+from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Contacts, Graph, Motions, Pairs
 from warp_rigid.kernels.impulses import Couple, slip_between, take_up
-from warp_rigid.kernels.team import any_of_team, meet
+from warp_rigid.kernels.packed import contact_row
+from warp_rigid.kernels.team import Team, any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,6 +23,8 @@ DYNAMIC = wp.constant(MOTION_DYNAMIC)
 A_ON_B = wp.constant(1)
 B_ON_A = wp.constant(2)
 UNKNOWN = wp.constant(-1)
+
+MOST_PASSES = wp.constant(4)
 
 SLANT = wp.constant(0.05)
 """A body rests on another if at least this part of its acceleration is along the normal: upright walls do not carry."""
@@ -42,7 +45,7 @@ def supports_of(pair: int, couple: Couple, bodies: Bodies, motions: Motions, pai
     b = pairs.body_b[pair]
     rests = int(0)
     for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-        row = contacts.rows[c]
+        row = contact_row(c, contacts)
         approach = -wp.dot(slip_between(row, couple), row.normal)
         if bodies.motion[a] == DYNAMIC and presses(motions.acceleration[a], row.normal, approach):
             rests = rests | A_ON_B
@@ -65,17 +68,16 @@ def find_support(
     motions: Motions,
     pairs: Pairs,
     contacts: Contacts,
-    state: State,
     graph: Graph,
 ):
     """A team an environment: which body of each pair rests on the other."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     first = env * bodies_per_env
-    for pair in range(pairs.start[first] + lane, pairs.start[first + bodies_per_env], lanes):
+    for pair in range(pairs.start[first] + team.lane, pairs.start[first + bodies_per_env], lanes):
         rests = int(0)
         if touches(pair, pairs):
-            couple = take_up(pairs.body_a[pair], pairs.body_b[pair], 0.0, 0.0, bodies, motions, state)
+            couple = take_up(pairs.body_a[pair], pairs.body_b[pair], 0.0, 0.0, motions)
             rests = supports_of(pair, couple, bodies, motions, pairs, contacts)
         graph.rests[pair] = rests
 
@@ -96,130 +98,138 @@ def lower_of(edge: int, pairs: Pairs):
 
 
 @wp.func
-def climb(first_edge: int, last_edge: int, first: int, last: int, lanes: int, pairs: Pairs, graph: Graph):
-    """One round: bodies whose supports all have levels get theirs. Returns 1 if any did."""
-    for b in range(first, last, lanes):
+def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+    """One round: bodies, or whole cycles, whose supports all have levels get theirs. Returns 1 if any did."""
+    for b in range(first, last, team.lanes):
         graph.waiting[b] = 0
         graph.highest[b] = 0
-    meet(lanes)
-    for edge in range(first_edge, last_edge, lanes):
+    meet(team)
+    for edge in range(first_edge, last_edge, team.lanes):
         upper = upper_of(edge, pairs, graph)
         if upper >= 0 and graph.level[upper] == UNKNOWN:
-            below = graph.level[lower_of(edge, pairs)]
-            if below == UNKNOWN:
-                graph.waiting[upper] = 1
-            else:
-                wp.atomic_max(graph.highest, upper, below)
-    meet(lanes)
+            lower = lower_of(edge, pairs)
+            cycle = graph.cycle[upper]
+            if graph.level[lower] != UNKNOWN:
+                wp.atomic_max(graph.highest, cycle, graph.level[lower])
+            elif graph.cycle[lower] != cycle:
+                graph.waiting[cycle] = 1
+    meet(team)
     got = int(0)
-    for b in range(first, last, lanes):
-        if graph.level[b] == UNKNOWN and graph.waiting[b] == 0:
-            graph.level[b] = graph.highest[b] + 1
+    for b in range(first, last, team.lanes):
+        if graph.level[b] == UNKNOWN and graph.waiting[graph.cycle[b]] == 0:
+            graph.level[b] = graph.highest[graph.cycle[b]] + 1
             got = 1
-    return any_of_team(got, lanes)
+    return any_of_team(got, team)
 
 
 @wp.func
-def spread_labels(first_edge: int, last_edge: int, lanes: int, pairs: Pairs, graph: Graph):
-    """One round: a body without a level takes over the highest label among its supports. Returns 1 if any changed."""
+def passes_of(team: Team):
+    """How often lanes go through their part before all meet: what spreads needs no order, and meeting takes time."""
+    return wp.min(team.lanes, MOST_PASSES)
+
+
+@wp.func
+def is_open(b: int, graph: Graph):
+    """Whether a body has no level yet, and is in no cycle that is known."""
+    return graph.level[b] == UNKNOWN and graph.within[b] == 0
+
+
+@wp.func
+def spread_labels(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+    """One round: an open body takes over the highest label among its open supports. Returns 1 if any changed.
+
+    A label is a body that it reaches, so it reaches what that one reaches: labels travel in leaps.
+    """
     changed = int(0)
-    for edge in range(first_edge, last_edge, lanes):
-        upper = upper_of(edge, pairs, graph)
-        lower = lower_of(edge, pairs)
-        if upper >= 0 and graph.level[upper] == UNKNOWN and graph.level[lower] == UNKNOWN:
-            if graph.cycle[lower] > graph.cycle[upper]:
-                wp.atomic_max(graph.cycle, upper, graph.cycle[lower])
+    for _ in range(passes_of(team)):
+        for edge in range(first_edge, last_edge, team.lanes):
+            upper = upper_of(edge, pairs, graph)
+            lower = lower_of(edge, pairs)
+            if upper >= 0 and is_open(upper, graph) and is_open(lower, graph):
+                if graph.cycle[lower] > graph.cycle[upper]:
+                    wp.atomic_max(graph.cycle, upper, graph.cycle[lower])
+                    changed = 1
+        for b in range(first, last, team.lanes):
+            if is_open(b, graph) and graph.cycle[graph.cycle[b]] > graph.cycle[b]:
+                wp.atomic_max(graph.cycle, b, graph.cycle[graph.cycle[b]])
                 changed = 1
-    return any_of_team(changed, lanes)
+    return any_of_team(changed, team)
 
 
 @wp.func
-def spread_within(first_edge: int, last_edge: int, lanes: int, pairs: Pairs, graph: Graph):
+def spread_within(first_edge: int, last_edge: int, team: Team, pairs: Pairs, graph: Graph):
     """One round: what the body of a label reaches with the same label is in its cycle. Returns 1 if any changed."""
     changed = int(0)
-    for edge in range(first_edge, last_edge, lanes):
-        upper = upper_of(edge, pairs, graph)
-        lower = lower_of(edge, pairs)
-        if upper >= 0 and graph.level[upper] == UNKNOWN and graph.level[lower] == UNKNOWN:
-            if graph.within[upper] == 1 and graph.within[lower] == 0 and graph.cycle[lower] == graph.cycle[upper]:
-                graph.within[lower] = 1
-                changed = 1
-    return any_of_team(changed, lanes)
+    for _ in range(passes_of(team)):
+        for edge in range(first_edge, last_edge, team.lanes):
+            upper = upper_of(edge, pairs, graph)
+            lower = lower_of(edge, pairs)
+            if upper >= 0 and graph.within[upper] == 1 and is_open(lower, graph):
+                if graph.cycle[lower] == graph.cycle[upper]:
+                    graph.within[lower] = 1
+                    changed = 1
+    return any_of_team(changed, team)
 
 
 @wp.func
-def collapse_cycles(first_edge: int, last_edge: int, first: int, last: int, lanes: int, pairs: Pairs, graph: Graph):
-    """Give one level to each strongly connected component that rests on nothing else without a level.
+def find_cycles(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+    """Find strongly connected components among the bodies without a level, at least one.
 
     A body's label is the highest body that it reaches downwards. Those that this body reaches in turn, and that bear
-    its label, are its component (Orzan 2004, colouring).
+    its label, are its component (Orzan 2004, colouring). What is in none that was found keeps its own name as label.
     """
-    for b in range(first, last, lanes):
-        graph.cycle[b] = b
-        graph.within[b] = 0
-        graph.waiting[b] = 0
-        graph.highest[b] = 0
-    meet(lanes)
-    while spread_labels(first_edge, last_edge, lanes, pairs, graph) == 1:
-        meet(lanes)
-    for b in range(first, last, lanes):
-        graph.within[b] = wp.where(graph.cycle[b] == b, 1, 0)
-    meet(lanes)
-    while spread_within(first_edge, last_edge, lanes, pairs, graph) == 1:
-        meet(lanes)
-    for edge in range(first_edge, last_edge, lanes):
-        upper = upper_of(edge, pairs, graph)
-        if upper >= 0 and graph.level[upper] == UNKNOWN and graph.within[upper] == 1:
-            lower = lower_of(edge, pairs)
-            label = graph.cycle[upper]
-            if graph.level[lower] != UNKNOWN:
-                wp.atomic_max(graph.highest, label, graph.level[lower])
-            elif graph.cycle[lower] != label:
-                graph.waiting[label] = 1
-    meet(lanes)
-    for b in range(first, last, lanes):
-        label = graph.cycle[b]
-        if graph.level[b] == UNKNOWN and graph.within[b] == 1 and graph.waiting[label] == 0:
-            graph.level[b] = graph.highest[label] + 1
-    meet(lanes)
+    while spread_labels(first_edge, last_edge, first, last, team, pairs, graph) == 1:
+        meet(team)
+    for b in range(first, last, team.lanes):
+        if is_open(b, graph) and graph.cycle[b] == b:
+            graph.within[b] = 1
+    meet(team)
+    while spread_within(first_edge, last_edge, team, pairs, graph) == 1:
+        meet(team)
+    for b in range(first, last, team.lanes):
+        if is_open(b, graph):
+            graph.cycle[b] = b
+    meet(team)
 
 
 @wp.kernel
 def find_levels(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
     """A team an environment: the level of each body, cycles collapsed."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
-    first = env * bodies_per_env + lane
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    first = env * bodies_per_env + team.lane
     last = (env + 1) * bodies_per_env
-    first_edge = 2 * pairs.start[env * bodies_per_env] + lane
+    first_edge = 2 * pairs.start[env * bodies_per_env] + team.lane
     last_edge = 2 * pairs.start[last]
     for b in range(first, last, lanes):
         graph.level[b] = wp.where(bodies.motion[b] == DYNAMIC, UNKNOWN, 0)
+        graph.cycle[b] = b
+        graph.within[b] = 0
     left = int(1)
     while left == 1:
-        if climb(first_edge, last_edge, first, last, lanes, pairs, graph) == 0:
-            collapse_cycles(first_edge, last_edge, first, last, lanes, pairs, graph)
+        if climb(first_edge, last_edge, first, last, team, pairs, graph) == 0:
+            find_cycles(first_edge, last_edge, first, last, team, pairs, graph)
         left = int(0)
         for b in range(first, last, lanes):
             if graph.level[b] == UNKNOWN:
                 left = 1
-        left = any_of_team(left, lanes)
+        left = any_of_team(left, team)
 
 
 @wp.kernel
 def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
     """A team an environment: bodies connected through touching dynamic bodies, named by their lowest body."""
-    env = wp.tid() / lanes
-    lane = wp.tid() % lanes
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
     first = env * bodies_per_env
     last = first + bodies_per_env
-    for b in range(first + lane, last, lanes):
+    for b in range(first + team.lane, last, lanes):
         graph.island[b] = b
     changed = int(1)
     while changed == 1:
-        meet(lanes)
+        meet(team)
         changed = int(0)
-        for pair in range(pairs.start[first] + lane, pairs.start[last], lanes):
+        for pair in range(pairs.start[first] + team.lane, pairs.start[last], lanes):
             a = pairs.body_a[pair]
             b = pairs.body_b[pair]
             if touches(pair, pairs) and bodies.motion[a] == DYNAMIC and bodies.motion[b] == DYNAMIC:
@@ -230,7 +240,7 @@ def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
                     wp.atomic_min(graph.island, graph.island[b], lowest)
                     wp.atomic_min(graph.island, a, lowest)
                     wp.atomic_min(graph.island, b, lowest)
-        meet(lanes)
-        for b in range(first + lane, last, lanes):
+        meet(team)
+        for b in range(first + team.lane, last, lanes):
             graph.island[b] = graph.island[graph.island[b]]
-        changed = any_of_team(changed, lanes)
+        changed = any_of_team(changed, team)

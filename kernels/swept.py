@@ -63,8 +63,8 @@ def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motio
     course.radius = motions.radius[b]
     course.shape = bodies.shape[b]
     if motions.role[b] == FREE or motions.role[b] == DRIVEN:
-        course.linear = share * state.linear_velocity[b]
-        course.angular = share * state.angular_velocity[b]
+        course.linear = share * motions.movers[b].linear
+        course.angular = share * motions.movers[b].angular
     return course
 
 
@@ -320,10 +320,10 @@ def is_fast(a: Course, b: Course, dt: float, size: float):
 
 
 @wp.kernel
-def limit_way(dt: float, state: State, motions: Motions):
+def limit_way(dt: float, motions: Motions):
     """One thread a body: it may move no further than other bodies were looked for."""
     b = wp.tid()
-    way = dt * wp.length(state.linear_velocity[b])
+    way = dt * wp.length(motions.movers[b].linear)
     share = wp.min(1.0, motions.room[b] / wp.max(way, 1.0e-12))
     motions.share[b] = share
     motions.next_share[b] = share

@@ -1,7 +1,8 @@
 """Teams of GPU lanes that work on one environment, or on one pair of bodies, together.
 
-A team is a power of two of neighbouring lanes: a part of a warp, or a whole block. On the CPU a team has one lane, and
-what is written for a team is a plain loop there.
+A team is a power of two of neighbouring lanes: a part of a warp, a whole block, or several blocks, which wait for each
+other at a gate in memory; for that all of them must be at work at the same time, so there are no more than the GPU has
+multiprocessors. On the CPU a team has one lane, and what is written for a team is a plain loop there.
 """
 
 import warp as wp
@@ -9,32 +10,116 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 256
-"""Lanes of a CUDA block; a team is at most that, and more than a warp only if it is exactly that."""
+"""Lanes of a CUDA block of a team that is larger than a warp; such a team is one block or several."""
+
+SMALL_BLOCK = 64
+"""Lanes of a CUDA block of teams within a warp: small, so that few environments spread over the whole GPU."""
+
+
+def block_of(lanes: int) -> int:
+    """Lanes of a CUDA block for teams of so many lanes."""
+    return SMALL_BLOCK if lanes <= 32 else BLOCK
+
+
+@wp.struct
+class Team:
+    """A lane's place in the team that solves an environment."""
+
+    env: int
+    lane: int
+    lanes: int
+    gate: wp.array2d(dtype=wp.uint32)
+
+
+@wp.func
+def team_of(thread: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)):
+    """The team of a thread: `lanes` neighbours for each environment."""
+    team = Team()
+    team.env = thread / lanes
+    team.lane = thread % lanes
+    team.lanes = lanes
+    team.gate = gate
+    return team
 
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    if (lanes > 32) { __syncthreads(); }
-    else { __syncwarp(lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u))); }
+    if (lanes <= 32) {
+        __syncwarp(lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u)));
+    } else if (lanes == blockDim.x) {
+        __syncthreads();
+    } else {
+        volatile unsigned* opened = gate.data + 4 * env + 1;
+        unsigned before = threadIdx.x == 0 ? *opened : 0u;
+        __syncthreads();
+        if (threadIdx.x == 0) {
+            __threadfence();
+            if (atomicAdd(gate.data + 4 * env, 1u) + 1u == lanes / blockDim.x) {
+                gate.data[4 * env] = 0u;
+                __threadfence();
+                *opened = before + 2u;
+            } else {
+                while (*opened == before) { }
+            }
+            __threadfence();
+        }
+        __syncthreads();
+    }
 #endif
 """)
-def meet(lanes: int):
+def _meet(env: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)): ...
+
+
+@wp.func
+def meet(team: Team):
     """Let all lanes of a team arrive, and see what the others wrote, before any goes on."""
-    ...
+    _meet(team.env, team.lanes, team.gate)
 
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    if (lanes > 32) { return __syncthreads_or(flag); }
-    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
-    __syncwarp(mask);
-    return __any_sync(mask, flag) ? 1 : 0;
+    if (lanes <= 32) {
+        unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
+        __syncwarp(mask);
+        return __any_sync(mask, flag) ? 1 : 0;
+    }
+    if (lanes == blockDim.x) { return __syncthreads_or(flag); }
+    volatile unsigned* opened = gate.data + 4 * env + 1;
+    unsigned before = threadIdx.x == 0 ? *opened : 0u;
+    int any = __syncthreads_or(flag);
+    if (threadIdx.x == 0) {
+        __threadfence();
+        unsigned arrived = atomicAdd(gate.data + 4 * env, any ? 0x10001u : 1u) + (any ? 0x10001u : 1u);
+        if ((arrived & 0xffffu) == lanes / blockDim.x) {
+            gate.data[4 * env] = 0u;
+            __threadfence();
+            *opened = ((before + 2u) & ~1u) | (arrived > 0xffffu ? 1u : 0u);
+        }
+        while ((*opened ^ before) < 2u) { }
+        any = *opened & 1u;
+        __threadfence();
+    }
+    return __syncthreads_or(threadIdx.x == 0 ? any : 0);
 #else
     return flag;
 #endif
 """)
-def any_of_team(flag: int, lanes: int) -> int:
+def _any_of_team(flag: int, env: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)) -> int: ...
+
+
+@wp.func
+def any_of_team(flag: int, team: Team):
     """Whether the flag of any lane of the team is not zero; all lanes meet."""
+    return _any_of_team(flag, team.env, team.lanes, team.gate)
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncwarp(lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u)));
+#endif
+""")
+def meet_in_warp(lanes: int):
+    """Let all lanes of a team within a warp arrive, and see what the others wrote, before any goes on."""
     ...
 
 

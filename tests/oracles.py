@@ -132,10 +132,8 @@ class ContactProblem:
 
     def velocity(self, stages):
         """The present velocities, (bodies, 6)."""
-        state = stages.state
-        return np.concatenate([state.linear_velocity.numpy(), state.angular_velocity.numpy()], axis=1).astype(
-            np.float64
-        )
+        movers = stages.motions.movers.numpy()
+        return np.concatenate([movers["linear"], movers["angular"]], axis=1).astype(np.float64)
 
     def slip(self, velocity):
         """Relative velocities at the contacts, (contacts, 3)."""

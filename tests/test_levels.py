@@ -41,6 +41,7 @@ class HandMadeGraph:
         self.bodies = data.allocate(data.Bodies, sizes, device)
         self.pairs = data.allocate(data.Pairs, sizes, device)
         self.graph = data.allocate(data.Graph, sizes, device)
+        self.order = data.allocate(data.Order, sizes, device)
         self.bodies.motion.assign(np.tile(np.array(motions, np.int32), self.count))
         a, b, rests, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
         first = np.bincount(a, minlength=sizes["bodies"] + 1)
@@ -50,11 +51,11 @@ class HandMadeGraph:
         self.pairs.contact_start.assign(np.concatenate([[0], np.cumsum(touches)]).astype(np.int32))
         self.graph.rests.assign(rests * touches)
 
-    def launch(self, kernel, *arrays):
+    def launch(self, kernel, *arrays, before=()):
         """One team an environment; on the GPU it has more lanes than a small environment has bodies."""
         lanes = 32 if wp.get_device(self.device).is_cuda else 1
-        inputs = [lanes, self.per_env, *arrays]
-        wp.launch(kernel, self.count * lanes, inputs=inputs, block_dim=team.BLOCK, device=self.device)
+        inputs = [*before, lanes, self.per_env, *arrays]
+        wp.launch(kernel, self.count * lanes, inputs=inputs, block_dim=team.block_of(lanes), device=self.device)
 
     def solve(self):
         """Levels and islands, (envs, bodies) each."""

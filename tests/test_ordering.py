@@ -10,17 +10,17 @@ from warp_rigid.kernels.impulses import IN_TURN
 from warp_rigid.scene import Motion
 
 
-def order(made):
+def ordered(made, layered=1):
     """Groups of each environment, as (level, colour, pairs) by the arrays, after both ordering kernels."""
-    made.launch(ordering.color_pairs, made.bodies, made.pairs, made.graph)
-    made.launch(ordering.group_pairs, made.pairs, made.graph)
-    return read_groups(made.graph, made.count, made.per_env)
+    made.launch(ordering.color_pairs, made.bodies, made.pairs, made.graph, before=[layered])
+    made.launch(ordering.group_pairs, made.pairs, made.graph, made.order)
+    return read_groups(made.order, made.count, made.per_env)
 
 
-def read_groups(graph, num_envs, bodies_per_env):
+def read_groups(order, num_envs, bodies_per_env):
     """For each environment its list of (level, colour, list of pairs), in the order of solving."""
-    level_start, group_start = graph.level_start.numpy(), graph.group_start.numpy()
-    sequence, levels, colors = graph.order.numpy()["pair"], graph.level_count.numpy(), graph.group_color.numpy()
+    level_start, group_start = order.level_start.numpy(), order.group_start.numpy()
+    sequence, levels, colors = order.entries.numpy()["pair"], order.level_count.numpy(), order.group_color.numpy()
     envs = []
     for env in range(num_envs):
         row = env * (bodies_per_env + 2)
@@ -76,7 +76,7 @@ def test_groups_of_random_graphs(device, density):
     envs[3] = [(0, 1, B_ON_A, 1)]
     made = HandMadeGraph(motions, envs, device)
     made.solve()
-    check_all(made, order(made))
+    check_all(made, ordered(made))
 
 
 def test_colouring_is_not_wasteful(device):
@@ -86,7 +86,7 @@ def test_colouring_is_not_wasteful(device):
     row = [(0, k, B_ON_A, 1) for k in range(1, count + 1)] + [(k, k + 1, 0, 1) for k in range(1, count)]
     made = HandMadeGraph(motions, [row], device)
     made.solve()
-    groups = order(made)
+    groups = ordered(made)
     assert check_all(made, groups) <= 4
     assert {at for at, *_ in groups[0]} == {1}
 
@@ -99,11 +99,24 @@ def test_more_pairs_at_a_body_than_colours(device, neighbours):
     chain = [(k, k + 1, 0, 1) for k in range(2, neighbours + 1)]
     made = HandMadeGraph(motions, [star, star + chain, chain], device)
     made.solve()
-    groups = order(made)
+    groups = ordered(made)
     check_all(made, groups)
     assert len(groups[0]) == min(neighbours, IN_TURN + 1)
     assert sum(len(pairs) for _, color, pairs in groups[0] if color == IN_TURN) == max(0, neighbours - IN_TURN)
     assert len(groups[2]) <= 3
+
+
+def test_one_level_for_all_pairs(device):
+    """The other order does not look at levels: bodies meet what lies on them and what they lie on in one colouring."""
+    generator = np.random.default_rng(4)
+    motions = [Motion.STATIC, *[Motion.DYNAMIC] * 40]
+    envs = [random_pairs(generator, motions, 0.1, upward=True) for _ in range(3)]
+    made = HandMadeGraph(motions, envs, device)
+    made.solve()
+    groups = ordered(made, layered=0)
+    made.graph.level.zero_()
+    check_all(made, groups)
+    assert {at for env in groups for at, *_ in env} == {0}
 
 
 def test_a_load_of_pairs_inside_one_cycle(device):
@@ -113,7 +126,7 @@ def test_a_load_of_pairs_inside_one_cycle(device):
     made = HandMadeGraph(motions, [knot], device)
     level, _ = made.solve()
     assert set(level[0][1:].tolist()) == {1}
-    check_all(made, order(made))
+    check_all(made, ordered(made))
 
 
 def test_groups_of_a_real_pile(device):
@@ -125,7 +138,7 @@ def test_groups_of_a_real_pile(device):
     find_contacts(stages)
     stages.build_graph()
     pools = stages.pools
-    envs = read_groups(pools.graph, 2, sim.num_bodies)
+    envs = read_groups(pools.by_level, 2, sim.num_bodies)
     start = pools.pairs.start.numpy()
     touch = np.diff(pools.pairs.contact_start.numpy()) > 0
     body_a, body_b = pools.pairs.body_a.numpy(), pools.pairs.body_b.numpy()

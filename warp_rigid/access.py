@@ -291,7 +291,7 @@ def counts(sim: "Simulator") -> dict[str, int]:
     return {
         "pairs": int(history.pair_start.numpy()[-1]),
         "contacts": int(history.contact_start.numpy()[-1]),
-        "levels": int(sim._pools.graph.level_count.numpy().max()),
+        "levels": int(sim._pools.by_level.level_count.numpy().max()),
         "pair_capacity": sim._pools.sizes["pairs"],
         "contact_capacity": sim._pools.sizes["contacts"],
         "most_pairs": int(wanted[0]),

@@ -28,9 +28,6 @@ VERSION = 2  # raise whenever older files could no longer be read
 FROM_SCENE = ("shape", "motion", "wide", "center_of_mass", "apart_start", "apart")
 """Arrays of bodies that follow from the scene."""
 
-LEVELS = ("level", "level_count")
-"""What `get` and `counts` tell of the contact graph."""
-
 log = logging.getLogger("warp_rigid")
 
 
@@ -136,7 +133,8 @@ def _stored(sim: "Simulator") -> list[tuple[str, wp.array, data.Field]]:
         (data.Environments, sim._envs, data.field_names(data.Environments)),
         (data.History, pools.history, data.field_names(data.History)),
         (data.Contacts, pools.contacts, data.field_names(data.Contacts)),
-        (data.Graph, pools.graph, LEVELS),
+        (data.Graph, pools.graph, ("level",)),
+        (data.Order, pools.by_level, ("level_count",)),
     ]
     return [
         (f"{struct.key}.{name}", getattr(owner, name), data.LAYOUTS[struct.key][name])

@@ -18,8 +18,8 @@ LARGEST_LIMIT = 2**50
 
 
 def pool_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all that is sized with the pools: lists, contacts, the last step's contacts twice, the graph."""
-    structs = (data.Pairs, data.Contacts, data.History, data.History, data.Graph)
+    """Bytes of all that is sized with the pools: lists, contacts, the last step's contacts twice, graph, orders."""
+    structs = (data.Pairs, data.Contacts, data.History, data.History, data.Graph, data.Order, data.Order)
     return sum(data.byte_size(struct, sizes) for struct in structs)
 
 

@@ -27,7 +27,9 @@ class Pools:
         pairs: candidate pairs.
         contacts: contact records.
         history: contacts of the last step.
-        graph: contact graph and order.
+        graph: contact graph.
+        by_color: touching pairs by colour.
+        by_level: touching pairs by level and colour.
         wanted: (2,) most pairs and most contacts wanted.
         over: (2,) whether this step wanted more than there is.
         fitted: most pairs and contacts wanted by the steps that fitted.
@@ -38,6 +40,8 @@ class Pools:
     contacts: Any
     history: Any
     graph: Any
+    by_color: Any
+    by_level: Any
     wanted: wp.array
     over: wp.array
     fitted: tuple[int, ...] = (0, 0)
@@ -63,6 +67,8 @@ class Pools:
             contacts=data.allocate(data.Contacts, sizes, device),
             history=data.allocate(data.History, sizes, device),
             graph=data.allocate(data.Graph, sizes, device),
+            by_color=data.allocate(data.Order, sizes, device),
+            by_level=data.allocate(data.Order, sizes, device),
             wanted=wp.zeros(2, dtype=int, device=device),
             over=wp.zeros(2, dtype=int, device=device),
         )
@@ -98,7 +104,7 @@ class Pools:
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, data.History)
         wp.copy(pools.graph.level, self.graph.level)
-        wp.copy(pools.graph.level_count, self.graph.level_count)
+        wp.copy(pools.by_level.level_count, self.by_level.level_count)
         pools.fitted = self.fitted
         pools.forget_shortage()
         return pools

@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -56,59 +56,71 @@ MOST_TEAMS = 132 * 128
 """Teams that share the pairs on a GPU: as many as can be at work at the same time."""
 
 
-def load_kernels(device: Any, baking: bool, on_module: Callable[[int, int], None] | None = None) -> None:
+TEAM_MODULES = (collisions, shock, impulses, support, ordering, line_search, push_out)
+"""Their kernels solve an environment by a team; the longest first."""
+
+MODULES = (swept, overlap, integrate, predict, broadphase, contacts, rest, capacity, surface)
+"""The other modules that a step needs, but for the two that take longest to compile."""
+
+
+def load_kernels(
+    device: Any, baking: bool, lanes: Sequence[int], on_module: Callable[[int, int], None] | None = None
+) -> None:
     """Compile all kernels, several modules at a time, the longest first: a graph cannot hold a compilation.
 
     Args:
         device: the Warp device.
         baking: those that compute distance grids, too.
+        lanes: sizes of the teams that will solve environments.
         on_module: called with how many modules are ready and how many there are, whenever one more is.
     """
-    modules = [
-        narrowphase,
-        swept,
-        overlap,
-        *([bake] if baking else []),
-        integrate,
-        collisions,
-        shock,
-        impulses,
-        support,
-        ordering,
-        line_search,
-        push_out,
-        predict,
-        broadphase,
-        contacts,
-        rest,
-        capacity,
-        surface,
-    ]
+    teams = sorted({team.block_of(size) for size in lanes}) if device.is_cuda else [1]
+    others = team.BLOCK if device.is_cuda else 1
+    jobs = [(module, others) for module in (narrowphase, *([bake] if baking else []), *MODULES)]
+    jobs[2:2] = [(module, block) for block in teams for module in TEAM_MODULES]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        loaded = [
-            pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], team.BLOCK if device.is_cuda else 1)
-            for module in modules
-        ]
+        loaded = [pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], block) for module, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):
             done.result()
             if on_module is not None:
-                on_module(ready, len(modules))
+                on_module(ready, len(jobs))
 
 
-def team_size(device: Any, num_envs: int, bodies_per_env: int) -> int:
-    """Lanes that solve one environment together.
+class Teams(NamedTuple):
+    """Lanes that do one environment together: where all pairs are looked through, one colour, one colour of a level."""
+
+    graph: int
+    color: int
+    level: int
+
+
+BODIES_OF_A_BLOCK = Teams(graph=64, color=1024, level=16384)
+"""So many bodies give the lanes of a block something to do. More blocks wait longer for each other."""
+
+
+def team_sizes(device: Any, num_envs: int, bodies_per_env: int) -> Teams:
+    """How many lanes do one environment together.
 
     A warp each, as long as all fit on the GPU at once; then smaller teams, which share a warp and get in each other's
-    way a little, and no smaller than a small environment can use.
+    way a little, and no smaller than a small environment can use. Large environments get a block, or as many blocks as
+    they have use for while every block has a multiprocessor of its own.
     """
     if not device.is_cuda:
-        return 1
+        return Teams(1, 1, 1)
     if bodies_per_env > MOST_BODIES_OF_A_WARP:
-        return team.BLOCK
+        return Teams(*(_blocks(device, num_envs, bodies_per_env, share) * team.BLOCK for share in BODIES_OF_A_BLOCK))
     lanes = WARP
     while lanes > 8 and num_envs * lanes > RESIDENT_WARPS * WARP and bodies_per_env < 2 * lanes:
         lanes //= 2
-    return lanes
+    return Teams(lanes, lanes, lanes)
+
+
+def _blocks(device: Any, num_envs: int, bodies_per_env: int, share: int) -> int:
+    """Blocks for an environment if each has enough to do with so many bodies."""
+    blocks = 1
+    while 2 * blocks * num_envs <= device.sm_count and bodies_per_env > blocks * share:
+        blocks *= 2
+    return blocks
 
 
 class Stages:
@@ -144,9 +156,9 @@ class Stages:
         self.num_envs = model.num_envs
         self.num_bodies = len(model.scene.bodies)
         self.rows = self.num_envs * self.num_bodies
-        self.lanes = team_size(self.device, self.num_envs, self.num_bodies)
+        self.teams = team_sizes(self.device, self.num_envs, self.num_bodies)
         self.pair_lanes = PAIR_LANES if device.is_cuda else 1
-        self.teams = min(pools.sizes["pairs"], MOST_TEAMS) if device.is_cuda else 1
+        self.pair_teams = min(pools.sizes["pairs"], MOST_TEAMS) if device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.kept: Any = data.allocate(data.History, pools.sizes, self.device) if sleeping else None
         self.grid = self._make_grid()
@@ -256,7 +268,7 @@ class Stages:
             contacts.build_contacts,
             [
                 self.dt,
-                self.teams,
+                self.pair_teams,
                 self.pair_lanes,
                 self.model.combine_rules,
                 *bodies_of_pair,
@@ -279,52 +291,56 @@ class Stages:
     def build_graph(self) -> None:
         """Who rests on whom, levels, islands, and the order of solving."""
         bodies, pairs, graph = self.model.bodies, self.pools.pairs, self.pools.graph
-        self._per_team(
-            support.find_support,
-            [self.lanes, self.num_bodies, bodies, self.motions, pairs, self.pools.contacts, self.state],
-            [graph],
-        )
-        self._per_team(support.find_levels, [self.lanes, self.num_bodies, bodies, pairs], [graph])
-        self._per_team(support.find_islands, [self.lanes, self.num_bodies, bodies, pairs], [graph])
-        self._per_team(ordering.color_pairs, [self.lanes, self.num_bodies, bodies, pairs], [graph])
-        self._per_team(ordering.group_pairs, [self.lanes, self.num_bodies, pairs], [graph])
+        lanes = self.teams.graph
+        own = [lanes, self.num_bodies, bodies]
+        self._per_team(lanes, support.find_support, [*own, self.motions, pairs, self.pools.contacts], [graph])
+        self._per_team(lanes, support.find_levels, [*own, pairs], [graph])
+        self._per_team(lanes, support.find_islands, [*own, pairs], [graph])
+        for layered, order in enumerate((self.pools.by_color, self.pools.by_level)):
+            self._per_team(lanes, ordering.color_pairs, [layered, *own, pairs], [graph])
+            self._per_team(lanes, ordering.group_pairs, [lanes, self.num_bodies, pairs], [graph, order])
 
     def accelerate(self, before_collisions: bool) -> None:
         """Velocity update, in the environments whose stage order has it here."""
         self._per_body(
             predict.accelerate,
-            [self.dt, 0 if before_collisions else 1, self.num_bodies, self.motions, self.envs],
-            [self.state],
+            [self.dt, 0 if before_collisions else 1, self.num_bodies, self.envs],
+            [self.motions],
         )
 
     def collide(self) -> None:
         """Impacts with restitution."""
-        self._per_team(collisions.collide, [self.dt, *self._solver_inputs()])
+        self._color_by_color(collisions.collide, [self.dt])
 
     def solve_contacts(self) -> None:
         """Contact impulses: warm start, sweeps, shock propagation, sweeps."""
-        self._per_team(impulses.warm_start, self._solver_inputs())
-        self._per_team(impulses.sweep_contacts, [0, *self._solver_inputs()])
+        self._color_by_color(impulses.warm_start)
+        self._color_by_color(impulses.sweep_contacts, [0])
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
-        self._per_team(impulses.sweep_contacts, [1, *self._solver_inputs()])
+        self._color_by_color(impulses.sweep_contacts, [1])
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
-        self._per_team(line_search.remember_start, self._solver_inputs())
-        self._per_team(shock.propagate, [repetition, *self._solver_inputs()])
-        self._per_team(line_search.sum_energy, self._solver_inputs())
-        self._per_team(line_search.accept, self._solver_inputs())
+        self._color_by_color(line_search.remember_start)
+        self._level_by_level(shock.propagate, [repetition])
+        self._color_by_color(line_search.sum_energy)
+        self._color_by_color(line_search.accept)
 
     def push_out(self) -> None:
         """Separate remaining overlaps without adding velocity."""
-        lanes, num_bodies, *rest = self._solver_inputs()
-        self._per_team(push_out.find_overlaps, [self.dt, lanes, num_bodies, self.model.shapes, *rest])
-        self._per_team(push_out.push_apart, self._solver_inputs())
+        model, pools = self.model, self.pools
+        self._per_team(
+            self.teams.color,
+            push_out.find_overlaps,
+            [self.dt, self.teams.color, self.num_bodies, model.shapes, model.bodies, self.envs, pools.pairs],
+            [self.motions, pools.graph, pools.contacts],
+        )
+        self._level_by_level(push_out.push_apart)
 
     def follow(self) -> None:
         """Find how far fast bodies can move before they would pass into others."""
-        self._per_body(swept.limit_way, [self.dt, self.state], [self.motions])
+        self._per_body(swept.limit_way, [self.dt], [self.motions])
         self._follow(swept.follow, [0])
         self._per_body(swept.settle, [], [self.motions])
         self._follow(swept.follow, [1])
@@ -332,7 +348,7 @@ class Stages:
     def move(self) -> None:
         """Position update, after a look for non-finite states, and a look for bodies out of bounds after it."""
         scene, bodies = self.model.scene, self.model.bodies
-        self._per_body(integrate.watch, [self.num_bodies, self.motions, self.state], [self.envs])
+        self._per_body(integrate.watch, [self.num_bodies, self.motions], [self.envs])
         self._per_body(integrate.move, [self.dt, self.num_bodies, bodies, self.motions, self.envs], [self.state])
         if scene.bounds is not None:
             lower, upper = (wp.vec3(corner) for corner in scene.bounds)
@@ -384,19 +400,18 @@ class Stages:
         )
         return deepest
 
-    def _solver_inputs(self) -> list:
-        """What every solver kernel takes, in the same order."""
-        return [
-            self.lanes,
-            self.num_bodies,
-            self.model.bodies,
-            self.motions,
-            self.envs,
-            self.pools.graph,
-            self.pools.pairs,
-            self.pools.contacts,
-            self.state,
-        ]
+    def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
+        """Launch a kernel of the solver that goes through the touching pairs colour by colour."""
+        self._solve(kernel, before, self.teams.color, self.pools.by_color)
+
+    def _level_by_level(self, kernel: Any, before: Sequence = ()) -> None:
+        """Launch one that goes level by level, and in each colour by colour."""
+        self._solve(kernel, before, self.teams.level, self.pools.by_level)
+
+    def _solve(self, kernel: Any, before: Sequence, lanes: int, order: Any) -> None:
+        pools = self.pools
+        inputs = [*before, lanes, self.num_bodies, self.envs, order]
+        self._per_team(lanes, kernel, inputs, [pools.graph, self.motions, pools.contacts])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.rows, inputs=inputs, outputs=outputs, device=self.device)
@@ -406,20 +421,14 @@ class Stages:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def _share_pairs(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.teams * self.pair_lanes, inputs=inputs, outputs=outputs, device=self.device)
+        wp.launch(kernel, dim=self.pair_teams * self.pair_lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _per_team(self, kernel: Any, inputs: list, outputs: Sequence = ()) -> None:
-        wp.launch(
-            kernel,
-            dim=self.num_envs * self.lanes,
-            inputs=inputs,
-            outputs=outputs,
-            block_dim=team.BLOCK,
-            device=self.device,
-        )
+    def _per_team(self, lanes: int, kernel: Any, inputs: list, outputs: Sequence) -> None:
+        dim, block = self.num_envs * lanes, team.block_of(lanes)
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
         """Exclusive sums of counts; a list that does not fit is emptied and its length noted."""
@@ -449,7 +458,7 @@ class Stages:
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
         self._share_pairs(
             narrowphase.find_contacts,
-            [woken, self.teams, self.pair_lanes, self.dt, *bodies_of_pair, self.pools.history],
+            [woken, self.pair_teams, self.pair_lanes, self.dt, *bodies_of_pair, self.pools.history],
             [self.pools.pairs],
         )
 
