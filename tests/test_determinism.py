@@ -9,6 +9,7 @@ import pytest
 from tests import pin_hashes
 from tests.oracles import moving, random_pile
 from warp_rigid.settings import Settings
+from warp_rigid.shapes import Box, Sphere
 from warp_rigid.simulator import Simulator
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -16,12 +17,13 @@ STARTS = 5
 """Different starts of the scene, so that neighbours in a batch differ."""
 
 
+def end_bits(sim, env):
+    return b"".join(sim.get(name)[env].tobytes() for name in STATE)
+
+
 def settings_with_and_without_sleep():
-    """Sleeping is off by default; where it is built, it must not change what this file tests."""
-    try:
-        return [Settings(), Settings(sleeping=True)]
-    except ValueError:
-        return [Settings()]
+    """Sleeping is off by default; it must not change what this file tests."""
+    return [Settings(), Settings(sleeping=True)]
 
 
 def run(device, starts, settings=None, steps=90, capacity=None, restart=None):
@@ -40,12 +42,12 @@ def run(device, starts, settings=None, steps=90, capacity=None, restart=None):
         steps -= steps // 2
     sim.step(steps)
     assert (sim.status()["status"] == "ok").all()
-    return [b"".join(sim.get(name)[env].tobytes() for name in STATE) for env in range(len(starts))]
+    return [end_bits(sim, env) for env in range(len(starts))]
 
 
 @pytest.mark.parametrize("settings", settings_with_and_without_sleep(), ids=lambda s: "sleeping" if s.sleeping else "")
 def test_ends_depend_on_nothing_but_the_start(device, tmp_path, settings):
-    """Batches of 1, 7 and 64 (4096 on CUDA), every start at many places, tight pools, a restart on the way."""
+    """Batches of 1, 7 and 64 (4096 on a GPU), every start at many places, tight pools, a restart on the way."""
     alone = [run(device, [start], settings)[0] for start in range(STARTS)]
     assert len(set(alone)) == STARTS, "the starts must differ for this to tell anything"
     assert run(device, [0], settings) == [alone[0]]
@@ -56,6 +58,77 @@ def test_ends_depend_on_nothing_but_the_start(device, tmp_path, settings):
     starts = [3, 0, 4, 4, 1, 2, 3]
     ends = run(device, starts, settings, capacity={"pairs": 1, "contacts": 1}, restart=tmp_path / "a.ckpt")
     assert ends == [alone[start] for start in starts]
+
+
+def break_state(sim, envs):
+    """A velocity that is no number, of the last body of some environments, behind the simulator's back."""
+    array = sim.array("linear_velocity")
+    host = array.numpy().copy()
+    host.reshape(sim.num_envs, sim.num_bodies, 3)[envs, -1] = np.nan
+    array.assign(host)
+
+
+SPEEDS = (0.1, 0.4, 0.4, 1.0, 2.0)
+"""Of the ball in each start [m/s]: it never gets to the box, comes when the box sleeps, or before."""
+
+
+def ball_and_box(device, starts, broken=()):
+    """A ball rolls towards a box at rest; every other start lets bodies sleep; some environments break on the way."""
+    starts = np.array(starts)
+    scene = pin_hashes.ground_scene(friction=0.4)
+    scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1))
+    ball = scene.add_body(Sphere(0.08), position=(-0.4, 0.03, 0.08))
+    sim = Simulator(scene, num_envs=len(starts), device=device)
+    speeds = np.array(SPEEDS)[starts]
+    sim.set("linear_velocity", np.stack([speeds, 0 * speeds, 0 * speeds], axis=1)[:, None], bodies=[ball])
+    sim.set("angular_velocity", np.stack([0 * speeds, speeds / 0.08, 0 * speeds], axis=1)[:, None], bodies=[ball])
+    sim.set("sleeping", (starts % 2 == 0).tolist())
+    sim.step(50)
+    break_state(sim, list(broken))
+    sim.step(100)
+    assert np.flatnonzero(sim.status()["status"] != "ok").tolist() == list(broken)
+    return sim
+
+
+def test_thousands_of_small_environments_end_as_each_alone(device):
+    """Where bodies sleep, are woken or stay awake, and one environment in seven breaks down on the way.
+
+    On a GPU teams of lanes solve an environment, and are smaller the more environments there are.
+    """
+    runs = [ball_and_box(device, [start]) for start in range(STARTS)]
+    alone = [end_bits(sim, 0) for sim in runs]
+    assert len(set(alone)) == STARTS
+    assert [sim.get("asleep")[0].any() for sim in runs] == [True, False, False, False, False]
+    assert [sim.get("position")[0, 1, 0] > 1e-4 for sim in runs] == [False, True, True, True, True]
+    for size in (4096,) if device == "cpu" else (4096, 9000):
+        starts = np.random.default_rng(size).integers(0, STARTS, size)
+        broken = np.arange(3, size, 7)
+        batch = ball_and_box(device, starts, broken)
+        rows = np.concatenate([batch.get(name).reshape(size, -1) for name in STATE], axis=1).view(np.int32)
+        expected = np.stack([np.frombuffer(end, np.int32) for end in alone])[starts]
+        different = np.flatnonzero((rows != expected).any(axis=1))
+        assert np.setdiff1d(different, broken).tolist() == []
+
+
+def test_bodies_that_meet_through_the_grid_end_the_same_at_any_place(device):
+    """All environments share the grid's cells; one of them breaks down, and pools grow from next to nothing."""
+
+    def hail(envs, **options):
+        sim = Simulator(pin_hashes.hail(), num_envs=len(envs), device=device, **options)
+        for place, env in enumerate(envs):
+            sim.set("linear_velocity", (0.5 * env, 0, -1.0), envs=[place], bodies=range(1, sim.num_bodies))
+        sim.step(4)
+        return sim
+
+    alone = [hail([env]) for env in range(2)]
+    batch = hail([1, 0, 0, 1], capacity={"pairs": 1, "contacts": 1})
+    break_state(batch, [2])
+    for sim in (*alone, batch):
+        sim.step(16)
+    assert batch.status()["status"].tolist() == ["ok", "ok", "non-finite", "ok"]
+    assert [end_bits(batch, place) for place in (0, 1, 3)] == [end_bits(alone[env], 0) for env in (1, 0, 1)]
+    assert end_bits(batch, 0) != end_bits(batch, 1)
+    assert alone[0].counts()["contacts"] > 500
 
 
 def test_ends_are_the_pinned_ones():
@@ -74,7 +147,7 @@ def test_devices_agree_as_long_as_nothing_is_chaotic(device):
         scene = pin_hashes.ground_scene(friction=0.4)
         for k in range(6):
             scene.add_body(
-                pin_hashes.wr.Box((0.1, 0.1, 0.1)),
+                Box((0.1, 0.1, 0.1)),
                 position=(0, k, 0.1),
                 orientation=pin_hashes.rotate_about((0, 0, 1), 10 * k),
                 linear_velocity=(1.0, 0, 0),
