@@ -1,11 +1,14 @@
 """The same bits every time: over runs, batch sizes, places in the batch, growth of pools, and restarts."""
 
+import itertools
 import json
 import platform
 
 import numpy as np
 import pytest
 
+import warp_rigid as wr
+from benchmarks import cross_device
 from tests import pin_hashes
 from tests.oracles import moving, random_pile
 from warp_rigid.settings import Settings
@@ -140,21 +143,24 @@ def test_ends_are_the_pinned_ones():
     assert [name for name in pinned if found[name] != pinned[name]] == []
 
 
-def test_devices_agree_as_long_as_nothing_is_chaotic(device):
-    """Boxes that slide and turn to rest: within 0.1 mm of the CPU; on the CPU itself to the last bit."""
+@pytest.mark.parametrize("name", cross_device.SCENES)
+def test_devices_agree_as_long_as_nothing_is_chaotic(device, name):
+    """Boxes that fly, slide, stand and stick, balls that roll and bounce: within 0.1 mm of the CPU."""
+    apart, turned = cross_device.difference(name, ("cpu", device))
+    if device == "cpu":
+        assert (apart, turned) == (0.0, 0.0)
+    assert apart < cross_device.BAR
 
-    def slide(where):
-        scene = pin_hashes.ground_scene(friction=0.4)
-        for k in range(6):
-            scene.add_body(
-                Box((0.1, 0.1, 0.1)),
-                position=(0, k, 0.1),
-                orientation=pin_hashes.rotate_about((0, 0, 1), 10 * k),
-                linear_velocity=(1.0, 0, 0),
-            )
-        sim = Simulator(scene, device=where)
-        sim.step(200)
-        return sim.get("position")
 
-    difference = np.abs(slide(device) - slide("cpu")).max()
-    assert difference == 0.0 if device == "cpu" else difference < 1e-4
+def test_a_difference_between_devices_is_told(capsys, monkeypatch):
+    """Two runs that part, since the second one starts lower."""
+    lower = itertools.count()
+
+    def build():
+        scene = wr.Scene()
+        scene.add_body(Sphere(0.1), position=(0, 0, -0.01 * next(lower)))
+        return scene
+
+    monkeypatch.setattr(cross_device, "SCENES", {"a ball": (build, 15)})
+    assert cross_device.compare_positions(("cpu", "cpu")) == 1
+    assert capsys.readouterr().out.splitlines()[1].split() == ["0.01", "0", "a", "ball"]

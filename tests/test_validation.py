@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks import cross_device
 from warp_rigid import cli
 from warp_rigid.validation import impact, report, shock_comparison, suite
 from warp_rigid.validation.case import (
@@ -122,6 +123,25 @@ def test_environments_that_failed_have_no_value():
 def test_cases_of_no_device_run_once():
     findings = suite.run_suite([made_up([1.0], 1.0, relative(0.1))], ["cpu", "cuda:0"])
     assert [finding.device for finding in findings] == ["cpu"]
+
+
+def test_verdicts_that_differ_between_devices_are_told(tmp_path, capsys):
+    """In one run on two devices, and in files of two runs; what one device alone was asked does not count."""
+
+    def check(device, quantity, verdict):
+        return {"case": "V99", "title": "made up", "device": device, "quantity": quantity, "verdict": verdict}
+
+    here = [check("cpu", *one) for one in (("way", "PASS"), ("way", "MISS"), ("height", "PASS"), ("mass", "PASS"))]
+    there = [check("cuda:0", *one) for one in (("way", "PASS"), ("way", "PASS"), ("height", "PASS"))]
+    expected = ["cpu and cuda:0: 2 of 3 verdicts are the same", "V99 way: MISS on cpu, PASS on cuda:0"]
+    assert report.agreement([*here, *there]) == expected
+    assert report.agreement(here) == []
+    for name, checks in (("here", here), ("there", there)):
+        (tmp_path / name).write_text(json.dumps({"checks": checks}))
+    assert cross_device.compare_verdicts([tmp_path / "here", tmp_path / "there"]) == 1
+    assert capsys.readouterr().out.splitlines() == expected
+    assert cross_device.compare_verdicts([tmp_path / "there", tmp_path / "there"]) == 1
+    assert "nothing to compare" in capsys.readouterr().out
 
 
 @pytest.fixture(scope="module")

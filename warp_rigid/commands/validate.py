@@ -53,7 +53,8 @@ def validate_command(
     else:
         out = console()
         report.print_table(findings, out)
-        out.print(report.summary(findings), highlight=False, markup=False)
+        for line in (report.summary(findings), *report.agreement(report.as_json(findings, devices)["checks"])):
+            out.print(line, highlight=False, markup=False)
         for path in files:
             out.print(f"wrote {path}", highlight=False, markup=False)
     return report.exit_status(findings)

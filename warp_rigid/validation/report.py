@@ -1,5 +1,6 @@
 """Findings as a table for the terminal, as Markdown and as JSON, and the exit status that they mean."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -112,6 +113,27 @@ def summary(findings: Sequence[Finding]) -> str:
     names = {"PASS": "passed", "MISS": "known misses", "FAIL": "failed", "ERROR": "not measured"}
     told = [f"{counts[verdict]} {name}" for verdict, name in names.items() if counts[verdict] or verdict == "PASS"]
     return f"{len(findings)} checks: {', '.join(told)}"
+
+
+def agreement(checks: Sequence[dict[str, Any]]) -> list[str]:
+    """A line on how many verdicts are the same on all devices, and one on each that is not.
+
+    Args:
+        checks: of one or of several `as_json`; those that ran on one device alone do not count.
+    """
+    verdicts: dict[tuple, dict[str, str]] = {}
+    for check in checks:
+        device, name = check["device"], (check["case"], check["title"], check["quantity"])
+        # A case may check a quantity more than once, against different references.
+        number = next(k for k in itertools.count() if device not in verdicts.get((*name, k), {}))
+        verdicts.setdefault((*name, number), {})[device] = check["verdict"]
+    shared = {check: told for check, told in verdicts.items() if len(told) > 1}
+    differ = {check: told for check, told in shared.items() if len(set(told.values())) > 1}
+    devices = sorted({device for told in shared.values() for device in told})
+    lines = [f"{' and '.join(devices)}: {len(shared) - len(differ)} of {len(shared)} verdicts are the same"]
+    for (case, _, quantity, _), told in differ.items():
+        lines.append(f"{case} {quantity}: {', '.join(f'{verdict} on {device}' for device, verdict in told.items())}")
+    return lines if shared else []
 
 
 def as_json(findings: Sequence[Finding], devices: Sequence[str]) -> dict[str, Any]:
