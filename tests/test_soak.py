@@ -1,19 +1,86 @@
 """A short soak: memory, speed and resting bodies stay as they are while a pile changes."""
 
+import gc
+
+import pytest
+import warp as wp
+
+from benchmarks import soak as benchmark
 from benchmarks.soak import pile, soak
+from warp_rigid.simulator import Simulator
 
 
-def test_a_pile_that_changes_leaves_no_trace(device):
+@pytest.mark.parametrize("sleeping", [False, True])
+def test_a_pile_that_changes_leaves_no_trace(device, sleeping):
     """The long run is `python -m benchmarks.soak`; this one sees a leak of a few kilobytes a round."""
-    found = soak(steps=4000, count=20, envs=2, device=device)
-    assert found.failed == 0
+    lines = []
+    found = soak(2000, count=10, envs=2, device=device, sleeping=sleeping, every=100, on_found=lines.append)
+    assert found.failed == found.escaped == found.unequal == 0
     assert found.drift < 1e-3
-    assert found.device_growth == 0.0
     assert found.memory_growth < 0.01
+    assert found.device_growth < 0.01
     # Another process may take the core for a while: only a plain trend would fail.
     assert found.slowdown < 2.0
+    assert len(lines) == benchmark.LINES and lines[-1] == found
+    assert (found.steps, found.changes) == (2000, 19)
+
+
+def test_what_goes_wrong_is_told(device, monkeypatch):
+    """The tower is moved, a gravity differs, all break down, bodies leave the bin, and memory leaks."""
+    leak = []
+
+    def step(sim, count, plain=Simulator.step):
+        plain(sim, count)
+        leak.append(bytearray(3_000_000))
+        if len(leak) == 5:
+            sim.set("position", (-50, 0.01, 0.1), bodies=[5], envs=[0])
+            sim.set("gravity", (0, 0, -9), envs=[3])
+            sim.array("linear_velocity").fill_(wp.vec3(wp.nan, 0, 0))
+        if len(leak) == 10:
+            sim.set("position", (5, 0, 1), envs=[0], bodies=range(8, 12))
+
+    monkeypatch.setattr(Simulator, "step", step)
+    found = soak(200, count=4, envs=4, device=device, every=20)
+    assert found.drift == pytest.approx(0.01, abs=1e-3)
+    assert found.escaped == 3, "one of the four is taken out"
+    assert found.unequal == 2
+    assert found.failed == 4
+    assert found.memory_growth > 0.05
+
+
+def test_time_that_is_over_ends_it():
+    lines = []
+    found = soak(10**6, count=2, device="cpu", every=10, minutes=1e-3, on_found=lines.append)
+    assert 10 <= found.steps < 10**6 and found.asked == 10**6
+    assert lines == [found]
 
 
 def test_the_pile_is_what_it_says():
     names = [body.name for body in pile(100).bodies]
     assert (names.count("loose"), names.count("wall"), names.count("resting")) == (100, 4, 3)
+
+
+def test_what_is_recorded_anew_saved_or_dropped_leaves_nothing(device, tmp_path):
+    """Steps recorded for other settings, checkpoints, and whole simulators."""
+    scene, where = pile(8), wp.get_device(device)
+
+    def held():
+        gc.collect()
+        return benchmark._resident(), wp.get_mempool_used_mem_current(where) if where.is_cuda else 0
+
+    def use(times):
+        sim = Simulator(scene, device=device, capacity={"pairs": 1, "contacts": 1})
+        for k in range(times):
+            sim.set("shock_iterations", 1 + k % 2)
+            sim.step(2)
+            sim.penetration()
+            if k % 5 == 0:
+                sim.save(tmp_path / "a.ckpt")
+                sim = Simulator.load(tmp_path / "a.ckpt")
+
+    use(25)
+    before = held()
+    use(25)
+    after = held()
+    assert after[0] - before[0] < 1_000_000
+    assert after[1] <= before[1]

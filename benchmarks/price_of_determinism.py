@@ -1,0 +1,283 @@
+"""What an order that never changes costs; `python -m benchmarks.price_of_determinism --devices cpu cuda:0`.
+
+The simulator lists pairs by counting, summing up and searching again, where one search that appends to a list by an
+atomic counter would do; and its line search adds up each island's parts in the order of the pairs, by one lane, where
+all lanes could add by float atomics. Both ways are timed here on the same boxes, apart from the simulator.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+import warp_rigid as wr
+from warp_rigid.bench.scenes import Case
+from warp_rigid.kernels.team import BLOCK
+from warp_rigid.stages import GRID_CELLS, TRY_ALL_UP_TO, team_size
+from warp_rigid.terminal import start_warp
+
+wp.set_module_options({"enable_backward": False})
+
+COUNT, WRITE, APPEND = (wp.constant(k) for k in range(3))
+
+SIZES = ((4096, 10), (1, 100_000))
+"""Environments and bodies in each."""
+
+PITCH, REACH = 0.2, 0.101
+"""Distance of neighbouring boxes, and half the width of what each may reach within a step [m]."""
+
+REPEATS, ROUNDS = 5, 5
+"""Times that something is done in a graph, and graphs of which the quickest counts."""
+
+
+class Boxes(NamedTuple):
+    """Boxes of many environments, and room for their pairs."""
+
+    per_env: int
+    lower: wp.array
+    upper: wp.array
+    count: wp.array
+    start: wp.array
+    pairs: wp.array
+    grid: Any
+
+
+@wp.func
+def visit(
+    i: int,
+    j: int,
+    found: int,
+    mode: int,
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    start: wp.array[int],
+    pairs: wp.array[wp.vec2i],
+):
+    """Count, write or append a pair if its boxes overlap. Returns the new count."""
+    a = lower[i]
+    b = upper[i]
+    c = lower[j]
+    d = upper[j]
+    if not (a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]):
+        return found
+    if mode == WRITE:
+        pairs[start[i] + found] = wp.vec2i(i, j)
+    if mode == APPEND:
+        pairs[wp.atomic_add(start, 0, 1)] = wp.vec2i(i, j)
+    return found + 1
+
+
+@wp.kernel
+def try_all(
+    mode: int,
+    per_env: int,
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    count: wp.array[int],
+    start: wp.array[int],
+    pairs: wp.array[wp.vec2i],
+):
+    """A thread a body: all later bodies of its environment."""
+    i = wp.tid()
+    found = int(0)
+    if mode != WRITE or start[i + 1] > start[i]:
+        for j in range(i + 1, (i / per_env + 1) * per_env):
+            found = visit(i, j, found, mode, lower, upper, start, pairs)
+    if mode == COUNT:
+        count[i] = found
+
+
+@wp.kernel
+def look_around(
+    mode: int,
+    grid: wp.uint64,
+    reach: float,
+    lower: wp.array[wp.vec3],
+    upper: wp.array[wp.vec3],
+    count: wp.array[int],
+    start: wp.array[int],
+    pairs: wp.array[wp.vec2i],
+):
+    """A thread a body: those near it in the hash grid."""
+    i = wp.tid()
+    found = int(0)
+    if mode != WRITE or start[i + 1] > start[i]:
+        j = int(0)
+        for j in wp.hash_grid_query(grid, 0.5 * (lower[i] + upper[i]), reach):
+            if j > i:
+                found = visit(i, j, found, mode, lower, upper, start, pairs)
+    if mode == COUNT:
+        count[i] = found
+
+
+@wp.kernel
+def add_in_order(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], total: wp.array[wp.vec2]):
+    """A team an environment: one of its lanes adds up all parts, as for one island."""
+    env = wp.tid() / lanes
+    for k in range(begin[env], begin[env + 1]):
+        if env % lanes == wp.tid() % lanes:
+            total[env] = total[env] + part[k]
+
+
+@wp.kernel
+def add_atomically(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], total: wp.array[wp.vec2]):
+    """A team an environment: all lanes add parts."""
+    env = wp.tid() / lanes
+    for k in range(begin[env] + wp.tid() % lanes, begin[env + 1], lanes):
+        wp.atomic_add(total, env, part[k])
+
+
+def lattice(envs: int, per_env: int, device: Any) -> Boxes:
+    """Environments of boxes that touch their neighbours: towers, or blocks where there are many."""
+    side = 1 if per_env <= TRY_ALL_UP_TO else round(per_env ** (1 / 3))
+    k = np.arange(per_env)
+    center = np.tile(PITCH * np.stack([k % side, k // side % side, k // side**2], axis=1), (envs, 1)).astype(np.float32)
+    count = envs * per_env
+    grid = None
+    if per_env > TRY_ALL_UP_TO:
+        cells = 1 << int(np.ceil(np.log2((GRID_CELLS * per_env) ** (1 / 3))))
+        grid = wp.HashGrid(cells, cells, cells, device=device)
+        grid.build(wp.array(center, dtype=wp.vec3, device=device), 2.0 * REACH)
+    return Boxes(
+        per_env,
+        wp.array(center - REACH, dtype=wp.vec3, device=device),
+        wp.array(center + REACH, dtype=wp.vec3, device=device),
+        wp.zeros(count + 1, dtype=int, device=device),
+        wp.zeros(count + 1, dtype=int, device=device),
+        wp.zeros(14 * count, dtype=wp.vec2i, device=device),
+        grid,
+    )
+
+
+def search(boxes: Boxes, mode: Any) -> None:
+    """One round of the search."""
+    device = boxes.lower.device
+    own = [boxes.grid.id, 3.5 * REACH] if boxes.grid else [boxes.per_env]
+    wp.launch(
+        look_around if boxes.grid else try_all,
+        dim=boxes.lower.shape[0],
+        inputs=[mode, *own, boxes.lower, boxes.upper],
+        outputs=[boxes.count, boxes.start, boxes.pairs],
+        device=device,
+    )
+
+
+def list_in_order(boxes: Boxes) -> None:
+    """Count, sum up, write."""
+    search(boxes, COUNT)
+    wp.utils.array_scan(boxes.count, boxes.start, inclusive=False)
+    search(boxes, WRITE)
+
+
+def append(boxes: Boxes) -> None:
+    """Append to the list, in whatever order threads come."""
+    boxes.start[:1].zero_()
+    search(boxes, APPEND)
+
+
+def seconds(work: Callable[[], None], device: Any) -> float:
+    """Time that something takes on a device, at best."""
+    clock = time.process_time if device.is_cpu else time.perf_counter
+    with wp.ScopedCapture(device, force_module_load=False) as capture:
+        for _ in range(REPEATS):
+            work()
+    taken = []
+    for _ in range(ROUNDS):
+        wp.synchronize_device(device)
+        begin = clock()
+        wp.capture_launch(capture.graph)
+        wp.synchronize_device(device)
+        taken.append((clock() - begin) / REPEATS)
+    return min(taken)
+
+
+class Price(NamedTuple):
+    """What one thing takes both ways [s], and how many results of the free way changed from run to run."""
+
+    what: str
+    in_order: float
+    free: float
+    results: int
+    changed: int
+
+
+def price_of_lists(boxes: Boxes) -> Price:
+    """Pairs: the free way lists the same ones elsewhere."""
+    device = boxes.lower.device
+    lists = []
+    for work in (list_in_order, list_in_order, append, append):
+        boxes.pairs.fill_(wp.vec2i(-1, -1))
+        work(boxes)
+        rows = boxes.pairs.numpy().astype(np.int64)
+        lists.append(rows[:, 0] * len(rows) + rows[:, 1])
+    assert (lists[0] == lists[1]).all()
+    assert all((np.sort(one) == np.sort(lists[0])).all() for one in lists[2:])
+    times = [seconds(lambda work=work: work(boxes), device) for work in (list_in_order, append)]
+    return Price("list of pairs", *times, int((lists[0] >= 0).sum()), int((lists[2] != lists[3]).sum()))
+
+
+def price_of_sums(boxes: Boxes, envs: int) -> Price:
+    """Sums over the pairs of each environment: the free way rounds otherwise."""
+    device = boxes.lower.device
+    list_in_order(boxes)
+    begin = boxes.start.numpy()[:: boxes.per_env].copy()
+    values = np.random.default_rng(0).normal(size=(begin[-1], 2)).astype(np.float32)
+    lanes = team_size(device, envs, boxes.per_env)
+    part, total = wp.array(values, dtype=wp.vec2, device=device), wp.zeros(envs, dtype=wp.vec2, device=device)
+    inputs = [lanes, wp.array(begin, dtype=int, device=device), part]
+
+    def add(kernel: Any) -> None:
+        total.zero_()
+        wp.launch(kernel, dim=envs * lanes, inputs=inputs, outputs=[total], block_dim=BLOCK, device=device)
+
+    totals = []
+    for kernel in (add_in_order, add_in_order, add_atomically, add_atomically):
+        add(kernel)
+        totals.append(total.numpy().copy())
+    assert (totals[0] == totals[1]).all()
+    np.testing.assert_allclose(totals[2], totals[0], atol=1e-5 * np.abs(values).sum() / envs)
+    times = [seconds(lambda kernel=kernel: add(kernel), device) for kernel in (add_in_order, add_atomically)]
+    return Price("sums of the line search", *times, envs, int((totals[2] != totals[3]).any(axis=1).sum()))
+
+
+def prices(envs: int, per_env: int, device: Any) -> list[Price]:
+    """Both prices at one size."""
+    boxes = lattice(envs, per_env, device)
+    return [price_of_lists(boxes), price_of_sums(boxes, envs)]
+
+
+def step_seconds(envs: int, device: Any, steps: int = 40) -> float:
+    """Time of a whole step of stacks of ten boxes."""
+    sim = wr.Simulator(Case("stack", 10).build(), num_envs=envs, device=device)
+    clock = time.process_time if sim.device.is_cpu else time.perf_counter
+    sim.step(steps)
+    begin = clock()
+    sim.step(steps)
+    return (clock() - begin) / steps
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--devices", nargs="+", default=["cpu"])
+    given = parser.parse_args()
+    start_warp()
+    print(f"{'device':8} {'environments x bodies':>22}  {'':24} {'in order':>10} {'free':>10} {'changed':>16}")
+    for name in given.devices:
+        device = wp.get_device(name)
+        for envs, per_env in SIZES:
+            for price in prices(envs, per_env, device):
+                changed = f"{price.changed} of {price.results}"
+                print(
+                    f"{name:8} {f'{envs} x {per_env}':>22}  {price.what:24} "
+                    f"{1e3 * price.in_order:7.3f} ms {1e3 * price.free:7.3f} ms {changed:>16}"
+                )
+        whole = 1e3 * step_seconds(SIZES[0][0], device)
+        print(f"{name:8} {f'{SIZES[0][0]} x 10':>22}  {'a whole step':24} {whole:7.3f} ms")
+
+
+if __name__ == "__main__":
+    main()
