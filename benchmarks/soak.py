@@ -2,7 +2,7 @@
 
 Tells whether memory stays flat, whether resting bodies drift, whether bodies get lost, whether environments that are
 alike stay so, and whether steps become slower: a JSON line whenever a twentieth of the steps is done, so that a run
-that is cut short has told what it found so far. On a GPU: `--device cuda:0 --envs 4096 --bodies 8 --steps 100000`.
+that is cut short has told what it found so far. On a GPU: `--device cuda:0 --envs 4096 --steps 100000 --minutes 8`.
 """
 
 import argparse
@@ -243,7 +243,7 @@ def main() -> None:
     """Run it and print JSON lines; the last one tells of the whole run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--bodies", type=int, default=100)
+    parser.add_argument("--bodies", type=int, help="100; 8 where there are many environments")
     parser.add_argument("--envs", type=int, default=1)
     parser.add_argument("--device")
     parser.add_argument("--sleeping", action="store_true")
@@ -258,7 +258,7 @@ def main() -> None:
 
     soak(
         given.steps,
-        given.bodies,
+        given.bodies or (100 if given.envs == 1 else 8),
         given.envs,
         given.device,
         given.sleeping,
