@@ -135,6 +135,60 @@ def test_bodies_that_meet_through_the_grid_end_the_same_at_any_place(device):
     assert alone[0].counts()["contacts"] > 500
 
 
+DEEDS = (
+    lambda sim, env, body, v: sim.set("position", 0.2 * v + [0, 0, 0.8], envs=[env], bodies=[body]),
+    lambda sim, env, body, v: sim.set("active", bool(v[0] > 0), envs=[env], bodies=[body]),
+    lambda sim, env, body, v: sim.apply_impulse(2 * v, sim.get("center_of_mass")[env, body], body, envs=[env]),
+    lambda sim, env, body, v: sim.set("force", 20 * v, envs=[env], bodies=[body]),
+    lambda sim, env, body, v: sim.set("mass", 1 + 10 * v[0] ** 2, envs=[env], bodies=[body]),
+    lambda sim, env, body, v: sim.set("friction", abs(v[0]), envs=[env]),
+    lambda sim, env, body, v: sim.set("gravity", (v[0], v[1], -9.81), envs=[env]),
+    lambda sim, env, body, v: sim.set("contact_iterations", 1 + int(8 * abs(v[0])), envs=[env]),
+    lambda sim, env, body, v: sim.set("shock_propagation", ["off", "two_pass"][int(v[0] > 0)], envs=[env]),
+    lambda sim, env, body, v: sim.set("sleeping", bool(v[0] > -0.5), envs=[env]),
+    lambda sim, env, body, v: sim.reset(envs=[env]),
+)
+"""What can be done to an environment, with a body of it and three numbers."""
+
+
+def play(device, scene, scripts, restart=None, broken=()):
+    """Environments to which things are done at certain steps, each by its own script; saved and loaded at `restart`."""
+    sim = Simulator(scene, num_envs=len(scripts), device=device, capacity={"pairs": 1, "contacts": 1})
+    events = sorted((step, env, deed) for env, script in enumerate(scripts) for step, *deed in script)
+    for step in range(200):
+        if restart is not None and step == 120:
+            break_state(sim, list(broken))
+            sim.save(restart)
+            sim = Simulator.load(restart)
+            sim.penetration()
+        while events and events[0][0] == step:
+            _, env, (which, body, numbers) = events.pop(0)
+            DEEDS[which](sim, env, body, np.array(numbers))
+        sim.step()
+    return sim
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_done_to_others_changes_nothing(device, tmp_path, seed):
+    """Random deeds in each environment of a batch that is saved, loaded and partly broken, against each alone."""
+    generator = np.random.default_rng(seed)
+    scene = pin_hashes.ground_scene(friction=0.6)
+    scene.add_kinematic(wr.Cylinder(0.5, 0.05), position=(0, 0, 0.05), angular_velocity=(0, 0, 1))
+    for k, shape in enumerate((Box((0.1, 0.1, 0.1)), Sphere(0.1), wr.Capsule(0.06, 0.08), Box((0.1, 0.1, 0.05)))):
+        scene.add_body(shape, position=(0.03 * k, 0, 0.25 + 0.22 * k), restitution=0.1 * k, rolling_friction=0.003)
+
+    def script():
+        deeds = generator.integers((0, 0, 2), (200, len(DEEDS), 6), (generator.integers(7), 3)).tolist()
+        return [(*deed, generator.normal(size=3).tolist()) for deed in deeds]
+
+    scripts = [script() for _ in range(3)]
+    alone = [end_bits(play(device, scene, [one]), 0) for one in scripts]
+    places = [2, 0, 1, 1, 0, 2]
+    batch = play(device, scene, [scripts[k] for k in places] + [[]], tmp_path / "a.ckpt", broken=[6])
+    assert [end_bits(batch, place) == alone[k] for place, k in enumerate(places)] == [True] * 6
+    assert batch.status()["status"].tolist() == ["ok"] * 6 + ["non-finite"]
+
+
 def test_ends_are_the_pinned_ones():
     """Renewed by `python -m tests.pin_hashes`, which also shows that the instruction set does not matter."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
