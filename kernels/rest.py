@@ -78,10 +78,13 @@ def has_changed(b: int, state: State, motions: Motions, rest: Rest):
 
 @wp.kernel
 def notice(bodies_per_env: int, state: State, motions: Motions, rest: Rest, envs: Environments):
-    """One thread a body: what was changed since the last step. A fixed body that was moved counts as driven."""
+    """One thread a body: what was changed since the last step. A fixed body that was moved counts as driven.
+
+    Only where bodies may sleep: elsewhere it must not matter that they do in other environments.
+    """
     b = wp.tid()
     role = motions.role[b]
-    if role == ABSENT or role == FREE:
+    if role == ABSENT or role == FREE or envs.sleeping[b / bodies_per_env] == 0:
         return
     if has_changed(b, state, motions, rest):
         rest.disturbed[b] = 1
@@ -171,7 +174,8 @@ def ask_bodies(
     env = b / bodies_per_env
     if motions.role[b] != FREE:
         return
-    ready = dt * float(rest.still[b]) >= PATIENCE and envs.sleeping[env] == 1 and envs.failed[env] == 0
+    rest.still[b] = rest.still[b] * envs.sleeping[env]
+    ready = dt * float(rest.still[b]) >= PATIENCE and envs.failed[env] == 0
     if not ready or state.active[b] == 0:
         rest.restless[graph.island[b]] = 1
 

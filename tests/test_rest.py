@@ -291,6 +291,20 @@ def test_runs_repeat_bit_for_bit_whatever_the_place_in_the_batch(device):
         assert all(batch.get(name)[env].tobytes() == alone.get(name)[0].tobytes() for name in (*STATE, "asleep"))
 
 
+def test_sleep_that_is_switched_on_counts_from_then(device):
+    """Whether others in the batch sleep, or have ever slept, does not tell when a stack falls asleep."""
+    batch = sleeping_sim(stack_scene(3), device, 0.0, num_envs=2)
+    alone = Simulator(stack_scene(3), device=device)
+    batch.set("sleeping", False, envs=[1])
+    for sim, env in ((batch, 1), (alone, 0)):
+        sim.step(100)
+        sim.set("sleeping", True, envs=[env])
+        sim.step(100)
+        assert asleep(sim, env) == []
+        sim.step(21)
+        assert asleep(sim, env) == [1, 2, 3]
+
+
 def test_checkpoints_know_of_sleep(device, tmp_path):
     """Saved while some sleep, one is switched off and there are bounds: the same bits from there."""
     scene = busy_scene()

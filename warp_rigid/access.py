@@ -147,7 +147,16 @@ def _write_setting(sim: "Simulator", name: str, value: Any, chosen: np.ndarray) 
     getattr(sim._envs, name).assign(rows)
     if name == "sleeping":
         wake(sim, chosen, np.arange(sim.num_bodies))
+        _count_anew(sim, chosen)
     renew_stages(sim)
+
+
+def _count_anew(sim: "Simulator", chosen: np.ndarray) -> None:
+    """Forget how long bodies have kept still: the device counted only if others in the batch slept."""
+    everyone = np.arange(sim.num_bodies)
+    _assign_rows(sim, sim._rest.still, 0, chosen, everyone)
+    for name in ("position", "orientation"):
+        _assign_rows(sim, getattr(sim._rest, name), read(sim, name)[chosen], chosen, everyone)
 
 
 def renew_stages(sim: "Simulator") -> None:

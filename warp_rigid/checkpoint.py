@@ -15,6 +15,7 @@ from warp_rigid import access, archive
 from warp_rigid.archive import shaped
 from warp_rigid.checks import whole_in
 from warp_rigid.kernels import data
+from warp_rigid.kernels.narrowphase import BY_CENTER
 from warp_rigid.pools import NAMES
 from warp_rigid.scene_data import scene_from_data, scene_to_data
 from warp_rigid.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
@@ -193,7 +194,7 @@ def _checked(
     if name == "Rest.island":
         _within(name, rows, 0, bodies - 1)
     if last == "key":
-        _within(name, rows, -1, 2 * samples - 1)
+        _within(name, rows, BY_CENTER - 1, 2 * samples - 1)
     return rows
 
 
