@@ -13,6 +13,7 @@ from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.kernels import data
 from warp_rigid.shapes import Box, Sphere
 from warp_rigid.simulator import Simulator
+from warp_rigid.stages import PAIRS
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 
@@ -71,6 +72,31 @@ def test_overflow_raises_where_asked_and_loses_nothing(device):
     enough.set("gravity", (0, 0, -30), envs=[1])
     enough.step(told.step + 1)
     assert bits(enough) == bits(free)
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+@pytest.mark.parametrize("on_overflow", ["grow", "raise"])
+def test_totals_beyond_32_bits_are_refused(device, monkeypatch, on_overflow, count):
+    """2^30 pairs for each of some bodies: their sum in 32 bits is negative, zero or positive again, and never right."""
+    sim = Simulator(heap(8), device=device, on_overflow=on_overflow)
+    sim.step(2)
+    before = bits(sim)
+    stages, pairs = sim._stages, sim._pools.pairs
+    counts = np.zeros(pairs.count.shape, np.int32)
+    counts[1 : 1 + count] = 2**30
+
+    def replay():
+        pairs.count.assign(counts)
+        stages._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
+
+    monkeypatch.setattr(stages, "replay", replay)
+    with pytest.raises(CapacityError, match="^pairs: 2147483647 wanted, .* simulate fewer environments") as error:
+        sim.step(3)
+    assert not pairs.start.numpy().any(), "nothing may be read or written at places that do not exist"
+    assert (error.value.pool, error.value.wanted, error.value.step) == ("pairs", 2**31 - 1, 2)
+    monkeypatch.undo()
+    assert bits(sim) == before
+    sim.step(1)
 
 
 def test_measuring_penetration_raises_too(device):

@@ -16,7 +16,7 @@ from warp_rigid.archive import shaped
 from warp_rigid.checks import whole_in
 from warp_rigid.kernels import data
 from warp_rigid.kernels.narrowphase import BY_CENTER
-from warp_rigid.pools import NAMES
+from warp_rigid.pools import LARGEST, NAMES
 from warp_rigid.scene_data import scene_from_data, scene_to_data
 from warp_rigid.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
 
@@ -90,7 +90,7 @@ def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarr
         ValueError, TypeError, KeyError: header or arrays do not fit.
         CapacityError: there is no room for the contacts of the last step.
     """
-    used = {name: whole_in(f"used {name}", header["used"][name], 0, 2**31 - 1) for name in NAMES}
+    used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
     for name, member in (("pairs", "History.body_b"), ("contacts", "History.key")):
         shaped(arrays, member, np.int32, (used[name],))
     short = {name: used[name] for name in NAMES if used[name] > sim._pools.sizes[name]}
@@ -98,7 +98,7 @@ def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarr
         sim._grow(short)
     checked = [(array, _checked(name, array, field, arrays, used, sim)) for name, array, field in _stored(sim)]
     steps = whole_in("steps", header["steps"], 0, 2**62)
-    sim._pools.fitted = tuple(whole_in("fitted", n, 0, 2**31 - 1) for n in header["fitted"])
+    sim._pools.fitted = tuple(whole_in("fitted", n, 0, LARGEST) for n in header["fitted"])
     sim._pools.forget_shortage()
     for array, rows in checked:
         _upload(array, rows)

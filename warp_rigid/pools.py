@@ -11,8 +11,8 @@ from warp_rigid.kernels import data
 NAMES = ("pairs", "contacts")
 """What is counted, in the order of `wanted` on the device."""
 
-LARGEST = 2**31 - 1
-"""Entries are counted in 32 bits."""
+LARGEST = 2**30
+"""Most entries of a pool: ends of pairs, two each, are counted in 32 bits."""
 
 HEADROOM = 1.5
 """A pool that was too small grows to this many times what was wanted."""
@@ -31,7 +31,6 @@ class Pools:
         by_color: touching pairs by colour.
         by_level: touching pairs by level and colour.
         wanted: (2,) most pairs and most contacts wanted.
-        over: (2,) whether this step wanted more than there is.
         fitted: most pairs and contacts wanted by the steps that fitted.
     """
 
@@ -43,7 +42,6 @@ class Pools:
     by_color: Any
     by_level: Any
     wanted: wp.array
-    over: wp.array
     fitted: tuple[int, ...] = (0, 0)
 
     @staticmethod
@@ -70,7 +68,6 @@ class Pools:
             by_color=data.allocate(data.Order, sizes, device),
             by_level=data.allocate(data.Order, sizes, device),
             wanted=wp.zeros(2, dtype=int, device=device),
-            over=wp.zeros(2, dtype=int, device=device),
         )
 
     def shortage(self) -> dict[str, int]:

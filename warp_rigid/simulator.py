@@ -124,7 +124,7 @@ class Simulator:
         while left > 0:
             chunk = min(left, CHUNK)
             shortage = self._try(chunk)
-            if shortage and self.on_overflow == "raise":
+            if shortage and not self._may_grow(shortage):
                 self._step_up_to_overflow(chunk)
             elif shortage:
                 self._grow(shortage)
@@ -223,7 +223,7 @@ class Simulator:
             shortage = self._pools.shortage()
             if not shortage:
                 return deepest.numpy()
-            if self.on_overflow == "raise":
+            if not self._may_grow(shortage):
                 raise self._overflow(shortage)
             self._grow(shortage)
 
@@ -309,6 +309,9 @@ class Simulator:
             self._steps += steps
         return shortage
 
+    def _may_grow(self, shortage: dict[str, int]) -> bool:
+        return self.on_overflow == "grow" and max(shortage.values()) <= pools.LARGEST
+
     def _grow(self, shortage: dict[str, int]) -> None:
         """Enlarge the pools and record the step anew."""
         old, new = self._pools.sizes, self._pools.larger_sizes(shortage)
@@ -339,9 +342,11 @@ class Simulator:
         env = self._pools.environment_with_most(name, self.num_bodies)
         step = int(self._envs.step.numpy()[env])
         self._pools.forget_shortage()
+        advice = f"give capacity={{'{name}': {wanted}}} or more, or on_overflow='grow'"
+        if wanted > pools.LARGEST:
+            advice = f"more than {pools.LARGEST} cannot be counted: simulate fewer environments at once"
         return CapacityError(
-            f"{name}: {wanted} wanted, room for {had} (most wanted by environment {env} in step {step}); "
-            f"give capacity={{'{name}': {wanted}}} or more, or on_overflow='grow'",
+            f"{name}: {wanted} wanted, room for {had} (most wanted by environment {env} in step {step}); {advice}",
             name,
             wanted,
             had,

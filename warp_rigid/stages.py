@@ -435,15 +435,15 @@ class Stages:
         wp.utils.array_scan(count, start, inclusive=False)
         wp.launch(
             capacity.note_wanted,
-            dim=1,
-            inputs=[which, size, start],
-            outputs=[self.pools.wanted, self.pools.over],
+            dim=start.shape[0],
+            inputs=[which, start],
+            outputs=[self.pools.wanted],
             device=self.device,
         )
         wp.launch(
             capacity.empty_if_over,
             dim=start.shape[0],
-            inputs=[which, self.pools.over],
+            inputs=[which, size, self.pools.wanted],
             outputs=[start],
             device=self.device,
         )
