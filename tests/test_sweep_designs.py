@@ -1,6 +1,7 @@
 """Axes and designs of sweeps: notation, counts, draws and addresses."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -98,6 +99,24 @@ def test_draws_repeat_by_their_seed_and_differ_between_repeats():
     first, again, other = (make_points(axes, repeats=3, seed=seed) for seed in (5, 5, 6))
     assert first == again and first != other
     assert len({p["b"] for p, _ in first}) == 6
+
+
+def test_designs_of_too_many_runs_are_refused_before_they_are_made():
+    """10^12 points of a grid would fill the memory."""
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="make 1000000000000 runs, more than 10000000"):
+        make_points({name: list(range(10_000)) for name in "abc"})
+    with pytest.raises(ValueError, match="make 100000000000000 runs"):
+        make_points({"a": Uniform(0, 1)}, "random", samples=10**7, repeats=10**7)
+    assert time.perf_counter() - start < 1.0
+
+
+def test_axes_of_no_name_or_uneven_values_are_refused():
+    with pytest.raises(ValueError, match="axes: must have words as names, got ''"):
+        clean_axes({"": [1]})
+    assert clean_axes({"a": [[1, 2], 3]}) == {"a": [(1, 2), 3]}, "what it is for decides whether it may be"
+    with pytest.raises(ValueError, match=r"--vary a: uniform takes other arguments than '1\\n,2,3'"):
+        parse_axis("a=uniform(1\n,2,3)")
 
 
 def test_latin_hypercube_fills_every_stratum_once():

@@ -203,6 +203,53 @@ def _stop():
     raise KeyboardInterrupt
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"about": []}, "what is told beside the rows must be named"),
+        ({"scene": 7}, "scene: must be told beside the rows as str, got 7"),
+        ({"axes": ["height", 1]}, "axes: must be told beside the rows as list"),
+        ({"parameters": ["width"]}, "width: is an axis, but no column"),
+        ({"without": "run"}, "run: must be int in every row, got None"),
+        ({"without": "status"}, "status: must be str in every row, got None"),
+    ],
+)
+def test_what_is_no_table_of_a_sweep_is_refused(tmp_path, change, message):
+    result = quick({"height": [1.0]})
+    rows = [{name: value for name, value in row.items() if name != change.get("without")} for row in result.rows]
+    table = pyarrow.Table.from_pylist(rows)
+    about = change.get("about", {**result.about, **change})
+    path = tmp_path / "t.parquet"
+    told = {table_module.METADATA: json.dumps(about, default=str).encode()}
+    pyarrow.parquet.write_table(table.replace_schema_metadata(told), path)
+    with pytest.raises(ValueError, match=f"^{path}: holds no rows of a sweep .{message}"):
+        read(path)
+
+
+def test_a_damaged_table_or_one_of_endless_rows_is_refused(tmp_path, monkeypatch):
+    """Of pages that are damaged pyarrow tells by an OSError of several lines, without the file."""
+    path = tmp_path / "t.parquet"
+    quick({"height": [1.0, 2.0]}, output=path)
+    content = bytearray(path.read_bytes())
+    content[4:40] = bytes(36)
+    (tmp_path / "bad.parquet").write_bytes(content)
+    with pytest.raises(ValueError, match="bad.parquet: holds no rows of a sweep") as error:
+        read(tmp_path / "bad.parquet")
+    assert "\n" not in str(error.value)
+    monkeypatch.setattr(table_module, "MOST_RUNS", 1)
+    monkeypatch.setattr(pyarrow.parquet, "read_table", lambda _: pytest.fail("was read"))
+    with pytest.raises(ValueError, match="at most 1 rows can be read, not 2"):
+        read(path)
+
+
+def test_tables_that_tell_too_little_are_not_merged(tmp_path):
+    row = quick({"height": [1.0]}).rows[0]
+    write(SweepResult([row], {"axes": ["height"]}), tmp_path / "t.parquet")
+    for use in (lambda: merge([tmp_path / "t.parquet"]), lambda: read(tmp_path / "t.parquet").replay(row, ball)):
+        with pytest.raises(ValueError, match="^(design_id|scene): must be t"):
+            use()
+
+
 def test_large_tables_are_quick(tmp_path):
     """100,000 rows; the bound is generous, for machines that are busy."""
     row = quick({"height": [1.0]}).rows[0]

@@ -43,3 +43,6 @@ def test_mistakes_are_named():
         wr.search(ball, {"speed": wr.Normal(1, 1)}, "drift")
     with pytest.raises(ValueError, match="direction: must be"):
         wr.search(ball, {"speed": np.array([1, 2])}, "drift", direction="up")
+    for arguments, message in (({"seed": -1}, "seed: must be"), ({"axes": {}}, "axes: a search needs at least one")):
+        with pytest.raises(ValueError, match=message):
+            wr.search(ball, **{"axes": {"speed": [1.0]}, "objective": "drift", **arguments})

@@ -14,10 +14,14 @@ from warp_rigid.appearance import (
     environment_spacing,
     frame_colors,
 )
-from warp_rigid.checks import one_of
+from warp_rigid.checks import number_in, one_of
 from warp_rigid.recording import Recording, Surface
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
+
+
+MOST_FRAMES = 100_000
+"""Of a film that is read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,14 +159,21 @@ def film_from_usd(path) -> Film:
         FileNotFoundError: There is no such file.
         ValueError: It is no USD file, or one without bodies.
     """
-    from pxr import Tf, Usd, UsdGeom
+    from warp_rigid.usd.opening import open_stage, reading
 
     if not Path(path).is_file():
         raise FileNotFoundError(f"{path}: no such file")
-    try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise ValueError(f"{path}: not a readable USD file") from error
+    stage = open_stage(path)
+    with reading(path):
+        try:
+            return _film_of_stage(stage)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+
+def _film_of_stage(stage) -> Film:
+    from pxr import UsdGeom
+
     root = stage.GetDefaultPrim()
     envs = [prim for prim in root.GetChildren() if prim.IsA(UsdGeom.Xform)] if root else []
     groups = [
@@ -172,9 +183,11 @@ def film_from_usd(path) -> Film:
         if prim.IsA(UsdGeom.PointInstancer) or prim.HasAttribute("xformOp:orient")
     ]
     if not groups:
-        raise ValueError(f"{path}: holds no environment with bodies, as export_usd writes them")
+        raise ValueError("holds no environment with bodies, as export_usd writes them")
 
-    frames = np.arange(stage.GetStartTimeCode(), stage.GetEndTimeCode() + 1)
+    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    number_in("endTimeCode", last, number_in("startTimeCode", first), first + MOST_FRAMES)
+    frames = np.arange(first, last + 1)
     offset = np.array([_translation(prim) for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
     for index, group in groups:
@@ -236,6 +249,8 @@ def _read_body(prim, frames):
             vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
             faces.append(triangles + count)
             count += len(points)
+    if not vertices:
+        raise ValueError(f"{prim.GetPath()} has no geometry")
     joined = np.concatenate(vertices).astype(np.float32)
     corners = np.concatenate(faces).astype(np.int32)
     shown = [

@@ -52,7 +52,9 @@ def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
     from pxr import Usd, UsdGeom
 
-    stage = Usd.Stage.Open(str(path))
+    from warp_rigid.usd.opening import open_stage
+
+    stage = open_stage(path)
     places = UsdGeom.XformCache()
     vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
@@ -81,7 +83,10 @@ def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
     sides = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
     if sides.sum() != len(corners):
-        raise ValueError(f"{mesh.GetPath()} has {len(corners)} corners for {sides.sum()} sides")
+        raise ValueError(
+            f"{mesh.GetPath()}: faceVertexCounts must add up to the length of faceVertexIndices, {len(corners)}, "
+            f"got {sides.sum()}"
+        )
     first = np.repeat(np.cumsum(sides) - sides, np.maximum(sides - 2, 0))
     fans = np.maximum(sides - 2, 0)
     step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)

@@ -122,7 +122,7 @@ def archives(draw: Any, kind: str) -> bytes:
         parts[name] = npy(array)
     else:
         header = json.loads(np.load(io.BytesIO(parts["header.npy"])).tobytes())
-        _change(draw, header)
+        change(draw, header)
         parts["header.npy"] = npy(np.frombuffer(json.dumps(header).encode(), np.uint8))
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
@@ -131,14 +131,14 @@ def archives(draw: Any, kind: str) -> bytes:
     return stream.getvalue()
 
 
-def _change(draw: Any, value: Any) -> None:
+def change(draw: Any, value: Any) -> None:
     """Replace one entry somewhere in plain data."""
     keys = sorted(value) if isinstance(value, dict) else list(range(len(value)))
     if not keys:
         return
     key = draw(st.sampled_from(keys))
     if isinstance(value[key], dict | list) and value[key] and draw(st.booleans()):
-        _change(draw, value[key])
+        change(draw, value[key])
     else:
         value[key] = draw(PLAIN)
 

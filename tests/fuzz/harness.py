@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import warp as wp
 from hypothesis import strategies as st
 
 from warp_rigid.errors import CapacityError
@@ -48,6 +49,9 @@ class Target:
     name: str
     cases: st.SearchStrategy
     attempt: Callable[[Any, Path], None]
+
+
+wp.init()  # what Warp does at its start, such as asking for the processor's name, is not a case's doing
 
 
 class Watch:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.assignments import parse_assignment
-from warp_rigid.checks import finite_number, number_in, whole_in
+from warp_rigid.checks import finite_number, number_in, shown, whole_in
 
 __all__ = [
     "Choice", "Distribution", "Integers", "LogUniform", "Normal", "Uniform", "clean_axes", "parse_axis", "plain",
@@ -145,10 +145,14 @@ def clean_axes(axes: Mapping[str, Any]) -> dict[str, list | Distribution]:
         raise ValueError(f"axes: must be a mapping of names to values, got {type(axes).__name__}")
     clean: dict[str, list | Distribution] = {}
     for name, values in axes.items():
+        if type(name) is not str or not name:
+            raise ValueError(f"axes: must have words as names, got {shown(name)}")
         if isinstance(values, Distribution):
             clean[name] = values
             continue
-        several = isinstance(values, Sequence | np.ndarray) and not isinstance(values, str) and np.ndim(values) != 0
+        several = isinstance(values, Sequence) and not isinstance(values, str)
+        if isinstance(values, np.ndarray):
+            several = values.ndim > 0
         clean[name] = [plain(value) for value in (values if several else [values])]
         if not clean[name]:
             raise ValueError(f"{name}: must have at least one value")
@@ -174,7 +178,7 @@ def parse_axis(text: str) -> tuple[str, list | Distribution]:
         try:
             return name, DISTRIBUTIONS[kind](*arguments)
         except TypeError:
-            raise ValueError(f"--vary {name}: {kind} takes other arguments than {inside[:-1]}") from None
+            raise ValueError(f"--vary {name}: {kind} takes other arguments than {shown(inside[:-1])}") from None
         except ValueError as error:
             raise ValueError(f"--vary {name}: {kind}: {error}") from None
     if ":" in word:

@@ -17,7 +17,7 @@ from warp_rigid.simulator import Simulator
 from warp_rigid.sweep.design import Run, address
 from warp_rigid.sweep.job import Job, Needs, build_scene, needs_of, resolve_scene
 from warp_rigid.sweep.metrics import OUTCOME, Watch, measure, metric_name
-from warp_rigid.sweep.table import FINISHED
+from warp_rigid.sweep.table import FINISHED, told
 from warp_rigid.sweep.view import View
 from warp_rigid.variation import start_each, structure
 
@@ -77,10 +77,10 @@ def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = No
     if source is None:
         raise ValueError("scene: must be given, the table does not tell where its scene is")
     demo, scene_id = resolve_scene(source)
-    if scene_id != result.about["scene"]:
-        raise ValueError(f"scene: must be that of the rows, {result.about['scene']}, got {scene_id}")
-    job = Job(demo, scene_id, result.about["fixed"], demo.duration, 1.0, (), device=device)
-    parameters = {name: row[name] for name in result.about["parameters"]}
+    if scene_id != result.about.get("scene"):
+        raise ValueError(f"scene: must be that of the rows, {result.about.get('scene')}, got {scene_id}")
+    job = Job(demo, scene_id, told(result.about, "fixed"), demo.duration, 1.0, (), device=device)
+    parameters = {name: row[name] for name in told(result.about, "parameters")}
     return prepare(job, [Run(0, row["id"], parameters, row["seed"])]).sim
 
 

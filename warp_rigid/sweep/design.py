@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import json
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,7 +64,8 @@ def make_points(
     if design in ("random", "lhs"):
         if samples is None:
             raise ValueError(f"samples: must be given for the design {design}")
-        sampled = _sampled(axes, design, whole_in("samples", samples, 1, MOST_RUNS), rng)
+        _check_runs(whole_in("samples", samples, 1, MOST_RUNS), repeats)
+        sampled = _sampled(axes, design, samples, rng)
         return [(point, repeat) for point in sampled for repeat in range(repeats)]
     if samples is not None:
         raise ValueError(f"samples: is for the designs random and lhs, not {design}; repeats repeats every point")
@@ -72,9 +74,9 @@ def make_points(
     if design == "zip" and len({len(values) for values in lists.values()}) > 1:
         told = ", ".join(f"{name} has {len(values)}" for name, values in lists.items())
         raise ValueError(f"axes: a zip needs as many values on each, but {told}")
-    rows = list(itertools.product(*lists.values()) if design == "grid" or not lists else zip(*lists.values()))  # noqa: B905
-    if len(rows) * repeats > MOST_RUNS:
-        raise ValueError(f"axes: make {len(rows) * repeats} runs, more than {MOST_RUNS}")
+    together = design == "zip" and lists
+    _check_runs(len(next(iter(lists.values()))) if together else math.prod(map(len, lists.values())), repeats)
+    rows = list(zip(*lists.values(), strict=True) if together else itertools.product(*lists.values()))
     quantiles = rng.random((len(rows), repeats, len(drawn))).tolist()
     points = []
     for row, draws in zip(rows, quantiles, strict=True):
@@ -83,6 +85,12 @@ def make_points(
             values |= {name: source.at(q) for (name, source), q in zip(drawn.items(), draw, strict=True)}
             points.append(({name: values[name] for name in axes}, repeat))
     return points
+
+
+def _check_runs(points: int, repeats: int) -> None:
+    """Refuse a design that is too large, before it is made."""
+    if points * repeats > MOST_RUNS:
+        raise ValueError(f"axes: make {points * repeats} runs, more than {MOST_RUNS}")
 
 
 def _sampled(axes: dict[str, list | Distribution], design: str, samples: int, rng: Any) -> list[dict[str, Any]]:

@@ -188,5 +188,5 @@ def _first_number(result: SweepResult) -> str:
 
 def _title(result: SweepResult) -> str:
     failed = len(result.failed)
-    scene = result.about["scene"].partition(":")[0]
+    scene = result.about.get("scene", "").partition(":")[0]
     return f"{scene}, {len(result)} runs" + (f", {failed} failed" if failed else "")

@@ -1,5 +1,6 @@
 """`wr.sweep`: the runs of a design, put into batches, run here or on a cluster, and written as they come."""
 
+import functools
 import logging
 import platform
 import subprocess
@@ -230,6 +231,7 @@ def _refuse_taken_names(runs: list[Run]) -> None:
         raise ValueError(f"axis {taken[0]}: is the name of a column of every table; rename the scene's parameter")
 
 
+@functools.cache
 def _commit() -> str | None:
     """The commit of the checkout that runs, None for an installed package."""
     folder = Path(__file__).resolve().parents[2]

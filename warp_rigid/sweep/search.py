@@ -47,7 +47,10 @@ def search(
     one_of("direction", direction, ("minimize", "maximize"))
     whole_in("trials", trials, 1, 10_000_000)
     whole_in("batch", batch, 1, 10_000_000)
+    whole_in("seed", seed, 0, 2**32 - 1)
     space = {name: _as_optuna(name, axis) for name, axis in clean_axes(axes).items()}
+    if not space:
+        raise ValueError("axes: a search needs at least one")
     if study is None:
         # Proposals of one batch know nothing of each other's results: the liar keeps them apart.
         sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True, n_startup_trials=min(batch, trials))

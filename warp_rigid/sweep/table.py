@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["BOOKKEEPING", "COLUMNS", "Book", "SweepResult", "merge", "read", "write"]
+from warp_rigid.checks import shown
+from warp_rigid.sweep.design import MOST_RUNS
+
+__all__ = ["BOOKKEEPING", "COLUMNS", "Book", "SweepResult", "merge", "read", "told", "write"]
 
 FINISHED = ("ok", "out of bounds")
 """What the status of a run that came to its end can be: one that bodies leave goes on."""
@@ -24,6 +27,15 @@ REST = 10.0
 """The file is written anew no sooner than after so many times what the last writing took."""
 
 METADATA = b"warp_rigid"
+
+TOLD: dict[str, type] = {
+    "scene": str, "fixed": dict, "duration": float, "fps": float, "metrics": list, "axes": list, "parameters": list,
+    "version": str, "design_id": str, "runs": int,
+}  # fmt: skip
+"""What must be told beside the rows."""
+
+NEEDED = {"run": int, "id": str, "seed": int, "status": str}
+"""Columns without which nothing can be done with a row."""
 
 
 class SweepResult:
@@ -254,13 +266,46 @@ def read(path: Any) -> SweepResult:
     try:
         import pyarrow.parquet
 
+        # Equal values take next to no room in a file, however many they are.
+        count = pyarrow.parquet.read_metadata(path).num_rows
+        if count > MOST_RUNS:
+            raise ValueError(f"at most {MOST_RUNS} rows can be read, not {count}")
         table = pyarrow.parquet.read_table(path)
         about = json.loads(table.schema.metadata[METADATA])
-    except (pyarrow.ArrowInvalid, KeyError, TypeError) as error:
-        raise ValueError(f"{path}: holds no rows of a sweep ({error})") from None
-    columns = {name: table.column(name).to_pylist() for name in table.column_names}
-    rows = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+        columns = {name: table.column(name).to_pylist() for name in table.column_names}
+        rows = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+        _check(about, rows)
+    except (pyarrow.ArrowException, ValueError, OSError, KeyError, TypeError, RecursionError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"{path}: holds no rows of a sweep ({reason[:300]})") from None
     return SweepResult(rows, about)
+
+
+def _check(about: Any, rows: list[dict[str, Any]]) -> None:
+    """Refuse what is no table of a sweep, though it has rows and something is told beside them."""
+    if not isinstance(about, dict):
+        raise ValueError(f"what is told beside the rows must be named, got {shown(about)}")
+    for name in TOLD.keys() & about.keys():
+        told(about, name)
+    for row in rows:
+        for name, kind in NEEDED.items():
+            if not isinstance(row.get(name), kind):
+                raise ValueError(f"{name}: must be {kind.__name__} in every row, got {shown(row.get(name))}")
+    axes = [*about.get("parameters", ()), *about.get("axes", ())]
+    missing = [name for name in axes if rows and name not in rows[0]]
+    if missing:
+        raise ValueError(f"{missing[0]}: is an axis, but no column")
+
+
+def told(about: dict[str, Any], name: str) -> Any:
+    """What is told beside the rows under a name of TOLD."""
+    value, kind = about.get(name), TOLD[name]
+    words = value if isinstance(value, list) else []
+    if not (isinstance(value, kind) and all(isinstance(word, str) for word in words)):
+        raise ValueError(f"{name}: must be told beside the rows as {kind.__name__}, got {shown(value)}")
+    return value
 
 
 def merge(paths: Sequence[Any]) -> SweepResult:
@@ -275,11 +320,13 @@ def merge(paths: Sequence[Any]) -> SweepResult:
     rows: dict[str, dict[str, Any]] = {}
     for path, part in zip(paths, parts, strict=True):
         check_same_sweep(path, part.about, parts[0].about)
-        if part.about["design_id"] != parts[0].about["design_id"]:
+        if told(part.about, "design_id") != parts[0].about["design_id"]:
             raise ValueError(f"{path}: holds a shard of another design")
         for row in part.rows:
             if rows.get(row["id"], row)["status"] not in FINISHED or row["id"] not in rows:
                 rows[row["id"]] = row
+    for name in ("scene", "runs"):
+        told(parts[0].about, name)
     about = {**parts[0].about, "shard": None, "merged": [str(path) for path in paths]}
     return SweepResult(list(rows.values()), about)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
-from warp_rigid.usd.reader import open_stage
+from warp_rigid.usd.opening import open_stage, reading
 
 __all__ = ["Problem", "check_usd"]
 
@@ -47,15 +47,16 @@ def check_usd(path) -> list[Problem]:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     stage = open_stage(path)
-    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    problems = [
-        Problem(_site(error), str(error.GetName()), error.GetMessage())
-        for error in UsdValidation.ValidationContext(validators).Validate(stage)
-    ]
-    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        for rule, check in RULES.items():
-            problems += [Problem(str(prim.GetPath()), rule, text) for text in check(prim)]
-    return problems
+    with reading(path):
+        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+        problems = [
+            Problem(_site(error), str(error.GetName()), error.GetMessage())
+            for error in UsdValidation.ValidationContext(validators).Validate(stage)
+        ]
+        for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+            for rule, check in RULES.items():
+                problems += [Problem(str(prim.GetPath()), rule, text) for text in check(prim)]
+        return problems
 
 
 def _site(error: UsdValidation.ValidationError) -> str:

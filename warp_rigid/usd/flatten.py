@@ -5,8 +5,8 @@ from pathlib import Path
 from pxr import Tf, Usd, UsdGeom
 
 from warp_rigid.usd.instancing import expand_instancers
+from warp_rigid.usd.opening import open_stage, reading
 from warp_rigid.usd.options import SUFFIXES
-from warp_rigid.usd.reader import open_stage
 
 __all__ = ["flatten_usd"]
 
@@ -32,20 +32,21 @@ def flatten_usd(source, target) -> int:
     if not source.is_file():
         raise FileNotFoundError(f"{source}: no such file")
     stage = open_stage(source)
-    # Times of a layer with another rate would be scaled to the stage's.
-    stage.GetSessionLayer().timeCodesPerSecond = stage.GetTimeCodesPerSecond()
-    stage.SetEditTarget(stage.GetSessionLayer())
-    times = sorted(
-        {
-            time
-            for prim in stage.Traverse()
-            if prim.IsA(UsdGeom.PointInstancer)
-            for attribute in prim.GetAttributes()
-            for time in attribute.GetTimeSamples()
-        }
-    )
-    moments = [Usd.TimeCode.Default(), *(Usd.TimeCode(time) for time in times)]
-    count = expand_instancers(stage.GetPseudoRoot(), moments)
+    with reading(source):
+        # Times of a layer with another rate would be scaled to the stage's.
+        stage.GetSessionLayer().timeCodesPerSecond = stage.GetTimeCodesPerSecond()
+        stage.SetEditTarget(stage.GetSessionLayer())
+        times = sorted(
+            {
+                time
+                for prim in stage.Traverse()
+                if prim.IsA(UsdGeom.PointInstancer)
+                for attribute in prim.GetAttributes()
+                for time in attribute.GetTimeSamples()
+            }
+        )
+        moments = [Usd.TimeCode.Default(), *(Usd.TimeCode(time) for time in times)]
+        count = expand_instancers(stage.GetPseudoRoot(), moments)
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         written = stage.Flatten(addSourceFileComment=False).Export(str(target))

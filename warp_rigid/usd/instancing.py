@@ -3,7 +3,12 @@
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
+from warp_rigid.usd.opening import MOST_PRIMS
+
 __all__ = ["expand_instancers"]
+
+MOST_NESTED = 100
+"""Prototypes that have instancers whose prototypes have instancers, and so on."""
 
 
 def expand_instancers(root: Usd.Prim, times: list[Usd.TimeCode]) -> int:
@@ -18,12 +23,67 @@ def expand_instancers(root: Usd.Prim, times: list[Usd.TimeCode]) -> int:
 
     Returns:
         How many instances there are now.
+
+    Raises:
+        ValueError: Arrays of an instancer do not fit each other, it is among its own prototypes, or all would be more
+            than MOST_PRIMS prims.
     """
     total = 0
     stage = root.GetStage()
-    for path in [prim.GetPath() for prim in Usd.PrimRange(root) if prim.IsA(UsdGeom.PointInstancer)]:
-        total += _expand(UsdGeom.PointInstancer(stage.GetPrimAtPath(path)), times)
+    plan = _Plan(times[0])
+    plan.size(root)
+    for path in plan.order:
+        # One below another instancer goes with it, unless it is within a prototype: then it came first.
+        if stage.GetPrimAtPath(path):
+            total += _expand(UsdGeom.PointInstancer(stage.GetPrimAtPath(path)), times)
     return total
+
+
+class _Plan:
+    """Which instancers to expand, those within prototypes first, and what that makes.
+
+    Attributes:
+        order: their paths.
+    """
+
+    def __init__(self, time: Usd.TimeCode):
+        """Nothing is planned yet."""
+        self.order: dict[Sdf.Path, None] = {}
+        self._time = time
+        self._known: dict[Sdf.Path, int] = {}
+
+    def size(self, prim: Usd.Prim, within: tuple[Sdf.Path, ...] = ()) -> int:
+        """How many prims a prim and those below it become; takes note of their instancers."""
+        path = prim.GetPath()
+        if path in within:
+            raise ValueError(f"{path}: must not be among its own prototypes")
+        if len(within) > MOST_NESTED:
+            raise ValueError(f"{path}: must have at most {MOST_NESTED} instancers within each other")
+        if path not in self._known:
+            size = 0
+            for below in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+                size += 1
+                if below.IsA(UsdGeom.PointInstancer):
+                    size += self._instances(UsdGeom.PointInstancer(below), (*within, path))
+            if size > MOST_PRIMS:
+                raise ValueError(f"{path}: must be at most {MOST_PRIMS} prims with its instances, is {size}")
+            self._known[path] = size
+        return self._known[path]
+
+    def _instances(self, instancer: UsdGeom.PointInstancer, within: tuple[Sdf.Path, ...]) -> int:
+        prim, size = instancer.GetPrim(), 0
+        prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
+        which, counts = np.unique(_indices(instancer, self._time), return_counts=True)
+        for index, count in zip(which.tolist(), counts.tolist(), strict=True):
+            prototype = prim.GetStage().GetPrimAtPath(prototypes[index]) if 0 <= index < len(prototypes) else None
+            size += count * (1 + self.size(prototype, within)) if prototype else 0
+        if not prim.IsInstanceProxy():
+            self.order[prim.GetPath()] = None
+        return size
+
+
+def _indices(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode) -> np.ndarray:
+    return np.array(instancer.GetProtoIndicesAttr().Get(time) or [], dtype=np.int64)
 
 
 def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int:
@@ -32,7 +92,7 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
     layer = stage.GetEditTarget().GetLayer()
     prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
     moments = [_transforms(instancer, time) for time in times]
-    indices = np.array(instancer.GetProtoIndicesAttr().Get(times[0]) or [], dtype=np.int64)
+    indices = _indices(instancer, times[0])
     if any(len(moment) != len(indices) for moment in moments):
         raise ValueError(f"{prim.GetPath()}: the number of its instances changes over time, or its arrays differ")
     if len(indices) and not (0 <= indices.min() and indices.max() < len(prototypes)):

@@ -35,10 +35,12 @@ def import_usd(path, root: str | None = None, *, strict: bool = False, sdf_resol
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
 
+    from warp_rigid.usd.opening import reading
     from warp_rigid.usd.reader import Reader
 
-    reader = Reader(path, root, sdf_resolution)
-    scene = reader.scene()
+    with reading(path):
+        reader = Reader(path, root, sdf_resolution)
+        scene = reader.scene()
     scene.import_report = ImportReport(str(path), tuple(reader.findings))
     lost = len(scene.import_report.left_out)
     if strict and reader.findings:
@@ -61,7 +63,7 @@ def film_duration(path) -> float:
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
 
-    from warp_rigid.usd.reader import open_stage
+    from warp_rigid.usd.opening import open_stage
 
     stage = open_stage(path)
     return (stage.GetEndTimeCode() - stage.GetStartTimeCode()) / stage.GetTimeCodesPerSecond()

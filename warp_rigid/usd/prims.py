@@ -4,12 +4,12 @@ import numpy as np
 from pxr import Usd, UsdGeom
 
 from warp_rigid import tessellation
-from warp_rigid.checks import whole_in
+from warp_rigid.checks import one_of, whole_in
 from warp_rigid.mesh_files import usd_triangles
 from warp_rigid.shapes import Box, Capsule, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.usd.geometry import MARK, quaternion_of_matrix
 
-__all__ = ["Unreadable", "marked", "matrix_of", "place", "triangles_of"]
+__all__ = ["Unreadable", "marked", "matrix_of", "place", "told_array", "triangles_of"]
 
 EVEN = 1e-5
 """Scales that differ by less count as equal, relative."""
@@ -26,9 +26,29 @@ def marked(prim: Usd.Prim) -> dict:
     return found if isinstance(found, dict) else {}
 
 
+def told_array(told: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Numbers of what `marked` found.
+
+    Raises:
+        Unreadable: They are none, or not of this shape; one length may be -1.
+    """
+    try:
+        return np.array(told[name], dtype=np.float64).reshape(shape)
+    except (KeyError, TypeError, ValueError):
+        lengths = " x ".join("n" if length < 0 else str(length) for length in shape)
+        raise Unreadable(f"{name}: must be {lengths} numbers in the custom data of {MARK}") from None
+
+
 def matrix_of(transform) -> np.ndarray:
-    """A USD matrix as `matrix @ column`, (4, 4)."""
-    return np.array(transform).T
+    """A USD matrix as `matrix @ column`, (4, 4).
+
+    Raises:
+        Unreadable: It holds what is not finite.
+    """
+    matrix = np.array(transform).T
+    if not np.isfinite(matrix).all():
+        raise Unreadable("transform: must be finite numbers")
+    return matrix
 
 
 def place(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[str]):
@@ -104,7 +124,7 @@ def _turn_to_z(prim: Usd.Prim) -> np.ndarray:
     """Rotation from a frame whose z is the prim's axis into the prim's frame."""
     axis = prim.GetAttribute("axis").Get() if prim.HasAttribute("axis") else "Z"
     # Cyclic, so that a cylinder's x and y need no mirror: columns are the new axes.
-    return np.roll(np.eye(3), {"X": 1, "Y": 2, "Z": 0}[str(axis)], axis=0)
+    return np.roll(np.eye(3), "ZXY".index(one_of("axis", axis, ("X", "Y", "Z"))), axis=0)
 
 
 def _scaled(prim: Usd.Prim, scale: np.ndarray) -> Shape | None:
@@ -135,18 +155,21 @@ def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[s
     """A mesh collider, or what its approximation asks for where that is a simple shape."""
     vertices, faces = usd_triangles(UsdGeom.Mesh(prim))
     told = marked(prim)
-    if "heightfieldRows" in told:
-        heights = vertices[:, 2].reshape(told["heightfieldRows"], told["heightfieldColumns"])
-        if np.array_equal(matrix, np.eye(4)):
-            return Heightfield(*_field(told, heights, np.ptp(vertices[:, :2], axis=0)))
+    if "heightfieldRows" in told and np.array_equal(matrix, np.eye(4)):
+        rows, columns = (whole_in(name, told.get(name), 2, 2**31) for name in ("heightfieldRows", "heightfieldColumns"))
+        if rows * columns != len(vertices):
+            raise Unreadable(
+                f"heightfieldRows: times heightfieldColumns must be the {len(vertices)} points of the mesh"
+            )
+        return Heightfield(*_field(told, vertices[:, 2].reshape(rows, columns), np.ptp(vertices[:, :2], axis=0)))
     if not len(faces):
         raise Unreadable("the mesh has no triangles")
     attribute = prim.GetAttribute("physics:approximation")
     approximation = str(attribute.Get()) if attribute and attribute.HasAuthoredValue() else "none"
     if approximation not in ("none", "sdf"):
         notes.append(f"approximation {approximation} is not needed: the mesh itself collides")
-    if told:
-        return _solid(vertices, faces, matrix, int(told["sdfResolution"]), [])
+    if "sdfResolution" in told:
+        return _solid(vertices, faces, matrix, told["sdfResolution"], [])
     return _solid(vertices, faces, matrix, _resolution(prim, vertices, matrix, sdf_resolution, notes), notes)
 
 
@@ -155,9 +178,10 @@ def _field(told: dict, heights: np.ndarray, size: np.ndarray) -> tuple:
     if "heightfieldFrequency" not in told:
         return heights, size, None
     mean, amplitude, phase = (
-        np.array(told[f"heightfield{name}"]).reshape(heights.shape) for name in ("Heights", "Amplitude", "Phase")
+        told_array(told, f"heightfield{name}", heights.shape) for name in ("Heights", "Amplitude", "Phase")
     )
-    return mean, np.array(told["heightfieldSize"]), HarmonicMotion(amplitude, told["heightfieldFrequency"], phase)
+    motion = HarmonicMotion(amplitude, told["heightfieldFrequency"], phase)
+    return mean, told_array(told, "heightfieldSize", (2,)), motion
 
 
 def _resolution(prim: Usd.Prim, vertices, matrix, otherwise: int, notes: list[str]) -> int:
@@ -173,7 +197,7 @@ def _resolution(prim: Usd.Prim, vertices, matrix, otherwise: int, notes: list[st
         longest = float(np.ptp(vertices @ matrix[:3, :3].T, axis=0).max())
         return int(np.clip(np.ceil(longest / (voxel.Get() * scale)), 8, 512))
     if resolution and resolution.HasAuthoredValue():
-        return whole_in(f"{prim.GetPath()} newton:sdfMaxResolution", resolution.Get(), 8, 512)
+        return whole_in("newton:sdfMaxResolution", resolution.Get(), 8, 512)
     return otherwise
 
 

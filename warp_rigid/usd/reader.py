@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from warp_rigid.fields import PointField, UniformField
 from warp_rigid.geometry import quaternion_matrix
@@ -15,10 +15,11 @@ from warp_rigid.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
-from warp_rigid.usd.prims import Unreadable, marked, matrix_of, place
+from warp_rigid.usd.opening import open_stage
+from warp_rigid.usd.prims import Unreadable, marked, matrix_of, place, told_array
 from warp_rigid.usd.report import Finding
 
-__all__ = ["Reader", "open_stage"]
+__all__ = ["Reader"]
 
 WATER = 1000.0
 """Density where a file gives neither mass nor density, as UsdPhysics has it [kg/m^3]."""
@@ -40,19 +41,6 @@ SCHEMAS = {
 }  # fmt: skip
 FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 """Applied schemas whose names begin so are about physics."""
-
-
-def open_stage(path: Path) -> Usd.Stage:
-    """Open a file.
-
-    Raises:
-        ValueError: It is no USD file.
-    """
-    try:
-        return Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise ValueError(f"{path}: not a readable USD file: {reason}") from None
 
 
 @dataclass
@@ -97,6 +85,8 @@ class Reader:
         self.path, self.findings = path, []
         self._sdf_resolution = sdf_resolution
         self._stage = open_stage(path)
+        for error in self._stage.GetCompositionErrors():
+            self._leave_out(error.rootSite.path, " ".join(str(error).split()))
         self._stage.SetEditTarget(self._stage.GetSessionLayer())
         if root is not None and not (Sdf.Path.IsValidPathString(root) and self._stage.GetPrimAtPath(root)):
             raise ValueError(f"root: {path} has no prim {root}")
@@ -170,12 +160,14 @@ class Reader:
             friction_combine=told.get("frictionCombine", "min"),
             restitution_combine=told.get("restitutionCombine", "min"),
         )
-        for center, strength in zip(
-            told.get("pointFieldCenters", ()), told.get("pointFieldStrengths", ()), strict=True
-        ):
-            scene.add_force_field(PointField(tuple(center), strength))
-        for acceleration in told.get("uniformFields", ()):
-            scene.add_force_field(UniformField(tuple(acceleration)))
+        if "pointFieldCenters" in told:
+            centers = told_array(told, "pointFieldCenters", (-1, 3))
+            strengths = told_array(told, "pointFieldStrengths", (len(centers),))
+            for center, strength in zip(centers, strengths, strict=True):
+                scene.add_force_field(PointField(tuple(center), strength))
+        if "uniformFields" in told:
+            for acceleration in told_array(told, "uniformFields", (-1, 3)):
+                scene.add_force_field(UniformField(tuple(acceleration)))
         return scene
 
     @staticmethod
@@ -220,7 +212,11 @@ class Reader:
 
     def _add(self, scene: Scene, body: _Body) -> None:
         """Add one body, or several where statics that cannot be joined share a prim."""
-        position, rotation, stretch = self._frame(body.prim)
+        try:
+            position, rotation, stretch = self._frame(body.prim)
+        except Unreadable as error:
+            self._leave_out(body.prim.GetPath(), str(error))
+            return
         found = [collider for prim in body.colliders if (collider := self._collider(prim, body, stretch))]
         if not found:
             reason = "none of its colliders can be taken over" if body.colliders else "it has no enabled collider"
@@ -287,13 +283,13 @@ class Reader:
     def _collider(self, prim: Usd.Prim, body: _Body, stretch: np.ndarray) -> _Collider | None:
         """One collider in its body's frame; None, and a finding, where it cannot be taken over."""
         matrix = np.eye(4)
-        if prim != body.prim:
-            matrix = matrix_of(self._places.ComputeRelativeTransform(prim, body.prim)[0])
-        matrix[:3] = stretch @ matrix[:3]
         notes: list[str] = []
         try:
+            if prim != body.prim:
+                matrix = matrix_of(self._places.ComputeRelativeTransform(prim, body.prim)[0])
+            matrix[:3] = stretch @ matrix[:3]
             shape, position, orientation = place(prim, matrix, self._sdf_resolution, notes)
-        except Unreadable as error:
+        except ValueError as error:
             self._leave_out(prim.GetPath(), str(error))
             return None
         for note in notes:
