@@ -12,7 +12,18 @@ before the next group; a lane keeps the two bodies of its pair at hand while it 
 import warp as wp
 
 from warp_rigid.kernels.arithmetic import inverse_root, quotient, root
-from warp_rigid.kernels.data import COLORS, ContactRecord, Contacts, Environments, Graph, Motions, Order, PairRecord
+from warp_rigid.kernels.data import (
+    COLORS,
+    SHOCK_ONE_PASS,
+    SHOCK_TWO_PASS,
+    ContactRecord,
+    Contacts,
+    Environments,
+    Graph,
+    Motions,
+    Order,
+    PairRecord,
+)
 from warp_rigid.kernels.packed import (
     IMPULSE,
     REACTION,
@@ -35,6 +46,9 @@ wp.set_module_options({"enable_backward": False})
 
 SETTLED = wp.constant(1.0e-6)
 """Contacts are solved when no visit changes a velocity by more than this [m/s]."""
+
+ONE_PASS = wp.constant(SHOCK_ONE_PASS)
+TWO_PASS = wp.constant(SHOCK_TWO_PASS)
 
 IN_TURN = wp.constant(COLORS - 1)
 """The colour of pairs that have to be solved one after another."""
@@ -253,6 +267,7 @@ def warm_start(
 @wp.kernel
 def sweep_contacts(
     after_shock: int,
+    layered: int,
     lanes: int,
     bodies_per_env: int,
     envs: Environments,
@@ -261,14 +276,20 @@ def sweep_contacts(
     motions: Motions,
     contacts: Contacts,
 ):
-    """A team an environment: half the contact iterations, before or after shock propagation, from the ground up.
+    """A team an environment: half of the contact iterations, before or after the two passes of shock propagation.
 
-    They end early when a sweep changes nothing; what is settled before shock propagation needs none.
+    A single pass comes after all of them, as in 2003: what it has frozen is not to be moved again, and sweeps prepare
+    it best from the ground up. Each order does its environments. Sweeps end early when one changes nothing; what is
+    settled before shock propagation needs none.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
+    if (envs.shock_propagation[env] == ONE_PASS) != (layered == 1):
+        return
     rows = env * (bodies_per_env + 2)
-    left = (envs.contact_iterations[env] + 1 - after_shock) / 2
+    left = envs.contact_iterations[env] * (1 - after_shock)
+    if envs.shock_propagation[env] == TWO_PASS:
+        left = (envs.contact_iterations[env] + 1 - after_shock) / 2
     if after_shock == 1:
         left = left * (1 - graph.settled[env])
     settled = int(0)

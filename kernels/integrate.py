@@ -177,7 +177,9 @@ def move(dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs:
     """One thread a body: position and orientation follow the velocity and the push-out; angular momentum is kept.
 
     The rotation is done in float64, and what rounding leaves over is kept for the next step: it would otherwise be what
-    changes the angular momentum. A fast body moves a share of the step only where it would pass into another one.
+    changes the angular momentum. The spin turns along with the push-out, which so leaves the energy as it is: a thin
+    rod's spin about its axis would be a wild one about another. A fast body moves a share of the step only where it
+    would pass into another one.
     """
     b = wp.tid()
     moves = motions.role[b] == FREE or motions.role[b] == DRIVEN
@@ -187,10 +189,13 @@ def move(dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs:
     step = wp.float64(dt * motions.next_share[b])
     turn = precise(state.orientation[b], state.turn_rest[b])
     spin = wp.vec3d(motions.movers[b].angular) + wp.vec3d(state.spin_rest[b])
+    push_turn = step * wp.vec3d(motions.movers[b].push_angular)
     kept = rotate_by(turn, step * spin)
     if bodies.motion[b] == DYNAMIC:
         kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
-    after = rotate_by(kept, step * wp.vec3d(motions.movers[b].push_angular))
+    push = rotate_by(wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0)), push_turn)
+    after = wp.normalize(push * kept)
+    spin = wp.quat_rotate(push, spin)
     state.angular_velocity[b] = wp.vec3(spin)
     state.spin_rest[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
     travel = step * wp.vec3d(motions.movers[b].linear + motions.movers[b].push_linear)

@@ -10,6 +10,7 @@ import warp as wp
 
 from warp_rigid.kernels.arithmetic import quotient
 from warp_rigid.kernels.data import (
+    SHOCK_OFF,
     Bodies,
     ContactRecord,
     Contacts,
@@ -43,6 +44,8 @@ from warp_rigid.kernels.packed import (
 from warp_rigid.kernels.team import any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
+
+OFF = wp.constant(SHOCK_OFF)
 
 LEVEL_ITERATIONS = wp.constant(6)
 
@@ -168,6 +171,7 @@ def find_overlaps(
 
 @wp.kernel
 def push_apart(
+    layered: int,
     lanes: int,
     bodies_per_env: int,
     envs: Environments,
@@ -176,12 +180,15 @@ def push_apart(
     motions: Motions,
     contacts: Contacts,
 ):
-    """A team an environment: separate level by level, each against the frozen level below."""
+    """A team an environment: separate level by level, each against the frozen level below.
+
+    Without shock propagation all pairs are done at once, and none is frozen: each order does its environments.
+    """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if graph.overlapping[env] == 0:
+    if graph.overlapping[env] == 0 or (envs.shock_propagation[env] == OFF) == (layered == 1):
         return
-    for level in range(1, order.level_count[env] + 1):
+    for level in range(layered, order.level_count[env] + 1):
         row = env * (bodies_per_env + 2) + level
         left = int(LEVEL_ITERATIONS)
         while left > 0:

@@ -315,10 +315,15 @@ class Stages:
     def solve_contacts(self) -> None:
         """Contact impulses: warm start, sweeps, shock propagation, sweeps."""
         self._color_by_color(impulses.warm_start)
-        self._color_by_color(impulses.sweep_contacts, [0])
+        self.sweep_contacts(after_shock=0)
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
-        self._color_by_color(impulses.sweep_contacts, [1])
+        self.sweep_contacts(after_shock=1)
+
+    def sweep_contacts(self, after_shock: int) -> None:
+        """Sweeps over all contacts: colour by colour, or from the ground up before a single pass."""
+        self._color_by_color(impulses.sweep_contacts, [after_shock, 0])
+        self._level_by_level(impulses.sweep_contacts, [after_shock, 1])
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
@@ -336,7 +341,8 @@ class Stages:
             [self.dt, self.teams.color, self.num_bodies, model.shapes, model.bodies, self.envs, pools.pairs],
             [self.motions, pools.graph, pools.contacts],
         )
-        self._level_by_level(push_out.push_apart)
+        self._color_by_color(push_out.push_apart, [0])
+        self._level_by_level(push_out.push_apart, [1])
 
     def follow(self) -> None:
         """Find how far fast bodies can move before they would pass into others."""
