@@ -1,8 +1,9 @@
 """What an order that never changes costs; `python -m benchmarks.price_of_determinism --devices cpu cuda:0`.
 
 The simulator lists pairs by counting, summing up and searching again, where one search that appends to a list by an
-atomic counter would do; and its line search adds up each island's parts in the order of the pairs, by one lane, where
-all lanes could add by float atomics. Both ways are timed here on the same boxes, apart from the simulator.
+atomic counter would do; and its line search adds up each island's parts as whole multiples of a small part of the
+largest one, which it has to find first, where floats could be added. Both ways are timed here on the same boxes, apart
+from the simulator.
 """
 
 import argparse
@@ -15,8 +16,7 @@ import warp as wp
 
 import warp_rigid as wr
 from warp_rigid.bench.scenes import Case
-from warp_rigid.kernels.team import BLOCK
-from warp_rigid.stages import GRID_CELLS, TRY_ALL_UP_TO, team_size
+from warp_rigid.stages import GRID_CELLS, TRY_ALL_UP_TO
 from warp_rigid.terminal import start_warp
 
 wp.set_module_options({"enable_backward": False})
@@ -28,6 +28,11 @@ SIZES = ((4096, 10), (1, 100_000))
 
 PITCH, REACH = 0.2, 0.101
 """Distance of neighbouring boxes, and half the width of what each may reach within a step [m]."""
+
+FINE = wp.constant(wp.float64(2.0**40))
+
+WARP, MANY = 32, 4096
+"""Threads that add up the parts of a small environment and of a large one on a GPU."""
 
 REPEATS, ROUNDS = 5, 5
 """Times that something is done in a graph, and graphs of which the quickest counts."""
@@ -114,20 +119,43 @@ def look_around(
 
 
 @wp.kernel
-def add_in_order(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], total: wp.array[wp.vec2]):
-    """A team an environment: one of its lanes adds up all parts, as for one island."""
+def find_largest(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], largest: wp.array[float]):
+    """Some threads an environment: the largest part, for which order does not matter."""
     env = wp.tid() / lanes
-    for k in range(begin[env], begin[env + 1]):
-        if env % lanes == wp.tid() % lanes:
-            total[env] = total[env] + part[k]
+    found = float(1.0e-30)
+    for k in range(begin[env] + wp.tid() % lanes, begin[env + 1], lanes):
+        found = wp.max(found, wp.max(wp.abs(part[k][0]), wp.abs(part[k][1])))
+    wp.atomic_max(largest, env, found)
 
 
 @wp.kernel
-def add_atomically(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], total: wp.array[wp.vec2]):
-    """A team an environment: all lanes add parts."""
+def add_multiples(
+    lanes: int,
+    begin: wp.array[int],
+    part: wp.array[wp.vec2],
+    largest: wp.array[float],
+    total: wp.array2d[wp.int64],
+):
+    """Some threads an environment: the parts as whole multiples of a 2^40th of the largest."""
     env = wp.tid() / lanes
+    scale = FINE / wp.float64(largest[env])
+    first = wp.int64(0)
+    second = wp.int64(0)
     for k in range(begin[env] + wp.tid() % lanes, begin[env + 1], lanes):
-        wp.atomic_add(total, env, part[k])
+        first += wp.int64(scale * wp.float64(part[k][0]))
+        second += wp.int64(scale * wp.float64(part[k][1]))
+    wp.atomic_add(total, env, 0, first)
+    wp.atomic_add(total, env, 1, second)
+
+
+@wp.kernel
+def add_floats(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], total: wp.array[wp.vec2]):
+    """Some threads an environment: the parts as they are."""
+    env = wp.tid() / lanes
+    found = wp.vec2(0.0, 0.0)
+    for k in range(begin[env] + wp.tid() % lanes, begin[env + 1], lanes):
+        found += part[k]
+    wp.atomic_add(total, env, found)
 
 
 def lattice(envs: int, per_env: int, device: Any) -> Boxes:
@@ -225,21 +253,32 @@ def price_of_sums(boxes: Boxes, envs: int) -> Price:
     list_in_order(boxes)
     begin = boxes.start.numpy()[:: boxes.per_env].copy()
     values = np.random.default_rng(0).normal(size=(begin[-1], 2)).astype(np.float32)
-    lanes = team_size(device, envs, boxes.per_env)
-    part, total = wp.array(values, dtype=wp.vec2, device=device), wp.zeros(envs, dtype=wp.vec2, device=device)
-    inputs = [lanes, wp.array(begin, dtype=int, device=device), part]
+    lanes = 1 if device.is_cpu else WARP if boxes.per_env <= TRY_ALL_UP_TO else MANY
+    part = wp.array(values, dtype=wp.vec2, device=device)
+    shared = {"dim": envs * lanes, "inputs": [lanes, wp.array(begin, dtype=int, device=device), part], "device": device}
+    largest = wp.zeros(envs, dtype=float, device=device)
+    multiples, floats = wp.zeros((envs, 2), dtype=wp.int64, device=device), wp.zeros(envs, wp.vec2, device=device)
 
-    def add(kernel: Any) -> None:
-        total.zero_()
-        wp.launch(kernel, dim=envs * lanes, inputs=inputs, outputs=[total], block_dim=BLOCK, device=device)
+    def in_order() -> None:
+        largest.zero_()
+        multiples.zero_()
+        wp.launch(find_largest, **shared, outputs=[largest])
+        wp.launch(add_multiples, **shared, outputs=[largest, multiples])
+
+    def freely() -> None:
+        floats.zero_()
+        wp.launch(add_floats, **shared, outputs=[floats])
 
     totals = []
-    for kernel in (add_in_order, add_in_order, add_atomically, add_atomically):
-        add(kernel)
-        totals.append(total.numpy().copy())
+    for work, total in ((in_order, multiples), (in_order, multiples), (freely, floats), (freely, floats)):
+        work()
+        totals.append(total.numpy().astype(np.float64))
     assert (totals[0] == totals[1]).all()
-    np.testing.assert_allclose(totals[2], totals[0], atol=1e-5 * np.abs(values).sum() / envs)
-    times = [seconds(lambda kernel=kernel: add(kernel), device) for kernel in (add_in_order, add_atomically)]
+    exact = np.add.reduceat(values.astype(np.float64), begin[:-1])
+    fine = largest.numpy()[:, None] / 2.0**40
+    assert (np.abs(fine * totals[0] - exact) <= fine * np.diff(begin)[:, None]).all()
+    np.testing.assert_allclose(totals[2], exact, atol=1e-5 * np.abs(values).sum() / envs)
+    times = [seconds(work, device) for work in (in_order, freely)]
     return Price("sums of the line search", *times, envs, int((totals[2] != totals[3]).any(axis=1).sum()))
 
 
