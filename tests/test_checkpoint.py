@@ -11,7 +11,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.oracles import random_pile, rotate_about
-from warp_rigid import archive, meshes
+from warp_rigid import meshes, outputs
 from warp_rigid.kernels.narrowphase import BY_CENTER
 from warp_rigid.scene_data import scene_from_data, scene_to_data
 from warp_rigid.simulator import Simulator
@@ -315,7 +315,7 @@ def test_a_full_disk_leaves_the_older_file_whole(saved, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(archive.os, "fsync", full)
+    monkeypatch.setattr(outputs.os, "fsync", full)
     with pytest.raises(OSError, match="No space left on device") as error:
         sim.save(path)
     assert error.value.filename == str(path)

@@ -1,7 +1,9 @@
 """`doctor` and `warmup`, and machines that lack something: no device, no room, no place to write."""
 
+import contextlib
 import json
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -180,7 +182,7 @@ def test_a_full_disk_is_one_line(capsys, tmp_path, monkeypatch):
     """/dev/full takes a file's opening and refuses every byte."""
     if not os.path.exists("/dev/full"):
         pytest.skip("this system has no /dev/full")
-    os.symlink("/dev/full", tmp_path / "a.ckpt.tmp")
+    os.symlink("/dev/full", tmp_path / ".a.tmp.ckpt")
     arguments = [
         "--frames",
         "1",
@@ -194,6 +196,73 @@ def test_a_full_disk_is_one_line(capsys, tmp_path, monkeypatch):
     status, _, err = run(capsys, "run", "incline", *arguments)
     assert status == 2
     assert err.splitlines()[-1] == f"warp-rigid: {tmp_path / 'a.ckpt'}: No space left on device"
+
+
+@pytest.fixture
+def full_disk():
+    """Files of this process end at 1000 bytes, as they do on a disk that becomes full while they are written."""
+
+    @contextlib.contextmanager
+    def full():
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return full
+
+
+@pytest.mark.parametrize(
+    ("name", "flags"),
+    [
+        ("a.glb", ["-o"]),
+        ("a.png", ["--picture"]),
+        ("b.png", ["--contact-sheet"]),
+        ("a.gif", ["--film"]),
+        ("a.mp4", ["--film"]),
+        ("a.html", ["--html"]),
+        ("a.ckpt", ["--checkpoint-every", "1", "--checkpoint"]),
+        ("a.usdc", ["-o"]),
+        ("a.usda", ["-o"]),
+    ],
+)
+def test_a_disk_that_becomes_full_leaves_the_old_file(capsys, tmp_path, full_disk, name, flags):
+    """One line names the file. A USD film alone is written as it comes: of the old one nothing is left."""
+    path = tmp_path / name
+    arguments = ["run", "incline", "--frames", "2", "--device", "cpu", *flags, str(path)]
+    assert run(capsys, *arguments)[0] == 0
+    before = path.read_bytes()
+    with full_disk():
+        status, out, err = run(capsys, *arguments)
+    assert status == 2 and "wrote" not in out
+    assert err.splitlines()[-1].startswith(f"warp-rigid: {path}: ")
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+    assert path.read_bytes() == before or name.startswith("a.usd")
+
+
+def test_a_disk_that_becomes_full_leaves_the_old_table(capsys, tmp_path, full_disk):
+    arguments = ["sweep", "incline", "--vary", "friction=0.1,0.2", "--duration", "0.01", "--overwrite"]
+    outputs = ["-o", str(tmp_path / "t.parquet"), "--plot", str(tmp_path / "t.svg")]
+    assert run(capsys, *arguments, *outputs)[0] == 0
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    with full_disk():
+        for output in (outputs[:2], outputs[2:]):
+            status, _, err = run(capsys, *arguments, *output)
+            assert status == 2 and err.splitlines()[-1] == f"warp-rigid: {output[1]}: File too large"
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_a_home_without_room_for_kernels_is_one_line():
+    """Nothing is set: Warp would keep its kernels below a home that cannot be written."""
+    places = ("WARP_CACHE_PATH", "XDG_CACHE_HOME", "HOME")
+    environment = {name: value for name, value in os.environ.items() if name not in places}
+    command = [sys.executable, "-m", "warp_rigid.cli", "run", "incline"]
+    environment["HOME"] = "/proc/nowhere"
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2 and done.stdout == ""
+    assert "WARP_CACHE_PATH must name a folder that can be written" in done.stderr.splitlines()[-1]
 
 
 def test_caches_have_a_place_on_every_system(monkeypatch):

@@ -6,15 +6,15 @@ so is a member that claims more bytes than it has.
 
 import json
 import math
-import os
 import struct
 import tokenize
 import zipfile
 import zlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from warp_rigid.outputs import whole_file
 
 HEADER = "header"
 """Member that holds the JSON text, as bytes."""
@@ -47,20 +47,10 @@ def save(
     Raises:
         OSError: it cannot be written; an old file is as it was.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"kind": kind, "version": version, **header}).encode()
-    partial = path.with_name(path.name + ".tmp")
     write: Any = np.savez_compressed if compress else np.savez
-    try:
-        with partial.open("wb") as stream:
-            write(stream, **{HEADER: np.frombuffer(text, np.uint8)}, **arrays)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from None
+    with whole_file(path) as beside, beside.open("wb") as stream:
+        write(stream, **{HEADER: np.frombuffer(text, np.uint8)}, **arrays)
 
 
 def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -13,6 +13,7 @@ from warp_rigid.appearance import (
     environment_offsets,
     environment_spacing,
 )
+from warp_rigid.outputs import whole_file
 from warp_rigid.recording import Recording, Surface
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ def export_gltf(recording: Recording, path, envs=None) -> None:
                 file.animate(node, "translation", time, file.numbers(places, "VEC3"))
             if (turns != turns[0]).any():
                 file.animate(node, "rotation", time, file.numbers(turns, "VEC4"))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    file.save(path)
+    with whole_file(path) as beside:
+        file.save(beside)
 
 
 class _Assembly:

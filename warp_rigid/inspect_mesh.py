@@ -1,11 +1,11 @@
 """Inspecting a mesh as the simulator will see it: solid, samples and signed distance grid."""
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from warp_rigid.outputs import whole_file
 from warp_rigid.sampling import SampleKind
 from warp_rigid.shapes import Mesh
 
@@ -115,8 +115,8 @@ def save_slice(mesh: Mesh, path, axis: int, place: float) -> None:
     u, v, _, gradient = plane(ARROWS)
     axes.quiver(u, v, gradient[..., across], gradient[..., up], color="#303030", width=0.0022)
     figure.colorbar(colors, ax=axes, shrink=0.8, label="signed distance [m], negative inside")
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format="png")
+    with whole_file(path) as beside:
+        figure.savefig(beside, format="png")
 
 
 def _distances_near_surface(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:

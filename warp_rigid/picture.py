@@ -1,13 +1,15 @@
 """Pictures of a film: one frame, a contact sheet, or an animated GIF or MP4, made without a screen."""
 
+import errno
+import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 from warp_rigid.appearance import bound_corners, rotate
 from warp_rigid.film import Film
+from warp_rigid.outputs import whole_file
 from warp_rigid.raycast import Camera, RayCaster
 
 __all__ = ["fit_camera", "points_to_see", "save_contact_sheet", "save_film", "save_picture"]
@@ -87,8 +89,8 @@ def save_film(film: Film, path, width: int = 480, height: int = 360) -> None:
     Raises:
         ModuleNotFoundError: Pillow, or for .mp4 imageio-ffmpeg, is not installed.
     """
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    (_save_mp4 if str(path).endswith(".mp4") else _save_gif)(film, path, width, height)
+    with whole_file(path) as beside:
+        (_save_mp4 if str(path).endswith(".mp4") else _save_gif)(film, beside, width, height)
 
 
 def _save_gif(film: Film, path, width: int, height: int) -> None:
@@ -115,10 +117,17 @@ def _save_mp4(film: Film, path, width: int, height: int) -> None:
         str(path), first.size, fps=film.fps / stride, codec="libx264", quality=7, macro_block_size=2
     )
     writer.send(None)
-    writer.send(np.ascontiguousarray(first))
-    for image in images:
+    for image in itertools.chain([first], images):
         writer.send(np.ascontiguousarray(image))
     writer.close()
+    # The writer says nothing of an ffmpeg that could not write what it was sent.
+    try:
+        written, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+    except RuntimeError:
+        written = 0
+    wanted = len(range(0, film.num_frames, stride))
+    if written != wanted:
+        raise OSError(errno.EIO, f"only {written} of {wanted} frames could be written; is the disk full?")
 
 
 def _frames(film: Film, stride: int, width: int, height: int):
@@ -262,8 +271,8 @@ def _tiled(images: list, columns: int):
 
 
 def _save(image, path, **options) -> None:
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    image.save(path, **options)
+    with whole_file(path) as beside:
+        image.save(beside, **options)
 
 
 def _round_length(length: float) -> float:

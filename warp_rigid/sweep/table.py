@@ -1,7 +1,6 @@
 """Tables of results: rows in memory, Parquet files that survive a kill, and what is told beside them."""
 
 import json
-import os
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
+from warp_rigid.outputs import whole_file
 from warp_rigid.sweep.design import MOST_RUNS
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "Book", "SweepResult", "merge", "read", "told", "write"]
@@ -171,9 +171,6 @@ class Book:
             self._take_up()
         elif self.path.exists() and not overwrite:
             raise ValueError(f"{self.path}: exists already; resume it, overwrite it or choose another name")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        for left_by_a_kill in self.path.parent.glob(f".{self.path.name}*.tmp"):
-            left_by_a_kill.unlink(missing_ok=True)
 
     def keep(self, ids: Iterable[str]) -> None:
         """Refuse rows that the design does not ask for.
@@ -240,16 +237,11 @@ def write(result: SweepResult, path: Any, tell: bool = True) -> None:
     path = Path(path)
     about = json.dumps(result.about, default=str)
     table = result.to_arrow().replace_schema_metadata({METADATA: about.encode()})
-    path.parent.mkdir(parents=True, exist_ok=True)
-
-    def put(file: Any) -> None:
+    with whole_file(path) as beside, beside.open("wb") as file:
         pyarrow.parquet.write_table(table, file, compression="zstd")
-
-    _replace(path, put)
-    if not tell:
-        return
-    pretty = json.dumps(result.about, default=str, indent=2) + "\n"
-    _replace(path.with_name(path.name + ".json"), lambda file: file.write(pretty.encode()))
+    if tell:
+        with whole_file(path.with_name(path.name + ".json")) as beside:
+            beside.write_text(json.dumps(result.about, default=str, indent=2) + "\n")
 
 
 def read(path: Any) -> SweepResult:
@@ -329,19 +321,6 @@ def merge(paths: Sequence[Any]) -> SweepResult:
         told(parts[0].about, name)
     about = {**parts[0].about, "shard": None, "merged": [str(path) for path in paths]}
     return SweepResult(list(rows.values()), about)
-
-
-def _replace(path: Path, put: Any) -> None:
-    """Write a file beside `path`, make sure it is on the disk, and let it take the place of `path`."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with beside.open("wb") as file:
-            put(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _arrow_column(name: str, values: list) -> Any:

@@ -2,11 +2,11 @@
 
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 
 from warp_rigid.film import Film, film_from_recording, film_from_usd
+from warp_rigid.outputs import whole_file
 from warp_rigid.recording import Recording
 from warp_rigid.viewer.instances import Instances
 from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
@@ -156,7 +156,7 @@ def save_html(film: Film, path, fast: bool = False) -> None:
         for frame in range(0, film.num_frames, stride):
             instances.show(film, frame)
             page.insert_sleep(stride / film.fps)
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        Path(path).write_text(page.as_html(), encoding="utf-8")
+        with whole_file(path) as beside:
+            beside.write_text(page.as_html(), encoding="utf-8")
     finally:
         stop_server(server)
