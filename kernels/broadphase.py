@@ -17,6 +17,7 @@ from warp_rigid.kernels.data import (
     ROLE_DRIVEN,
     ROLE_FREE,
     Bodies,
+    Cells,
     Environments,
     History,
     Motions,
@@ -91,12 +92,12 @@ def carry_dormant(i: int, found: int, write: int, motions: Motions, history: His
 
 @wp.func
 def visit_wide(
-    i: int, first: int, found: int, write: int, wide: wp.array[int], bodies: Bodies, motions: Motions, pairs: Pairs
+    i: int, first: int, found: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs
 ):
     """Visit the pairs of body i with the wide bodies of its environment, each pair of wide ones once."""
     total = int(found)
-    for w in range(wide.shape[0]):
-        j = first + wide[w]
+    for w in range(cells.large.shape[0]):
+        j = first + cells.large[w]
         both_wide = bodies.wide[i] == 1
         if i != j and not (both_wide and j < i) and may_meet(motions.role[i], motions.role[j]):
             total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
@@ -104,11 +105,11 @@ def visit_wide(
 
 
 @wp.func
-def visit_small(i: int, first: int, write: int, small: wp.array[int], bodies: Bodies, motions: Motions, pairs: Pairs):
+def visit_small(i: int, first: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs):
     """Visit the pairs of body i with all later small bodies of its environment."""
     total = int(0)
-    for s in range(small.shape[0]):
-        j = first + small[s]
+    for s in range(cells.small.shape[0]):
+        j = first + cells.small[s]
         if j > i and may_meet(motions.role[i], motions.role[j]):
             total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
     return total
@@ -118,8 +119,7 @@ def visit_small(i: int, first: int, write: int, small: wp.array[int], bodies: Bo
 def pairs_by_trying_all(
     write: int,
     threads: int,
-    small: wp.array[int],
-    wide: wp.array[int],
+    cells: Cells,
     bodies: Bodies,
     motions: Motions,
     envs: Environments,
@@ -135,29 +135,23 @@ def pairs_by_trying_all(
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
                 if bodies.wide[i] == 0:
-                    found = visit_small(i, first, write, small, bodies, motions, pairs)
-                found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
+                    found = visit_small(i, first, write, cells, bodies, motions, pairs)
+                found = visit_wide(i, first, found, write, cells, bodies, motions, pairs)
             found = carry_dormant(i, found, write, motions, history, pairs)
         if write == 0:
             pairs.count[i] = found
 
 
 @wp.kernel
-def grid_points(
-    bodies_per_env: int,
-    small: wp.array[int],
-    motions: Motions,
-    points: wp.array[wp.vec3],
-    groups: wp.array[int],
-    reach: wp.array[float],
-):
+def grid_points(bodies_per_env: int, motions: Motions, cells: Cells):
     """Centres of the small bodies' swept boxes, their environment as the grid's group, its largest half-diagonal."""
     k = wp.tid()
-    env = k / small.shape[0]
-    b = env * bodies_per_env + small[k - env * small.shape[0]]
-    points[k] = 0.5 * (motions.lower[b] + motions.upper[b])
-    groups[k] = env
-    wp.atomic_max(reach, env, 0.5 * wp.length(motions.upper[b] - motions.lower[b]))
+    small = cells.small.shape[0]
+    env = k / small
+    b = env * bodies_per_env + cells.small[k - env * small]
+    cells.points[k] = 0.5 * (motions.lower[b] + motions.upper[b])
+    cells.groups[k] = env
+    wp.atomic_max(cells.reach, env, 0.5 * wp.length(motions.upper[b] - motions.lower[b]))
 
 
 @wp.kernel
@@ -166,9 +160,7 @@ def pairs_by_grid(
     threads: int,
     grid: wp.uint64,
     cell: float,
-    reach: wp.array[float],
-    small: wp.array[int],
-    wide: wp.array[int],
+    cells: Cells,
     bodies: Bodies,
     motions: Motions,
     envs: Environments,
@@ -188,17 +180,17 @@ def pairs_by_grid(
             if envs.moving[env] > envs.step[env]:
                 if bodies.wide[i] == 0:
                     middle = 0.5 * (motions.lower[i] + motions.upper[i])
-                    around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + reach[env]
+                    around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + cells.reach[env]
                     across = 2.0 * around / cell + 1.0
-                    if across * across * across <= float(small.shape[0]):
+                    if across * across * across <= float(cells.small.shape[0]):
                         neighbour = int(0)
                         for neighbour in wp.hash_grid_query(grid, middle, around, env):
-                            j = first + small[neighbour - env * small.shape[0]]
+                            j = first + cells.small[neighbour - env * cells.small.shape[0]]
                             if j > i and may_meet(motions.role[i], motions.role[j]):
                                 found = visit_pair(i, j, first, found, write, bodies, motions, pairs)
                     else:
-                        found = visit_small(i, first, write, small, bodies, motions, pairs)
-                found = visit_wide(i, first, found, write, wide, bodies, motions, pairs)
+                        found = visit_small(i, first, write, cells, bodies, motions, pairs)
+                found = visit_wide(i, first, found, write, cells, bodies, motions, pairs)
             found = carry_dormant(i, found, write, motions, history, pairs)
         if write == 0:
             pairs.count[i] = found

@@ -273,6 +273,16 @@ Environments = layout(
     step=Field(int, "envs", "", "steps done"),
 )
 
+Cells = layout(
+    "Cells",
+    "Who looks for whom in the broad phase, and the points of the hash grid.",
+    small=Field(int, "small", "", "numbers, in any environment, of the bodies that find each other"),
+    large=Field(int, "large", "", "numbers of the wide ones, which are tested against every body"),
+    points=Field(wp.vec3, "points", "m", "centre of a small body's swept box"),
+    groups=Field(int, "points", "", "environment of the point"),
+    reach=Field(float, "envs", "m", "largest half-diagonal of such a box"),
+)
+
 FieldForces = layout(
     "FieldForces",
     "Force fields besides gravity, the same in all environments.",

@@ -391,14 +391,22 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     placed = Search()
     placed.query = wp.quat_rotate_inv(state.orientation[other], motions.center[own] - state.position[other])
     placed.distance = FAR
-    within = signed_distance(shapes, bodies.shape[own], bodies.center_of_mass[own])
-    radius = wp.where(shapes.shapes[bodies.shape[own]].convex == 1, -within[3], 0.0)
-    if radius > 0.0 and not out_of_box(placed.query, radius, bodies.shape[other], shapes):
-        d = signed_distance(shapes, bodies.shape[other], placed.query)
-        if d[3] < 0.0 or shapes.shapes[bodies.shape[other]].convex == 1:
+    shape = bodies.shape[own]
+    query = bodies.center_of_mass[own]
+    radius = float(0.0)
+    asked = int(0)
+    while asked < 2:
+        # First how large the ball is, then how far it lies from the other body.
+        d = signed_distance(shapes, shape, query)
+        if asked == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
+        elif asked == 0 and shapes.shapes[shape].convex == 1:
+            radius = -d[3]
+        shape = bodies.shape[other]
+        query = placed.query
+        asked = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), asked + 1, 2)
     return touch_of(placed, side, other, state)
 
 
@@ -409,12 +417,17 @@ def keep_center(
     """Where samples do not tell the way out, the deeper of the balls about the centres takes their place, if any."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    first = center_inside(0, a, b, shapes, bodies, state, motions)
-    second = center_inside(1, a, b, shapes, bodies, state, motions)
-    if wp.min(first.gap, second.gap) >= 0.0:
+    deepest = float(0.0)
+    side = int(0)
+    while side < 2:
+        touch = center_inside(side, a, b, shapes, bodies, state, motions)
+        if touch.gap < deepest:
+            deepest = touch.gap
+            if lane == 0:
+                pairs.kept[pair, 0] = BY_CENTER - side
+        side += 1
+    if deepest == 0.0:
         return kept
-    if lane == 0:
-        pairs.kept[pair, 0] = wp.where(second.gap < first.gap, BY_CENTER - 1, BY_CENTER)
     return 1
 
 

@@ -30,13 +30,21 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
 
 @wp.kernel
 def deepest_overlap(
-    bodies_per_env: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array[float]
+    bodies_per_env: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array2d[float]
 ):
-    """One thread a pair: the environment's deepest overlap [m]."""
+    """One thread a pair: the environment's deepest overlap [m], (envs, 1).
+
+    Warp compiles a kernel whose own arrays have one dimension twice for the CPU: as a second, contiguous case.
+    """
     pair = wp.tid()
     if pair >= pairs.start[pairs.start.shape[0] - 1]:
         return
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    depth = wp.max(deepest_sample(a, b, shapes, bodies, state), deepest_sample(b, a, shapes, bodies, state))
-    wp.atomic_max(deepest, a / bodies_per_env, depth)
+    depth = float(0.0)
+    side = int(0)
+    while side < 2:
+        own = wp.where(side == 0, a, b)
+        depth = wp.max(depth, deepest_sample(own, a + b - own, shapes, bodies, state))
+        side += 1
+    wp.atomic_max(deepest, a / bodies_per_env, 0, depth)

@@ -12,7 +12,7 @@ import pytest
 import warp as wp
 
 from warp_rigid import cli, doctor, sdf, selftest
-from warp_rigid.stages import load_kernels
+from warp_rigid.stages import EVERYTHING, load_kernels
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -111,7 +111,7 @@ def test_warmup_compiles_everything(capsys, monkeypatch):
     def tell(ready, total):
         told.append((ready, total))
 
-    load_kernels(wp.get_device("cpu"), baking=True, lanes=[1], on_module=tell)
+    load_kernels(wp.get_device("cpu"), EVERYTHING, on_module=tell)
     assert [ready for ready, _ in told] == list(range(1, told[0][1] + 1))
     assert {total for _, total in told} == {len(told)} and len(told) > 10
     status, out, _ = run(capsys, "warmup", "--device", "cpu")

@@ -17,7 +17,7 @@ from warp_rigid.pools import Pools, copy_arrays
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Compound, Mesh
-from warp_rigid.stages import Stages, load_kernels, team_sizes
+from warp_rigid.stages import GRIDS, STEP, Stages, load_kernels, team_sizes
 
 log = logging.getLogger("warp_rigid")
 
@@ -89,7 +89,8 @@ class Simulator:
         needed = self._bytes_without_pools() + pool_bytes(sizes)
         self._memory_limit.check(0, needed, f"simulating {num_envs} environment(s)")
         baking = any(isinstance(body.shape, Mesh | Compound) for body in scene.bodies)
-        load_kernels(self.device, baking, team_sizes(self.device, num_envs, self.num_bodies))
+        modules = [*STEP, *(GRIDS if baking else ())]
+        load_kernels(self.device, modules, team_sizes(self.device, num_envs, self.num_bodies))
         self._model = build_model(scene, num_envs, self.device)
         self._state = initial_state(scene, num_envs, self.device)
         self._start = initial_state(scene, num_envs, self.device)

@@ -59,25 +59,35 @@ MOST_TEAMS = 132 * 128
 TEAM_MODULES = (collisions, shock, impulses, support, ordering, line_search, push_out)
 """Their kernels solve an environment by a team; the longest first."""
 
-MODULES = (swept, overlap, integrate, predict, broadphase, contacts, rest, capacity, surface)
-"""The other modules that a step needs, but for the two that take longest to compile."""
+STEP = (narrowphase, swept, *TEAM_MODULES, integrate, predict, broadphase, contacts, capacity)
+"""Modules of kernels that every step needs, those that take longest to compile first."""
+
+GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (rest,), (surface,)
+"""Those of distance grids, of `deepest_overlap`, of bodies that may sleep, and of ground that moves."""
+
+EVERYTHING = (narrowphase, swept, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND)
 
 
 def load_kernels(
-    device: Any, baking: bool, lanes: Sequence[int], on_module: Callable[[int, int], None] | None = None
+    device: Any,
+    modules: Sequence[Any],
+    lanes: Sequence[int] = (1,),
+    on_module: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Compile all kernels, several modules at a time, the longest first: a graph cannot hold a compilation.
+    """Compile kernels, or take them from Warp's cache, several modules at a time, in their order.
+
+    A graph cannot hold a compilation, so whatever is recorded must have been loaded. What is needed rarely is loaded
+    when it is needed.
 
     Args:
         device: the Warp device.
-        baking: those that compute distance grids, too.
+        modules: those of `warp_rigid.kernels` that are needed.
         lanes: sizes of the teams that will solve environments.
         on_module: called with how many modules are ready and how many there are, whenever one more is.
     """
     teams = sorted({team.block_of(size) for size in lanes}) if device.is_cuda else [1]
-    others = team.BLOCK if device.is_cuda else 1
-    jobs = [(module, others) for module in (narrowphase, *([bake] if baking else []), *MODULES)]
-    jobs[2:2] = [(module, block) for block in teams for module in TEAM_MODULES]
+    others = [team.BLOCK if device.is_cuda else 1]
+    jobs = [(module, block) for module in modules for block in (teams if module in TEAM_MODULES else others)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         loaded = [pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], block) for module, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):
@@ -148,7 +158,7 @@ class Stages:
         repetitions: int,
         sleeping: bool,
     ) -> None:
-        """Record the step; `load_kernels` has been called."""
+        """Record the step; `load_kernels` has been called for `STEP`."""
         self.model, self.state, self.rest, self.envs, self.pools = model, state, rest, envs, pools
         self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
         device: Any = pools.wanted.device
@@ -161,7 +171,9 @@ class Stages:
         self.pair_teams = min(pools.sizes["pairs"], MOST_TEAMS) if device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.kept: Any = data.allocate(data.History, pools.sizes, self.device) if sleeping else None
+        self.cells: Any = self._make_cells()
         self.grid = self._make_grid()
+        load_kernels(device, [*(SLEEP if sleeping else ()), *(GROUND if model.surface_vertices else ())])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -395,7 +407,8 @@ class Stages:
 
     def deepest_overlap(self) -> wp.array:
         """Deepest overlap of each environment in the present state, (envs,) [m]."""
-        deepest = wp.zeros(self.num_envs, dtype=float, device=self.device)
+        load_kernels(self.device, OVERLAP)
+        deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self.device)
         self.raise_surfaces()
         self.predict(0.0)
         self.find_pairs()
@@ -404,7 +417,7 @@ class Stages:
             [self.num_bodies, self.model.shapes, self.model.bodies, self.state, self.pools.pairs],
             [deepest],
         )
-        return deepest
+        return deepest.flatten()
 
     def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
         """Launch a kernel of the solver that goes through the touching pairs colour by colour."""
@@ -473,8 +486,8 @@ class Stages:
         model = self.model
         kernel, own = broadphase.pairs_by_trying_all, []
         if self.grid is not None:
-            kernel, own = broadphase.pairs_by_grid, [self.grid.id, self.model.grid_radius, self._reach]
-        common = [model.small, model.wide, model.bodies, self.motions, self.envs, self.pools.history]
+            kernel, own = broadphase.pairs_by_grid, [self.grid.id, self.model.grid_radius]
+        common = [self.cells, model.bodies, self.motions, self.envs, self.pools.history]
         self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
@@ -490,19 +503,26 @@ class Stages:
         side = 1 << math.ceil(math.log2((GRID_CELLS * small) ** (1 / 3)))
         grid = wp.HashGrid(side, side, side, device=self.device)
         grid.reserve(small * self.num_envs, with_groups=True)
-        self._points = wp.zeros(small * self.num_envs, dtype=wp.vec3, device=self.device)
-        self._groups = wp.zeros(small * self.num_envs, dtype=int, device=self.device)
-        self._reach = wp.zeros(self.num_envs, dtype=float, device=self.device)
         return grid
+
+    def _make_cells(self) -> Any:
+        """What the broad phase works on; points only where they go into a hash grid."""
+        small, large = self.model.small, self.model.wide
+        points = self.num_envs * small.shape[0] if small.shape[0] > TRY_ALL_UP_TO else 0
+        sizes = {"small": 0, "large": 0, "points": points, "envs": self.num_envs}
+        cells = data.allocate(data.Cells, sizes, self.device)
+        cells.small, cells.large = small, large
+        return cells
 
     def _fill_grid(self) -> None:
         """Sort the small bodies into the hash grid."""
-        self._reach.zero_()
+        cells = self.cells
+        cells.reach.zero_()
         wp.launch(
             broadphase.grid_points,
-            dim=self._points.shape[0],
-            inputs=[self.num_bodies, self.model.small, self.motions],
-            outputs=[self._points, self._groups, self._reach],
+            dim=cells.points.shape[0],
+            inputs=[self.num_bodies, self.motions],
+            outputs=[cells],
             device=self.device,
         )
-        self.grid.build(self._points, self.model.grid_radius, groups=self._groups)
+        self.grid.build(cells.points, self.model.grid_radius, groups=cells.groups)

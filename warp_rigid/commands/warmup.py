@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_rigid.kernels import team
 from warp_rigid.simulator import choose_device
-from warp_rigid.stages import WARP, load_kernels
+from warp_rigid.stages import EVERYTHING, WARP, load_kernels
 from warp_rigid.terminal import console, progress
 
 
@@ -19,6 +19,6 @@ def warmup_command(
     for chosen in wp.get_devices() if device is None else [choose_device(device)]:
         start = time.perf_counter()
         with progress(f"compiling for {chosen}", 1) as advance:
-            load_kernels(chosen, baking=True, lanes=(WARP, team.BLOCK), on_module=advance)
+            load_kernels(chosen, EVERYTHING, lanes=(WARP, team.BLOCK), on_module=advance)
         seconds = time.perf_counter() - start
         console().print(f"{chosen}: ready after {seconds:.2g} s", highlight=False, markup=False)
