@@ -8,10 +8,11 @@ import pytest
 import warp as wp
 from PIL import Image
 
+from tests.oracles import opened
 from warp_rigid import Settings, Simulator, cli
 from warp_rigid.bench import measure, peers
 from warp_rigid.bench.scenes import STANDARD, Case, find_case, moving
-from warp_rigid.bench.stage_times import stage_times
+from warp_rigid.bench.stage_times import STAGES, _walk, stage_times
 
 NAMES = [find_case(text) for text in STANDARD]
 
@@ -145,6 +146,33 @@ def test_command_writes_lines_and_a_picture(capsys, tmp_path):
     assert np.asarray(Image.open(drawn)).std() > 10
 
 
+def test_a_run_that_is_broken_off_keeps_its_lines(capsys, tmp_path, monkeypatch):
+    lines, real = tmp_path / "lines.jsonl", measure.measure
+
+    def fail_at_two(case, conditions, device):
+        if conditions.envs == 2:
+            raise RuntimeError("CUDA error: lost")
+        return real(case, conditions, device)
+
+    monkeypatch.setattr(measure, "measure", fail_at_two)
+    status, _, error = bench(capsys, "stack:1", "--envs", "1,2", "--frames", 1, "--settle", 0, "--json-lines", lines)
+    assert status != 0 and "lost" in error
+    assert [json.loads(line)["envs"] for line in lines.read_text().splitlines()] == [1]
+
+
+def test_stages_are_walked_through_in_the_order_of_the_step(device):
+    """Every mark names the stage that goes on from there; a stage within another one counts for itself."""
+    _, stages = opened(Case("stack", 2).build(), device)
+    marks = []
+    _walk(stages, marks.append)
+    within = marks.index("propagate_shock")
+    assert marks[within - 1] == marks[within + 1] == "solve_contacts"
+    named = [name for name in marks if name is not None]
+    assert named[0] == "raise_surfaces" and named[-1] == "remember" and marks[-1] is None
+    assert named.count("accelerate") == 2 and len(marks) <= 6 * len(STAGES) + 2 * stages.repetitions
+    assert not set(STAGES) & set(vars(stages))
+
+
 def test_other_engines_get_the_same_start_and_the_same_judge(capsys, fake_peer):
     """The fake engine lets two cubes fall through the ground: where they end and how deep is known."""
     few = ("--frames", 2, "--settle", 4, "--peers", "mujoco", "--peer-python", f"mujoco={sys.executable}")
@@ -170,6 +198,21 @@ def test_an_engine_that_is_missing_or_fails_is_told(capsys, fake_peer):
         "not installed",
     ]
     assert "mujoco: stack:1: not installed" in error
+
+
+def commands_of_the_page():
+    """Commands of benchmarks/README.md, with a thousandth of the bodies."""
+    page = (peers.FOLDER.parent / "README.md").read_text()
+    return [line.replace("000", "") for line in page.splitlines() if line.startswith("warp-rigid bench ")]
+
+
+@pytest.mark.parametrize("command", commands_of_the_page())
+def test_command_of_the_page_runs(capsys, command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = command.split()[2:]
+    cut = ["--envs", "1,2"] if "--envs" in arguments else []
+    status, told, _ = bench(capsys, *arguments, *cut, "--settle", 0, "--frames", 1)
+    assert status == 0 and told["files"] and all((tmp_path / path).stat().st_size > 0 for path in told["files"])
 
 
 @pytest.mark.parametrize("name", peers.NAMES)

@@ -9,7 +9,7 @@ from warp_rigid.stages import STEP
 
 WARM_SECONDS = 2.0
 COLD_SECONDS = 30.0
-"""Of all cores together: 20 to 21 s on an idle machine, 25 s on one whose cores are shared by twice as many programs."""
+"""Of all cores together: 20 to 21 s on an idle machine, 25 s on one that twice as many programs share."""
 
 ON_DEMAND = """
 import json, sys

@@ -1,4 +1,4 @@
-"""What each stage of a step takes: the step recorded as one graph a stage instead of one in all."""
+"""What each stage of a step takes: the step recorded with marks where one stage gives way to another."""
 
 import time
 from collections.abc import Callable
@@ -29,12 +29,16 @@ STAGES = (
 )
 """Methods of `Stages` that are told apart; one that another calls counts for itself only."""
 
+Measure = Callable[[], list[tuple[str, float]]]
+"""Does a step, and tells which stages it went through and the seconds that each took."""
+
 
 def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
     """Seconds that each stage takes in one step of all environments, in the present state.
 
-    The steps are undone. On the CPU these are seconds of the processor, which other programs do not stretch; on CUDA
-    events are recorded between the graphs, and the host waits only at the end of each step.
+    The steps are undone; one before them, which warms up, is not timed. On the CPU these are seconds of the processor,
+    which other programs do not stretch, and a graph is recorded for each stage; on CUDA the step stays one graph with
+    events in it.
 
     Args:
         sim: the simulator.
@@ -43,12 +47,11 @@ def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
     Returns:
         Stages by name, in their order.
     """
-    parts = _record(sim._stages)
-    seconds = dict.fromkeys((name for name, _ in parts), 0.0)
-    measure = _measure_on_cuda if sim.device.is_cuda else _measure_on_cpu
+    measure = _record_on_cuda(sim._stages) if sim.device.is_cuda else _record_on_cpu(sim._stages)
     sim._save()
+    seconds = {name: 0.0 for name, _ in measure()}
     for _ in range(steps):
-        for (name, _), taken in zip(parts, measure(parts, sim.device), strict=True):
+        for name, taken in measure():
             seconds[name] += taken / steps
     sim._pools.shortage()
     sim._pools.forget_shortage()
@@ -56,28 +59,17 @@ def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
     return seconds
 
 
-def _record(stages: Stages) -> list[tuple[str, Any]]:
-    """The step as a list of graphs and the stages to which they belong."""
-    parts: list[tuple[str, Any]] = []
+def _walk(stages: Stages, switch: Callable[[str | None], None]) -> None:
+    """Go through a step; `switch` hears the name of each stage that goes on from here, None at the end."""
     entered: list[str] = []
-
-    def begin() -> None:
-        wp.capture_begin(stages.device, force_module_load=False)
-
-    def end() -> None:
-        parts.append((entered[-1], wp.capture_end(stages.device)))
 
     def watched(name: str, stage: Callable) -> Callable:
         def run(*given: Any, **named: Any) -> None:
-            if entered:
-                end()
             entered.append(name)
-            begin()
+            switch(name)
             stage(*given, **named)
-            end()
             entered.pop()
-            if entered:
-                begin()
+            switch(entered[-1] if entered else None)
 
         return run
 
@@ -88,23 +80,47 @@ def _record(stages: Stages) -> list[tuple[str, Any]]:
     finally:
         for name in STAGES:
             delattr(stages, name)
-    return parts
 
 
-def _measure_on_cpu(parts: list[tuple[str, Any]], device: Any) -> list[float]:
-    seconds = []
-    for _, graph in parts:
-        start = time.process_time()
-        wp.capture_launch(graph)
-        seconds.append(time.process_time() - start)
-    return seconds
+def _record_on_cpu(stages: Stages) -> Measure:
+    parts: list[tuple[str, Any]] = []
+    running: list[str] = []
 
+    def switch(name: str | None) -> None:
+        if running:
+            parts.append((running.pop(), wp.capture_end(stages.device)))
+        if name is not None:
+            running.append(name)
+            wp.capture_begin(stages.device, force_module_load=False)
 
-def _measure_on_cuda(parts: list[tuple[str, Any]], device: Any) -> list[float]:
-    with wp.ScopedDevice(device):
-        marks = [wp.Event(device, enable_timing=True) for _ in range(len(parts) + 1)]
-        wp.record_event(marks[0])
-        for (_, graph), mark in zip(parts, marks[1:], strict=True):
+    def measure() -> list[tuple[str, float]]:
+        told = []
+        for name, graph in parts:
+            start = time.process_time()
             wp.capture_launch(graph)
-            wp.record_event(mark)
-        return [1e-3 * wp.get_event_elapsed_time(a, b) for a, b in zip(marks, marks[1:], strict=False)]
+            told.append((name, time.process_time() - start))
+        return told
+
+    _walk(stages, switch)
+    return measure
+
+
+def _record_on_cuda(stages: Stages) -> Measure:
+    # No step goes through a stage more than three times, but for the repetitions of shock propagation.
+    most = 6 * len(STAGES) + 2 * stages.repetitions
+    events = [wp.Event(stages.device, enable_timing=True) for _ in range(most)]
+    names: list[str | None] = []
+
+    def switch(name: str | None) -> None:
+        stages.device.stream.record_event(events[len(names)])
+        names.append(name)
+
+    with wp.ScopedCapture(stages.device, force_module_load=False) as capture:
+        _walk(stages, switch)
+
+    def measure() -> list[tuple[str, float]]:
+        wp.capture_launch(capture.graph)
+        spans = zip(names, events, events[1:], strict=False)
+        return [(name, 1e-3 * wp.get_event_elapsed_time(a, b)) for name, a, b in spans if name is not None]
+
+    return measure

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -57,21 +58,21 @@ def bench_command(
     told = measure.surroundings(found)
     rows: list[dict[str, Any]] = []
     started = {str(case): _start_up(str(case), str(found)) for case in cases} if cold else {}
-    runs = list(itertools.product(cases, steps, sizes))
+    runs = [
+        (case, measure.Conditions(size, substep, settle, frames))
+        for case, substep, size in itertools.product(cases, steps, sizes)
+    ]
     with progress("bench", len(runs) * (1 + len(chosen))) as advance:
-        for case, substep, size in runs:
-            conditions = measure.Conditions(size, substep, settle, frames)
-            row, sim = measure.measure(case, conditions, found)
-            rows.append({**told, **row})
-            for name, python in chosen.items():
-                row = other.run_peer(name, python, case, conditions, sim)
-                if "fault" in row:
-                    note(f"{name}: {case}: {row['fault']}")
-                rows.append({**told, **row})
+        for case, conditions in runs:
+            done = [{**told, **row} for row in _engines(case, conditions, found, chosen)]
+            measure.compare(done)
+            _append(done, json_lines)
+            rows += done
             if advance:
                 advance(len(rows))
-    measure.compare(rows)
-    files = _write(rows, json_lines, output)
+    if output:
+        _draw(rows, output)
+    files = [path for path in (json_lines, output) if path]
     if as_json:
         print(json.dumps({"rows": rows, "start_up": started, "files": files}))
         return 0
@@ -92,17 +93,33 @@ def _start_up(case: str, device: str) -> dict[str, Any]:
     return start_up(case, device)
 
 
-def _write(rows: list[dict[str, Any]], json_lines: str | None, output: str | None) -> list[str]:
+def _engines(case: Any, conditions: Any, device: Any, chosen: dict[str, str]) -> Iterator[dict[str, Any]]:
+    """Rows of our engine and of the others; the simulator's memory is free before the next run takes its own."""
+    from warp_rigid.bench import measure
+    from warp_rigid.bench import peers as other
+
+    row, sim = measure.measure(case, conditions, device)
+    yield row
+    for name, python in chosen.items():
+        row = other.run_peer(name, python, case, conditions, sim)
+        if "fault" in row:
+            note(f"{name}: {case}: {row['fault']}")
+        yield row
+
+
+def _append(rows: list[dict[str, Any]], json_lines: str | None) -> None:
+    """Write the rows at once: a run that is broken off keeps what it has measured."""
     if json_lines:
         Path(json_lines).parent.mkdir(parents=True, exist_ok=True)
         with open(json_lines, "a") as file:
             file.writelines(json.dumps(row) + "\n" for row in rows)
-    if output:
-        from warp_rigid.bench.picture import save_picture
 
-        Path(output).parent.mkdir(parents=True, exist_ok=True)
-        save_picture(rows, output)
-    return [path for path in (json_lines, output) if path]
+
+def _draw(rows: list[dict[str, Any]], output: str) -> None:
+    from warp_rigid.bench.picture import save_picture
+
+    Path(output).parent.mkdir(parents=True, exist_ok=True)
+    save_picture(rows, output)
 
 
 def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]) -> None:
@@ -143,7 +160,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
         str(row["substeps"]),
         row["engine"],
         _short(row["env_frames_per_second"]),
-        _short(row["env_frames_per_processor_second"]),
+        "" if "cuda" in row["device"] else _short(row["env_frames_per_processor_second"]),
         _short(row["body_steps_per_second"]),
         str(row.get("contacts", "")),
         f"{room:.0%}" if room else "",
