@@ -12,7 +12,7 @@ from tests.oracles import opened
 from warp_rigid import Settings, Simulator, cli
 from warp_rigid.bench import measure, peers
 from warp_rigid.bench.scenes import STANDARD, Case, find_case, moving
-from warp_rigid.bench.stage_times import STAGES, _walk, stage_times
+from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 
 NAMES = [find_case(text) for text in STANDARD]
 
@@ -164,7 +164,7 @@ def test_stages_are_walked_through_in_the_order_of_the_step(device):
     """Every mark names the stage that goes on from there; a stage within another one counts for itself."""
     _, stages = opened(Case("stack", 2).build(), device)
     marks = []
-    _walk(stages, marks.append)
+    walk(stages, marks.append)
     within = marks.index("propagate_shock")
     assert marks[within - 1] == marks[within + 1] == "solve_contacts"
     named = [name for name in marks if name is not None]

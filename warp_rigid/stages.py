@@ -406,8 +406,10 @@ class Stages:
             self._shared(contacts.keep_impulses, self.pools.sizes["contacts"], [], [records, pairs], [history])
 
     def deepest_overlap(self) -> wp.array:
-        """Deepest overlap of each environment in the present state, (envs,) [m]."""
-        load_kernels(self.device, OVERLAP)
+        """Deepest overlap of each environment in the present state, (envs,) [m].
+
+        It is no part of the recorded step, so its kernel may be compiled at its first launch.
+        """
         deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self.device)
         self.raise_surfaces()
         self.predict(0.0)

@@ -59,7 +59,7 @@ def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
     return seconds
 
 
-def _walk(stages: Stages, switch: Callable[[str | None], None]) -> None:
+def walk(stages: Stages, switch: Callable[[str | None], None]) -> None:
     """Go through a step; `switch` hears the name of each stage that goes on from here, None at the end."""
     entered: list[str] = []
 
@@ -101,7 +101,7 @@ def _record_on_cpu(stages: Stages) -> Measure:
             told.append((name, time.process_time() - start))
         return told
 
-    _walk(stages, switch)
+    walk(stages, switch)
     return measure
 
 
@@ -116,7 +116,7 @@ def _record_on_cuda(stages: Stages) -> Measure:
         names.append(name)
 
     with wp.ScopedCapture(stages.device, force_module_load=False) as capture:
-        _walk(stages, switch)
+        walk(stages, switch)
 
     def measure() -> list[tuple[str, float]]:
         wp.capture_launch(capture.graph)

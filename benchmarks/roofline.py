@@ -1,0 +1,519 @@
+"""What a step would take if memory or arithmetic were all that limits it; `python -m benchmarks.roofline`.
+
+Every scene is run until it has settled. Then the work of one step is counted: rows from the live arrays, bytes of a
+row from the declarations in `kernels/data.py`, operations of a visit from the constants below. A stage cannot be faster
+than its bytes at the memory's bandwidth, its operations at the arithmetic's rate, or its launches one after another:
+the largest of the three is its floor. Each array counts once a stage, however often its rows are read: what is read
+again is in a cache, if all goes well. So no implementation with this data gets below the floor.
+"""
+
+import argparse
+import contextlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid import Settings, Simulator
+from warp_rigid.bench.measure import FPS, STAGE_STEPS, commit
+from warp_rigid.bench.scenes import Case, find_case
+from warp_rigid.bench.stage_times import STAGES, stage_times, walk
+from warp_rigid.kernels import data, narrowphase
+from warp_rigid.simulator import choose_device
+
+MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
+"""The four main scenes: name, bodies, environments."""
+
+SUBSTEPS, SETTLE = 4, 240
+"""Steps and frames of 1/60 s before the work is counted."""
+
+OPERATIONS = {
+    "predict": 400,  # role, world inertia R I R^T, accelerations, swept box
+    "test of boxes": 12,
+    "reach of a pair": 150,  # relative pose, travel, and whether it has moved since it was last looked at
+    "cluster": 60,  # centre into the other frame, its box
+    "sample": 40,  # likewise
+    "distance": 120,  # cell, eight values, gradient
+    "contact": 700,  # its place once more, tangents, inverse masses, coefficients, impulses of the last step
+    "graph": 40,  # of a contact: who rests on whom
+    "impact": 60,  # of a contact: does it approach
+    "visit": 220,  # normal impulse, friction in its cone, both bodies' velocities
+    "search": 150,  # of a contact, in the line search
+    "overlap": 120,  # of a contact, in the push-out
+    "course": 60,  # of a pair, in the swept detection
+}
+"""Additions, multiplications, divisions and roots of one visit, in float32."""
+
+MOVE = 1000
+"""Those of a body's rotation, in float64."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a device can do at most.
+
+    Attributes:
+        bandwidth: of its memory [bytes/s].
+        single: operations a second in float32.
+        double: in float64.
+        launch: time between two empty kernels of a graph [s].
+    """
+
+    bandwidth: float
+    single: float
+    double: float
+    launch: float
+
+
+LIMITS = {"cuda": Limits(4.4e12, 67e12, 34e12, 0.75e-6), "cpu": Limits(25e9, 60e9, 60e9, 0.15e-6)}
+"""One H200 (4.0 to 4.8 TB/s), and one core of a server's processor."""
+
+
+@dataclass
+class Work:
+    """What a stage moves and computes in one step.
+
+    Attributes:
+        read: bytes, each array once.
+        written: bytes.
+        single: operations in float32.
+        double: in float64.
+        launches: kernels, copies and fills.
+    """
+
+    read: float = 0.0
+    written: float = 0.0
+    single: float = 0.0
+    double: float = 0.0
+    launches: int = 0
+
+    def floor(self, limits: Limits) -> tuple[float, str]:
+        """The least time [s], and what it is that takes it."""
+        return max(
+            ((self.read + self.written) / limits.bandwidth, "memory"),
+            (self.single / limits.single + self.double / limits.double, "arithmetic"),
+            (self.launches * limits.launch, "launches"),
+        )
+
+
+@dataclass
+class Counts:
+    """How much there is to do in one step of all environments, as found in the live arrays.
+
+    Attributes:
+        envs: environments.
+        rows: bodies, those that stand still included.
+        small: bodies of an environment that look for each other.
+        wide: those that are tried against every body.
+        pairs: whose boxes overlap.
+        searched: of them, those whose contacts were looked for anew.
+        clusters: of samples that were looked at, and `near`, those that were near enough.
+        samples: of near clusters, and `close`, those that were near enough for a distance.
+        touching: pairs with contacts.
+        contacts: contacts.
+        levels: highest level of any environment.
+        sweeps: visits of contacts in sweeps: fewest that end in the same state.
+        unsettled: contacts of environments that the sweeps alone do not settle, for shock propagation.
+        unsettled_rows: bodies of those environments.
+        gridded: whether bodies look for each other through the hash grid.
+        pool_clusters: in the pool of shapes, which all environments share; likewise samples and nodes of grids.
+    """
+
+    envs: int
+    rows: int
+    small: int
+    wide: int
+    pairs: int
+    searched: int
+    clusters: int
+    near: int
+    samples: int
+    close: int
+    touching: int
+    contacts: int
+    levels: int
+    sweeps: int
+    unsettled: int
+    unsettled_rows: int
+    gridded: bool
+    pool_clusters: int
+    pool_samples: int
+    pool_nodes: int
+
+
+@dataclass
+class Found:
+    """One scene: what was counted and measured, stage by stage, in seconds a step."""
+
+    scene: str
+    device: str
+    commit: str
+    counts: Counts
+    work: dict[str, Work]
+    measured: dict[str, float]
+    working_set: int
+    limits: Limits
+    floors: dict[str, tuple[float, str]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Derive the floors."""
+        self.floors = {name: work.floor(self.limits) for name, work in self.work.items()}
+
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@wp.kernel
+def count_samples(
+    dt: float,
+    shapes: data.Shapes,
+    bodies: data.Bodies,
+    state: data.State,
+    motions: data.Motions,
+    pairs: data.Pairs,
+    counted: wp.array2d[int],
+):
+    """One thread a pair that was searched: its clusters, the near ones, their samples, the close ones."""
+    pair = wp.tid()
+    if pairs.patch_count[pair] < 0:
+        return
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
+    reach = narrowphase.contact_reach(a, b, size, dt, state, motions)
+    side = int(0)
+    while side < 2:
+        own = wp.where(side == 0, a, b)
+        approach = narrowphase.approach_of(own, a + b - own, reach, bodies, state)
+        own_shape = shapes.shapes[approach.own_shape]
+        counted[pair, 0] += own_shape.cluster_end - own_shape.cluster_start
+        for cluster in range(own_shape.cluster_start, own_shape.cluster_end):
+            if narrowphase.cluster_is_near(cluster, approach, 1, shapes) == 1:
+                counted[pair, 1] += 1
+                for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
+                    counted[pair, 2] += 1
+                    if narrowphase.sample_is_near(s, approach, shapes):
+                        counted[pair, 3] += 1
+        side += 1
+
+
+def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STEPS) -> Found:
+    """Settle a scene and compare what each stage takes with what it must take.
+
+    Args:
+        text: name, bodies and environments, such as "stack:10:4096".
+        device: the Warp device.
+        settle: frames before the work is counted.
+        steps: over which the times are averaged.
+
+    Raises:
+        ValueError: there is no such scene.
+    """
+    name, _, envs = text.rpartition(":")
+    case = find_case(name)
+    sim = _settled(case, int(envs), device, settle)
+    counts = count(sim)
+    launches = count_launches(sim)
+    work = {stage: work_of(stage, counts) for stage in STAGES if stage in launches}
+    for stage, found in work.items():
+        found.launches = launches[stage]
+    limits = LIMITS["cuda" if sim.device.is_cuda else "cpu"]
+    named = sim.device.name if sim.device.is_cuda else "one core of a CPU"
+    return Found(text, named, commit(), counts, work, stage_times(sim, steps), sim.memory, limits)
+
+
+def _settled(case: Case, envs: int, device: Any, settle: int) -> Simulator:
+    sim = Simulator(case.build(), envs, Settings(dt=1.0 / (FPS * SUBSTEPS)), device=device)
+    case.scatter(sim)
+    sim.step(settle * SUBSTEPS)
+    return sim
+
+
+def count(sim: Simulator) -> Counts:
+    """Count the work of the coming step; the state stays as it is."""
+    sim._save()
+    stages, pools = sim._stages, sim._pools
+    pools.pairs.patch_count.fill_(-1)
+    stages.replay()
+    pairs = int(pools.pairs.start.numpy()[-1])
+    searched = int((pools.pairs.patch_count.numpy()[:pairs] >= 0).sum())
+    start = pools.pairs.contact_start.numpy()[: pairs + 1]
+    first_pair = pools.pairs.start.numpy()[:: sim.num_bodies]
+    contacts = np.diff(start[first_pair])
+    settled = pools.graph.settled.numpy() == 1
+    sim._restore()
+    stages.predict(sim.settings.dt)
+    counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
+    inputs = [sim.settings.dt, sim._model.shapes, sim._model.bodies, sim._state, stages.motions, pools.pairs]
+    wp.launch(count_samples, dim=pairs, inputs=inputs, outputs=[counted], device=sim.device)
+    clusters, near, samples, close = (int(total) for total in counted.numpy().sum(axis=0))
+    return Counts(
+        envs=sim.num_envs,
+        rows=sim.num_envs * sim.num_bodies,
+        small=sim._model.small.shape[0],
+        wide=sim._model.wide.shape[0],
+        pairs=pairs,
+        searched=searched,
+        clusters=clusters,
+        near=near,
+        samples=samples,
+        close=close,
+        touching=int((np.diff(start) > 0).sum()),
+        contacts=int(contacts.sum()),
+        levels=sim.counts()["levels"],
+        sweeps=int((sweeps_needed(sim) * contacts).sum()),
+        unsettled=int(contacts[~settled].sum()),
+        unsettled_rows=int((~settled).sum()) * sim.num_bodies,
+        gridded=stages.grid is not None,
+        pool_clusters=sim._model.shapes.clusters.shape[0],
+        pool_samples=sim._model.shapes.samples.shape[0],
+        pool_nodes=sim._model.shapes.grid_value.shape[0],
+    )
+
+
+def sweeps_needed(sim: Simulator) -> np.ndarray:
+    """The fewest contact iterations with which each environment's step ends in the same bits, (envs,)."""
+    given = sim.get("contact_iterations")
+    wanted = _velocities_after(sim, given)
+    needed = given.copy()
+    for fewer in range(int(given.max()) - 1, -1, -1):
+        tried = np.minimum(given, fewer)
+        same = (_velocities_after(sim, tried) == wanted).all(axis=(1, 2))
+        needed[same & (needed == fewer + 1)] = fewer
+    sim.set("contact_iterations", given)
+    return needed
+
+
+def _velocities_after(sim: Simulator, iterations: np.ndarray) -> np.ndarray:
+    sim.set("contact_iterations", iterations)
+    sim._save()
+    sim._stages.replay()
+    found = np.concatenate([sim.get("linear_velocity"), sim.get("angular_velocity")], axis=-1)
+    sim._restore()
+    return found
+
+
+def count_launches(sim: Simulator) -> dict[str, int]:
+    """Kernels, sums, copies and fills that each stage of a step asks for."""
+    found: dict[str, int] = {}
+    running: list[str | None] = [None]
+    sim._save()
+    with _watched(lambda: found.update({running[-1]: found.get(running[-1], 0) + 1})):
+
+        def switch(name: str | None) -> None:
+            running.append(name)
+            if name is not None:
+                found.setdefault(name, 0)
+
+        walk(sim._stages, switch)
+    sim._restore()
+    return {stage: found[stage] for stage in STAGES if stage in found}
+
+
+@contextlib.contextmanager
+def _watched(note: Callable[[], None]) -> Iterator[None]:
+    """Have every kernel that is launched, and every sum over an array, noted."""
+
+    def noting(function: Callable) -> Callable:
+        def run(*given: Any, **named: Any) -> Any:
+            note()
+            return function(*given, **named)
+
+        return run
+
+    launch, scan = wp.launch, wp.utils.array_scan
+    wp.launch, wp.utils.array_scan = noting(launch), noting(scan)
+    try:
+        yield
+    finally:
+        wp.launch, wp.utils.array_scan = launch, scan
+
+
+def row(struct: Any, symbol: str, *only: str) -> int:
+    """Bytes of one row of a layout: of its arrays over `symbol`, or of those named."""
+    total = 0
+    for name, declared in data.LAYOUTS[struct.key].items():
+        first, *others = (term.strip() for term in declared.shape.split(","))
+        if first.partition(" ")[0] == symbol and (not only or name in only):
+            total += wp.types.type_size_in_bytes(declared.dtype) * int(np.prod([int(term) for term in others]))
+    return total
+
+
+def part(record: Any, *only: str) -> int:
+    """Bytes of the fields named of a record, or of all of it."""
+    fields = data.RECORDS[record.key]
+    return sum(wp.types.type_size_in_bytes(fields[name].dtype) for name in only or fields)
+
+
+VELOCITY = part(data.MoverRecord, "linear", "inverse_mass", "angular", "row_end_1")
+MASS = part(data.MoverRecord, "inverse_inertia_xx", "inverse_inertia_yz", "row_end_3")
+IMPULSE = part(data.LoadRecord, "impulse", "row_end_0", "twist", "row_end_1")
+CONTACT, LOAD, ENTRY = part(data.ContactRecord), part(data.LoadRecord), part(data.PairRecord)
+
+
+def work_of(stage: str, c: Counts) -> Work:
+    """What a stage has to do at least, by its counts; launches are counted elsewhere."""
+    return _WORK[stage](c) if stage in _WORK else Work()
+
+
+def _predict(c: Counts) -> Work:
+    read = row(data.State, "bodies") + row(data.Bodies, "bodies")
+    return Work(c.rows * read, c.rows * row(data.Motions, "bodies"), c.rows * OPERATIONS["predict"])
+
+
+def _find_pairs(c: Counts) -> Work:
+    tests = c.pairs if c.gridded else c.envs * (c.small * (c.small - 1) // 2 + c.small * c.wide)
+    read = c.rows * (row(data.Motions, "bodies", "lower", "upper", "role") + row(data.History, "bodies"))
+    written = c.rows * row(data.Pairs, "bodies") + c.pairs * row(data.Pairs, "pairs", "body_a", "body_b", "dormant")
+    return Work(read, written, 2 * tests * OPERATIONS["test of boxes"])
+
+
+def _find_contacts(c: Counts) -> Work:
+    seen = ("seen", "seen_turn", "seen_shift", "contact_start")
+    pool = min(c.clusters, c.pool_clusters) * part(data.ClusterRecord)
+    pool += min(c.samples + c.contacts, c.pool_samples) * part(data.SampleRecord)
+    pool += min(8 * (c.near + c.close + c.contacts), c.pool_nodes) * 4
+    read = c.rows * (row(data.State, "bodies") + row(data.Motions, "bodies"))
+    read += c.pairs * (row(data.History, "pairs") + row(data.Pairs, "pairs", "body_a", "body_b", "dormant"))
+    read += c.contacts * row(data.History, "contacts", "key", "impulse", "twist") + pool
+    written = c.contacts * (CONTACT + IMPULSE + row(data.Contacts, "contacts", "key", "position"))
+    written += c.pairs * row(data.Pairs, "pairs", *seen, "contact_count") + 4 * c.contacts
+    operations = {"reach of a pair": c.pairs, "cluster": c.clusters, "sample": c.samples, "contact": c.contacts}
+    operations["distance"] = c.near + c.close + c.contacts
+    return Work(read, written, sum(visits * OPERATIONS[name] for name, visits in operations.items()))
+
+
+def _build_graph(c: Counts) -> Work:
+    read = c.pairs * row(data.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
+    read += c.rows * (VELOCITY + row(data.Motions, "bodies", "acceleration"))
+    written = c.rows * row(data.Graph, "bodies", "level", "island", "colors")
+    written += c.pairs * row(data.Graph, "pairs", "rests", "pair_color", "pair_level") + 2 * c.touching * ENTRY
+    return Work(read, written, c.contacts * OPERATIONS["graph"])
+
+
+def _accelerate(c: Counts) -> Work:
+    read = VELOCITY + row(data.Motions, "bodies", "acceleration", "spin_acceleration", "role")
+    return Work(c.rows * read, c.rows * VELOCITY, 12 * c.rows)
+
+
+def _collide(c: Counts) -> Work:
+    read = c.touching * ENTRY + c.contacts * CONTACT + c.rows * (VELOCITY + MASS)
+    return Work(read, 0.0, c.contacts * OPERATIONS["impact"])
+
+
+def _solve_contacts(c: Counts) -> Work:
+    read = c.touching * ENTRY + c.contacts * (CONTACT + IMPULSE) + c.rows * (VELOCITY + MASS)
+    return Work(read, c.contacts * IMPULSE + c.rows * VELOCITY, (c.contacts + c.sweeps) * OPERATIONS["visit"])
+
+
+def _propagate_shock(c: Counts) -> Work:
+    entries = c.touching * c.unsettled / max(c.contacts, 1) * ENTRY
+    mover = part(data.MoverRecord)
+    single = c.unsettled * (2 * OPERATIONS["visit"] + OPERATIONS["search"])
+    read = entries + c.unsettled * (CONTACT + LOAD) + c.unsettled_rows * mover
+    return Work(read, c.unsettled * LOAD + c.unsettled_rows * mover, single)
+
+
+def _push_out(c: Counts) -> Work:
+    read = c.contacts * (CONTACT + row(data.Contacts, "contacts", "key")) + c.rows * VELOCITY
+    return Work(read, c.contacts * part(data.LoadRecord, "reaction", "target"), c.contacts * OPERATIONS["overlap"])
+
+
+def _follow(c: Counts) -> Work:
+    read = c.rows * (row(data.State, "bodies", "position", "orientation") + VELOCITY)
+    read += c.rows * row(data.Motions, "bodies", "center", "radius", "room")
+    read += c.pairs * row(data.Pairs, "pairs", "body_a", "body_b")
+    return Work(read, c.rows * row(data.Motions, "bodies", "share", "next_share"), c.pairs * OPERATIONS["course"])
+
+
+def _move(c: Counts) -> Work:
+    state = row(data.State, "bodies")
+    read = state + part(data.MoverRecord) + row(data.Bodies, "bodies", "motion", "inertia", "center_of_mass")
+    return Work(c.rows * read, c.rows * state, 0.0, c.envs * c.small * MOVE)
+
+
+def _remember(c: Counts) -> Work:
+    moved = c.rows * row(data.History, "bodies") + c.pairs * row(data.History, "pairs")
+    moved += c.contacts * row(data.History, "contacts")
+    return Work(moved, moved)
+
+
+_WORK: dict[str, Callable[[Counts], Work]] = {
+    "predict": _predict,
+    "find_pairs": _find_pairs,
+    "find_contacts": _find_contacts,
+    "build_graph": _build_graph,
+    "accelerate": _accelerate,
+    "collide": _collide,
+    "solve_contacts": _solve_contacts,
+    "propagate_shock": _propagate_shock,
+    "push_out": _push_out,
+    "follow": _follow,
+    "move": _move,
+    "remember": _remember,
+}
+
+
+def markdown(found: Found) -> str:
+    """One scene as a heading, a line of counts and a table."""
+    c, lines = found.counts, []
+    total, floor = sum(found.measured.values()), sum(seconds for seconds, _ in found.floors.values())
+    visits = (c.contacts + c.sweeps) / max(found.measured["solve_contacts"], 1e-12)
+    lines += [
+        f"## {found.scene.rpartition(':')[0]} × {c.envs}",
+        "",
+        f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched anew "
+        f"({c.clusters:,} clusters, {c.samples:,} samples, {c.near + c.close:,} distances); {c.touching:,} touch, in "
+        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} sweeps a contact, "
+        f"{c.unsettled / max(c.contacts, 1):.0%} of the contacts need shock propagation. The simulator's arrays fill "
+        f"{found.working_set / 1e6:,.0f} MB; sweeps visit {visits / 1e9:.3g} G contacts/s.",
+        "",
+        "| stage | launches | MB | Mflop | floor [µs] | set by | measured [µs] | measured / floor |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for stage, taken in found.measured.items():
+        work, (least, by) = found.work[stage], found.floors[stage]
+        if work.launches:
+            cells = [stage, work.launches, _short((work.read + work.written) / 1e6)]
+            cells += [_short((work.single + work.double) / 1e6), _short(1e6 * least), by, _short(1e6 * taken)]
+            lines.append(f"| {' | '.join(map(str, cells))} | {_short(taken / least)} |")
+    lines.append(f"| all | | | | {_short(1e6 * floor)} | | {_short(1e6 * total)} | {_short(total / floor)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _short(number: float) -> str:
+    """Three figures."""
+    return f"{number:,.0f}" if number >= 100.0 else f"{number:.3g}"
+
+
+def page(scenes: list[Found]) -> str:
+    """The page of all tables."""
+    note = "Written by `python -m benchmarks.roofline --write docs/roofline_table.md`; [what it means](roofline.md).\n"
+    return "\n".join(["# Roofline: all figures\n", note, *map(markdown, scenes)])
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure scenes, print their tables, and write them where it is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="*", default=MAIN, help="name:bodies:environments")
+    parser.add_argument("--device")
+    parser.add_argument("--settle", type=int, default=SETTLE, help="frames of 1/60 s before the work is counted")
+    parser.add_argument("--write", help="file for the tables (.md)")
+    parser.add_argument("--json", help="file for the figures (.json)")
+    given = parser.parse_args(arguments)
+    device = choose_device(given.device)
+    found = []
+    for text in given.scenes or MAIN:
+        found.append(measure(text, device, given.settle))
+        print(markdown(found[-1]), flush=True)
+    for path, text in ((given.write, page(found)), (given.json, json.dumps([asdict(f) for f in found], indent=1))):
+        if path:
+            Path(path).write_text(text)
+
+
+if __name__ == "__main__":
+    main()
