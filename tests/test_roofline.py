@@ -1,6 +1,7 @@
 """The roofline's counts: sizes against the arrays' own, work against scenes whose work is known."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from warp_rigid.kernels import data
 from warp_rigid.shapes import Box
 
 CPU = roofline.LIMITS["cpu"]
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.mark.parametrize("struct", [data.State, data.Motions, data.Bodies, data.Pairs, data.Contacts, data.History])
@@ -90,3 +92,17 @@ def test_a_table_is_written_with_every_stage_that_launches(device, tmp_path, cap
             assert work["read"] > 0 or (stage == "propagate_shock" and found["counts"]["unsettled"] == 0)
             assert 0.0 < found["floors"][stage][0] < found["measured"][stage]
     assert set(found["work"]) == set(found["measured"])
+
+
+def test_the_page_names_the_programs_figures():
+    text = (ROOT / "docs" / "roofline.md").read_text()
+    for name, told in (
+        ("visit", "{} for a contact in a sweep"),
+        ("distance", "{} for a distance"),
+        ("contact", "{} for making"),
+    ):
+        assert told.format(roofline.OPERATIONS[name]) in text
+    gpu = roofline.LIMITS["cuda"]
+    assert f"| memory | {1e-12 * gpu.bandwidth:.1f} TB/s | {1e-9 * CPU.bandwidth:.0f} GB/s |" in text
+    assert f"| {1e-12 * gpu.single:.0f} TFLOP/s | {1e-9 * CPU.single:.0f} GFLOP/s |" in text
+    assert f"| {1e6 * gpu.launch:.2f} µs | {1e6 * CPU.launch:.2f} µs |" in text
