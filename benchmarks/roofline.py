@@ -22,6 +22,7 @@ from warp_rigid import Settings, Simulator
 from warp_rigid.bench.measure import FPS, STAGE_STEPS, commit
 from warp_rigid.bench.scenes import Case, find_case
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
+from warp_rigid.cores import shared_by, usable_cores
 from warp_rigid.kernels import data, narrowphase
 from warp_rigid.simulator import choose_device
 
@@ -227,7 +228,8 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
 
 
 def _settled(case: Case, envs: int, device: Any, settle: int) -> Simulator:
-    sim = Simulator(case.build(), envs, Settings(dt=1.0 / (FPS * SUBSTEPS)), device=device)
+    with shared_by(usable_cores()):  # one core, so one shard
+        sim = Simulator(case.build(), envs, Settings(dt=1.0 / (FPS * SUBSTEPS)), device=device)
     case.scatter(sim)
     sim.step(settle * SUBSTEPS)
     return sim
@@ -235,8 +237,9 @@ def _settled(case: Case, envs: int, device: Any, settle: int) -> Simulator:
 
 def count(sim: Simulator) -> Counts:
     """Count the work of the coming step; the state stays as it is."""
-    sim._save()
-    stages, pools = sim._stages, sim._pools
+    (shard,) = sim._shards
+    shard.save(attempt=0)
+    stages, pools = shard.stages, shard.pools
     pools.pairs.patch_count.fill_(-1)
     stages.replay()
     pairs = int(pools.pairs.start.numpy()[-1])
@@ -245,7 +248,7 @@ def count(sim: Simulator) -> Counts:
     first_pair = pools.pairs.start.numpy()[:: sim.num_bodies]
     contacts = np.diff(start[first_pair])
     settled = pools.graph.settled.numpy() == 1
-    sim._restore()
+    shard.undo(attempt=0)
     stages.predict(sim.settings.dt)
     counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
     inputs = [sim.settings.dt, sim._model.shapes, sim._model.bodies, sim._state, stages.motions, pools.pairs]
@@ -290,10 +293,11 @@ def sweeps_needed(sim: Simulator) -> np.ndarray:
 
 def _velocities_after(sim: Simulator, iterations: np.ndarray) -> np.ndarray:
     sim.set("contact_iterations", iterations)
-    sim._save()
-    sim._stages.replay()
+    (shard,) = sim._shards
+    shard.save(attempt=0)
+    shard.stages.replay()
     found = np.concatenate([sim.get("linear_velocity"), sim.get("angular_velocity")], axis=-1)
-    sim._restore()
+    shard.undo(attempt=0)
     return found
 
 
@@ -301,7 +305,8 @@ def count_launches(sim: Simulator) -> dict[str, int]:
     """Kernels, sums, copies and fills that each stage of a step asks for."""
     found: dict[str, int] = {}
     running: list[str | None] = [None]
-    sim._save()
+    (shard,) = sim._shards
+    shard.save(attempt=0)
     with _watched(lambda: found.update({running[-1]: found.get(running[-1], 0) + 1})):
 
         def switch(name: str | None) -> None:
@@ -309,8 +314,8 @@ def count_launches(sim: Simulator) -> dict[str, int]:
             if name is not None:
                 found.setdefault(name, 0)
 
-        walk(sim._stages, switch)
-    sim._restore()
+        walk(shard.stages, switch)
+    shard.undo(attempt=0)
     return {stage: found[stage] for stage in STAGES if stage in found}
 
 

@@ -83,6 +83,18 @@ def allocate(struct: Any, sizes: dict[str, int], device: Any) -> Any:
     return instance
 
 
+def part(whole: Any, symbol: str, first: int, end: int) -> Any:
+    """Return a struct of the same arrays, those counted by `symbol` cut to rows from `first` to before `end`.
+
+    Nothing is copied: what is written to the part is written to the whole.
+    """
+    struct = type(whole)()
+    for key, field in LAYOUTS[whole._cls.key].items():
+        array = getattr(whole, key)
+        setattr(struct, key, array[first:end] if field.shape.split(",")[0] == symbol else array)
+    return struct
+
+
 def byte_size(struct: Any, sizes: dict[str, int]) -> int:
     """Return how many bytes `allocate` would take."""
     total = 0
@@ -165,10 +177,9 @@ Shapes = layout(
 
 Surfaces = layout(
     "Surfaces",
-    "Vertices of the height fields that move, a copy for each environment; their nodes are the pool's last.",
-    env=Field(int, "vertices", "", "environment"),
+    "Vertices of the height fields that move, environment by environment; their nodes are the pool's last.",
     sample=Field(int, "vertices", "", "the sample at the vertex"),
-    around=Field(wp.vec4i, "vertices", "", "neighbouring vertices: before and after along x, before and after along y"),
+    around=Field(wp.vec4i, "vertices", "", "steps to the neighbouring vertices: before and after along x, along y"),
     per_x=Field(float, "vertices", "1/m", "one over the distance of the neighbours along x"),
     per_y=Field(float, "vertices", "1/m", "one over the distance of the neighbours along y"),
     height=Field(float, "vertices", "m", "mean height"),

@@ -26,14 +26,19 @@ def height_at(k: int, time: wp.float64, surfaces: Surfaces):
 def raise_surfaces(dt: wp.float64, first: int, envs: Environments, surfaces: Surfaces, shapes: Shapes):
     """One thread a vertex: height, speed, and the sample there. `first`: the first vertex's node in the pool."""
     k = wp.tid()
-    time = wp.float64(envs.step[surfaces.env[k]]) * dt
+    env = k / (surfaces.height.shape[0] / envs.step.shape[0])
+    time = wp.float64(envs.step[env]) * dt
     now = height_at(k, time, surfaces)
     shapes.grid_value[first + k] = float(now)
     surfaces.rise[k] = float((height_at(k, time + dt, surfaces) - now) / dt)
     surfaces.rise_before[k] = float((now - height_at(k, time - dt, surfaces)) / dt)
     around = surfaces.around[k]
-    slope_x = float(height_at(around[1], time, surfaces) - height_at(around[0], time, surfaces)) * surfaces.per_x[k]
-    slope_y = float(height_at(around[3], time, surfaces) - height_at(around[2], time, surfaces)) * surfaces.per_y[k]
+    slope_x = (
+        float(height_at(k + around[1], time, surfaces) - height_at(k + around[0], time, surfaces)) * surfaces.per_x[k]
+    )
+    slope_y = (
+        float(height_at(k + around[3], time, surfaces) - height_at(k + around[2], time, surfaces)) * surfaces.per_y[k]
+    )
     sample = shapes.samples[surfaces.sample[k]]
     sample.point = wp.vec3(sample.point[0], sample.point[1], float(now))
     sample.normal = wp.normalize(wp.vec3(-slope_x, -slope_y, 1.0))

@@ -1,5 +1,7 @@
 """Independent float64 answers to what the stages compute, and the way to the stages of a simulator."""
 
+from unittest import mock
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -11,16 +13,21 @@ GROUND = Plane(normal=(0, 0, 1), offset=0.0)
 
 
 def stages_of(sim):
-    """The stages of a simulator: the only way in which these tests reach behind its surface."""
-    return sim._stages
+    """The stages of a simulator of one shard: the only way in which these tests reach behind its surface."""
+    (shard,) = sim._shards
+    return shard.stages
 
 
 def opened(scene, device, num_envs=1, settings=None):
-    """A simulator with room for every pair of bodies, so that single stages never run out of it, and its stages."""
+    """A simulator with room for every pair of bodies, so that single stages never run out of it, and its stages.
+
+    All environments are one shard, on any number of cores.
+    """
     bodies = len(scene.bodies)
     pairs = num_envs * max(8, bodies * (bodies - 1) // 2)
     room = {"pairs": pairs, "contacts": min(36 * pairs, 100 * num_envs * bodies)}
-    sim = Simulator(scene, num_envs=num_envs, settings=settings, device=device, capacity=room)
+    with mock.patch("warp_rigid.shards.usable_cores", return_value=1):
+        sim = Simulator(scene, num_envs=num_envs, settings=settings, device=device, capacity=room)
     return sim, stages_of(sim)
 
 

@@ -9,6 +9,7 @@ from distributed import LocalCluster
 
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
+from warp_rigid.cores import usable_cores
 from warp_rigid.sweep.cluster import cluster_of_file
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
@@ -40,6 +41,13 @@ def test_what_fails_on_a_worker_is_a_row_with_its_reason():
 
     failed = quick({"height": [1.0]}, cluster=cluster, metrics=[lambda sim: [1, 2, 3]])
     assert "must return (1,)" in failed.rows[0]["reason"]
+
+
+def test_workers_of_one_host_share_its_cores(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
+    with LocalCluster(n_workers=3, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as made:
+        found = quick({"height": [1.0]}, cluster=made, metrics=[lambda sim: [usable_cores()]])
+    assert [row["<lambda>"] for row in values(found)] == [2] and usable_cores() == 8
 
 
 def test_workers_with_several_threads_are_refused():

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 import warp_rigid as wr
-from tests.oracles import ground_scene, random_pile, rotate_about
+from tests.oracles import ground_scene, random_pile, rotate_about, stages_of
 from warp_rigid import memory
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.kernels import data
@@ -81,7 +81,8 @@ def test_totals_beyond_32_bits_are_refused(device, monkeypatch, on_overflow, cou
     sim = Simulator(heap(8), device=device, on_overflow=on_overflow)
     sim.step(2)
     before = bits(sim)
-    stages, pairs = sim._stages, sim._pools.pairs
+    stages = stages_of(sim)
+    pairs = stages.pools.pairs
     counts = np.zeros(pairs.count.shape, np.int32)
     counts[1 : 1 + count] = 2**30
 
@@ -171,12 +172,13 @@ def test_other_arguments_are_refused(device, arguments, field):
 
 
 def arrays_within(thing, seen):
-    """All device arrays that an object holds, each once."""
+    """All device arrays that an object holds, each once, and none that is a part of another."""
     if id(thing) in seen:
         return
     seen[id(thing)] = thing
     if isinstance(thing, wp.array):
-        yield thing
+        if not isinstance(thing._ref, wp.array):
+            yield thing
     elif isinstance(thing, list | tuple):
         for part in thing:
             yield from arrays_within(part, seen)

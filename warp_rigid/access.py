@@ -11,6 +11,7 @@ from warp_rigid.kernels import data
 from warp_rigid.model import mass_arrays
 from warp_rigid.scene import Motion
 from warp_rigid.settings import PER_ENVIRONMENT, check_setting, setting_from_device
+from warp_rigid.shard import Shard
 
 if TYPE_CHECKING:
     from warp_rigid.simulator import Simulator
@@ -48,7 +49,8 @@ def read(sim: "Simulator", name: str) -> np.ndarray:
     if name in PER_ENVIRONMENT:
         return setting_from_device(name, getattr(sim._envs, name).numpy().copy())
     if name == "level":
-        return _rows(sim, sim._pools.graph.level)
+        level = sim._shards.gather(lambda shard: shard.pools.graph.level.numpy())
+        return level.reshape(sim.num_envs, sim.num_bodies)
     if name == "asleep":
         return _rows(sim, sim._rest.asleep).astype(bool)
     if name == "active":
@@ -83,9 +85,10 @@ def write(sim: "Simulator", name: str, value: Any, envs: Any, bodies: Any) -> No
 
 def wake(sim: "Simulator", chosen: np.ndarray, bodies: np.ndarray) -> None:
     """Wake the islands of bodies that were changed, and those that lie on them."""
-    if sim._stages.sleeping:
+    if sim._shards.sleeping:
         _assign_rows(sim, sim._rest.disturbed, 1, chosen, bodies)
-        sim._stages.wake_disturbed()
+        for shard, _ in sim._shards.of(chosen):
+            shard.stages.wake_disturbed()
 
 
 def live_array(sim: "Simulator", name: str) -> wp.array:
@@ -161,9 +164,7 @@ def _count_anew(sim: "Simulator", chosen: np.ndarray) -> None:
 
 def renew_stages(sim: "Simulator") -> None:
     """Record the step anew where settings ask for another one."""
-    recorded = sim._stages.repetitions, sim._stages.sleeping
-    if (largest_repetition(sim), any_sleeping(sim)) != recorded:
-        sim._stages = sim._new_stages()
+    sim._shards.record(sim.settings.dt, largest_repetition(sim), any_sleeping(sim))
 
 
 def largest_repetition(sim: "Simulator") -> int:
@@ -224,16 +225,17 @@ def _write_mass(sim: "Simulator", value: Any, chosen: np.ndarray, bodies: np.nda
 
 def forget_history(sim: "Simulator", chosen: np.ndarray) -> None:
     """Make environments start their next step without remembered contacts and impulses."""
-    history = sim._pools.history
-    pairs = history.pair_start.numpy()
-    start = history.contact_start.numpy()[pairs]
-    keys, seen = history.key.numpy(), history.seen.numpy()
-    for env in chosen:
-        first, last = env * sim.num_bodies, (env + 1) * sim.num_bodies
-        keys[start[first] : start[last]] = -1
-        seen[pairs[first] : pairs[last]] = 0
-    history.key.assign(keys)
-    history.seen.assign(seen)
+    for shard, own in sim._shards.of(chosen):
+        history = shard.pools.history
+        pairs = history.pair_start.numpy()
+        start = history.contact_start.numpy()[pairs]
+        keys, seen = history.key.numpy(), history.seen.numpy()
+        for env in own:
+            first, last = env * sim.num_bodies, (env + 1) * sim.num_bodies
+            keys[start[first] : start[last]] = -1
+            seen[pairs[first] : pairs[last]] = 0
+        history.key.assign(keys)
+        history.seen.assign(seen)
 
 
 def apply_impulse(sim: "Simulator", impulse: Any, point: Any, body: int, envs: Any) -> None:
@@ -256,16 +258,20 @@ def apply_impulse(sim: "Simulator", impulse: Any, point: Any, body: int, envs: A
 
 def contact_records(sim: "Simulator") -> np.ndarray:
     """Contacts of the last step; see Simulator.contacts."""
-    history = sim._pools.history
+    return sim._shards.gather(_contacts_of_shard)
+
+
+def _contacts_of_shard(shard: Shard) -> np.ndarray:
+    history = shard.pools.history
     start = history.contact_start.numpy()
     pairs_before = history.pair_start.numpy()
     count = int(start[-1])
     records = np.zeros(count, CONTACT_RECORD)
     first = np.repeat(np.arange(len(pairs_before) - 1), np.diff(start[pairs_before]))
     pair = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    records["env"] = first // sim.num_bodies
-    records["body_a"] = first % sim.num_bodies
-    records["body_b"] = history.body_b.numpy()[pair] % sim.num_bodies
+    records["env"] = shard.first + first // shard.num_bodies
+    records["body_a"] = first % shard.num_bodies
+    records["body_b"] = history.body_b.numpy()[pair] % shard.num_bodies
     records["position"] = history.position.numpy()[:count]
     records["normal"] = history.normal.numpy()[:count]
     records["depth"] = -history.gap.numpy()[:count]
@@ -275,8 +281,10 @@ def contact_records(sim: "Simulator") -> np.ndarray:
 
 def swept_boxes(sim: "Simulator") -> np.ndarray:
     """Boxes of the last look for pairs; see Simulator.swept_boxes."""
-    motions = sim._stages.motions
-    return np.stack([_rows(sim, motions.lower), _rows(sim, motions.upper)], axis=2)
+    corners = sim._shards.gather(
+        lambda shard: np.stack([shard.stages.motions.lower.numpy(), shard.stages.motions.upper.numpy()], axis=1)
+    )
+    return corners.reshape(sim.num_envs, sim.num_bodies, 2, 3)
 
 
 def status_records(sim: "Simulator") -> np.ndarray:
@@ -295,24 +303,29 @@ def status_records(sim: "Simulator") -> np.ndarray:
 
 def counts(sim: "Simulator") -> dict[str, int]:
     """Sizes of the last step; see Simulator.counts."""
-    history = sim._pools.history
-    wanted = sim._pools.wanted.numpy()
+    pairs, contacts = counts_of_environments(sim)
+    sizes = sim._shards.sizes()
     return {
-        "pairs": int(history.pair_start.numpy()[-1]),
-        "contacts": int(history.contact_start.numpy()[-1]),
-        "levels": int(sim._pools.by_level.level_count.numpy().max()),
-        "pair_capacity": sim._pools.sizes["pairs"],
-        "contact_capacity": sim._pools.sizes["contacts"],
-        "most_pairs": int(wanted[0]),
-        "most_contacts": int(wanted[1]),
+        "pairs": int(pairs.sum()),
+        "contacts": int(contacts.sum()),
+        "levels": int(sim._shards.gather(lambda shard: shard.pools.by_level.level_count.numpy()).max()),
+        "pair_capacity": sizes["pairs"],
+        "contact_capacity": sizes["contacts"],
+        "most_pairs": int(sim._shards.most_wanted[0]),
+        "most_contacts": int(sim._shards.most_wanted[1]),
     }
 
 
 def counts_of_environments(sim: "Simulator") -> tuple[np.ndarray, np.ndarray]:
     """Pairs and contacts of the last step in each environment, two (envs,) arrays."""
-    history = sim._pools.history
-    pairs = history.pair_start.numpy()[:: sim.num_bodies]
-    return np.diff(pairs), np.diff(history.contact_start.numpy()[pairs])
+    both = sim._shards.gather(_counts_of_shard)
+    return both[:, 0], both[:, 1]
+
+
+def _counts_of_shard(shard: Shard) -> np.ndarray:
+    history = shard.pools.history
+    pairs = history.pair_start.numpy()[:: shard.num_bodies]
+    return np.stack([np.diff(pairs), np.diff(history.contact_start.numpy()[pairs])], axis=1)
 
 
 def _rotations(sim: "Simulator") -> np.ndarray:

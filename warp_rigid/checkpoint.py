@@ -1,7 +1,8 @@
 """Checkpoints: a simulator in one file, from which it goes on to the same bits.
 
 The file holds the scene with its meshes and their distance grids, all parameters and settings of every environment,
-the state, and the contacts of the last step with their impulses; of the pools, only what is in use.
+the state, and the contacts of the last step with their impulses; of the pools, only what is in use. It does not tell
+how many cores shared the environments: any machine goes on from it.
 """
 
 import logging
@@ -19,6 +20,7 @@ from warp_rigid.kernels.narrowphase import BY_CENTER
 from warp_rigid.pools import LARGEST, NAMES
 from warp_rigid.scene_data import scene_from_data, scene_to_data
 from warp_rigid.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
+from warp_rigid.shard import Shard
 
 if TYPE_CHECKING:
     from warp_rigid.simulator import Simulator
@@ -53,16 +55,16 @@ def save(sim: "Simulator", path: Any, more: dict[str, Any] | None = None, arrays
         "num_envs": sim.num_envs,
         "settings": asdict(sim.settings),
         "seed": sim.seed,
-        "steps": sim._steps,
+        "steps": sim._shards.steps,
         "on_overflow": sim.on_overflow,
         "on_nonfinite": sim.on_nonfinite,
         "memory_limit": sim._memory_limit.given,
-        "capacity": {name: sim._pools.sizes[name] for name in NAMES},
+        "capacity": sim._shards.room,
         "used": used,
-        "fitted": sim._pools.fitted,
+        "fitted": sim._shards.most_wanted.tolist(),
         "more": more or {},
     }
-    archive.save(path, KIND, VERSION, header, {**shapes, **_device_arrays(sim, used), **(arrays or {})})
+    archive.save(path, KIND, VERSION, header, {**shapes, **_stored(sim), **(arrays or {})})
 
 
 def load(path: Any, device: Any = None) -> "Simulator":
@@ -91,18 +93,13 @@ def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarr
         CapacityError: there is no room for the contacts of the last step.
     """
     used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
-    for name, member in (("pairs", "History.body_b"), ("contacts", "History.key")):
-        shaped(arrays, member, np.int32, (used[name],))
-    short = {name: used[name] for name in NAMES if used[name] > sim._pools.sizes[name]}
-    if short:
-        sim._grow(short)
-    checked = [(array, _checked(name, array, field, arrays, used, sim)) for name, array, field in _stored(sim)]
+    rows = {name: _checked(name, own, arrays, used, sim) for name, own in _stored(sim).items()}
+    _check_neighbours(sim, rows)
     steps = whole_in("steps", header["steps"], 0, 2**62)
-    sim._pools.fitted = tuple(whole_in("fitted", n, 0, LARGEST) for n in header["fitted"])
-    sim._pools.forget_shortage()
-    for array, rows in checked:
-        _upload(array, rows)
-    sim._steps = steps
+    most_wanted = [whole_in("fitted", n, 0, LARGEST) for n in header["fitted"]]
+    _upload(sim, rows)
+    sim._shards.most_wanted = np.array(most_wanted, np.int64)
+    sim._shards.steps = steps
     access.renew_stages(sim)
 
 
@@ -119,83 +116,91 @@ def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[st
         "on_overflow": header["on_overflow"],
         "on_nonfinite": header["on_nonfinite"],
         "memory_limit": header["memory_limit"],
-        # Pools that may grow do without what they had grown to: it would not change a bit.
         "capacity": header["capacity"] if header["on_overflow"] == "raise" else None,
     }
 
 
-def _stored(sim: "Simulator") -> list[tuple[str, wp.array, data.Field]]:
-    """All device arrays that a checkpoint holds: name, array, and how it was declared."""
-    pools = sim._pools
+def _whole(sim: "Simulator") -> dict[str, wp.array]:
+    """Device arrays of all environments that are stored as they are."""
     owners = [
         (data.Bodies, sim._model.bodies, [n for n in data.field_names(data.Bodies) if n not in FROM_SCENE]),
         (data.State, sim._state, data.field_names(data.State)),
-        (data.Rest, sim._rest, data.field_names(data.Rest)),
+        (data.Rest, sim._rest, [n for n in data.field_names(data.Rest) if n != "island"]),
         (data.Environments, sim._envs, data.field_names(data.Environments)),
-        (data.History, pools.history, data.field_names(data.History)),
-        (data.Contacts, pools.contacts, data.field_names(data.Contacts)),
-        (data.Graph, pools.graph, ("level",)),
-        (data.Order, pools.by_level, ("level_count",)),
     ]
-    return [
-        (f"{struct.key}.{name}", getattr(owner, name), data.LAYOUTS[struct.key][name])
-        for struct, owner, names in owners
-        for name in names
-    ]
+    return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
 
 
-def _rows(field: data.Field, size: int, used: dict[str, int]) -> int:
-    """How many rows of an array are in use: of what is listed for pairs or contacts, only these."""
-    first = field.shape.split(",")[0].strip()
-    name, _, more = first.partition(" + ")
-    return used[name] + int(more or 0) if name in used else size
+def _stored(sim: "Simulator") -> dict[str, np.ndarray]:
+    """All arrays that a checkpoint holds, numbered as if all environments were one shard."""
+    stored = {name: array.numpy() for name, array in _whole(sim).items()}
+    island = sim._rest.island.numpy() + _first_bodies(sim)
+    stored["Rest.island"] = np.where(stored["Rest.asleep"] == 1, island, 0).astype(np.int32)
+    stored |= {f"History.{name}": rows for name, rows in _history(sim).items()}
+    levels = [shard.pools.levels for shard in sim._shards]
+    return stored | {name: np.concatenate([some[name].numpy() for some in levels]) for name in levels[0]}
 
 
-def _device_arrays(sim: "Simulator", used: dict[str, int]) -> dict[str, np.ndarray]:
-    return {name: _plain(array.numpy()[: _rows(field, array.shape[0], used)]) for name, array, field in _stored(sim)}
+def _first_bodies(sim: "Simulator") -> np.ndarray:
+    """For each body the first one of its shard, (envs * bodies,)."""
+    return sim._shards.gather(lambda shard: np.full(shard.end_body - shard.first_body, shard.first_body, np.int32))
 
 
-def _plain(rows: np.ndarray) -> np.ndarray:
-    """Records as rows of whole numbers of the same bits; other arrays as they are."""
-    return (
-        rows
-        if rows.dtype.names is None
-        else np.ascontiguousarray(rows).view(np.int32).reshape(len(rows), rows.dtype.itemsize // 4)
-    )
+def _history(sim: "Simulator") -> dict[str, np.ndarray]:
+    """The contacts of the last step, shard after shard; only rows that are in use."""
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in data.field_names(data.History)}
+    last = {"pair_start": 0, "contact_start": 0}
+    for shard in sim._shards:
+        history = shard.pools.history
+        pairs, contacts = int(history.pair_start.numpy()[-1]), int(history.contact_start.numpy()[-1])
+        used = {"bodies": shard.end_body - shard.first_body, "pairs": pairs, "contacts": contacts}
+        shift = {**last, "body_b": shard.first_body}
+        for name, field in data.LAYOUTS["History"].items():
+            rows = getattr(history, name).numpy()[: used[_counted_by(field)]]
+            parts[name].append(rows + np.int32(shift[name]) if name in shift else rows)
+        last = {"pair_start": last["pair_start"] + pairs, "contact_start": last["contact_start"] + contacts}
+    for name, total in last.items():
+        parts[name].append(np.array([total], np.int32))
+    return {name: np.concatenate(some) for name, some in parts.items()}
+
+
+def _counted_by(field: data.Field) -> str:
+    """What there is a row for; sums have one more."""
+    return field.shape.partition(" + ")[0]
 
 
 def _checked(
-    name: str,
-    array: wp.array,
-    field: data.Field,
-    arrays: dict[str, np.ndarray],
-    used: dict[str, int],
-    sim: "Simulator",
+    name: str, own: np.ndarray, arrays: dict[str, np.ndarray], used: dict[str, int], sim: "Simulator"
 ) -> np.ndarray:
-    """The saved rows of an array, if the kernels may trust them."""
-    host = array.numpy()
-    plain = _plain(host[:1])
-    rows = shaped(arrays, name, plain.dtype, (_rows(field, host.shape[0], used), *plain.shape[1:]))
-    last = name.partition(".")[2]
+    """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
+    struct, _, last = name.partition(".")
+    counted = _counted_by(data.LAYOUTS[struct][last])
+    count = used[counted] + last.endswith("_start") if counted in used else len(own)
+    rows = shaped(arrays, name, own.dtype, (count, *own.shape[1:]))
     if last in PER_ENVIRONMENT:
         for value in np.unique(rows).tolist():
             _check_stored_setting(last, value)
     if last.endswith("_start"):
         top = used[f"{last.removesuffix('_start')}s"]
-        if (np.diff(rows) < 0).any() or rows[0] != 0 or rows[-1] > top:
+        if (np.diff(rows) < 0).any() or rows[0] != 0 or rows[-1] != top:
             raise ValueError(f"{name} must rise from 0 to {top}")
     if last == "contact_start" and np.diff(rows).max(initial=0) > data.PAIR_SLOTS:
         raise ValueError(f"{name} must not give a pair more than {data.PAIR_SLOTS} contacts")
-    if host.dtype.names is not None:
-        rows = rows.view(host.dtype).reshape(len(rows))
-    bodies, samples = sim.num_envs * sim.num_bodies, sim._model.shapes.samples.shape[0]
-    for part in {"body_a", "body_b"} & {last, *(host.dtype.names or ())}:
-        _within(f"{name} {part}", rows if part == last else rows[part], 0, bodies - 1)
-    if name == "Rest.island":
-        _within(name, rows, 0, bodies - 1)
     if last == "key":
-        _within(name, rows, BY_CENTER - 1, 2 * samples - 1)
+        _within(name, rows, BY_CENTER - 1, 2 * sim._model.shapes.samples.shape[0] - 1)
     return rows
+
+
+def _check_neighbours(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
+    """Pairs and sleeping islands are of bodies of one environment."""
+    env = np.arange(sim.num_envs * sim.num_bodies) // sim.num_bodies
+    env_of_pair = np.repeat(env, np.diff(rows["History.pair_start"]))
+    for name, bodies, envs in (
+        ("History.body_b", rows["History.body_b"], env_of_pair),
+        ("Rest.island", rows["Rest.island"][rows["Rest.asleep"] == 1], env[rows["Rest.asleep"] == 1]),
+    ):
+        if (bodies // sim.num_bodies != envs).any():
+            raise ValueError(f"{name} must be bodies of the same environment")
 
 
 def _within(name: str, rows: np.ndarray, low: int, high: int) -> None:
@@ -213,8 +218,40 @@ def _check_stored_setting(name: str, value: int) -> None:
         check_setting(name, bool(whole_in(name, value, 0, 1)))
 
 
-def _upload(array: wp.array, rows: np.ndarray) -> None:
-    """Fill an array: the saved rows, and after them the last one again (sums stay what they are)."""
+def _upload(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
+    """Write all arrays, each shard's part of the contacts to its own pools."""
+    parts = [_part_of_history(shard, rows) for shard in sim._shards]
+    for shard, part in zip(sim._shards, parts, strict=True):
+        sim._shards.make_room(shard, {"pairs": len(part["body_b"]), "contacts": len(part["key"])})
+    for shard, part in zip(sim._shards, parts, strict=True):
+        for name, values in part.items():
+            _fill(getattr(shard.pools.history, name), values)
+        levels = shard.pools.levels
+        levels["Graph.level"].assign(rows["Graph.level"][shard.first_body : shard.end_body])
+        levels["Order.level_count"].assign(rows["Order.level_count"][shard.first : shard.end])
+    for name, array in _whole(sim).items():
+        array.assign(rows[name])
+    island = np.where(rows["Rest.asleep"] == 1, rows["Rest.island"] - _first_bodies(sim), 0)
+    sim._rest.island.assign(island.astype(np.int32))
+
+
+def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A shard's rows of the contacts of the last step, by its own numbers."""
+    bodies = (shard.first_body, shard.end_body)
+    pairs = tuple(int(rows["History.pair_start"][body]) for body in bodies)
+    contacts = tuple(int(rows["History.contact_start"][pair]) for pair in pairs)
+    bounds = {"bodies": bodies, "pairs": pairs, "contacts": contacts}
+    shift = {"pair_start": pairs[0], "contact_start": contacts[0], "body_b": bodies[0]}
+    part = {}
+    for name, field in data.LAYOUTS["History"].items():
+        first, end = bounds[_counted_by(field)]
+        own = rows[f"History.{name}"][first : end + name.endswith("_start")]
+        part[name] = own - np.int32(shift[name]) if name in shift else own
+    return part
+
+
+def _fill(array: wp.array, rows: np.ndarray) -> None:
+    """Write the first rows of an array, and the last of them to all that follow (sums stay what they are)."""
     host = array.numpy().copy()
     host[: len(rows)] = rows
     if 0 < len(rows) < len(host):

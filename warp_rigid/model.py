@@ -1,6 +1,6 @@
 """From a Scene to device arrays: the pool of shapes, and the rows of bodies of all environments."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,8 @@ class Model:
         num_envs: environments.
         shapes: pool of shapes.
         surfaces: vertices of ground that moves.
-        surface_vertices: how many there are; their nodes are the pool's last.
+        surface_vertices: how many there are.
+        surface_node: where their nodes begin in the pool.
         bodies: rows of all environments.
         fields: force fields.
         field_count: how many there are.
@@ -46,6 +47,7 @@ class Model:
     shapes: Any
     surfaces: Any
     surface_vertices: int
+    surface_node: int
     bodies: Any
     fields: Any
     field_count: int
@@ -55,12 +57,26 @@ class Model:
     grid_radius: float
     bodies_of_shape: list[list[int]]
 
+    def part(self, first: int, end: int) -> "Model":
+        """The model of the environments from `first` to before `end`, over the same arrays."""
+        bodies, vertices = len(self.scene.bodies), self.surface_vertices // self.num_envs
+        return replace(
+            self,
+            num_envs=end - first,
+            bodies=data.part(self.bodies, "bodies", first * bodies, end * bodies),
+            surfaces=data.part(self.surfaces, "vertices", first * vertices, end * vertices)
+            if vertices
+            else self.surfaces,
+            surface_vertices=(end - first) * vertices,
+            surface_node=self.surface_node + first * vertices,
+        )
+
 
 def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
     """Upload a scene for `num_envs` environments."""
     shapes, shape_of_body = _unique_shapes(scene.bodies)
     pooled, place, step = with_copies(shapes, num_envs)
-    pool, surfaces, surface_vertices = _pool_shapes(pooled, num_envs, _exact_reach(scene.bodies), device)
+    pool, surfaces, surface_vertices = _pool_shapes(pooled, _exact_reach(scene.bodies), device)
     small, wide, grid_radius = _split_by_size(scene.bodies)
     fields = data.allocate(data.FieldForces, {"fields": len(scene.force_fields)}, device)
     if scene.force_fields:
@@ -71,6 +87,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
         shapes=pool,
         surfaces=surfaces,
         surface_vertices=surface_vertices,
+        surface_node=pool.grid_value.shape[0] - surface_vertices,
         bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], wide, num_envs, device),
         fields=fields,
         field_count=len(scene.force_fields),
@@ -218,7 +235,7 @@ def _exact_reach(bodies: list[Body]) -> float:
     return reach
 
 
-def _pool_shapes(shapes: list[Shape], num_envs: int, exact_reach: float, device: Any) -> tuple[Any, Any, int]:
+def _pool_shapes(shapes: list[Shape], exact_reach: float, device: Any) -> tuple[Any, Any, int]:
     """Concatenate parts, grids, clusters and samples of all shapes; and the vertices of those that move."""
     parts = [shape.parts() for shape in shapes]
     samples = [shape.samples() for shape in shapes]
@@ -230,7 +247,7 @@ def _pool_shapes(shapes: list[Shape], num_envs: int, exact_reach: float, device:
     pool.clusters = wp.array(_cluster_rows(samples), dtype=data.ClusterRecord, device=device)
     pool.samples = wp.array(_sample_rows(samples), dtype=data.SampleRecord, device=device)
     pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
-    return pool, *build_surfaces(shapes, num_envs, _starts([len(s.kind) for s in samples]), device)
+    return pool, *build_surfaces(shapes, _starts([len(s.kind) for s in samples]), device)
 
 
 def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:

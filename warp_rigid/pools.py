@@ -14,13 +14,16 @@ NAMES = ("pairs", "contacts")
 LARGEST = 2**30
 """Most entries of a pool: ends of pairs, two each, are counted in 32 bits."""
 
+CHUNK = 16
+"""Most steps between two looks at the pools; as many are repeated if one was too small."""
+
 HEADROOM = 1.5
 """A pool that was too small grows to this many times what was wanted."""
 
 
 @dataclass
 class Pools:
-    """Arrays sized by the number of pairs and contacts, and how many were wanted so far.
+    """Arrays sized by the number of pairs and contacts, and how many the last steps wanted.
 
     Attributes:
         sizes: symbols of the data layout and their values.
@@ -30,8 +33,8 @@ class Pools:
         graph: contact graph.
         by_color: touching pairs by colour.
         by_level: touching pairs by level and colour.
-        wanted: (2,) most pairs and most contacts wanted.
-        fitted: most pairs and contacts wanted by the steps that fitted.
+        turn: (1,) row of `wanted` that belongs to the step at hand.
+        wanted: (CHUNK, 2) pairs and contacts wanted, step by step.
     """
 
     sizes: dict[str, int]
@@ -41,8 +44,8 @@ class Pools:
     graph: Any
     by_color: Any
     by_level: Any
+    turn: wp.array
     wanted: wp.array
-    fitted: tuple[int, ...] = (0, 0)
 
     @staticmethod
     def sizes_for(num_envs: int, bodies_per_env: int, pairs: int, contacts: int) -> dict[str, int]:
@@ -56,9 +59,8 @@ class Pools:
         }
 
     @classmethod
-    def allocate(cls, num_envs: int, bodies_per_env: int, pairs: int, contacts: int, device: Any) -> "Pools":
-        """Make empty pools for so many pairs and contacts over all environments."""
-        sizes = cls.sizes_for(num_envs, bodies_per_env, pairs, contacts)
+    def allocate(cls, sizes: dict[str, int], device: Any) -> "Pools":
+        """Make empty pools of these sizes."""
         return cls(
             sizes=sizes,
             pairs=data.allocate(data.Pairs, sizes, device),
@@ -67,43 +69,41 @@ class Pools:
             graph=data.allocate(data.Graph, sizes, device),
             by_color=data.allocate(data.Order, sizes, device),
             by_level=data.allocate(data.Order, sizes, device),
-            wanted=wp.zeros(2, dtype=int, device=device),
+            turn=wp.zeros(1, dtype=int, device=device),
+            wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
         )
 
-    def shortage(self) -> dict[str, int]:
-        """What was wanted of the pools that were too small (waits for the device)."""
-        wanted = self.wanted.numpy().tolist()
-        short = {name: n for name, n in zip(NAMES, wanted, strict=True) if n > self.sizes[name]}
-        if not short:
-            self.fitted = tuple(wanted)
-        return short
+    @property
+    def levels(self) -> dict[str, wp.array]:
+        """What is told of the last step's levels."""
+        return {"Graph.level": self.graph.level, "Order.level_count": self.by_level.level_count}
 
-    def forget_shortage(self) -> None:
-        """Count again from what the steps that fitted wanted."""
-        self.wanted.assign(np.array(self.fitted, np.int32))
+    def begin(self) -> None:
+        """Count anew what steps want, from the first row on."""
+        self.turn.zero_()
+        self.wanted.zero_()
 
-    def environment_with_most(self, name: str, bodies_per_env: int) -> int:
-        """The environment that wanted most of a pool in the step that did not fit."""
+    def wanted_by_environment(self, name: str) -> np.ndarray:
+        """What each environment wanted of a pool in the step at hand, (envs,), whether it fitted or not."""
         if name == "pairs":
             body, count = np.arange(self.sizes["bodies"]), self.pairs.count.numpy()[:-1]
         else:
             listed = int(self.pairs.start.numpy()[-1])
             body, count = self.pairs.body_a.numpy()[:listed], self.pairs.contact_count.numpy()[:listed]
-        return int(np.bincount(body // bodies_per_env, weights=count).argmax())
+        envs = self.sizes["envs"]
+        return np.bincount(body // (self.sizes["bodies"] // envs), weights=count, minlength=envs).astype(np.int64)
 
     def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
         """Sizes with room for what was wanted, and more."""
         return {**self.sizes, **{name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}}
 
-    def grown(self, sizes: dict[str, int], num_envs: int, bodies_per_env: int) -> "Pools":
+    def grown(self, sizes: dict[str, int]) -> "Pools":
         """Larger pools that remember the same last step."""
-        pools = Pools.allocate(num_envs, bodies_per_env, sizes["pairs"], sizes["contacts"], self.wanted.device)
+        pools = Pools.allocate(sizes, self.wanted.device)
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, data.History)
-        wp.copy(pools.graph.level, self.graph.level)
-        wp.copy(pools.by_level.level_count, self.by_level.level_count)
-        pools.fitted = self.fitted
-        pools.forget_shortage()
+        for name, array in self.levels.items():
+            wp.copy(pools.levels[name], array)
         return pools
 
 

@@ -4,13 +4,11 @@ Every mesh has its own bounding-volume hierarchy, built once for a film; a frame
 instances in another one. One ray goes to the eye's nearest surface and one from there to the light.
 """
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import warp as wp
 
 from warp_rigid.appearance import bound_corners, corner_normals, rotate
+from warp_rigid.cores import spread, usable_cores
 from warp_rigid.film import Film
 
 wp.set_module_options({"enable_backward": False})
@@ -236,7 +234,7 @@ class RayCaster:
     def __init__(self, film: Film, camera: Camera):
         """Build what is the same for all frames."""
         self._film, self._camera = film, camera
-        self._threads = min(os.cpu_count() or 1, 16)
+        self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
         self._corners = corners[film.mesh]
         with wp.ScopedDevice("cpu"):
@@ -328,8 +326,7 @@ class RayCaster:
             arguments = [first, self._camera, self._instances, place]
             wp.launch(cast_rays, end - first, arguments, outputs=[color], device="cpu")
 
-        with ThreadPoolExecutor(self._threads) as pool:
-            list(pool.map(cast, range(len(cuts) - 1)))
+        spread(cast, range(len(cuts) - 1), self._threads)
         return color.numpy().copy()
 
 

@@ -10,12 +10,12 @@ import os
 import sys
 import tempfile
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
 from warp_rigid import topology
+from warp_rigid.cores import spread, usable_cores
 from warp_rigid.geometry import Grid, content_hash, frozen_array
 
 PADDING_CELLS = 3
@@ -224,7 +224,7 @@ def _launch_slabs(kernel, count: int, inputs, outputs, device) -> None:
     """
     import warp as wp
 
-    cores = os.cpu_count() or 1
+    cores = usable_cores()
     slabs = 1 if device.is_cuda else min(count, 8 * cores)
     cuts = np.linspace(0, count, slabs + 1).astype(int)
 
@@ -234,5 +234,4 @@ def _launch_slabs(kernel, count: int, inputs, outputs, device) -> None:
         wp.launch(kernel, dim=last - first, inputs=arguments, outputs=outputs, device=device)
 
     launch(0)  # loads the module before threads share it
-    with ThreadPoolExecutor(max_workers=cores) as pool:
-        list(pool.map(launch, range(1, slabs)))
+    spread(launch, range(1, slabs), cores)

@@ -9,23 +9,19 @@ import warp as wp
 
 from warp_rigid import access, checkpoint, pools
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.errors import CapacityError, NonFiniteError
+from warp_rigid.errors import NonFiniteError
 from warp_rigid.kernels import data
 from warp_rigid.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.model import build_model, initial_environments, initial_state
-from warp_rigid.pools import Pools, copy_arrays
+from warp_rigid.pools import CHUNK
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Compound, Mesh
-from warp_rigid.stages import GRIDS, STEP, Stages, load_kernels, team_sizes
+from warp_rigid.shard import WATCHED
+from warp_rigid.shards import Shards, plan
+from warp_rigid.stages import GRIDS, STEP, load_kernels, team_sizes
 
 log = logging.getLogger("warp_rigid")
-
-CHUNK = 16
-"""Most steps between two looks at the pools; as many are repeated if one was too small."""
-
-WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
-"""What a step notes of an environment; undone with it, and cleared by a reset."""
 
 
 class Simulator:
@@ -35,7 +31,8 @@ class Simulator:
         scene: the scene; later changes to it have no effect.
         num_envs: environments.
         settings: of all environments at first; `set` changes them one by one.
-        device: a Warp device or its name; None takes the first CUDA device, else the CPU, and says which.
+        device: a Warp device or its name; None takes the first CUDA device, else the CPU, and says which. A CPU
+            spreads the environments over all cores that the process may use.
         seed: kept for scenes and metrics that draw random numbers; the simulation itself draws none.
         on_overflow: when more pairs or contacts are wanted than there is room for: "grow" undoes the step, makes room
             and repeats it, to the same bits as with room from the start; "raise" raises a CapacityError before it.
@@ -84,9 +81,10 @@ class Simulator:
         self.on_overflow = one_of("on_overflow", on_overflow, ("grow", "raise"))
         self.on_nonfinite = one_of("on_nonfinite", on_nonfinite, ("quarantine", "raise"))
         self._memory_limit = MemoryLimit(self.device, memory_limit)
-        self._growth_told = False
-        sizes = self._first_sizes(capacity or {})
-        needed = self._bytes_without_pools() + pool_bytes(sizes)
+        room = self._first_room(capacity or {})
+        ranges = plan(scene, self.num_envs, room, self.device)
+        other_bytes = body_bytes(scene, self.num_envs) + shape_bytes(scene)
+        needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
         self._memory_limit.check(0, needed, f"simulating {num_envs} environment(s)")
         baking = any(isinstance(body.shape, Mesh | Compound) for body in scene.bodies)
         modules = [*STEP, *(GRIDS if baking else ())]
@@ -94,25 +92,29 @@ class Simulator:
         self._model = build_model(scene, num_envs, self.device)
         self._state = initial_state(scene, num_envs, self.device)
         self._start = initial_state(scene, num_envs, self.device)
-        self._saved = data.allocate(data.State, {"bodies": num_envs * self.num_bodies}, self.device)
         self._rest = data.allocate(data.Rest, {"bodies": num_envs * self.num_bodies}, self.device)
-        self._saved_rest = data.allocate(data.Rest, {"bodies": num_envs * self.num_bodies}, self.device)
         self._envs = initial_environments(scene, self.settings, num_envs, self.device)
-        self._saved_watch = {name: wp.clone(getattr(self._envs, name)) for name in WATCHED}
-        self._pools = Pools.allocate(self.num_envs, self.num_bodies, sizes["pairs"], sizes["contacts"], self.device)
-        self._saved_history = self._room_for_history()
-        self._stages = self._new_stages()
-        self._steps = 0
+        self._shards = Shards(
+            ranges,
+            self._model,
+            self._state,
+            self._rest,
+            self._envs,
+            room if on_overflow == "raise" else None,
+            self._memory_limit,
+            other_bytes,
+        )
+        access.renew_stages(self)
 
     @property
     def time(self) -> float:
         """Simulated time since the start or the last reset of all environments [s]."""
-        return self._steps * self.settings.dt
+        return self._shards.steps * self.settings.dt
 
     @property
     def memory(self) -> int:
         """Bytes that the simulator holds on its device."""
-        return self._bytes_without_pools() + pool_bytes(self._pools.sizes)
+        return self._shards.memory
 
     def step(self, count: int = 1) -> None:
         """Advance all environments by `count` steps of dt.
@@ -124,13 +126,8 @@ class Simulator:
         left = whole_in("count", count, 0, 2**31)
         while left > 0:
             chunk = min(left, CHUNK)
-            shortage = self._try(chunk)
-            if shortage and not self._may_grow(shortage):
-                self._step_up_to_overflow(chunk)
-            elif shortage:
-                self._grow(shortage)
-            else:
-                left -= chunk
+            self._shards.step(chunk)
+            left -= chunk
             if self.on_nonfinite == "raise":
                 self._raise_if_nonfinite()
 
@@ -178,7 +175,7 @@ class Simulator:
             getattr(self._envs, name).assign(values)
         access.forget_history(self, chosen)
         if envs is None:
-            self._steps = 0
+            self._shards.steps = 0
 
     def save(self, path: Any) -> None:
         """Write a checkpoint: one file from which `load` goes on bit for bit.
@@ -219,14 +216,7 @@ class Simulator:
 
     def penetration(self) -> np.ndarray:
         """Deepest overlap now in each environment, over all surface samples, (envs,) [m]."""
-        while True:
-            deepest = self._stages.deepest_overlap()
-            shortage = self._pools.shortage()
-            if not shortage:
-                return deepest.numpy()
-            if not self._may_grow(shortage):
-                raise self._overflow(shortage)
-            self._grow(shortage)
+        return self._shards.deepest_overlap()
 
     def status(self) -> np.ndarray:
         """Records (envs,): status, and the step, time [s] and body where it began (-1 if ok).
@@ -252,19 +242,7 @@ class Simulator:
         """Width of the cells in which bodies look for each other [m]; environments of few bodies try all pairs."""
         return self._model.grid_radius
 
-    def _new_stages(self) -> Stages:
-        return Stages(
-            self._model,
-            self._state,
-            self._rest,
-            self._envs,
-            self._pools,
-            self.settings.dt,
-            access.largest_repetition(self),
-            access.any_sleeping(self),
-        )
-
-    def _first_sizes(self, given: Mapping[str, int]) -> dict[str, int]:
+    def _first_room(self, given: Mapping[str, int]) -> dict[str, int]:
         """Room for six pairs a dynamic body and six contacts a pair, unless told otherwise."""
         for name in given:
             one_of("capacity", name, pools.NAMES)
@@ -272,88 +250,7 @@ class Simulator:
         estimate, _ = pools.expected_room(self.num_envs, dynamic)
         pairs = whole_in("capacity pairs", given.get("pairs", estimate), 1, pools.LARGEST)
         contacts = whole_in("capacity contacts", given.get("contacts", min(6 * pairs, pools.LARGEST)), 1, pools.LARGEST)
-        return Pools.sizes_for(self.num_envs, self.num_bodies, pairs, contacts)
-
-    def _bytes_without_pools(self) -> int:
-        return body_bytes(self.scene, self.num_envs) + shape_bytes(self.scene)
-
-    def _room_for_history(self) -> Any:
-        return data.allocate(data.History, self._pools.sizes, self.device)
-
-    def _save(self) -> None:
-        """Keep what a step changes, so that steps can be undone."""
-        copy_arrays(self._state, self._saved, data.State)
-        if self._stages.sleeping:
-            copy_arrays(self._rest, self._saved_rest, data.Rest)
-        for name, saved in self._saved_watch.items():
-            wp.copy(saved, getattr(self._envs, name))
-        copy_arrays(self._pools.history, self._saved_history, data.History)
-
-    def _restore(self) -> None:
-        """Undo the steps since `_save`."""
-        copy_arrays(self._saved, self._state, data.State)
-        if self._stages.sleeping:
-            copy_arrays(self._saved_rest, self._rest, data.Rest)
-        for name, saved in self._saved_watch.items():
-            wp.copy(getattr(self._envs, name), saved)
-        copy_arrays(self._saved_history, self._pools.history, data.History)
-
-    def _try(self, steps: int) -> dict[str, int]:
-        """Do steps, or undo them all where a pool was too small: then returns what was wanted of it."""
-        self._save()
-        for _ in range(steps):
-            self._stages.replay()
-        shortage = self._pools.shortage()
-        if shortage:
-            self._restore()
-        else:
-            self._steps += steps
-        return shortage
-
-    def _may_grow(self, shortage: dict[str, int]) -> bool:
-        return self.on_overflow == "grow" and max(shortage.values()) <= pools.LARGEST
-
-    def _grow(self, shortage: dict[str, int]) -> None:
-        """Enlarge the pools and record the step anew."""
-        old, new = self._pools.sizes, self._pools.larger_sizes(shortage)
-        grown = ", ".join(f"{name} {old[name]} -> {new[name]}" for name in shortage)
-        try:
-            self._memory_limit.check(self.memory, pool_bytes(new), f"room for more ({grown})")
-        except CapacityError:
-            self._pools.forget_shortage()
-            raise
-        log.log(logging.DEBUG if self._growth_told else logging.INFO, "room grows: %s; the steps are repeated", grown)
-        self._growth_told = True
-        self._pools = self._pools.grown(new, self.num_envs, self.num_bodies)
-        self._saved_history = self._room_for_history()
-        self._stages = self._new_stages()
-
-    def _step_up_to_overflow(self, steps: int) -> None:
-        """Repeat undone steps one by one up to the one that does not fit."""
-        self._pools.forget_shortage()
-        for _ in range(steps):
-            shortage = self._try(1)
-            if shortage:
-                raise self._overflow(shortage)
-
-    def _overflow(self, shortage: dict[str, int]) -> CapacityError:
-        """The error for a pool that was too small; what was wanted is forgotten, so that the next try counts anew."""
-        name, wanted = next(iter(shortage.items()))
-        had = self._pools.sizes[name]
-        env = self._pools.environment_with_most(name, self.num_bodies)
-        step = int(self._envs.step.numpy()[env])
-        self._pools.forget_shortage()
-        advice = f"give capacity={{'{name}': {wanted}}} or more, or on_overflow='grow'"
-        if wanted > pools.LARGEST:
-            advice = f"more than {pools.LARGEST} cannot be counted: simulate fewer environments at once"
-        return CapacityError(
-            f"{name}: {wanted} wanted, room for {had} (most wanted by environment {env} in step {step}); {advice}",
-            name,
-            wanted,
-            had,
-            env,
-            step,
-        )
+        return {"pairs": pairs, "contacts": contacts}
 
     def _raise_if_nonfinite(self) -> None:
         failed = np.flatnonzero(self._envs.failed.numpy())

@@ -1,13 +1,13 @@
 """The step as a sequence of kernel launches, recorded once and replayed."""
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any, NamedTuple
 
 import warp as wp
 
+from warp_rigid.cores import usable_cores
 from warp_rigid.kernels import (
     bake,
     broadphase,
@@ -88,7 +88,7 @@ def load_kernels(
     teams = sorted({team.block_of(size) for size in lanes}) if device.is_cuda else [1]
     others = [team.BLOCK if device.is_cuda else 1]
     jobs = [(module, block) for module in modules for block in (teams if module in TEAM_MODULES else others)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         loaded = [pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], block) for module, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):
             done.result()
@@ -211,7 +211,7 @@ class Stages:
             wp.launch(
                 surface.raise_surfaces,
                 dim=count,
-                inputs=[self.dt, self._first_vertex(), self.envs, self.model.surfaces],
+                inputs=[self.dt, self.model.surface_node, self.envs, self.model.surfaces],
                 outputs=[self.model.shapes],
                 device=self.device,
             )
@@ -220,7 +220,14 @@ class Stages:
         """Tell the contacts how fast ground moves, before this step or over it."""
         if self.model.surface_vertices:
             model, records = self.model, self.pools.contacts
-            inputs = [int(before_step), self._first_vertex(), self.num_bodies, model.shapes, model.bodies, self.state]
+            inputs = [
+                int(before_step),
+                self.model.surface_node,
+                self.num_bodies,
+                model.shapes,
+                model.bodies,
+                self.state,
+            ]
             wp.launch(
                 surface.carry_contacts,
                 dim=records.key.shape[0],
@@ -228,10 +235,6 @@ class Stages:
                 outputs=[records],
                 device=self.device,
             )
-
-    def _first_vertex(self) -> int:
-        """Where in the pool's nodes the moving ones begin."""
-        return self.model.shapes.grid_value.shape[0] - self.model.surface_vertices
 
     def predict(self, dt: float) -> None:
         """Derive world quantities and swept boxes."""
@@ -404,13 +407,14 @@ class Stages:
             self._shared(rest.put_back, self.pools.sizes["contacts"], [], [self.kept], [history])
         else:
             self._shared(contacts.keep_impulses, self.pools.sizes["contacts"], [], [records, pairs], [history])
+        wp.launch(capacity.close_turn, dim=1, outputs=[self.pools.turn, self.pools.wanted], device=self.device)
 
-    def deepest_overlap(self) -> wp.array:
-        """Deepest overlap of each environment in the present state, (envs,) [m].
+    def deepest_overlap(self, deepest: wp.array2d) -> None:
+        """Find the deepest overlap of each environment in the present state, (envs, 1) [m].
 
-        It is no part of the recorded step, so its kernel may be compiled at its first launch.
+        It is no part of the recorded step: `load_kernels` must have been called for `OVERLAP`.
         """
-        deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self.device)
+        deepest.zero_()
         self.raise_surfaces()
         self.predict(0.0)
         self.find_pairs()
@@ -419,7 +423,6 @@ class Stages:
             [self.num_bodies, self.model.shapes, self.model.bodies, self.state, self.pools.pairs],
             [deepest],
         )
-        return deepest.flatten()
 
     def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
         """Launch a kernel of the solver that goes through the touching pairs colour by colour."""
@@ -457,14 +460,14 @@ class Stages:
         wp.launch(
             capacity.note_wanted,
             dim=start.shape[0],
-            inputs=[which, start],
+            inputs=[which, start, self.pools.turn],
             outputs=[self.pools.wanted],
             device=self.device,
         )
         wp.launch(
             capacity.empty_if_over,
             dim=start.shape[0],
-            inputs=[which, size, self.pools.wanted],
+            inputs=[which, size, self.pools.turn, self.pools.wanted],
             outputs=[start],
             device=self.device,
         )

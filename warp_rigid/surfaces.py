@@ -8,31 +8,28 @@ from warp_rigid.geometry import Shape
 from warp_rigid.heightfield import Heightfield, moves
 from warp_rigid.kernels import data
 
-FIELDS = ("env", "sample", "around", "per_x", "per_y", "height", "amplitude", "phase", "frequency")
+FIELDS = ("sample", "around", "per_x", "per_y", "height", "amplitude", "phase", "frequency")
 
 
 def with_copies(shapes: list[Shape], num_envs: int) -> tuple[list[Shape], np.ndarray, np.ndarray]:
-    """Shapes as they stand in the pool: those that stay alike first, then a copy for each environment of the others.
+    """Shapes as they stand in the pool: those that stay alike first, then the others, again for each environment.
 
     Returns:
         The pool's shapes; where each of `shapes` (its first copy) lies there, (n,); and how many copies further the
-        next environment's lies, (n,): 1 or 0.
+        next environment's lies, (n,): as many as move, or 0.
     """
     moving = np.array([moves(shape) for shape in shapes], dtype=np.int32)
-    pooled = [shape for shape in shapes if not moves(shape)]
-    place = np.cumsum(1 - moving) - 1
-    for index in np.flatnonzero(moving):
-        place[index] = len(pooled)
-        pooled += [shapes[index]] * num_envs
-    return pooled, place.astype(np.int32), moving
+    alike = [shape for shape in shapes if not moves(shape)]
+    copied = [shape for shape in shapes if moves(shape)]
+    place = np.where(moving, len(alike) + np.cumsum(moving), np.cumsum(1 - moving)) - 1
+    return alike + copied * num_envs, place.astype(np.int32), moving * len(copied)
 
 
-def build_surfaces(pooled: list[Shape], num_envs: int, sample_start: np.ndarray, device: Any) -> tuple[Any, int]:
+def build_surfaces(pooled: list[Shape], sample_start: np.ndarray, device: Any) -> tuple[Any, int]:
     """The vertices of all moving fields, in the order of their nodes in the pool of grids.
 
     Args:
         pooled: as from `with_copies`.
-        num_envs: environments.
         sample_start: (shapes + 1,) first sample of each pooled shape.
         device: a Warp device.
 
@@ -40,14 +37,13 @@ def build_surfaces(pooled: list[Shape], num_envs: int, sample_start: np.ndarray,
         The Surfaces, and how many vertices there are.
     """
     columns: dict[str, list[np.ndarray]] = {name: [] for name in FIELDS}
-    count = copy = 0
+    count = 0
     for index, shape in enumerate(pooled):
         if not moves(shape):
             continue
-        for name, values in _vertices(shape, count, int(sample_start[index]), copy % num_envs).items():
+        for name, values in _vertices(shape, int(sample_start[index])).items():
             columns[name].append(values)
         count += shape.heights.size
-        copy += 1
     surfaces = data.allocate(data.Surfaces, {"vertices": count}, device)
     if count:
         for name, parts in columns.items():
@@ -55,18 +51,17 @@ def build_surfaces(pooled: list[Shape], num_envs: int, sample_start: np.ndarray,
     return surfaces, count
 
 
-def _vertices(field: Heightfield, first: int, first_sample: int, env: int) -> dict[str, np.ndarray]:
-    """Columns of one copy of a field, whose vertices are the rows from `first` on."""
+def _vertices(field: Heightfield, first_sample: int) -> dict[str, np.ndarray]:
+    """Columns of one copy of a field."""
     rows, columns = field.heights.shape
     i, j = np.indices((rows, columns))
     left, right = np.maximum(i - 1, 0), np.minimum(i + 1, rows - 1)
     back, front = np.maximum(j - 1, 0), np.minimum(j + 1, columns - 1)
-    around = np.stack([left * columns + j, right * columns + j, i * columns + back, i * columns + front], axis=-1)
+    along_x, along_y = ((left - i) * columns, (right - i) * columns), (back - j, front - j)
     cell = field.extent / (np.array(field.heights.shape) - 1)
     return {
-        "env": np.full(rows * columns, env, np.int32),
         "sample": first_sample + _sample_of_vertex(field),
-        "around": (first + around).reshape(-1, 4).astype(np.int32),
+        "around": np.stack([*along_x, *along_y], axis=-1).reshape(-1, 4).astype(np.int32),
         "per_x": (1.0 / ((right - left) * cell[0])).reshape(-1).astype(np.float32),
         "per_y": (1.0 / ((front - back) * cell[1])).reshape(-1).astype(np.float32),
         "height": field.heights.reshape(-1).astype(np.float32),

@@ -13,6 +13,7 @@ import warp as wp
 
 from warp_rigid.bench.scenes import Case, moving
 from warp_rigid.bench.stage_times import stage_times
+from warp_rigid.cores import usable_cores
 from warp_rigid.doctor import versions
 from warp_rigid.settings import Settings
 from warp_rigid.simulator import Simulator
@@ -135,6 +136,7 @@ def surroundings(device: Any) -> dict[str, Any]:
         "device": str(device),
         "device_name": device.name,
         "processors": os.cpu_count(),
+        "cores": usable_cores(),
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "versions": versions(),
         "commit": commit(),

@@ -47,15 +47,16 @@ def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
     Returns:
         Stages by name, in their order.
     """
-    measure = _record_on_cuda(sim._stages) if sim.device.is_cuda else _record_on_cpu(sim._stages)
-    sim._save()
-    seconds = {name: 0.0 for name, _ in measure()}
-    for _ in range(steps):
-        for name, taken in measure():
-            seconds[name] += taken / steps
-    sim._pools.shortage()
-    sim._pools.forget_shortage()
-    sim._restore()
+    seconds: dict[str, float] = {}
+    for shard in sim._shards:
+        measure = _record_on_cuda(shard.stages) if sim.device.is_cuda else _record_on_cpu(shard.stages)
+        shard.save(attempt=0)
+        for name, _ in measure():
+            seconds.setdefault(name, 0.0)
+        for _ in range(steps):
+            for name, taken in measure():
+                seconds[name] += taken / steps
+        shard.undo(attempt=0)
     return seconds
 
 

@@ -1,5 +1,6 @@
 """Sweeps on several devices or machines, through Dask distributed: one worker is one process with one device."""
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -9,6 +10,7 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.checks import whole_in
+from warp_rigid.cores import shared_by
 from warp_rigid.runner import module_of_file
 from warp_rigid.scene import Scene
 from warp_rigid.sweep.batch import Batch, failed_batch, run_batch
@@ -41,12 +43,12 @@ def run_on_cluster(
 
     with _client(cluster, workers) as client:
         client.wait_for_workers(1)
-        count = _one_task_a_worker(client)
-        memory, limits = client.submit(_room, job, [scene for scene, _ in groups], pure=False).result()
+        hosts = _one_task_a_worker(client)
+        memory, limits = client.submit(_room, job, [scene for scene, _ in groups], hosts, pure=False).result()
         room = {id(scene): limit for (scene, _), limit in zip(groups, limits, strict=True)}
-        parts = split_into_batches(groups, batch, lambda scene: room[id(scene)], memory, count)
+        parts = split_into_batches(groups, batch, lambda scene: room[id(scene)], memory, hosts.total())
         job = replace(job, scenes={})
-        futures = {client.submit(_work, job, part, pure=False): part for part in parts}
+        futures = {client.submit(_work, job, part, hosts, pure=False): part for part in parts}
         for future in as_completed(futures):
             part = futures.pop(future)
             error = future.exception()
@@ -98,8 +100,8 @@ def _client(cluster: Any, workers: int | None) -> Iterator[Any]:
             yield client
 
 
-def _one_task_a_worker(client: Any) -> int:
-    """Number of workers, each of which must do one thing at a time.
+def _one_task_a_worker(client: Any) -> Counter[str]:
+    """Number of workers on each host, each of which must do one thing at a time.
 
     Raises:
         ValueError: A worker has several threads.
@@ -107,7 +109,7 @@ def _one_task_a_worker(client: Any) -> int:
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if any(worker["nthreads"] != 1 for worker in workers.values()):
         raise ValueError("cluster: every worker must have one thread; start it with --nthreads 1")
-    return len(workers)
+    return Counter(worker["host"] for worker in workers.values())
 
 
 def _here(job: Job) -> Job:
@@ -126,12 +128,21 @@ def _here(job: Job) -> Job:
     return replace(job, device=job.device or ("cuda:0" if gpus else "cpu"))
 
 
-def _room(job: Job, scenes: list[Scene]) -> tuple[int, list[int]]:
+def _own_cores(hosts: Counter[str]) -> Any:
+    """Within it, the workers of a host share its cores."""
+    from distributed import get_worker
+
+    return shared_by(max(1, hosts[get_worker().ip]))
+
+
+def _room(job: Job, scenes: list[Scene], hosts: Counter[str]) -> tuple[int, list[int]]:
     """Free memory of the worker's device [bytes], and the largest batch of each scene on it."""
     device = _here(job).device
-    return memory_at_hand(device), [most_environments(scene, device) for scene in scenes]
+    with _own_cores(hosts):
+        return memory_at_hand(device), [most_environments(scene, device) for scene in scenes]
 
 
-def _work(job: Job, runs: list[Run]) -> Batch:
+def _work(job: Job, runs: list[Run], hosts: Counter[str]) -> Batch:
     """Run a batch on a worker."""
-    return run_batch(_here(job), runs)
+    with _own_cores(hosts):
+        return run_batch(_here(job), runs)

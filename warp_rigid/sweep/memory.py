@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_rigid.cores import usable_cores
 from warp_rigid.memory import body_bytes, device_memory, pool_bytes
 from warp_rigid.pools import Pools, expected_room
 from warp_rigid.scene import Motion, Scene
@@ -13,7 +14,7 @@ __all__ = ["bytes_an_environment", "memory_at_hand", "most_environments"]
 SHARE = 0.5
 """Share of the free memory that a batch may take: pools grow, and the old ones are still there while they do."""
 
-MOST_ON_CPU = 32
+MOST_ON_A_CORE = 32
 """A core does environments one after another, so that more only delay the first rows."""
 
 MOST_ON_GPU = 16384
@@ -34,4 +35,4 @@ def memory_at_hand(device: Any) -> int:
 def most_environments(scene: Scene, device: Any) -> int:
     """The largest batch that is worth while on a device and fits into its memory."""
     fits = int(SHARE * memory_at_hand(device) / bytes_an_environment(scene))
-    return max(1, min(fits, MOST_ON_GPU if wp.get_device(device).is_cuda else MOST_ON_CPU))
+    return max(1, min(fits, MOST_ON_GPU if wp.get_device(device).is_cuda else MOST_ON_A_CORE * usable_cores()))
