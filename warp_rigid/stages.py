@@ -409,8 +409,8 @@ class Stages:
             self._shared(contacts.keep_impulses, self.pools.sizes["contacts"], [], [records, pairs], [history])
         wp.launch(capacity.close_turn, dim=1, outputs=[self.pools.turn, self.pools.wanted], device=self.device)
 
-    def deepest_overlap(self, deepest: wp.array2d) -> None:
-        """Find the deepest overlap of each environment in the present state, (envs, 1) [m].
+    def deepest_overlap(self, deepest: Any) -> None:
+        """Find the deepest overlap of each environment in the present state: an array (envs, 1) of floats [m].
 
         It is no part of the recorded step: `load_kernels` must have been called for `OVERLAP`.
         """
