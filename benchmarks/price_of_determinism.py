@@ -16,7 +16,7 @@ import warp as wp
 
 import warp_rigid as wr
 from warp_rigid.bench.scenes import Case
-from warp_rigid.stages import GRID_CELLS, TRY_ALL_UP_TO
+from warp_rigid.stages import TRY_ALL_UP_TO
 from warp_rigid.terminal import start_warp
 
 wp.set_module_options({"enable_backward": False})
@@ -166,7 +166,7 @@ def lattice(envs: int, per_env: int, device: Any) -> Boxes:
     count = envs * per_env
     grid = None
     if per_env > TRY_ALL_UP_TO:
-        cells = 1 << int(np.ceil(np.log2((GRID_CELLS * per_env) ** (1 / 3))))
+        cells = 1 << int(np.ceil(np.log2((8 * per_env) ** (1 / 3))))
         grid = wp.HashGrid(cells, cells, cells, device=device)
         grid.build(wp.array(center, dtype=wp.vec3, device=device), 2.0 * REACH)
     return Boxes(

@@ -271,7 +271,7 @@ def count(sim: Simulator) -> Counts:
         sweeps=int((sweeps_needed(sim) * contacts).sum()),
         unsettled=int(contacts[~settled].sum()),
         unsettled_rows=int((~settled).sum()) * sim.num_bodies,
-        gridded=stages.grid is not None,
+        gridded=stages.buckets > 0,
         pool_clusters=sim._model.shapes.clusters.shape[0],
         pool_samples=sim._model.shapes.samples.shape[0],
         pool_nodes=sim._model.shapes.grid_value.shape[0],

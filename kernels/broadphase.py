@@ -3,6 +3,9 @@
 A body lists the pairs in which it comes first. Small bodies find each other through a hash grid, or, in small
 environments, by trying all (faster up to hundreds of bodies). Wide bodies (statics, planes, kinematic ones, and those
 much larger than the rest) never enter the grid: each is tried against every body of its environment.
+The grid is the engine's own: a grid of Warp keeps what a recorded build needs in one place for all grids, so that of
+two simulators on a GPU one would search in the cells of the other.
+
 Pairs are counted, the counts are summed, and the same search writes them: their order depends on nothing but the scene.
 
 Pairs of two sleeping bodies, or of a sleeping and a fixed one, are not searched: those that touched when they fell
@@ -29,6 +32,7 @@ wp.set_module_options({"enable_backward": False})
 ABSENT = wp.constant(ROLE_ABSENT)
 ASLEEP = wp.constant(ROLE_ASLEEP)
 FREE = wp.constant(ROLE_FREE)
+FURTHEST_CELL = wp.constant(1.0e9)
 DRIVEN_AND_ASLEEP = wp.constant(ROLE_DRIVEN | ROLE_ASLEEP)
 
 
@@ -142,24 +146,115 @@ def pairs_by_trying_all(
             pairs.count[i] = found
 
 
+@wp.func
+def cell_along(x: float, width: float):
+    """Number of the cell at a place along an axis."""
+    return int(wp.floor(wp.clamp(x / width, -FURTHEST_CELL, FURTHEST_CELL)))
+
+
+@wp.func
+def bucket_of(env: int, x: int, y: int, z: int, buckets: int):
+    """The bucket of a cell, one of `buckets`, a power of two, that the environment has (Teschner et al. 2003)."""
+    mixed = wp.uint32(x) * wp.uint32(73856093)
+    mixed = mixed ^ (wp.uint32(y) * wp.uint32(19349663))
+    mixed = mixed ^ (wp.uint32(z) * wp.uint32(83492791))
+    mixed = (mixed ^ (mixed >> wp.uint32(15))) * wp.uint32(2654435769)
+    return env * buckets + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
+
+
 @wp.kernel
-def grid_points(bodies_per_env: int, motions: Motions, cells: Cells):
-    """Centres of the small bodies' swept boxes, their environment as the grid's group, its largest half-diagonal."""
+def choose_buckets(bodies_per_env: int, buckets: int, width: float, motions: Motions, cells: Cells):
+    """One thread a small body: the bucket of its swept box's centre, and the environment's largest half-width."""
     k = wp.tid()
     small = cells.small.shape[0]
     env = k / small
     b = env * bodies_per_env + cells.small[k - env * small]
-    cells.points[k] = 0.5 * (motions.lower[b] + motions.upper[b])
-    cells.groups[k] = env
-    wp.atomic_max(cells.reach, env, 0.5 * wp.length(motions.upper[b] - motions.lower[b]))
+    x = 0.5 * (motions.lower[b] + motions.upper[b])
+    across = cell_along(x[0], width)
+    cells.key[k] = bucket_of(env, across, cell_along(x[1], width), cell_along(x[2], width), buckets)
+    cells.member[k] = b
+    wp.atomic_max(cells.reach, env, 0.5 * wp.max(motions.upper[b] - motions.lower[b]))
+
+
+@wp.kernel
+def find_bucket_starts(count: int, cells: Cells):
+    """One thread a place in the sorted list, and one past it: the buckets up to this one's that begin here."""
+    k = wp.tid()
+    last = int(-1)
+    if k > 0:
+        last = cells.key[k - 1]
+    bucket = cells.start.shape[0] - 1
+    if k < count:
+        bucket = cells.key[k]
+    for begun in range(last + 1, bucket + 1):
+        cells.start[begun] = k
+
+
+@wp.func
+def visit_cell(
+    i: int,
+    first: int,
+    found: int,
+    write: int,
+    at: wp.vec3i,
+    width: float,
+    bucket: int,
+    cells: Cells,
+    bodies: Bodies,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Visit the pairs of body i with the later small bodies of a cell. Returns the new count."""
+    total = int(found)
+    for k in range(cells.start[bucket], cells.start[bucket + 1]):
+        j = cells.member[k]
+        if j > i and may_meet(motions.role[i], motions.role[j]):
+            x = 0.5 * (motions.lower[j] + motions.upper[j])
+            here = cell_along(x[0], width) == at[0] and cell_along(x[1], width) == at[1]
+            if here and cell_along(x[2], width) == at[2]:
+                total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
+    return total
+
+
+@wp.func
+def visit_around(
+    i: int,
+    env: int,
+    first: int,
+    write: int,
+    buckets: int,
+    width: float,
+    cells: Cells,
+    bodies: Bodies,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Visit the pairs of body i with the later small bodies in the cells around it.
+
+    Where something moves so fast that there are more cells to look into than bodies, all are tried instead.
+    """
+    around = wp.vec3(cells.reach[env], cells.reach[env], cells.reach[env])
+    lower = motions.lower[i] - around
+    upper = motions.upper[i] + around
+    across = (upper - lower) / width + wp.vec3(1.0, 1.0, 1.0)
+    if not across[0] * across[1] * across[2] <= float(cells.small.shape[0]):
+        return visit_small(i, first, write, cells, bodies, motions, pairs)
+    total = int(0)
+    for x in range(cell_along(lower[0], width), cell_along(upper[0], width) + 1):
+        for y in range(cell_along(lower[1], width), cell_along(upper[1], width) + 1):
+            for z in range(cell_along(lower[2], width), cell_along(upper[2], width) + 1):
+                bucket = bucket_of(env, x, y, z, buckets)
+                at = wp.vec3i(x, y, z)
+                total = visit_cell(i, first, total, write, at, width, bucket, cells, bodies, motions, pairs)
+    return total
 
 
 @wp.kernel
 def pairs_by_grid(
     write: int,
     threads: int,
-    grid: wp.uint64,
-    cell: float,
+    buckets: int,
+    width: float,
     cells: Cells,
     bodies: Bodies,
     motions: Motions,
@@ -167,10 +262,7 @@ def pairs_by_grid(
     history: History,
     pairs: Pairs,
 ):
-    """The threads share the bodies: small bodies look around in the hash grid, then try the wide ones.
-
-    Where something moves so fast that there are more cells to look into than bodies, all are tried instead.
-    """
+    """The threads share the bodies: small bodies look around in the hash grid, then try the wide ones."""
     bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     for i in range(wp.tid(), motions.role.shape[0], threads):
         env = i / bodies_per_env
@@ -179,17 +271,7 @@ def pairs_by_grid(
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
                 if bodies.wide[i] == 0:
-                    middle = 0.5 * (motions.lower[i] + motions.upper[i])
-                    around = 0.5 * wp.length(motions.upper[i] - motions.lower[i]) + cells.reach[env]
-                    across = 2.0 * around / cell + 1.0
-                    if across * across * across <= float(cells.small.shape[0]):
-                        neighbour = int(0)
-                        for neighbour in wp.hash_grid_query(grid, middle, around, env):
-                            j = first + cells.small[neighbour - env * cells.small.shape[0]]
-                            if j > i and may_meet(motions.role[i], motions.role[j]):
-                                found = visit_pair(i, j, first, found, write, bodies, motions, pairs)
-                    else:
-                        found = visit_small(i, first, write, cells, bodies, motions, pairs)
+                    found = visit_around(i, env, first, write, buckets, width, cells, bodies, motions, pairs)
                 found = visit_wide(i, first, found, write, cells, bodies, motions, pairs)
             found = carry_dormant(i, found, write, motions, history, pairs)
         if write == 0:

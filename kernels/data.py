@@ -286,12 +286,13 @@ Environments = layout(
 
 Cells = layout(
     "Cells",
-    "Who looks for whom in the broad phase, and the points of the hash grid.",
+    "Who looks for whom in the broad phase, and the hash grid in which they do.",
     small=Field(int, "small", "", "numbers, in any environment, of the bodies that find each other"),
     large=Field(int, "large", "", "numbers of the wide ones, which are tested against every body"),
-    points=Field(wp.vec3, "points", "m", "centre of a small body's swept box"),
-    groups=Field(int, "points", "", "environment of the point"),
-    reach=Field(float, "envs", "m", "largest half-diagonal of such a box"),
+    reach=Field(float, "envs", "m", "largest half-width of a small body's swept box, along any axis"),
+    key=Field(int, "points + points", "", "bucket of each small body, in rising order; then room to sort"),
+    member=Field(int, "points + points", "", "the bodies in the order of their buckets; then room to sort"),
+    start=Field(int, "buckets + 1", "", "first member of each bucket; every environment has as many of its own"),
 )
 
 FieldForces = layout(

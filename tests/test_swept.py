@@ -9,6 +9,7 @@ import warp as wp
 from tests.geometry_oracles import cube
 from tests.oracles import ground_scene, random_pile, random_quaternion, rotate_about, stages_of
 from warp_rigid import meshes
+from warp_rigid.cores import shared_by, usable_cores
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Capsule, Cylinder, Heightfield, Mesh, Plane, Sphere
@@ -251,7 +252,8 @@ def test_fast_bodies_repeat_bit_for_bit(device):
 
 def test_slow_scenes_pay_nearly_nothing(device):
     """Less than 2 % of a step of a settling pile."""
-    sim = Simulator(random_pile(np.random.default_rng(0)), num_envs=4, device=device)
+    with shared_by(usable_cores()):  # one core, so one shard
+        sim = Simulator(random_pile(np.random.default_rng(0)), num_envs=4, device=device)
     sim.step(200)
     stages = stages_of(sim)
 

@@ -36,8 +36,8 @@ from warp_rigid.pools import Pools
 TRY_ALL_UP_TO = 256
 """Up to so many small bodies an environment, trying all pairs beats the hash grid."""
 
-GRID_CELLS = 8
-"""Cells of the hash grid for each small body of an environment, at least: clearing them all is part of a step."""
+BUCKETS_A_BODY = 2
+"""Buckets of the hash grid for each small body of an environment, at least: so that cells seldom share one."""
 
 PAIRS, CONTACTS = 0, 1
 
@@ -172,7 +172,6 @@ class Stages:
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.kept: Any = data.allocate(data.History, pools.sizes, self.device) if sleeping else None
         self.cells: Any = self._make_cells()
-        self.grid = self._make_grid()
         load_kernels(device, [*(SLEEP if sleeping else ()), *(GROUND if model.surface_vertices else ())])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
@@ -262,8 +261,8 @@ class Stages:
     def find_pairs(self) -> None:
         """Count the overlapping pairs, sum, and write them."""
         pairs = self.pools.pairs
-        if self.grid is not None:
-            self._fill_grid()
+        if self.buckets:
+            self._fill_cells()
         self._search_pairs(write=0)
         self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
         self._search_pairs(write=1)
@@ -490,8 +489,8 @@ class Stages:
         """One round of the broad phase: count the pairs or write them."""
         model = self.model
         kernel, own = broadphase.pairs_by_trying_all, []
-        if self.grid is not None:
-            kernel, own = broadphase.pairs_by_grid, [self.grid.id, self.model.grid_radius]
+        if self.buckets:
+            kernel, own = broadphase.pairs_by_grid, [self.buckets, model.grid_radius]
         common = [self.cells, model.bodies, self.motions, self.envs, self.pools.history]
         self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
 
@@ -500,34 +499,22 @@ class Stages:
         threads = size if self.device.is_cuda else 1
         wp.launch(kernel, dim=threads, inputs=[*before, threads, *inputs], outputs=outputs, device=self.device)
 
-    def _make_grid(self) -> Any:
-        """A hash grid for environments of many bodies, None for small ones."""
-        small = self.model.small.shape[0]
-        if small <= TRY_ALL_UP_TO:
-            return None
-        side = 1 << math.ceil(math.log2((GRID_CELLS * small) ** (1 / 3)))
-        grid = wp.HashGrid(side, side, side, device=self.device)
-        grid.reserve(small * self.num_envs, with_groups=True)
-        return grid
-
     def _make_cells(self) -> Any:
-        """What the broad phase works on; points only where they go into a hash grid."""
-        small, large = self.model.small, self.model.wide
-        points = self.num_envs * small.shape[0] if small.shape[0] > TRY_ALL_UP_TO else 0
-        sizes = {"small": 0, "large": 0, "points": points, "envs": self.num_envs}
-        cells = data.allocate(data.Cells, sizes, self.device)
-        cells.small, cells.large = small, large
+        """What the broad phase works on: a hash grid for environments of many bodies, none for small ones."""
+        small = self.model.small.shape[0]
+        self.buckets = 1 << math.ceil(math.log2(BUCKETS_A_BODY * small)) if small > TRY_ALL_UP_TO else 0
+        points = self.num_envs * small if self.buckets else 0
+        sizes = {"small": 0, "large": 0, "points": points, "buckets": self.num_envs * self.buckets}
+        cells = data.allocate(data.Cells, {**sizes, "envs": self.num_envs}, self.device)
+        cells.small, cells.large = self.model.small, self.model.wide
         return cells
 
-    def _fill_grid(self) -> None:
-        """Sort the small bodies into the hash grid."""
-        cells = self.cells
+    def _fill_cells(self) -> None:
+        """Sort the small bodies into the hash grid; those of a bucket keep their order."""
+        cells, device = self.cells, self.device
+        count = self.num_envs * self.model.small.shape[0]
         cells.reach.zero_()
-        wp.launch(
-            broadphase.grid_points,
-            dim=cells.points.shape[0],
-            inputs=[self.num_bodies, self.motions],
-            outputs=[cells],
-            device=self.device,
-        )
-        self.grid.build(cells.points, self.model.grid_radius, groups=cells.groups)
+        inputs = [self.num_bodies, self.buckets, self.model.grid_radius, self.motions]
+        wp.launch(broadphase.choose_buckets, dim=count, inputs=inputs, outputs=[cells], device=device)
+        wp.utils.radix_sort_pairs(cells.key, cells.member, count, end_bit=(self.num_envs * self.buckets).bit_length())
+        wp.launch(broadphase.find_bucket_starts, dim=count + 1, inputs=[count], outputs=[cells], device=device)
