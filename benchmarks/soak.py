@@ -79,7 +79,7 @@ def half_width(count: int) -> float:
 
 
 def pile(count: int) -> wr.Scene:
-    """Boxes and balls that fall into a bin, and far away a tower that nothing touches."""
+    """Boxes and balls that fall into a bin, and beside it a tower that nothing touches."""
     scene = wr.Scene()
     scene.add_static(wr.Plane(), friction=0.5, name="ground")
     side = half_width(count)
@@ -87,7 +87,7 @@ def pile(count: int) -> wr.Scene:
         half = (0.05, side + 0.1, 1.5) if x else (side + 0.1, 0.05, 1.5)
         scene.add_static(wr.Box(half), position=(x * (side + 0.05), y * (side + 0.05), 1.5), name="wall")
     for k in range(3):
-        scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(-50, 0, 0.1 + 0.2 * k), name="resting")
+        scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(-5, 0, 0.1 + 0.2 * k), name="resting")
     row = int(2.0 * side / PITCH)
     for k in range(count):
         shape = wr.Sphere(0.09) if k % 5 == 0 else wr.Box((0.1, 0.08, 0.06 + 0.01 * (k % 5)))
