@@ -1,5 +1,8 @@
 """Inputs that fuzzing found to end in a traceback, a hang or several lines; each is refused in one line now."""
 
+import ast
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -78,3 +81,20 @@ def test_a_place_before_the_file_is_refused(tmp_path):
 def test_values_are_shown_on_one_short_line():
     assert shown(np.eye(3)) == "array([[1., 0., 0.], [0., 1., 0.], [0., 0., 1.]])"
     assert len(shown("x" * 1000)) < 100 and "too long" in shown(HUGE)
+
+
+def test_nothing_that_is_read_can_be_run():
+    """No pickles, no shell and no evaluated text; only a scene, metric or cluster in a .py file is a program."""
+    root = Path(wr.__file__).parent
+    for file in (*root.rglob("*.py"), *(root / "scenes").glob("*.py"), *(root / "kernels").glob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = {alias.name for alias in node.names} | {getattr(node, "module", "")}
+                assert not names & {"pickle", "marshal", "shelve", "dill", "cloudpickle", "runpy"}, file
+            elif isinstance(node, ast.Call):
+                if isinstance(node.func, ast.Name):
+                    assert node.func.id not in ("eval", "exec", "compile", "__import__"), (file, node.lineno)
+                elif isinstance(node.func, ast.Attribute):
+                    assert node.func.attr != "exec_module" or file.name == "runner.py", (file, node.lineno)
+                given = {word.arg: getattr(word.value, "value", None) for word in node.keywords}
+                assert "shell" not in given and given.get("allow_pickle", False) is False, (file, node.lineno)
