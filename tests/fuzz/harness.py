@@ -17,13 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import warp as wp
 from hypothesis import strategies as st
 
 from warp_rigid.errors import CapacityError
 
 SECONDS = 5.0
-"""No case may take longer [s]."""
+"""No case may take longer [s]: by the clock and by the processor, so that a busy machine does not decide."""
 
 BYTES = 2**31
 """No case may take more memory than this [bytes]."""
@@ -99,7 +100,7 @@ def check(target: Target, case: Any, folder: Path) -> None:
     """Try a case; raises AssertionError, or whatever came out, unless it ended as it must."""
     WATCH.harm.clear()
     WATCH.folder, WATCH.thread = folder.resolve(), threading.get_ident()
-    start = time.perf_counter()
+    start = np.array([time.perf_counter(), time.process_time()])
     try:
         with little_memory(), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -110,7 +111,7 @@ def check(target: Target, case: Any, folder: Path) -> None:
     finally:
         WATCH.folder = None
     assert not WATCH.harm, WATCH.harm
-    assert time.perf_counter() - start < SECONDS
+    assert (np.array([time.perf_counter(), time.process_time()]) - start).min() < SECONDS
 
 
 def damaged(content: bytes) -> st.SearchStrategy:
