@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
-from tests.fuzz.usd import chain, doubling, nest
+from tests.fuzz.usd import BALL, chain, doubling, nest
 from tests.usd_tools import moved, rigid, write_stage
 from warp_rigid.film import film_from_usd
 from warp_rigid.usd.check import check_usd
@@ -166,3 +166,22 @@ def test_a_film_of_endless_frames_is_refused(file):
         film_from_usd(file(text))
     with pytest.raises(ValueError, match="/World/env/body has no geometry"):
         film_from_usd(file(text.replace("1e12", "3")))
+
+
+def test_sublayers_that_are_missing_damaged_or_too_many(tmp_path, file):
+    """Without those that cannot be read the rest stands, and the report names them."""
+    (tmp_path / "bad.usda").write_text("nonsense")
+    for name in ("none.usda", "bad.usda"):
+        path = file(f"(\nsubLayers = [@{name}@]\n)\n" + rigid("Ball", "Sphere"))
+        with pytest.warns(UserWarning, match=f"left out: .*{name}"):
+            assert len(wr.import_usd(path).bodies) == 1
+    for index in range(1100):
+        (tmp_path / f"{index}.usda").write_text(f"#usda 1.0\n(\nsubLayers = [@{index + 1}.usda@]\n)\n")
+    with pytest.raises(ValueError, match="0.usda: must have at most 1000 sublayers"):
+        wr.import_usd(tmp_path / "0.usda")
+
+
+def test_a_target_that_cannot_be_written_is_one_line(tmp_path, file):
+    (tmp_path / "folder.usda").mkdir()
+    with pytest.raises(OSError, match="folder.usda: cannot be written"):
+        flatten_usd(file(BALL), tmp_path / "folder.usda")
