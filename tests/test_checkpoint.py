@@ -255,6 +255,8 @@ def test_a_newer_version_is_told(saved, tmp_path):
         lambda h: h["scene"].update(filtered_pairs=[[0, 99]]),
         lambda h: h["used"].update(contacts=3),
         lambda h: h.update(steps=None),
+        lambda h: h.update(fitted=[]),
+        lambda h: h.update(fitted=[1, 2, 3]),
     ],
 )
 def test_a_header_that_does_not_fit_is_refused(saved, tmp_path, change):

@@ -96,7 +96,7 @@ def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarr
     rows = {name: _checked(name, own, arrays, used, sim) for name, own in _stored(sim).items()}
     _check_neighbours(sim, rows)
     steps = whole_in("steps", header["steps"], 0, 2**62)
-    most_wanted = [whole_in("fitted", n, 0, LARGEST) for n in header["fitted"]]
+    most_wanted = [whole_in("fitted", n, 0, LARGEST) for _, n in zip(NAMES, header["fitted"], strict=True)]
     _upload(sim, rows)
     sim._shards.most_wanted = np.array(most_wanted, np.int64)
     sim._shards.steps = steps
