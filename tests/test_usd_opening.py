@@ -68,8 +68,14 @@ def test_packages_and_layers_behind_are_looked_into(tmp_path, file):
         for text in (f'def "A" (\nprepend references = @{name}@</a>\n)\n{{\n}}\n', f"(\nsubLayers = [@{name}@]\n)\n"):
             with pytest.raises(ValueError, match="at most 1000 brackets within each other"):
                 wr.import_usd(file(text))
+    path = tmp_path / "deep.usdz"
     with pytest.raises(ValueError, match="at most 1000 brackets within each other"):
-        wr.import_usd(tmp_path / "deep.usdz")
+        wr.import_usd(path)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"PK\x01\x02")] = 0
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="deep.usdz: not a readable package: Bad magic number for central directory"):
+        wr.import_usd(path)
 
 
 def test_variants_payloads_and_what_comes_through_references_count(file):

@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd
 
+from warp_rigid import archive
+
 __all__ = ["MOST_PRIMS", "open_stage", "reading"]
 
 MOST_PRIMS = 1_000_000
@@ -26,7 +28,6 @@ MOST_ARCS = 100
 
 TEXT, PACKAGE = b"#usda", b"PK"
 """How files of these kinds begin."""
-
 
 UNREADABLE = (Tf.ErrorException, TypeError, IndexError, KeyError, AttributeError, OverflowError)
 """What values of the wrong type or damaged ones lead to."""
@@ -91,8 +92,15 @@ def _check_brackets(path: str) -> None:
     resolver = Ar.GetResolver()
     asset = resolver.OpenAsset(resolver.Resolve(path))
     start = asset.Read(len(TEXT), 0) if asset is not None and asset.GetSize() >= len(TEXT) else b""
-    if start.startswith(PACKAGE) and zipfile.is_zipfile(path) and (names := zipfile.ZipFile(path).namelist()):
-        _check_brackets(Ar.JoinPackageRelativePath([path, names[0]]))
+    if start.startswith(PACKAGE) and Path(path).is_file():
+        try:
+            with zipfile.ZipFile(path) as package:
+                names = package.namelist()
+        except (*archive.UNREADABLE, OSError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(f"{path}: not a readable package: {reason}") from None
+        for name in names[:1]:
+            _check_brackets(Ar.JoinPackageRelativePath([path, name]))
     elif start == TEXT:
         content = np.frombuffer(asset.GetBuffer(), np.uint8)
         opening, closing = (np.isin(content, np.frombuffer(which, np.uint8)) for which in (b"([{", b")]}"))
