@@ -200,25 +200,13 @@ def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contac
 
 
 @wp.func
-def visit_pair(entry: PairRecord, share_a: float, share_b: float, most: int, motions: Motions, contacts: Contacts):
-    """Visit the contacts of a pair, one after another, until nothing changes or `most` rounds are done.
-
-    Returns 1 if they changed a velocity.
-    """
+def visit_pair(entry: PairRecord, share_a: float, share_b: float, motions: Motions, contacts: Contacts):
+    """Visit the contacts of a pair, one after another. Returns 1 if they changed a velocity."""
     couple = take_up(entry.body_a, entry.body_b, share_a, share_b, motions)
-    changed = int(0)
-    left = int(most)
-    while left > 0:
-        couple.change = 0.0
-        for c in range(entry.begin, entry.end):
-            couple = visit_contact(c, share_a, share_b, couple, contacts)
-        left -= 1
-        if couple.change > SETTLED:
-            changed = 1
-        else:
-            left = 0
+    for c in range(entry.begin, entry.end):
+        couple = visit_contact(c, share_a, share_b, couple, contacts)
     put_down(entry.body_a, entry.body_b, couple, motions)
-    return changed
+    return wp.where(couple.change > SETTLED, 1, 0)
 
 
 @wp.func
@@ -298,7 +286,7 @@ def sweep_contacts(
         for group in range(order.level_start[rows], order.level_start[rows + order.level_count[env] + 1]):
             stride = stride_of_group(group, team, order)
             for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
-                changed |= visit_pair(entry_at(k, order.entries), 1.0, 1.0, 1, motions, contacts)
+                changed |= visit_pair(entry_at(k, order.entries), 1.0, 1.0, motions, contacts)
             meet(team)
         settled = 1 - any_of_team(changed, team)
         left = (1 - settled) * (left - 1)
