@@ -54,7 +54,7 @@ def off_surface(scene, state, body, points):
 
 def test_geometry_of_contacts(device):
     """Positions, arms and normals agree with the poses; both ends, a gap apart, lie on their bodies' surfaces."""
-    sim, stages = settling_pile(device)
+    sim, stages = settling_pile(device, steps=300)
     problem = ContactProblem(stages)
     contacts = problem.contacts
     assert len(contacts["gap"]) > 60

@@ -279,7 +279,7 @@ def test_shards_are_stepped_at_the_same_time(on_cores, monkeypatch):
 
 def test_other_threads_run_while_a_step_does(on_cores):
     """Python's lock is not held during a step: without that, threads would be of no use."""
-    sim = on_cores(1, boxes_apart(), num_envs=500)
+    sim = on_cores(1, boxes_apart(), num_envs=2500)
     sim.step(1)
     naps, done = 0, threading.Event()
     stepping = threading.Thread(target=lambda: (next(iter(sim._shards)).stages.replay(), done.set()))
