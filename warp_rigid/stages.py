@@ -55,7 +55,6 @@ PAIR_LANES = 16
 MOST_TEAMS = 132 * 128
 """Teams that share the pairs on a GPU: as many as can be at work at the same time."""
 
-
 TEAM_MODULES = (collisions, shock, impulses, support, ordering, line_search, push_out)
 """Their kernels solve an environment by a team; the longest first."""
 
