@@ -395,8 +395,8 @@ def _find_contacts(c: Counts) -> Work:
 def _build_graph(c: Counts) -> Work:
     read = c.pairs * row(data.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
     read += c.rows * (VELOCITY + row(data.Motions, "bodies", "acceleration"))
-    written = c.rows * row(data.Graph, "bodies", "level", "island", "colors")
-    written += c.pairs * row(data.Graph, "pairs", "rests", "pair_color", "pair_level") + 2 * c.touching * ENTRY
+    written = c.rows * row(data.Graph, "bodies", "level", "height", "island", "colors")
+    written += c.pairs * row(data.Graph, "pairs", "rests", "pair_color") + c.touching * ENTRY
     return Work(read, written, c.contacts * OPERATIONS["graph"])
 
 
@@ -425,7 +425,7 @@ def _propagate_shock(c: Counts) -> Work:
 
 def _push_out(c: Counts) -> Work:
     read = c.contacts * (CONTACT + row(data.Contacts, "contacts", "key")) + c.rows * VELOCITY
-    return Work(read, c.contacts * part(data.LoadRecord, "reaction", "target"), c.contacts * OPERATIONS["overlap"])
+    return Work(read, c.contacts * part(data.LoadRecord, "aimed", "target"), c.contacts * OPERATIONS["overlap"])
 
 
 def _follow(c: Counts) -> Work:

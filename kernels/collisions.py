@@ -20,15 +20,15 @@ from warp_rigid.kernels.data import ContactRecord, Contacts, Environments, Graph
 from warp_rigid.kernels.impulses import (
     SETTLED,
     Couple,
-    first_of_group,
+    first_of_color,
     friction_impulse,
     put_down,
     slip_between,
-    stride_of_group,
+    stride_of_color,
     take_up,
     with_impulse,
 )
-from warp_rigid.kernels.packed import REACTION, carry_with_target, contact_row, entry_at, first_three, load_quad
+from warp_rigid.kernels.packed import AIMED, carry_with_target, contact_row, entry_at, first_three, load_quad
 from warp_rigid.kernels.tangents import world_vector
 from warp_rigid.kernels.team import any_of_team, meet, team_of
 
@@ -77,7 +77,7 @@ def set_targets(begin: int, end: int, couple: Couple, relative_pull: wp.vec3, dt
 @wp.func
 def collide_contact(c: int, couple: Couple, contacts: Contacts):
     """One visit inside a pair: bring the normal velocity to its target, the slip to zero within the cone."""
-    carries = load_quad(contacts.loads, c, REACTION)
+    carries = load_quad(contacts.loads, c, AIMED)
     target = carries[3]
     if target <= NO_IMPACT:
         return couple
@@ -111,7 +111,7 @@ def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, la
     linear = float(0.0)
     quadratic = float(0.0)
     for c in range(begin, end):
-        carries = load_quad(contacts.loads, c, REACTION)
+        carries = load_quad(contacts.loads, c, AIMED)
         if carries[3] > NO_IMPACT:
             row = contact_row(c, contacts)
             impulse = world_vector(row.normal, row.tangent, first_three(carries))
@@ -164,14 +164,13 @@ def collide(
     """A team an environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    rows = env * (bodies_per_env + 2)
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
     while left > 0:
         collided = int(0)
-        for group in range(order.level_start[rows], order.level_start[rows + order.level_count[env] + 1]):
-            stride = stride_of_group(group, team, order)
-            for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+        for color in range(order.color_count[env]):
+            stride = stride_of_color(color, team)
+            for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
                 collided |= collide_pair(entry_at(k, order.entries), dt, first, motions, contacts)
             meet(team)
         left = any_of_team(collided, team) * (left - 1)

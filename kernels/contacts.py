@@ -144,9 +144,9 @@ def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state:
 
 @wp.kernel(module=NARROWPHASE)
 def build_contacts(
-    dt: float,
     teams: int,
     lanes: int,
+    dt: float,
     rules: wp.vec2i,
     shapes: Shapes,
     bodies: Bodies,

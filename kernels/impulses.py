@@ -5,8 +5,8 @@ approach remains beyond the gap, never pulling; then the tangential part takes a
 friction times normal part. Sticking is tried with the full tangential matrix, as in Guendelman et al. 2003, section 7;
 if it leaves the disk, a projected step of the smallest safe length is taken, whose fixed point opposes the slip.
 
-A team of lanes solves an environment. Its lanes share the pairs of a group, which no body has in common, and meet
-before the next group; a lane keeps the two bodies of its pair at hand while it visits their contacts.
+A team of lanes solves an environment. Its lanes share the pairs of a colour, which have no body in common, and meet
+before the next colour; a lane keeps the two bodies of its pair at hand while it visits their contacts.
 """
 
 import warp as wp
@@ -26,9 +26,7 @@ from warp_rigid.kernels.data import (
 )
 from warp_rigid.kernels.packed import (
     IMPULSE,
-    REACTION,
     TWIST,
-    TWIST_REACTION,
     VELOCITY,
     carried,
     carry,
@@ -56,7 +54,10 @@ IN_TURN = wp.constant(COLORS - 1)
 
 @wp.struct
 class Couple:
-    """The two bodies of a pair at hand. A body that does not answer has no inverse mass."""
+    """The two bodies of a pair at hand. A body that does not answer has no inverse mass.
+
+    Nor does one that is frozen; `held` and `held_turn` are the impulses that it did not take [N s, N m s].
+    """
 
     linear_a: wp.vec3
     angular_a: wp.vec3
@@ -66,6 +67,8 @@ class Couple:
     inverse_mass_b: float
     inverse_inertia_a: wp.mat33
     inverse_inertia_b: wp.mat33
+    held: wp.vec3
+    held_turn: wp.vec3
     change: float
 
 
@@ -161,7 +164,7 @@ def resist_turning(c: int, load: float, row: ContactRecord, couple: Couple, cont
     new = wp.vec3(about_normal, rolling[0], rolling[1])
     carry(c, TWIST, new, contacts)
     if couple.inverse_mass_a * couple.inverse_mass_b == 0.0:
-        carry(c, TWIST_REACTION, carried(c, TWIST_REACTION, contacts) + world_vector(n, u, new - old), contacts)
+        couple.held_turn += wp.where(couple.inverse_mass_a > 0.0, -1.0, 1.0) * world_vector(n, u, new - old)
     return couple
 
 
@@ -169,7 +172,7 @@ def resist_turning(c: int, load: float, row: ContactRecord, couple: Couple, cont
 def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contacts: Contacts):
     """Solve one contact against the velocities at hand; notes by how much it changed them [m/s].
 
-    A share of 0 freezes that body: it weighs nothing in the contact, and what it did not take goes to `reaction`.
+    A share of 0 freezes that body: it weighs nothing in the contact, and what it did not take is held.
     """
     row = contact_row(c, contacts)
     k_normal = share_a * row.normal_a + share_b * row.normal_b
@@ -190,8 +193,12 @@ def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contac
     impulse = gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v
     couple = with_impulse(row, impulse, couple)
     carry(c, IMPULSE, wp.vec3(normal, after[0], after[1]), contacts)
-    if share_a * share_b == 0.0:
-        carry(c, REACTION, carried(c, REACTION, contacts) + impulse, contacts)
+    if share_a == 0.0:
+        couple.held += impulse
+        couple.held_turn += wp.cross(row.arm_a, impulse)
+    if share_b == 0.0:
+        couple.held -= impulse
+        couple.held_turn -= wp.cross(row.arm_b, impulse)
     if row.rolling_friction + row.spinning_friction > 0.0:
         couple = resist_turning(c, normal, row, couple, contacts)
     change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
@@ -200,27 +207,27 @@ def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contac
 
 
 @wp.func
-def visit_pair(entry: PairRecord, share_a: float, share_b: float, motions: Motions, contacts: Contacts):
+def visit_pair(entry: PairRecord, motions: Motions, contacts: Contacts):
     """Visit the contacts of a pair, one after another. Returns 1 if they changed a velocity."""
-    couple = take_up(entry.body_a, entry.body_b, share_a, share_b, motions)
+    couple = take_up(entry.body_a, entry.body_b, 1.0, 1.0, motions)
     for c in range(entry.begin, entry.end):
-        couple = visit_contact(c, share_a, share_b, couple, contacts)
+        couple = visit_contact(c, 1.0, 1.0, couple, contacts)
     put_down(entry.body_a, entry.body_b, couple, motions)
     return wp.where(couple.change > SETTLED, 1, 0)
 
 
 @wp.func
-def first_of_group(group: int, team: Team, order: Order):
-    """Where in the order a lane begins with a group. Pairs that have to be solved in turn are the first lane's."""
-    if order.group_color[group] == IN_TURN and team.lane > 0:
-        return order.group_start[group + 1]
-    return order.group_start[group] + team.lane
+def first_of_color(color: int, team: Team, order: Order):
+    """Where in the order a lane begins with a colour. Pairs that have to be solved in turn are the first lane's."""
+    if color == IN_TURN and team.lane > 0:
+        return order.color_start[team.env, color + 1]
+    return order.color_start[team.env, color] + team.lane
 
 
 @wp.func
-def stride_of_group(group: int, team: Team, order: Order):
-    """How far a lane goes from one pair of a group to its next."""
-    return wp.where(order.group_color[group] == IN_TURN, 1, team.lanes)
+def stride_of_color(color: int, team: Team):
+    """How far a lane goes from one pair of a colour to its next."""
+    return wp.where(color == IN_TURN, 1, team.lanes)
 
 
 @wp.kernel
@@ -238,10 +245,9 @@ def warm_start(
     env = team.env
     if envs.warm_starting[env] == 0:
         return
-    rows = env * (bodies_per_env + 2)
-    for group in range(order.level_start[rows], order.level_start[rows + order.level_count[env] + 1]):
-        stride = stride_of_group(group, team, order)
-        for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
+    for color in range(order.color_count[env]):
+        stride = stride_of_color(color, team)
+        for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
             entry = entry_at(k, order.entries)
             couple = take_up(entry.body_a, entry.body_b, 1.0, 1.0, motions)
             for c in range(entry.begin, entry.end):
@@ -252,10 +258,23 @@ def warm_start(
         meet(team)
 
 
+@wp.func
+def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+    """Visit all pairs once, or those of one level, if it is not 0. Returns 1 if a lane's pairs changed a velocity."""
+    changed = int(0)
+    for color in range(order.color_count[team.env]):
+        stride = stride_of_color(color, team)
+        for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
+            entry = entry_at(k, order.entries)
+            if level == 0 or wp.max(graph.level[entry.body_a], graph.level[entry.body_b]) == level:
+                changed |= visit_pair(entry, motions, contacts)
+        meet(team)
+    return changed
+
+
 @wp.kernel
 def sweep_contacts(
     after_shock: int,
-    layered: int,
     lanes: int,
     bodies_per_env: int,
     envs: Environments,
@@ -267,27 +286,25 @@ def sweep_contacts(
     """A team an environment: half of the contact iterations, before or after the two passes of shock propagation.
 
     A single pass comes after all of them, as in 2003: what it has frozen is not to be moved again, and sweeps prepare
-    it best from the ground up. Each order does its environments. Sweeps end early when one changes nothing; what is
-    settled before shock propagation needs none.
+    it best from the ground up. Sweeps end early when one changes nothing; what is settled before shock propagation
+    needs none.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if (envs.shock_propagation[env] == ONE_PASS) != (layered == 1):
-        return
-    rows = env * (bodies_per_env + 2)
+    mode = envs.shock_propagation[env]
     left = envs.contact_iterations[env] * (1 - after_shock)
-    if envs.shock_propagation[env] == TWO_PASS:
+    if mode == TWO_PASS:
         left = (envs.contact_iterations[env] + 1 - after_shock) / 2
     if after_shock == 1:
         left = left * (1 - graph.settled[env])
     settled = int(0)
     while left > 0:
         changed = int(0)
-        for group in range(order.level_start[rows], order.level_start[rows + order.level_count[env] + 1]):
-            stride = stride_of_group(group, team, order)
-            for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
-                changed |= visit_pair(entry_at(k, order.entries), 1.0, 1.0, motions, contacts)
-            meet(team)
+        if mode == ONE_PASS:
+            for level in range(1, graph.level_count[env] + 1):
+                changed |= sweep(level, team, order, graph, motions, contacts)
+        else:
+            changed = sweep(0, team, order, graph, motions, contacts)
         settled = 1 - any_of_team(changed, team)
         left = (1 - settled) * (left - 1)
     if after_shock == 0 and team.lane == 0:

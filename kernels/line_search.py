@@ -24,12 +24,10 @@ from warp_rigid.kernels.data import (
 from warp_rigid.kernels.impulses import slip_between, take_up
 from warp_rigid.kernels.packed import (
     IMPULSE,
-    REACTION,
     START,
     START_IMPULSE,
     START_TWIST,
     TWIST,
-    TWIST_REACTION,
     carried,
     carry,
     contact_row,
@@ -74,14 +72,10 @@ def remember_start(
     first = env * bodies_per_env
     for b in range(first + team.lane, first + bodies_per_env, lanes):
         store_velocity(b, START, motions.movers[b].linear, motions.movers[b].angular, motions)
-    rows = env * (bodies_per_env + 2)
-    end = order.group_start[order.level_start[rows + order.level_count[env] + 1]]
-    for k in range(order.group_start[order.level_start[rows]] + team.lane, end, lanes):
+    for k in range(order.color_start[env, 0] + team.lane, order.color_start[env, order.color_count[env]], lanes):
         for c in range(order.entries[k].begin, order.entries[k].end):
             carry(c, START_IMPULSE, carried(c, IMPULSE, contacts), contacts)
             carry(c, START_TWIST, carried(c, TWIST, contacts), contacts)
-            carry(c, REACTION, wp.vec3(0.0, 0.0, 0.0), contacts)
-            carry(c, TWIST_REACTION, wp.vec3(0.0, 0.0, 0.0), contacts)
 
 
 @wp.func
@@ -149,9 +143,8 @@ def sum_energy(
         graph.denominator[body] = wp.int64(0)
         graph.largest[body] = 1.0e-30
     meet(team)
-    rows = env * (bodies_per_env + 2)
-    begin = order.group_start[order.level_start[rows]]
-    end = order.group_start[order.level_start[rows + order.level_count[env] + 1]]
+    begin = order.color_start[env, 0]
+    end = order.color_start[env, order.color_count[env]]
     for k in range(begin + team.lane, end, lanes):
         entry = entry_at(k, order.entries)
         sums = pair_sums(entry, motions, contacts)
@@ -204,9 +197,7 @@ def accept(
         mover = motions.movers[b]
         motions.movers[b].linear = mover.start_linear + t * (mover.linear - mover.start_linear)
         motions.movers[b].angular = mover.start_angular + t * (mover.angular - mover.start_angular)
-    rows = env * (bodies_per_env + 2)
-    end = order.group_start[order.level_start[rows + order.level_count[env] + 1]]
-    for k in range(order.group_start[order.level_start[rows]] + team.lane, end, lanes):
+    for k in range(order.color_start[env, 0] + team.lane, order.color_start[env, order.color_count[env]], lanes):
         entry = entry_at(k, order.entries)
         t = accepted_share(island_of(entry, motions, graph), graph)
         for c in range(entry.begin, entry.end):

@@ -1,9 +1,7 @@
 """Sixth stage: the order in which touching pairs are solved.
 
 Pairs are coloured: no two pairs of a colour share a dynamic body, so a colour's pairs can be solved at the same time,
-and in whatever order they are, the result is the same. Sweeps over all pairs go colour by colour. For shock propagation
-and push-out, which go from level to level, pairs are sorted by level, that of the upper body, and coloured within each:
-one level and one colour make a group.
+and in whatever order they are, the result is the same. All sweeps go colour by colour.
 
 Pairs bid for colours (Jones and Plassmann 1993): in a round, the pair of highest priority at both its bodies takes the
 lowest colour free at both. The priority is a scrambled index, so that rows of pairs are not coloured one by one. What
@@ -15,7 +13,7 @@ import warp as wp
 from warp_rigid.kernels.data import COLORS, Bodies, Graph, Order, PairRecord, Pairs
 from warp_rigid.kernels.impulses import IN_TURN
 from warp_rigid.kernels.support import DYNAMIC, touches
-from warp_rigid.kernels.team import Team, any_of_team, lowest_bit, meet, team_of
+from warp_rigid.kernels.team import any_of_team, lowest_bit, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,27 +37,19 @@ def priority(index: int):
 
 
 @wp.func
-def side_of(body: int, pair: int, graph: Graph):
-    """0 for a body in the pair's own level, 1 for one below it. Pairs on different sides of a body never meet."""
-    return wp.where(graph.level[body] < graph.pair_level[pair], 1, 0)
-
-
-@wp.func
 def place_bid(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph):
     """Bid for a colour at both bodies, or give up where all colours of a body are taken."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    side_a = side_of(a, pair, graph)
-    side_b = side_of(b, pair, graph)
     dynamic_a = bodies.motion[a] == DYNAMIC
     dynamic_b = bodies.motion[b] == DYNAMIC
-    if (dynamic_a and graph.colors[a, side_a] == ALL_TAKEN) or (dynamic_b and graph.colors[b, side_b] == ALL_TAKEN):
+    if (dynamic_a and graph.colors[a] == ALL_TAKEN) or (dynamic_b and graph.colors[b] == ALL_TAKEN):
         graph.pair_color[pair] = IN_TURN
         return
     if dynamic_a:
-        wp.atomic_max(graph.bid, a, side_a, priority(pair - begin))
+        wp.atomic_max(graph.bid, a, priority(pair - begin))
     if dynamic_b:
-        wp.atomic_max(graph.bid, b, side_b, priority(pair - begin))
+        wp.atomic_max(graph.bid, b, priority(pair - begin))
 
 
 @wp.func
@@ -67,48 +57,40 @@ def take_color(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph
     """Take the lowest colour that is free at both bodies if no other bid was higher."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    side_a = side_of(a, pair, graph)
-    side_b = side_of(b, pair, graph)
     own = priority(pair - begin)
     dynamic_a = bodies.motion[a] == DYNAMIC
     dynamic_b = bodies.motion[b] == DYNAMIC
-    if (dynamic_a and graph.bid[a, side_a] != own) or (dynamic_b and graph.bid[b, side_b] != own):
+    if (dynamic_a and graph.bid[a] != own) or (dynamic_b and graph.bid[b] != own):
         return
     taken = wp.uint32(0)
     if dynamic_a:
-        taken = taken | graph.colors[a, side_a]
+        taken = taken | graph.colors[a]
     if dynamic_b:
-        taken = taken | graph.colors[b, side_b]
+        taken = taken | graph.colors[b]
     color = lowest_bit(~taken)
     graph.pair_color[pair] = color
     if color == IN_TURN:
         return
     bit = wp.uint32(1) << wp.uint32(color)
     if dynamic_a:
-        graph.colors[a, side_a] = graph.colors[a, side_a] | bit
+        graph.colors[a] = graph.colors[a] | bit
     if dynamic_b:
-        graph.colors[b, side_b] = graph.colors[b, side_b] | bit
+        graph.colors[b] = graph.colors[b] | bit
 
 
 @wp.kernel
-def color_pairs(layered: int, lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
-    """A team an environment: give each touching pair a colour that no other pair of its dynamic bodies has.
-
-    If the order is layered, no other pair of the same level; otherwise all pairs count to level 0.
-    """
+def color_pairs(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+    """A team an environment: give each touching pair a colour that no other pair of its dynamic bodies has."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     first = env * bodies_per_env
     begin = pairs.start[first]
     end = pairs.start[first + bodies_per_env]
     for b in range(first + team.lane, first + bodies_per_env, lanes):
-        for side in range(2):
-            graph.colors[b, side] = wp.uint32(0)
-            graph.bid[b, side] = NO_BID
+        graph.colors[b] = wp.uint32(0)
+        graph.bid[b] = NO_BID
     for pair in range(begin + team.lane, end, lanes):
         graph.pair_color[pair] = UNCOLORED
-        upper = wp.max(graph.level[pairs.body_a[pair]], graph.level[pairs.body_b[pair]])
-        graph.pair_level[pair] = layered * upper
     left = int(1)
     while left == 1:
         meet(team)
@@ -121,8 +103,7 @@ def color_pairs(layered: int, lanes: int, bodies_per_env: int, bodies: Bodies, p
                 take_color(pair, begin, bodies, pairs, graph)
         meet(team)
         for b in range(first + team.lane, first + bodies_per_env, lanes):
-            graph.bid[b, 0] = NO_BID
-            graph.bid[b, 1] = NO_BID
+            graph.bid[b] = NO_BID
         left = int(0)
         for pair in range(begin + team.lane, end, lanes):
             if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
@@ -131,107 +112,66 @@ def color_pairs(layered: int, lanes: int, bodies_per_env: int, bodies: Bodies, p
 
 
 @wp.func
-def count_groups(row: int, graph: Graph, order: Order):
-    """How many groups and how many pairs a level has."""
-    groups = int(0)
+def add_colors(env: int, begin: int, graph: Graph, order: Order):
+    """One lane: where each colour begins. The colours in use follow each other, but for those solved in turn."""
+    at = int(begin)
     count = int(0)
     for color in range(MOST_COLORS):
-        if graph.tally[row, color] > 0:
-            groups += 1
-            count += graph.tally[row, color]
-    order.level_start[row] = groups
-    graph.level_pairs[row] = count
+        order.color_start[env, color] = at
+        pairs = graph.tally[env, color]
+        graph.tally[env, color] = at
+        at += pairs
+        if pairs > 0:
+            count = color + 1
+    order.color_start[env, MOST_COLORS] = at
+    order.color_count[env] = count
 
 
 @wp.func
-def add_levels(env: int, rows: int, begin: int, graph: Graph, order: Order):
-    """One lane: where each level's groups and pairs begin."""
-    group = begin + env
-    at = int(begin)
-    for row in range(rows, rows + order.level_count[env] + 1):
-        groups = order.level_start[row]
-        count = graph.level_pairs[row]
-        order.level_start[row] = group
-        graph.level_pairs[row] = at
-        group += groups
-        at += count
-    order.level_start[rows + order.level_count[env] + 1] = group
-    order.group_start[group] = at
-
-
-@wp.func
-def list_groups(row: int, graph: Graph, order: Order):
-    """Turn a level's tally of pairs by colour into its groups and where each begins."""
-    group = order.level_start[row]
-    at = graph.level_pairs[row]
-    for color in range(MOST_COLORS):
-        count = graph.tally[row, color]
-        if count > 0:
-            graph.tally[row, color] = at
-            order.group_start[group] = at
-            order.group_color[group] = color
-            group += 1
-            at += count
-
-
-@wp.func
-def write_in_order(pair: int, rows: int, pairs: Pairs, graph: Graph, order: Order):
-    """Give a pair the next place of its group."""
+def write_in_order(pair: int, env: int, pairs: Pairs, graph: Graph, order: Order):
+    """Give a pair the next place of its colour."""
     entry = PairRecord()
     entry.pair = pair
     entry.body_a = pairs.body_a[pair]
     entry.body_b = pairs.body_b[pair]
     entry.begin = pairs.contact_start[pair]
     entry.end = pairs.contact_start[pair + 1]
-    entry.upper_a = 1 - side_of(entry.body_a, pair, graph)
-    entry.upper_b = 1 - side_of(entry.body_b, pair, graph)
-    slot = wp.atomic_add(graph.tally, rows + graph.pair_level[pair], graph.pair_color[pair], 1)
+    entry.upper_a = wp.where(graph.level[entry.body_a] < graph.level[entry.body_b], 0, 1)
+    entry.upper_b = wp.where(graph.level[entry.body_b] < graph.level[entry.body_a], 0, 1)
+    slot = wp.atomic_add(graph.tally, env, graph.pair_color[pair], 1)
     order.entries[slot] = entry
-
-
-@wp.func
-def tally_pairs(team: Team, begin: int, end: int, rows: int, pairs: Pairs, graph: Graph, order: Order):
-    """Count the levels, and the touching pairs of each level and colour. Returns 1 if any is to be solved in turn."""
-    if team.lane == 0:
-        order.level_count[team.env] = 0
-    meet(team)
-    for pair in range(begin + team.lane, end, team.lanes):
-        if touches(pair, pairs):
-            wp.atomic_max(order.level_count, team.env, graph.pair_level[pair])
-    meet(team)
-    for level in range(team.lane, order.level_count[team.env] + 1, team.lanes):
-        for color in range(MOST_COLORS):
-            graph.tally[rows + level, color] = 0
-    meet(team)
-    in_turn = int(0)
-    for pair in range(begin + team.lane, end, team.lanes):
-        if touches(pair, pairs):
-            wp.atomic_add(graph.tally, rows + graph.pair_level[pair], graph.pair_color[pair], 1)
-            in_turn |= wp.where(graph.pair_color[pair] == IN_TURN, 1, 0)
-    return any_of_team(in_turn, team)
 
 
 @wp.kernel
 def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph, order: Order):
-    """A team an environment: sort the touching pairs by level and colour. Within a group their order is free."""
+    """A team an environment: sort the touching pairs by colour, and find the highest level.
+
+    Within a colour their order is free, but for pairs that are solved in turn.
+    """
     team = team_of(wp.tid(), lanes, graph.gate)
-    rows = team.env * (bodies_per_env + 2)
-    begin = pairs.start[team.env * bodies_per_env]
-    end = pairs.start[(team.env + 1) * bodies_per_env]
-    in_turn = tally_pairs(team, begin, end, rows, pairs, graph, order)
-    for row in range(rows + team.lane, rows + order.level_count[team.env] + 1, lanes):
-        count_groups(row, graph, order)
-    meet(team)
+    env = team.env
+    begin = pairs.start[env * bodies_per_env]
+    end = pairs.start[(env + 1) * bodies_per_env]
+    for color in range(team.lane, MOST_COLORS, lanes):
+        graph.tally[env, color] = 0
     if team.lane == 0:
-        add_levels(team.env, rows, begin, graph, order)
+        graph.level_count[env] = 0
     meet(team)
-    for row in range(rows + team.lane, rows + order.level_count[team.env] + 1, lanes):
-        list_groups(row, graph, order)
+    in_turn = int(0)
+    for pair in range(begin + team.lane, end, lanes):
+        if touches(pair, pairs):
+            wp.atomic_add(graph.tally, env, graph.pair_color[pair], 1)
+            in_turn |= wp.where(graph.pair_color[pair] == IN_TURN, 1, 0)
+            upper = wp.max(graph.level[pairs.body_a[pair]], graph.level[pairs.body_b[pair]])
+            wp.atomic_max(graph.level_count, env, upper)
+    in_turn = any_of_team(in_turn, team)
+    if team.lane == 0:
+        add_colors(env, begin, graph, order)
     meet(team)
     for pair in range(begin + team.lane, end, lanes):
         if touches(pair, pairs) and graph.pair_color[pair] != IN_TURN:
-            write_in_order(pair, rows, pairs, graph, order)
+            write_in_order(pair, env, pairs, graph, order)
     if in_turn == 1 and team.lane == 0:
         for pair in range(begin, end):
             if touches(pair, pairs) and graph.pair_color[pair] == IN_TURN:
-                write_in_order(pair, rows, pairs, graph, order)
+                write_in_order(pair, env, pairs, graph, order)

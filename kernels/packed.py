@@ -61,13 +61,13 @@ put_mover_quad = writer(MoverRecord)
 
 IMPULSE = wp.constant(0)
 TWIST = wp.constant(1)
-REACTION = wp.constant(2)
-TWIST_REACTION = wp.constant(3)
-START_IMPULSE = wp.constant(4)
-START_TWIST = wp.constant(5)
+AIMED = wp.constant(2)
+START_IMPULSE = wp.constant(3)
+START_TWIST = wp.constant(4)
 VELOCITY = wp.constant(0)
 PUSH = wp.constant(4)
 START = wp.constant(6)
+LOADED = wp.constant(8)
 
 
 @wp.func
@@ -78,49 +78,53 @@ def first_three(q: wp.vec4):
 
 @wp.func
 def contact_row(c: int, contacts: Contacts):
-    """What is fixed about a contact; its bodies are those of its pair."""
+    """What is fixed about a contact; its bodies are those of its pair. What is seldom there is read if it is."""
     row = ContactRecord()
     q = contact_quad(contacts.rows, c, 0)
     row.normal = first_three(q)
-    row.gap = q[3]
+    row.closing = q[3]
     q = contact_quad(contacts.rows, c, 1)
     row.tangent = first_three(q)
-    row.closing = q[3]
+    row.friction = q[3]
     q = contact_quad(contacts.rows, c, 2)
     row.arm_a = first_three(q)
-    row.friction = q[3]
+    row.gap = q[3]
     q = contact_quad(contacts.rows, c, 3)
     row.arm_b = first_three(q)
-    row.restitution = q[3]
+    row.more = q[3]
     q = contact_quad(contacts.rows, c, 4)
-    row.surface = first_three(q)
-    row.rolling_friction = q[3]
-    q = contact_quad(contacts.rows, c, 5)
     row.tangent_a = first_three(q)
     row.normal_a = q[3]
-    q = contact_quad(contacts.rows, c, 6)
+    q = contact_quad(contacts.rows, c, 5)
     row.tangent_b = first_three(q)
     row.normal_b = q[3]
-    q = contact_quad(contacts.rows, c, 7)
+    q = contact_quad(contacts.rows, c, 6)
     row.coupling_a = wp.vec2(q[0], q[1])
     row.coupling_b = wp.vec2(q[2], q[3])
-    row.spinning_friction = contacts.rows[c].spinning_friction
+    if row.more != 0.0:
+        q = contact_quad(contacts.rows, c, 7)
+        row.surface = first_three(q)
+        row.rolling_friction = q[3]
+        row.spinning_friction = contacts.rows[c].spinning_friction
+        row.restitution = contacts.rows[c].restitution
     return row
 
 
 @wp.func
 def put_contact_row(c: int, row: ContactRecord, contacts: Contacts):
     """Store what is fixed about a contact."""
-    put_contact_quad(contacts.rows, c, 0, row.normal, row.gap)
-    put_contact_quad(contacts.rows, c, 1, row.tangent, row.closing)
-    put_contact_quad(contacts.rows, c, 2, row.arm_a, row.friction)
-    put_contact_quad(contacts.rows, c, 3, row.arm_b, row.restitution)
-    put_contact_quad(contacts.rows, c, 4, row.surface, row.rolling_friction)
-    put_contact_quad(contacts.rows, c, 5, row.tangent_a, row.normal_a)
-    put_contact_quad(contacts.rows, c, 6, row.tangent_b, row.normal_b)
+    more = wp.abs(row.rolling_friction) + wp.abs(row.spinning_friction) + row.restitution + wp.length(row.surface)
+    put_contact_quad(contacts.rows, c, 0, row.normal, row.closing)
+    put_contact_quad(contacts.rows, c, 1, row.tangent, row.friction)
+    put_contact_quad(contacts.rows, c, 2, row.arm_a, row.gap)
+    put_contact_quad(contacts.rows, c, 3, row.arm_b, more)
+    put_contact_quad(contacts.rows, c, 4, row.tangent_a, row.normal_a)
+    put_contact_quad(contacts.rows, c, 5, row.tangent_b, row.normal_b)
     coupling = wp.vec3(row.coupling_a[0], row.coupling_a[1], row.coupling_b[0])
-    put_contact_quad(contacts.rows, c, 7, coupling, row.coupling_b[1])
+    put_contact_quad(contacts.rows, c, 6, coupling, row.coupling_b[1])
+    put_contact_quad(contacts.rows, c, 7, row.surface, row.rolling_friction)
     contacts.rows[c].spinning_friction = row.spinning_friction
+    contacts.rows[c].restitution = row.restitution
     contacts.rows[c].body_a = row.body_a
     contacts.rows[c].body_b = row.body_b
 
@@ -140,7 +144,7 @@ def carry(c: int, which: int, value: wp.vec3, contacts: Contacts):
 @wp.func
 def carry_with_target(c: int, impulse: wp.vec3, target: float, contacts: Contacts):
     """Store an impact's or the push-out's impulse, and the velocity that it aims at."""
-    put_load_quad(contacts.loads, c, REACTION, impulse, target)
+    put_load_quad(contacts.loads, c, AIMED, impulse, target)
 
 
 @wp.func
@@ -156,6 +160,7 @@ def entry_at(k: int, order: wp.array(dtype=PairRecord)):
     entry.end = q[0]
     entry.upper_a = q[1]
     entry.upper_b = q[2]
+    entry.visited = q[3]
     return entry
 
 
@@ -169,6 +174,6 @@ def inverse_inertia_of(b: int, motions: Motions):
 
 @wp.func
 def store_velocity(b: int, which: int, linear: wp.vec3, angular: wp.vec3, motions: Motions):
-    """Store one of a body's two pseudo-velocities: PUSH or START."""
+    """Store one of a body's other velocities: PUSH, START or LOADED."""
     put_mover_quad(motions.movers, b, which, linear, 0.0)
     put_mover_quad(motions.movers, b, which + 1, angular, 0.0)

@@ -24,15 +24,15 @@ from warp_rigid.kernels.data import (
 )
 from warp_rigid.kernels.impulses import (
     Couple,
-    first_of_group,
+    first_of_color,
     slip_between,
-    stride_of_group,
+    stride_of_color,
     take_up,
     with_impulse,
 )
 from warp_rigid.kernels.packed import (
+    AIMED,
     PUSH,
-    REACTION,
     carry_with_target,
     contact_row,
     entry_at,
@@ -41,7 +41,7 @@ from warp_rigid.kernels.packed import (
     mover_quad,
     store_velocity,
 )
-from warp_rigid.kernels.team import any_of_team, meet, team_of
+from warp_rigid.kernels.team import Team, any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -100,8 +100,8 @@ def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Mot
 
 @wp.func
 def push_contact(c: int, share_a: float, share_b: float, couple: Couple, contacts: Contacts):
-    """One visit: bring the pseudo-velocity of separation to its target; reaction[0] is the pseudo-impulse."""
-    carries = load_quad(contacts.loads, c, REACTION)
+    """One visit: bring the pseudo-velocity of separation to its target; aimed[0] is the pseudo-impulse."""
+    carries = load_quad(contacts.loads, c, AIMED)
     target = carries[3]
     if target <= 0.0:
         return couple
@@ -119,12 +119,12 @@ def push_contact(c: int, share_a: float, share_b: float, couple: Couple, contact
 
 
 @wp.func
-def push_pair(entry: PairRecord, motions: Motions, contacts: Contacts):
+def push_pair(entry: PairRecord, freeze: int, motions: Motions, contacts: Contacts):
     """Visit the contacts of a pair; the bodies' pseudo-velocities stand in for their velocities."""
     a = entry.body_a
     b = entry.body_b
-    share_a = float(entry.upper_a)
-    share_b = float(entry.upper_b)
+    share_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
+    share_b = wp.where(freeze == 1, float(entry.upper_b), 1.0)
     couple = take_up(a, b, share_a, share_b, motions)
     couple.linear_a = first_three(mover_quad(motions.movers, a, PUSH))
     couple.angular_a = first_three(mover_quad(motions.movers, a, PUSH + 1))
@@ -169,9 +169,25 @@ def find_overlaps(
         graph.overlapping[env] = found
 
 
+@wp.func
+def separate(freeze: int, most: int, team: Team, order: Order, motions: Motions, contacts: Contacts):
+    """Iterate all pairs, at most so many times. Returns 1 if they are not apart by then."""
+    left = most
+    changed = int(0)
+    while left > 0:
+        changed = int(0)
+        for color in range(order.color_count[team.env]):
+            stride = stride_of_color(color, team)
+            for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
+                changed |= push_pair(entry_at(k, order.entries), freeze, motions, contacts)
+            meet(team)
+        changed = any_of_team(changed, team)
+        left = changed * (left - 1)
+    return changed
+
+
 @wp.kernel
 def push_apart(
-    layered: int,
     lanes: int,
     bodies_per_env: int,
     envs: Environments,
@@ -180,22 +196,17 @@ def push_apart(
     motions: Motions,
     contacts: Contacts,
 ):
-    """A team an environment: separate level by level, each against the frozen level below.
+    """A team an environment: separate all pairs, each upper body against the frozen one below it.
 
-    Without shock propagation all pairs are done at once, and none is frozen: each order does its environments.
+    As in shock propagation, all levels are iterated together. What is caught between two frozen bodies then has to
+    push them apart; without shock propagation, no body is frozen in the first place.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if graph.overlapping[env] == 0 or (envs.shock_propagation[env] == OFF) == (layered == 1):
+    if graph.overlapping[env] == 0:
         return
-    for level in range(layered, order.level_count[env] + 1):
-        row = env * (bodies_per_env + 2) + level
-        left = int(LEVEL_ITERATIONS)
-        while left > 0:
-            changed = int(0)
-            for group in range(order.level_start[row], order.level_start[row + 1]):
-                stride = stride_of_group(group, team, order)
-                for k in range(first_of_group(group, team, order), order.group_start[group + 1], stride):
-                    changed |= push_pair(entry_at(k, order.entries), motions, contacts)
-                meet(team)
-            left = any_of_team(changed, team) * (left - 1)
+    caught = int(1)
+    if envs.shock_propagation[env] != OFF:
+        caught = separate(1, LEVEL_ITERATIONS + graph.tallest[env], team, order, motions, contacts)
+    if caught == 1:
+        separate(0, LEVEL_ITERATIONS, team, order, motions, contacts)

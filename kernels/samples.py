@@ -134,6 +134,24 @@ def next_inside(search: Search, curved: bool):
 
 
 @wp.func
+def came_elsewhere(search: Search, distance: float, direction: wp.vec3, size: float, weight: float):
+    """Whether an edge lies deep under a face that it cannot have come through, nearer than to one that it can."""
+    deep = distance < -BORDER * size and wp.dot(direction, search.normal) >= OPPOSED
+    return deep and weight > 0.0 and wp.length_sq(search.facing) == 0.0
+
+
+@wp.func
+def edge_again(search: Search):
+    """Begin an edge's search once more, measured to the faces that its normal opposes."""
+    search.facing = search.normal
+    search.crossing = 0
+    search.left = -OVERLAP * search.half
+    search.right = OVERLAP * search.half
+    search.stage = EDGE_LOW
+    return look_at(search, search.left)
+
+
+@wp.func
 def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
     """Both ends are known: see whether the distance has an inner minimum, or the edge leaves a face.
 
@@ -220,14 +238,21 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         search.stage = EDGE_HIGH
         return look_at(search, search.right)
     if search.stage == EDGE_HIGH:
-        return edge_has_ends(search, d, reach + radius, convex)
+        deepest = wp.where(d[3] < search.low[3], d, search.low)
+        search = edge_has_ends(search, d, reach + radius, convex)
+        if search.stage == DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
+            search = edge_again(search)
+        return search
     if search.stage == EDGE_BEFORE:
         search.before = d
         search.stage = EDGE_AFTER
         search.query = search.start + (search.t + ASIDE * search.half) * search.along
         return search
     if search.stage == EDGE_AFTER:
-        return edge_crossed(search, search.before, d, radius)
+        search = edge_crossed(search, search.before, d, radius)
+        if came_elsewhere(search, search.distance, search.direction, size, weight):
+            search = edge_again(search)
+        return search
     if search.stage == EDGE_FACING:
         if d[3] < search.distance - BORDER * size:
             return nowhere(search)

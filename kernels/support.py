@@ -7,7 +7,8 @@ in any force field. A body's level is one more than the highest level that it re
 other in a cycle are collapsed into one and share a level; statics are level 0.
 
 Levels are found from the ground up. In a round every body whose supports all have levels gets its own. Where no body is
-ready, cycles stand in the way: they are found, and from then on each gets its level like a single body.
+ready, cycles stand in the way: they are found, and from then on each gets its level like a single body. The height of
+a body counts the shortest way to the ground instead, and tells how many sweeps weight needs to travel through.
 """
 
 import warp as wp
@@ -23,6 +24,7 @@ DYNAMIC = wp.constant(MOTION_DYNAMIC)
 A_ON_B = wp.constant(1)
 B_ON_A = wp.constant(2)
 UNKNOWN = wp.constant(-1)
+NOWHERE = wp.constant(1 << 30)
 
 MOST_PASSES = wp.constant(4)
 
@@ -244,3 +246,34 @@ def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
         for b in range(first + team.lane, last, lanes):
             graph.island[b] = graph.island[graph.island[b]]
         changed = any_of_team(changed, team)
+
+
+@wp.kernel
+def find_heights(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+    """A team an environment: how few supports lead from a body to the ground, and the most of any body.
+
+    In a heap this is far less than the level, which counts the longest way. Bodies that lie on nothing have none.
+    """
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    first = env * bodies_per_env
+    last = first + bodies_per_env
+    for b in range(first + team.lane, last, lanes):
+        graph.height[b] = wp.where(bodies.motion[b] == DYNAMIC, NOWHERE, 0)
+    if team.lane == 0:
+        graph.tallest[env] = 0
+    changed = int(1)
+    while changed == 1:
+        meet(team)
+        changed = int(0)
+        for _ in range(passes_of(team)):
+            for edge in range(2 * pairs.start[first] + team.lane, 2 * pairs.start[last], lanes):
+                upper = upper_of(edge, pairs, graph)
+                lower = lower_of(edge, pairs)
+                if upper >= 0 and graph.height[lower] + 1 < graph.height[upper]:
+                    wp.atomic_min(graph.height, upper, graph.height[lower] + 1)
+                    changed = 1
+        changed = any_of_team(changed, team)
+    for b in range(first + team.lane, last, lanes):
+        if graph.height[b] < NOWHERE:
+            wp.atomic_max(graph.tallest, env, graph.height[b])

@@ -105,4 +105,7 @@ def carry_contacts(
     x = contacts.position[c]
     earlier = before * envs.collision_first[a / bodies_per_env]
     v = surface_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
-    contacts.rows[c].surface = v - surface_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
+    v -= surface_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
+    contacts.rows[c].surface = v
+    if wp.length_sq(v) > 0.0:
+        contacts.rows[c].more = 1.0

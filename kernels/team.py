@@ -12,6 +12,8 @@ wp.set_module_options({"enable_backward": False})
 BLOCK = 256
 """Lanes of a CUDA block of a team that is larger than a warp; such a team is one block or several."""
 
+MOST_OF_A_BLOCK = wp.constant(BLOCK)
+
 SMALL_BLOCK = 64
 """Lanes of a CUDA block of teams within a warp: small, so that few environments spread over the whole GPU."""
 
@@ -33,10 +35,17 @@ class Team:
 
 @wp.func
 def team_of(thread: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)):
-    """The team of a thread: `lanes` neighbours for each environment."""
+    """The team of a thread: `lanes` neighbours for each environment.
+
+    If a team is several blocks, its warps are dealt to them in turn, so that all have a part of a little work.
+    """
     team = Team()
     team.env = thread / lanes
     team.lane = thread % lanes
+    if lanes > MOST_OF_A_BLOCK:
+        block = team.lane / MOST_OF_A_BLOCK
+        within = team.lane % MOST_OF_A_BLOCK
+        team.lane = ((within / 32) * (lanes / MOST_OF_A_BLOCK) + block) * 32 + within % 32
     team.lanes = lanes
     team.gate = gate
     return team

@@ -34,7 +34,6 @@ class HandMadeGraph:
             "bodies": self.count * self.per_env,
             "env_bodies": self.per_env,
             "apart": 0,
-            "levels": self.count * (self.per_env + 2),
             "pairs": max(1, len(rows)),
             "contacts": 1,
         }
@@ -64,6 +63,11 @@ class HandMadeGraph:
         shape = (self.count, self.per_env)
         return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)
 
+    def heights(self):
+        """Heights (envs, bodies), 2^30 where a body lies on nothing, and the greatest of each environment."""
+        self.launch(support.find_heights, self.bodies, self.pairs, self.graph)
+        return self.graph.height.numpy().reshape(self.count, self.per_env), self.graph.tallest.numpy()
+
 
 def supports(pairs, motions):
     """Edges (upper, lower) of an environment; only what is dynamic rests on anything."""
@@ -88,6 +92,16 @@ def oracle_levels(pairs, motions):
         else:
             level[node] = 1 + max((level[below] for below in condensed.successors(node)), default=0)
     return [level[condensed.graph["mapping"][body]] for body in range(len(motions))]
+
+
+def oracle_heights(pairs, motions):
+    """Shortest path to anything that is not dynamic; None where there is none."""
+    graph = nx.DiGraph()
+    graph.add_nodes_from(range(len(motions)))
+    graph.add_edges_from((lower, upper) for upper, lower in supports(pairs, motions))
+    ground = {body for body, motion in enumerate(motions) if motion != Motion.DYNAMIC}
+    height = nx.multi_source_dijkstra_path_length(graph, ground)
+    return [height.get(body) for body in range(len(motions))]
 
 
 def oracle_islands(pairs, motions):
@@ -120,15 +134,21 @@ def test_levels_and_islands_of_random_graphs(device, density, upward):
     generator = np.random.default_rng(int(1000 * density) + upward)
     motions = [Motion.STATIC, Motion.KINEMATIC, *[Motion.DYNAMIC] * 46, Motion.STATIC, *[Motion.DYNAMIC] * 11]
     envs = [random_pairs(generator, motions, density, upward) for _ in range(8)]
-    level, island = HandMadeGraph(motions, envs, device).solve()
-    deepest = 0
+    made = HandMadeGraph(motions, envs, device)
+    level, island = made.solve()
+    height, tallest = made.heights()
+    deepest = lower = 0
     for env, pairs in enumerate(envs):
         expected = oracle_levels(pairs, motions)
         assert level[env].tolist() == expected
         first = env * len(motions)
         assert (island[env] - first).tolist() == oracle_islands(pairs, motions)
+        shortest = oracle_heights(pairs, motions)
+        assert [None if h == 2**30 else h for h in height[env].tolist()] == shortest
+        assert tallest[env] == max(h for h in shortest if h is not None)
         deepest = max(deepest, *expected)
-    assert deepest > 2
+        lower += sum(h is not None and h < level for h, level in zip(shortest, expected, strict=True))
+    assert deepest > 2 and (lower > 0 or density < 0.1)
 
 
 def test_cycles_share_a_level(device):

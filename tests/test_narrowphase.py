@@ -392,3 +392,25 @@ def test_a_long_edge_in_a_thin_rod_is_as_deep_as_it_is(device, degrees, depth):
     assert found["gap"].min() == pytest.approx(-depth, abs=0.1 * depth)
     assert found["position"][:, 2].min() < -0.009
     assert found["position"][:, 2].max() > 0.009
+
+
+WEDGED = {
+    "one": ((0.04, 0.0138, 0.1932), (0.343, 0.6184, -0.3429, 0.6184), (-0.5324, -0.2756, 0.7905, -0.1252)),
+    "other": ((0.0323, -0.0221, 0.1956), (0.6543, 0.2684, -0.6542, 0.2683), (-0.6967, -0.3579, -0.1404, -0.6057)),
+}
+
+
+@pytest.mark.parametrize("name", WEDGED)
+def test_edges_deep_across_each_other_part(device, name):
+    """Two cubes as a pile left them: an edge of each runs through the other, nearest to a face that it does not oppose.
+
+    Seen from that face nothing touched, and the cubes stayed 20 to 30 mm inside each other for good.
+    """
+    shift, lower, upper = WEDGED[name]
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(Box((HALF, HALF, HALF)), orientation=lower)
+    scene.add_body(Box((HALF, HALF, HALF)), position=shift, orientation=upper)
+    sim = Simulator(scene, device=device, settings=Settings(dt=1 / 60))
+    assert sim.penetration()[0] > 0.02
+    sim.step(40)
+    assert sim.penetration()[0] < 1e-4

@@ -1,4 +1,4 @@
-"""Sixth stage: touching pairs by level and colour, so that a group's pairs can be solved at the same time."""
+"""Sixth stage: touching pairs by colour, so that a colour's pairs can be solved at the same time."""
 
 import numpy as np
 import pytest
@@ -10,41 +10,33 @@ from warp_rigid.kernels.impulses import IN_TURN
 from warp_rigid.scene import Motion
 
 
-def ordered(made, layered=1):
-    """Groups of each environment, as (level, colour, pairs) by the arrays, after both ordering kernels."""
-    made.launch(ordering.color_pairs, made.bodies, made.pairs, made.graph, before=[layered])
+def ordered(made):
+    """Groups of each environment, as (colour, pairs) by the arrays, after both ordering kernels."""
+    made.launch(ordering.color_pairs, made.bodies, made.pairs, made.graph)
     made.launch(ordering.group_pairs, made.pairs, made.graph, made.order)
-    return read_groups(made.order, made.count, made.per_env)
+    return read_groups(made.order)
 
 
-def read_groups(order, num_envs, bodies_per_env):
-    """For each environment its list of (level, colour, list of pairs), in the order of solving."""
-    level_start, group_start = order.level_start.numpy(), order.group_start.numpy()
-    sequence, levels, colors = order.entries.numpy()["pair"], order.level_count.numpy(), order.group_color.numpy()
+def read_groups(order):
+    """For each environment its list of (colour, list of pairs), in the order of solving."""
+    start, count = order.color_start.numpy(), order.color_count.numpy()
+    sequence = order.entries.numpy()["pair"]
     envs = []
-    for env in range(num_envs):
-        row = env * (bodies_per_env + 2)
-        groups = []
-        for level in range(levels[env] + 1):
-            for group in range(level_start[row + level], level_start[row + level + 1]):
-                listed = sequence[group_start[group] : group_start[group + 1]].tolist()
-                groups.append((level, colors[group], listed))
-        envs.append(groups)
+    for env, colors in enumerate(count):
+        assert start[env, colors] == start[env, -1]
+        ranges = [(color, *start[env, color : color + 2]) for color in range(colors)]
+        envs.append([(color, sequence[begin:end].tolist()) for color, begin, end in ranges if end > begin])
     return envs
 
 
-def check_groups(groups, touching, body_a, body_b, level, dynamic):
-    """The demands on an order: complete, from the ground up, and free of conflicts within a group.
+def check_groups(groups, touching, body_a, body_b, dynamic):
+    """The demands on an order: complete, and free of conflicts within a colour.
 
     Pairs that are solved in turn may share bodies, but their order is fixed.
     """
-    listed = [pair for *_, pairs in groups for pair in pairs]
+    listed = [pair for _, pairs in groups for pair in pairs]
     assert sorted(listed) == sorted(touching)
-    assert [at for at, *_ in groups] == sorted(at for at, *_ in groups)
-    for at, color, pairs in groups:
-        assert pairs
-        for pair in pairs:
-            assert max(level[body_a[pair]], level[body_b[pair]]) == at
+    for color, pairs in groups:
         if color == IN_TURN:
             assert pairs == sorted(pairs)
             continue
@@ -52,20 +44,28 @@ def check_groups(groups, touching, body_a, body_b, level, dynamic):
         assert len(busy) == len(set(busy))
 
 
+def check_entries(order, body_a, body_b, level):
+    """A body of a pair is upper unless the other is in a higher level."""
+    entries, start = order.entries.numpy(), order.color_start.numpy()
+    for begin, end in zip(start[:, 0], start[:, -1], strict=True):
+        for entry in entries[begin:end]:
+            a, b = level[body_a[entry["pair"]]], level[body_b[entry["pair"]]]
+            assert (entry["upper_a"], entry["upper_b"]) == (a >= b, b >= a)
+
+
 def check_all(made, envs):
-    """`check_groups` for every environment; returns the largest number of groups in a level."""
+    """`check_groups` for every environment, and the levels; returns the largest number of colours."""
     start = made.pairs.start.numpy()
     body_a, body_b = made.pairs.body_a.numpy(), made.pairs.body_b.numpy()
     touch = np.diff(made.pairs.contact_start.numpy()) > 0
     dynamic = made.bodies.motion.numpy() == int(Motion.DYNAMIC)
-    level = made.graph.level.numpy()
-    most = 0
+    level, highest = made.graph.level.numpy(), made.graph.level_count.numpy()
     for env, groups in enumerate(envs):
         rows = np.arange(start[env * made.per_env], start[(env + 1) * made.per_env])
-        check_groups(groups, rows[touch[rows]].tolist(), body_a, body_b, level, dynamic)
-        counts = np.bincount([at for at, *_ in groups], minlength=1)
-        most = max(most, int(counts.max()))
-    return most
+        touching = rows[touch[rows]]
+        check_groups(groups, touching.tolist(), body_a, body_b, dynamic)
+        assert highest[env] == max([0, *level[body_a[touching]], *level[body_b[touching]]])
+    return max(len(groups) for groups in envs)
 
 
 @pytest.mark.parametrize("density", [0.0, 0.03, 0.1, 0.4])
@@ -86,9 +86,7 @@ def test_colouring_is_not_wasteful(device):
     row = [(0, k, B_ON_A, 1) for k in range(1, count + 1)] + [(k, k + 1, 0, 1) for k in range(1, count)]
     made = HandMadeGraph(motions, [row], device)
     made.solve()
-    groups = ordered(made)
-    assert check_all(made, groups) <= 4
-    assert {at for at, *_ in groups[0]} == {1}
+    assert check_all(made, ordered(made)) <= 4
 
 
 @pytest.mark.parametrize("neighbours", [IN_TURN - 1, IN_TURN, IN_TURN + 1, 75])
@@ -102,21 +100,8 @@ def test_more_pairs_at_a_body_than_colours(device, neighbours):
     groups = ordered(made)
     check_all(made, groups)
     assert len(groups[0]) == min(neighbours, IN_TURN + 1)
-    assert sum(len(pairs) for _, color, pairs in groups[0] if color == IN_TURN) == max(0, neighbours - IN_TURN)
+    assert sum(len(pairs) for color, pairs in groups[0] if color == IN_TURN) == max(0, neighbours - IN_TURN)
     assert len(groups[2]) <= 3
-
-
-def test_one_level_for_all_pairs(device):
-    """The other order does not look at levels: bodies meet what lies on them and what they lie on in one colouring."""
-    generator = np.random.default_rng(4)
-    motions = [Motion.STATIC, *[Motion.DYNAMIC] * 40]
-    envs = [random_pairs(generator, motions, 0.1, upward=True) for _ in range(3)]
-    made = HandMadeGraph(motions, envs, device)
-    made.solve()
-    groups = ordered(made, layered=0)
-    made.graph.level.zero_()
-    check_all(made, groups)
-    assert {at for env in groups for at, *_ in env} == {0}
 
 
 def test_a_load_of_pairs_inside_one_cycle(device):
@@ -138,7 +123,8 @@ def test_groups_of_a_real_pile(device):
     find_contacts(stages)
     stages.build_graph()
     pools = stages.pools
-    envs = read_groups(pools.by_level, 2, sim.num_bodies)
+    envs = read_groups(pools.order)
+    check_entries(pools.order, pools.pairs.body_a.numpy(), pools.pairs.body_b.numpy(), pools.graph.level.numpy())
     start = pools.pairs.start.numpy()
     touch = np.diff(pools.pairs.contact_start.numpy()) > 0
     body_a, body_b = pools.pairs.body_a.numpy(), pools.pairs.body_b.numpy()
@@ -147,4 +133,4 @@ def test_groups_of_a_real_pile(device):
         rows = np.arange(start[env * sim.num_bodies], start[(env + 1) * sim.num_bodies])
         touching = rows[touch[rows]].tolist()
         assert len(touching) > 20
-        check_groups(envs[env], touching, body_a, body_b, pools.graph.level.numpy(), dynamic)
+        check_groups(envs[env], touching, body_a, body_b, dynamic)

@@ -134,3 +134,21 @@ def test_boxes_that_fall_onto_a_corner_do_not_sink(device):
         deepest = max(deepest, sim.penetration().max())
     assert np.abs(sim.get("linear_velocity")[:, box]).max() < 2.0
     assert deepest < 1e-4
+
+
+def test_what_is_caught_between_lower_bodies_pushes_them_apart(device):
+    """A box on a pedestal overlaps a wall and, on its other side, a taller box, which is of a lower level.
+
+    Frozen, that one and the wall hold the box from both sides.
+    """
+    depth = 0.005
+    scene = ground_scene()
+    scene.add_static(Box((0.1, 1.0, 1.0)), position=(-0.2 + depth, 0, 1.0))
+    scene.add_body(Box((0.08, 0.1, 0.1)), position=(0.0, 0, 0.1))
+    scene.add_body(Box((0.1, 0.1, 0.1)), position=(0.0, 0, 0.3), mass=1.0)
+    scene.add_body(Box((0.1, 0.1, 0.2)), position=(0.2 - depth, 0, 0.2), mass=1.0)
+    sim, _ = opened(scene, device)
+    assert sim.penetration()[0] == pytest.approx(depth, rel=1e-3)
+    sim.step(60)
+    assert sim.get("level")[0].tolist() == [0, 0, 1, 2, 1]
+    assert sim.penetration()[0] < 0.1 * depth

@@ -210,3 +210,16 @@ def test_modes_differ_between_the_environments_of_a_batch(device):
         single.step(20)
         assert sim.get("position")[env].tolist() == single.get("position")[0].tolist()
         assert sim.get("linear_velocity")[env].tolist() == single.get("linear_velocity")[0].tolist()
+
+
+def test_a_stack_of_a_hundred_stands(device):
+    """Boxes set down 2 mm to the left and right in turn: weight has to find its way through all at each step."""
+    scene = ground_scene(friction=0.6)
+    for k in range(100):
+        position = (0.002 * (-1) ** k, 0, 0.1 + 0.2 * k)
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=position, density=1000.0, friction=0.6)
+    sim, _ = opened(scene, device)
+    before = sim.get("position")
+    sim.step(240)
+    assert np.abs(sim.get("position") - before).max() < 2e-4
+    assert sim.penetration()[0] < 1e-4

@@ -308,7 +308,7 @@ def counts(sim: "Simulator") -> dict[str, int]:
     return {
         "pairs": int(pairs.sum()),
         "contacts": int(contacts.sum()),
-        "levels": int(sim._shards.gather(lambda shard: shard.pools.by_level.level_count.numpy()).max()),
+        "levels": int(sim._shards.gather(lambda shard: shard.pools.graph.level_count.numpy()).max()),
         "pair_capacity": sizes["pairs"],
         "contact_capacity": sizes["contacts"],
         "most_pairs": int(sim._shards.most_wanted[0]),

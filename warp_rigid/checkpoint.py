@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from warp_rigid.simulator import Simulator
 
 KIND = "checkpoint"
-VERSION = 2  # raise whenever older files could no longer be read
+VERSION = 3  # raise whenever older files could no longer be read
 
 FROM_SCENE = ("shape", "motion", "wide", "center_of_mass", "apart_start", "apart")
 """Arrays of bodies that follow from the scene."""
@@ -228,7 +228,7 @@ def _upload(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
             _fill(getattr(shard.pools.history, name), values)
         levels = shard.pools.levels
         levels["Graph.level"].assign(rows["Graph.level"][shard.first_body : shard.end_body])
-        levels["Order.level_count"].assign(rows["Order.level_count"][shard.first : shard.end])
+        levels["Graph.level_count"].assign(rows["Graph.level_count"][shard.first : shard.end])
     for name, array in _whole(sim).items():
         array.assign(rows[name])
     island = np.where(rows["Rest.asleep"] == 1, rows["Rest.island"] - _first_bodies(sim), 0)

@@ -31,8 +31,7 @@ class Pools:
         contacts: contact records.
         history: contacts of the last step.
         graph: contact graph.
-        by_color: touching pairs by colour.
-        by_level: touching pairs by level and colour.
+        order: touching pairs by colour.
         turn: (1,) row of `wanted` that belongs to the step at hand.
         wanted: (CHUNK, 2) pairs and contacts wanted, step by step.
     """
@@ -42,8 +41,7 @@ class Pools:
     contacts: Any
     history: Any
     graph: Any
-    by_color: Any
-    by_level: Any
+    order: Any
     turn: wp.array
     wanted: wp.array
 
@@ -53,7 +51,6 @@ class Pools:
         return {
             "envs": num_envs,
             "bodies": num_envs * bodies_per_env,
-            "levels": num_envs * (bodies_per_env + 2),
             "pairs": pairs,
             "contacts": contacts,
         }
@@ -67,8 +64,7 @@ class Pools:
             contacts=data.allocate(data.Contacts, sizes, device),
             history=data.allocate(data.History, sizes, device),
             graph=data.allocate(data.Graph, sizes, device),
-            by_color=data.allocate(data.Order, sizes, device),
-            by_level=data.allocate(data.Order, sizes, device),
+            order=data.allocate(data.Order, sizes, device),
             turn=wp.zeros(1, dtype=int, device=device),
             wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
         )
@@ -76,7 +72,7 @@ class Pools:
     @property
     def levels(self) -> dict[str, wp.array]:
         """What is told of the last step's levels."""
-        return {"Graph.level": self.graph.level, "Order.level_count": self.by_level.level_count}
+        return {"Graph.level": self.graph.level, "Graph.level_count": self.graph.level_count}
 
     def begin(self) -> None:
         """Count anew what steps want, from the first row on."""

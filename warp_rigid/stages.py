@@ -49,11 +49,11 @@ RESIDENT_WARPS = 132 * 16
 MOST_BODIES_OF_A_WARP = 128
 """Beyond so many bodies an environment, a whole block solves it."""
 
-PAIR_LANES = 16
-"""Lanes of a GPU that look for the contacts of one pair together."""
+SEARCH_LANES, BUILD_LANES = 16, 4
+"""Lanes of a GPU that look for the contacts of one pair together, and that make its records."""
 
-MOST_TEAMS = 132 * 128
-"""Teams that share the pairs on a GPU: as many as can be at work at the same time."""
+MOST_LANES = 132 * 2048
+"""Lanes that share the pairs on a GPU: as many as can be at work at the same time."""
 
 TEAM_MODULES = (collisions, shock, impulses, support, ordering, line_search, push_out)
 """Their kernels solve an environment by a team; the longest first."""
@@ -96,14 +96,13 @@ def load_kernels(
 
 
 class Teams(NamedTuple):
-    """Lanes that do one environment together: where all pairs are looked through, one colour, one colour of a level."""
+    """Lanes that do one environment together: where all pairs are looked through, and in one colour."""
 
     graph: int
     color: int
-    level: int
 
 
-BODIES_OF_A_BLOCK = Teams(graph=64, color=1024, level=16384)
+BODIES_OF_A_BLOCK = Teams(graph=64, color=1024)
 """So many bodies give the lanes of a block something to do. More blocks wait longer for each other."""
 
 
@@ -115,13 +114,13 @@ def team_sizes(device: Any, num_envs: int, bodies_per_env: int) -> Teams:
     they have use for while every block has a multiprocessor of its own.
     """
     if not device.is_cuda:
-        return Teams(1, 1, 1)
+        return Teams(1, 1)
     if bodies_per_env > MOST_BODIES_OF_A_WARP:
         return Teams(*(_blocks(device, num_envs, bodies_per_env, share) * team.BLOCK for share in BODIES_OF_A_BLOCK))
     lanes = WARP
     while lanes > 8 and num_envs * lanes > RESIDENT_WARPS * WARP and bodies_per_env < 2 * lanes:
         lanes //= 2
-    return Teams(lanes, lanes, lanes)
+    return Teams(lanes, lanes)
 
 
 def _blocks(device: Any, num_envs: int, bodies_per_env: int, share: int) -> int:
@@ -166,8 +165,6 @@ class Stages:
         self.num_bodies = len(model.scene.bodies)
         self.rows = self.num_envs * self.num_bodies
         self.teams = team_sizes(self.device, self.num_envs, self.num_bodies)
-        self.pair_lanes = PAIR_LANES if device.is_cuda else 1
-        self.pair_teams = min(pools.sizes["pairs"], MOST_TEAMS) if device.is_cuda else 1
         self.motions = data.allocate(data.Motions, pools.sizes, self.device)
         self.kept: Any = data.allocate(data.History, pools.sizes, self.device) if sleeping else None
         self.cells: Any = self._make_cells()
@@ -277,19 +274,8 @@ class Stages:
             self._per_body(rest.wake, [self.num_bodies], [self.motions, self.rest, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, records.key.shape[0])
-        self._share_pairs(
-            contacts.build_contacts,
-            [
-                self.dt,
-                self.pair_teams,
-                self.pair_lanes,
-                self.model.combine_rules,
-                *bodies_of_pair,
-                pairs,
-                self.pools.history,
-            ],
-            [records],
-        )
+        inputs = [self.dt, self.model.combine_rules, *bodies_of_pair, pairs, self.pools.history]
+        self._share_pairs(contacts.build_contacts, [], BUILD_LANES, inputs, [records])
 
     def wake_changed(self) -> None:
         """Wake the islands that were changed from outside, or whose support was."""
@@ -308,10 +294,10 @@ class Stages:
         own = [lanes, self.num_bodies, bodies]
         self._per_team(lanes, support.find_support, [*own, self.motions, pairs, self.pools.contacts], [graph])
         self._per_team(lanes, support.find_levels, [*own, pairs], [graph])
+        self._per_team(lanes, support.find_heights, [*own, pairs], [graph])
         self._per_team(lanes, support.find_islands, [*own, pairs], [graph])
-        for layered, order in enumerate((self.pools.by_color, self.pools.by_level)):
-            self._per_team(lanes, ordering.color_pairs, [layered, *own, pairs], [graph])
-            self._per_team(lanes, ordering.group_pairs, [lanes, self.num_bodies, pairs], [graph, order])
+        self._per_team(lanes, ordering.color_pairs, [*own, pairs], [graph])
+        self._per_team(lanes, ordering.group_pairs, [lanes, self.num_bodies, pairs], [graph, self.pools.order])
 
     def accelerate(self, before_collisions: bool) -> None:
         """Velocity update, in the environments whose stage order has it here."""
@@ -334,14 +320,13 @@ class Stages:
         self.sweep_contacts(after_shock=1)
 
     def sweep_contacts(self, after_shock: int) -> None:
-        """Sweeps over all contacts: colour by colour, or from the ground up before a single pass."""
-        self._color_by_color(impulses.sweep_contacts, [after_shock, 0])
-        self._level_by_level(impulses.sweep_contacts, [after_shock, 1])
+        """Sweeps over all contacts."""
+        self._color_by_color(impulses.sweep_contacts, [after_shock])
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
         self._color_by_color(line_search.remember_start)
-        self._level_by_level(shock.propagate, [repetition])
+        self._color_by_color(shock.propagate, [repetition])
         self._color_by_color(line_search.sum_energy)
         self._color_by_color(line_search.accept)
 
@@ -354,8 +339,7 @@ class Stages:
             [self.dt, self.teams.color, self.num_bodies, model.shapes, model.bodies, self.envs, pools.pairs],
             [self.motions, pools.graph, pools.contacts],
         )
-        self._color_by_color(push_out.push_apart, [0])
-        self._level_by_level(push_out.push_apart, [1])
+        self._color_by_color(push_out.push_apart)
 
     def follow(self) -> None:
         """Find how far fast bodies can move before they would pass into others."""
@@ -424,15 +408,8 @@ class Stages:
 
     def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
         """Launch a kernel of the solver that goes through the touching pairs colour by colour."""
-        self._solve(kernel, before, self.teams.color, self.pools.by_color)
-
-    def _level_by_level(self, kernel: Any, before: Sequence = ()) -> None:
-        """Launch one that goes level by level, and in each colour by colour."""
-        self._solve(kernel, before, self.teams.level, self.pools.by_level)
-
-    def _solve(self, kernel: Any, before: Sequence, lanes: int, order: Any) -> None:
-        pools = self.pools
-        inputs = [*before, lanes, self.num_bodies, self.envs, order]
+        pools, lanes = self.pools, self.teams.color
+        inputs = [*before, lanes, self.num_bodies, self.envs, pools.order]
         self._per_team(lanes, kernel, inputs, [pools.graph, self.motions, pools.contacts])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
@@ -442,8 +419,12 @@ class Stages:
         dim = self.pools.pairs.body_a.shape[0]
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _share_pairs(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.pair_teams * self.pair_lanes, inputs=inputs, outputs=outputs, device=self.device)
+    def _share_pairs(self, kernel: Any, before: list, lanes: int, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose teams, of so many lanes on a GPU, share the pairs."""
+        teams = min(self.pools.sizes["pairs"], MOST_LANES // lanes) if self.device.is_cuda else 1
+        lanes = lanes if self.device.is_cuda else 1
+        inputs = [*before, teams, lanes, *inputs]
+        wp.launch(kernel, dim=teams * lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
@@ -478,11 +459,8 @@ class Stages:
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the pairs at hand, or the dormant ones that have just woken."""
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
-        self._share_pairs(
-            narrowphase.find_contacts,
-            [woken, self.pair_teams, self.pair_lanes, self.dt, *bodies_of_pair, self.pools.history],
-            [self.pools.pairs],
-        )
+        inputs = [self.dt, *bodies_of_pair, self.pools.history]
+        self._share_pairs(narrowphase.find_contacts, [woken], SEARCH_LANES, inputs, [self.pools.pairs])
 
     def _search_pairs(self, write: int) -> None:
         """One round of the broad phase: count the pairs or write them."""

@@ -20,7 +20,8 @@ OVER = 1e-4
 def cases(quick: bool) -> list[Case]:
     """All cases of the section; the cheap ones if quick."""
     listed = [sliding_tips(), tips_on_tips(), internal_edges(0.5 if quick else 2.0), push_out()]
-    lost = Miss("a corner that has passed under a box's far edge opposes no face: 2 of 603 pairs keep 12 mm", 0.014)
+    slow = "where a corner slides along an edge, the last 0.2 mm take longer: 1 of 2485 pairs on a GPU, none on a CPU"
+    lost = Miss(slow, 0.014, always=False)
     if quick:
         return [*listed, random_overlaps(256, lost)]
     return [*listed, random_overlaps(2048, lost), bypass(1 / 240), bypass(0.05)]
