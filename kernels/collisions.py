@@ -16,12 +16,15 @@ stays rest; an impact too weak to come back up the gap is left to the contact st
 import warp as wp
 
 from warp_rigid.kernels.arithmetic import quotient
-from warp_rigid.kernels.data import ContactRecord, Contacts, Environments, Graph, Motions, Order, PairRecord
+from warp_rigid.kernels.data import ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.impulses import (
     SETTLED,
     Couple,
     first_of_color,
+    forget_visits,
     friction_impulse,
+    is_done,
+    note_change,
     put_down,
     slip_between,
     stride_of_color,
@@ -124,8 +127,14 @@ def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, la
 
 
 @wp.func
-def collide_pair(entry: PairRecord, dt: float, first: int, motions: Motions, contacts: Contacts):
+def collide_pair(
+    k: int, turn: int, dt: float, first: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+):
     """Let the contacts of a pair collide together. Returns 1 if any did."""
+    entry = entry_at(k, order.entries)
+    if is_done(entry, graph):
+        return 0
+    order.entries[k].visited = turn
     begin = entry.begin
     end = entry.end
     a = entry.body_a
@@ -147,6 +156,9 @@ def collide_pair(entry: PairRecord, dt: float, first: int, motions: Motions, con
     after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
     after.angular_b = before.angular_b + keep * (after.angular_b - before.angular_b)
     put_down(a, b, after, motions)
+    order.entries[k].visited = turn - 1
+    note_change(a, turn, motions, graph)
+    note_change(b, turn, motions, graph)
     return 1
 
 
@@ -166,11 +178,14 @@ def collide(
     env = team.env
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
+    forget_visits(env * bodies_per_env, (env + 1) * bodies_per_env, team, order, graph)
+    turn = int(1)
     while left > 0:
         collided = int(0)
         for color in range(order.color_count[env]):
+            turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-                collided |= collide_pair(entry_at(k, order.entries), dt, first, motions, contacts)
+                collided |= collide_pair(k, turn, dt, first, order, graph, motions, contacts)
             meet(team)
         left = any_of_team(collided, team) * (left - 1)

@@ -14,7 +14,7 @@ from warp_rigid.kernels.data import (
     State,
 )
 from warp_rigid.kernels.distance import FAR
-from warp_rigid.kernels.narrowphase import BY_CENTER, approach_of, center_inside, last_pair, touch_of
+from warp_rigid.kernels.narrowphase import BY_CENTER, approach_of, center_inside, touch_of
 from warp_rigid.kernels.packed import IMPULSE, TWIST, carried, carry, inverse_inertia_of, put_contact_row
 from warp_rigid.kernels.samples import place_sample
 from warp_rigid.kernels.tangents import tangent_of, world_vector
@@ -67,9 +67,8 @@ def tangential(arm: wp.vec3, u: wp.vec3, v: wp.vec3, inverse_mass: float, invers
 
 
 @wp.func
-def last_contact(a: int, b: int, key: int, history: History):
-    """Row of the same contact in the last step, or -1."""
-    pair = last_pair(a, b, history)
+def last_contact(pair: int, key: int, history: History):
+    """Row of the same contact of a pair, given by its row in the history, in the last step, or -1."""
     if pair >= 0:
         for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
             if history.key[c] == key:
@@ -118,12 +117,12 @@ def in_contact_frame(row: ContactRecord, world: wp.vec3):
 
 
 @wp.func
-def start_from_history(c: int, row: ContactRecord, warm: int, contacts: Contacts, history: History):
+def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contacts: Contacts, history: History):
     """Start from the last step's impulses, turned into today's tangent plane, or from zero."""
     impulse = wp.vec3(0.0, 0.0, 0.0)
     twist = wp.vec3(0.0, 0.0, 0.0)
     if warm == 1 and contacts.key[c] != GONE:
-        last = last_contact(row.body_a, row.body_b, contacts.key[c], history)
+        last = last_contact(pair, contacts.key[c], history)
         if last >= 0:
             impulse = in_contact_frame(row, history.impulse[last])
             twist = in_contact_frame(row, history.twist[last])
@@ -182,7 +181,8 @@ def build_contacts(
             row.gap = touch.gap
             row.closing = wp.max(touch.gap - TOUCHING * size, 0.0) / dt
             put_contact_row(c, with_coefficients(with_masses(row, bodies, motions), rules, bodies), contacts)
-            start_from_history(c, row, envs.warm_starting[row.body_a / bodies_per_env], contacts, history)
+            warm = envs.warm_starting[row.body_a / bodies_per_env]
+            start_from_history(c, pairs.last[pair], row, warm, contacts, history)
 
 
 @wp.func

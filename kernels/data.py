@@ -316,6 +316,9 @@ Pairs = layout(
     body_b=Field(int, "pairs", "", "second body"),
     contact_count=Field(int, "pairs + 1", "", "contacts wanted by each pair"),
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair (exclusive sums of contact_count)"),
+    last=Field(int, "pairs", "", "the pair's row in the history, -1 if it is new; not of dormant pairs"),
+    sought=Field(int, "pairs", "", "pairs whose samples are searched in this step, in any order"),
+    sought_count=Field(int, "1", "", "how many they are"),
     patch_count=Field(int, "pairs", "", "patches in use"),
     patch_normal=Field(wp.vec3, "pairs, 4", "", "normal of a patch in the second body's frame"),
     dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 if it was searched"),
@@ -421,7 +424,7 @@ PairRecord = record(
     end=Field(int, "", "", "one past the last contact"),
     upper_a=Field(int, "", "", "0: the first body is in a lower level than the second, 1: it is not"),
     upper_b=Field(int, "", "", "the same of the second body"),
-    visited=Field(int, "", "", "when shock propagation last solved it; 0 if not in this pass"),
+    visited=Field(int, "", "", "when collisions or shock propagation last solved it; 0 if not yet"),
 )
 
 Graph = layout(
@@ -445,7 +448,7 @@ Graph = layout(
     bid=Field(int, "bodies", "", "highest priority of the pairs that ask for a colour at a body"),
     pair_color=Field(int, "pairs", "", "colour; -1 for a pair that does not touch or has none yet"),
     tally=Field(int, "envs, 32", "", "pairs of a colour, then where they go in the order"),
-    changed=Field(int, "bodies", "", "when shock propagation last changed the body's velocity"),
+    changed=Field(int, "bodies", "", "when collisions or shock propagation last changed its velocity"),
     settled=Field(int, "envs", "", "1: the contacts are solved, nothing is left to propagate"),
     overlapping=Field(int, "envs", "", "1: something is to be pushed out"),
     gate=Field(wp.uint32, "envs, 4", "", "where the blocks of a team that is larger than one wait for each other"),

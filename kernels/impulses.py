@@ -230,6 +230,30 @@ def stride_of_color(color: int, team: Team):
     return wp.where(color == IN_TURN, 1, team.lanes)
 
 
+@wp.func
+def forget_visits(first: int, last: int, team: Team, order: Order, graph: Graph):
+    """Begin to keep account of visits: all bodies, from `first` to before `last`, have changed, no pair was visited."""
+    for b in range(first + team.lane, last, team.lanes):
+        graph.changed[b] = 1
+    begin = order.color_start[team.env, 0]
+    for k in range(begin + team.lane, order.color_start[team.env, order.color_count[team.env]], team.lanes):
+        order.entries[k].visited = 0
+    meet(team)
+
+
+@wp.func
+def is_done(entry: PairRecord, graph: Graph):
+    """Whether a pair was solved after its bodies last changed."""
+    return entry.visited >= wp.max(graph.changed[entry.body_a], graph.changed[entry.body_b])
+
+
+@wp.func
+def note_change(b: int, turn: int, motions: Motions, graph: Graph):
+    """Remember when the velocity changed that others see of a dynamic body."""
+    if mover_quad(motions.movers, b, VELOCITY)[3] > 0.0:
+        graph.changed[b] = turn
+
+
 @wp.kernel
 def warm_start(
     lanes: int,

@@ -502,20 +502,31 @@ def hardly_moved(
 
 
 @wp.func
-def take_over(pair: int, last: int, lane: int, lanes: int, pairs: Pairs, history: History):
-    """Keep the samples of the last step's contacts. Returns how many."""
+def take_over(pair: int, last: int, edges: int, pairs: Pairs, history: History):
+    """Keep the samples of the last step's contacts, and what is known of the look that found them."""
     start = history.contact_start[last]
     count = history.contact_start[last + 1] - start
-    for k in range(lane, count, lanes):
+    for k in range(count):
         pairs.kept[pair, k] = history.key[start + k]
-    return count
+    pairs.contact_count[pair] = count
+    pairs.seen[pair] = edges + 1
+    pairs.seen_turn[pair] = history.seen_turn[last]
+    pairs.seen_shift[pair] = history.seen_shift[last]
+
+
+@wp.func
+def smaller_approach(pair: int, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
+    """How the smaller body of a pair stands to the larger one."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
+    return approach_of(small, a + b - small, 0.0, bodies, state)
 
 
 @wp.kernel
-def find_contacts(
+def keep_contacts(
     woken: int,
-    teams: int,
-    lanes: int,
+    threads: int,
     dt: float,
     shapes: Shapes,
     bodies: Bodies,
@@ -525,13 +536,13 @@ def find_contacts(
     history: History,
     pairs: Pairs,
 ):
-    """The teams share the pairs: find the samples that represent a pair's contact, or keep those of the last step.
+    """The threads share the pairs: keep the samples of those that have hardly moved, list the others to be searched.
 
-    A first round passes over dormant pairs, a second one does those that have woken since.
+    A first round passes over dormant pairs, a second one does those that have woken since. The order of the list is
+    free: a pair's search knows of no other pair.
     """
     bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
-    lane = wp.tid() % lanes
-    for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
+    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
         dormant = wp.where(pairs.dormant[pair] > 0, 1, 0)
@@ -539,22 +550,43 @@ def find_contacts(
             continue
         size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
         edges = envs.edge_samples[a / bodies_per_env]
-        small = wp.where(motions.radius[a] < motions.radius[b], a, b)
-        approach = approach_of(small, a + b - small, 0.0, bodies, state)
+        approach = smaller_approach(pair, bodies, state, motions, pairs)
         last = last_pair(a, b, history)
-        kept = int(0)
+        pairs.last[pair] = last
         if (
             last >= 0
             and shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise == 0.0
             and history.seen[last] == edges + 1
             and hardly_moved(last, approach, dt, size, bodies, state, motions, history)
         ):
-            kept = take_over(pair, last, lane, lanes, pairs, history)
-            approach.turn = history.seen_turn[last]
-            approach.shift = history.seen_shift[last]
+            take_over(pair, last, edges, pairs, history)
         else:
-            kept = look_for_contacts(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, pairs)
+            pairs.sought[wp.atomic_add(pairs.sought_count, 0, 1)] = pair
+
+
+@wp.kernel
+def search_contacts(
+    teams: int,
+    lanes: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    envs: Environments,
+    pairs: Pairs,
+):
+    """The teams share the listed pairs: find the samples that represent a pair's contact."""
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    lane = wp.tid() % lanes
+    for k in range(wp.tid() / lanes, pairs.sought_count[0], teams):
+        pair = pairs.sought[k]
+        a = pairs.body_a[pair]
+        size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[pairs.body_b[pair]]].size)
+        edges = envs.edge_samples[a / bodies_per_env]
+        kept = look_for_contacts(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, pairs)
         if lane == 0:
+            approach = smaller_approach(pair, bodies, state, motions, pairs)
             pairs.contact_count[pair] = kept
             pairs.seen[pair] = edges + 1
             pairs.seen_turn[pair] = approach.turn

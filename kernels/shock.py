@@ -30,6 +30,9 @@ from warp_rigid.kernels.impulses import (
     SETTLED,
     Couple,
     first_of_color,
+    forget_visits,
+    is_done,
+    note_change,
     put_down,
     stride_of_color,
     take_up,
@@ -98,22 +101,12 @@ def add_load(b: int, couple: Couple, motions: Motions):
 
 
 @wp.func
-def note_change(b: int, turn: int, motions: Motions, graph: Graph):
-    """Remember when the velocity changed that others see of a dynamic body."""
-    if mover_quad(motions.movers, b, VELOCITY)[3] > 0.0:
-        graph.changed[b] = turn
-
-
-@wp.func
 def visit_frozen(
     k: int, turn: int, rounds: int, down: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
-    """Solve the contacts of a pair, its lower body frozen if one is lower. Returns 1 if a velocity changed.
-
-    A pair is left alone that was solved after its bodies last changed.
-    """
+    """Solve the contacts of a pair, its lower body frozen if one is lower. Returns 1 if a velocity changed."""
     entry = entry_at(k, order.entries)
-    if entry.visited >= wp.max(graph.changed[entry.body_a], graph.changed[entry.body_b]):
+    if is_done(entry, graph):
         return 0
     share_a = float(entry.upper_a)
     share_b = float(entry.upper_b)
@@ -149,19 +142,14 @@ def solve_levels(
     down: int, first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """One pass: iterate all levels together until no visit changes anything."""
-    colors = order.color_count[team.env]
-    for b in range(first + team.lane, last, team.lanes):
-        graph.changed[b] = 1
-    for k in range(order.color_start[team.env, 0] + team.lane, order.color_start[team.env, colors], team.lanes):
-        order.entries[k].visited = 0
-    meet(team)
+    forget_visits(first, last, team, order, graph)
     turn = int(1)
     most = LEVEL_ITERATIONS + 3 * graph.tallest[team.env]
     left = int(most)
     while left > 0:
         changed = int(0)
         rounds = wp.where(most - left < FIRST_SWEEPS, 1, PAIR_ITERATIONS)
-        for color in range(colors):
+        for color in range(order.color_count[team.env]):
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):

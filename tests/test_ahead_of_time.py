@@ -38,4 +38,4 @@ def test_every_stage_of_a_step_is_among_the_compiled():
     assert without_kernels == {"data", "team"}
     assert used - without_kernels >= {"predict", "broadphase", "narrowphase", "contacts", "support", "ordering"}
     assert used - without_kernels >= {"collisions", "impulses", "shock", "line_search", "push_out", "integrate"}
-    assert kernels_of("narrowphase") >= {"find_contacts", "build_contacts"}
+    assert kernels_of("narrowphase") >= {"keep_contacts", "search_contacts", "build_contacts"}

@@ -49,7 +49,7 @@ RESIDENT_WARPS = 132 * 16
 MOST_BODIES_OF_A_WARP = 128
 """Beyond so many bodies an environment, a whole block solves it."""
 
-SEARCH_LANES, BUILD_LANES = 16, 4
+SEARCH_LANES, BUILD_LANES = 32, 4
 """Lanes of a GPU that look for the contacts of one pair together, and that make its records."""
 
 MOST_LANES = 132 * 2048
@@ -102,7 +102,7 @@ class Teams(NamedTuple):
     color: int
 
 
-BODIES_OF_A_BLOCK = Teams(graph=64, color=1024)
+BODIES_OF_A_BLOCK = Teams(graph=64, color=256)
 """So many bodies give the lanes of a block something to do. More blocks wait longer for each other."""
 
 
@@ -275,7 +275,7 @@ class Stages:
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, records.key.shape[0])
         inputs = [self.dt, self.model.combine_rules, *bodies_of_pair, pairs, self.pools.history]
-        self._share_pairs(contacts.build_contacts, [], BUILD_LANES, inputs, [records])
+        self._share_pairs(contacts.build_contacts, BUILD_LANES, inputs, [records])
 
     def wake_changed(self) -> None:
         """Wake the islands that were changed from outside, or whose support was."""
@@ -419,11 +419,11 @@ class Stages:
         dim = self.pools.pairs.body_a.shape[0]
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _share_pairs(self, kernel: Any, before: list, lanes: int, inputs: list, outputs: list) -> None:
+    def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
         """Launch a kernel whose teams, of so many lanes on a GPU, share the pairs."""
         teams = min(self.pools.sizes["pairs"], MOST_LANES // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
-        inputs = [*before, teams, lanes, *inputs]
+        inputs = [teams, lanes, *inputs]
         wp.launch(kernel, dim=teams * lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
@@ -458,9 +458,13 @@ class Stages:
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the pairs at hand, or the dormant ones that have just woken."""
+        pairs = self.pools.pairs
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
+        pairs.sought_count.zero_()
         inputs = [self.dt, *bodies_of_pair, self.pools.history]
-        self._share_pairs(narrowphase.find_contacts, [woken], SEARCH_LANES, inputs, [self.pools.pairs])
+        self._shared(narrowphase.keep_contacts, self.pools.sizes["pairs"], [woken], inputs, [pairs])
+        inputs = [self.dt, *bodies_of_pair]
+        self._share_pairs(narrowphase.search_contacts, SEARCH_LANES, inputs, [pairs])
 
     def _search_pairs(self, write: int) -> None:
         """One round of the broad phase: count the pairs or write them."""
