@@ -448,6 +448,7 @@ Graph = layout(
     bid=Field(int, "bodies", "", "highest priority of the pairs that ask for a colour at a body"),
     pair_color=Field(int, "pairs", "", "colour; -1 for a pair that does not touch or has none yet"),
     tally=Field(int, "envs, 32", "", "pairs of a colour, then where they go in the order"),
+    stands=Field(int, "bodies", "", "touching pairs in which the body is not the lower one"),
     changed=Field(int, "bodies", "", "when collisions or shock propagation last changed its velocity"),
     settled=Field(int, "envs", "", "1: the contacts are solved, nothing is left to propagate"),
     overlapping=Field(int, "envs", "", "1: something is to be pushed out"),

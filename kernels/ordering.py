@@ -138,6 +138,8 @@ def write_in_order(pair: int, env: int, pairs: Pairs, graph: Graph, order: Order
     entry.end = pairs.contact_start[pair + 1]
     entry.upper_a = wp.where(graph.level[entry.body_a] < graph.level[entry.body_b], 0, 1)
     entry.upper_b = wp.where(graph.level[entry.body_b] < graph.level[entry.body_a], 0, 1)
+    wp.atomic_add(graph.stands, entry.body_a, entry.upper_a)
+    wp.atomic_add(graph.stands, entry.body_b, entry.upper_b)
     slot = wp.atomic_add(graph.tally, env, graph.pair_color[pair], 1)
     order.entries[slot] = entry
 
@@ -152,6 +154,8 @@ def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph, ord
     env = team.env
     begin = pairs.start[env * bodies_per_env]
     end = pairs.start[(env + 1) * bodies_per_env]
+    for b in range(env * bodies_per_env + team.lane, (env + 1) * bodies_per_env, lanes):
+        graph.stands[b] = 0
     for color in range(team.lane, MOST_COLORS, lanes):
         graph.tally[env, color] = 0
     if team.lane == 0:
