@@ -1,9 +1,8 @@
 """Push-out: separate what still overlaps after the velocities are solved, without touching the velocities.
 
 Contacts that would end the step deeper than the slop get a pseudo-velocity that moves the bodies in this step only.
-What overlaps already is taken out bit by bit; what would come on top of it is kept from happening at all. Levels go
-from the ground up with the lower bodies frozen (Guendelman et al. 2003, section 8.3), so a deep stack is set right in
-one pass.
+What overlaps already is taken out bit by bit; what would come on top of it is kept from happening at all. Of two levels
+the lower body is frozen (Guendelman et al. 2003, section 8.3), so a deep stack is set right from the ground up.
 """
 
 import warp as wp
@@ -48,6 +47,7 @@ wp.set_module_options({"enable_backward": False})
 OFF = wp.constant(SHOCK_OFF)
 
 LEVEL_ITERATIONS = wp.constant(6)
+"""Most sweeps, and one more for each body on the shortest way down."""
 
 SLOP = wp.constant(1.0e-4)
 """Overlap left alone, as a part of the smaller body's size."""

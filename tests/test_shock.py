@@ -223,3 +223,16 @@ def test_a_stack_of_a_hundred_stands(device):
     sim.step(240)
     assert np.abs(sim.get("position") - before).max() < 2e-4
     assert sim.penetration()[0] < 1e-4
+
+
+def test_a_tower_of_crossed_beams_stands(device):
+    """Every beam stands on two, thirty layers high: no pair can be solved without its neighbour."""
+    scene = ground_scene(friction=0.5)
+    for layer in range(30):
+        for side in (-0.9, 0.9):
+            across, half = ((side, 0), (0.1, 1.0, 0.1)) if layer % 2 else ((0, side), (1.0, 0.1, 0.1))
+            scene.add_body(Box(half), position=(*across, 0.1 + 0.2 * layer), friction=0.5)
+    sim, _ = opened(scene, device)
+    before = sim.get("position")
+    sim.step(480)
+    assert np.abs(sim.get("position") - before).max() < 2e-4
