@@ -55,16 +55,16 @@ OFF = wp.constant(SHOCK_OFF)
 TWO_PASS = wp.constant(SHOCK_TWO_PASS)
 
 LEVEL_ITERATIONS = wp.constant(4)
-"""Most sweeps of a pass, and three for each body on the shortest way down. With two, a tower of thirty crossed layers of
-beams that do not roll falls."""
+"""Most sweeps of a pass, and three for each body on the shortest way down. With two, a tower of thirty crossed layers
+of beams falls."""
 
 PAIR_ITERATIONS = wp.constant(4)
 """Most rounds over the contacts of a pair in a visit, if its upper body stands on nothing else. With one, a stack of 50
 falls over."""
 
 SHARED_ITERATIONS = wp.constant(2)
-"""The same where a body stands on several. With one, a tower of crossed beams falls in any case; with more, the
-first pair takes the load of all others: with eight, a pyramid of 20 rows is pushed 1 mm out of shape."""
+"""The same where a body stands on several. With one, the tower of beams falls; with eight, the first pair takes the load
+of the others, and a pyramid of 20 rows is pushed 1 mm out of shape."""
 
 
 @wp.func
