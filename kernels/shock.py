@@ -63,8 +63,8 @@ PAIR_ITERATIONS = wp.constant(4)
 falls over."""
 
 SHARED_ITERATIONS = wp.constant(2)
-"""The same where a body stands on several. With one, the tower of beams falls; with eight, the first pair takes the load
-of the others, and a pyramid of 20 rows is pushed 1 mm out of shape."""
+"""The same where a body stands on several. With one, the tower of beams falls; with eight, the first pair takes all
+load, and a pyramid of 20 rows is pushed 1 mm out of shape."""
 
 
 @wp.func
