@@ -27,6 +27,7 @@ from warp_rigid.kernels.impulses import (
     note_change,
     put_down,
     slip_between,
+    solved_turn,
     stride_of_color,
     take_up,
     with_impulse,
@@ -128,13 +129,21 @@ def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, la
 
 @wp.func
 def collide_pair(
-    k: int, turn: int, dt: float, first: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+    k: int,
+    turn: int,
+    solved: int,
+    dt: float,
+    first: int,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    contacts: Contacts,
 ):
     """Let the contacts of a pair collide together. Returns 1 if any did."""
     entry = entry_at(k, order.entries)
     if is_done(entry, graph):
         return 0
-    order.entries[k].visited = turn
+    order.entries[k].visited = solved
     begin = entry.begin
     end = entry.end
     a = entry.body_a
@@ -186,6 +195,6 @@ def collide(
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-                collided |= collide_pair(k, turn, dt, first, order, graph, motions, contacts)
+                collided |= collide_pair(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
             meet(team)
         left = any_of_team(collided, team) * (left - 1)

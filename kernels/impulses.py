@@ -248,6 +248,12 @@ def is_done(entry: PairRecord, graph: Graph):
 
 
 @wp.func
+def solved_turn(color: int, turn: int):
+    """The turn to note in a pair that is solved now; of those solved one after another, the next may undo it."""
+    return wp.where(color == IN_TURN, turn - 1, turn)
+
+
+@wp.func
 def note_change(b: int, turn: int, motions: Motions, graph: Graph):
     """Remember when the velocity changed that others see of a dynamic body."""
     if mover_quad(motions.movers, b, VELOCITY)[3] > 0.0:

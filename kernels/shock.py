@@ -34,6 +34,7 @@ from warp_rigid.kernels.impulses import (
     is_done,
     note_change,
     put_down,
+    solved_turn,
     stride_of_color,
     take_up,
     visit_contact,
@@ -109,7 +110,9 @@ def rounds_of(entry: PairRecord, graph: Graph):
 
 
 @wp.func
-def visit_frozen(k: int, turn: int, down: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
+def visit_frozen(
+    k: int, turn: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+):
     """Solve the contacts of a pair, its lower body frozen if one is lower. Returns 1 if a velocity changed."""
     entry = entry_at(k, order.entries)
     if is_done(entry, graph):
@@ -135,7 +138,7 @@ def visit_frozen(k: int, turn: int, down: int, order: Order, graph: Graph, motio
         add_load(entry.body_a, couple, motions)
     if entry.upper_b == 0:
         add_load(entry.body_b, couple, motions)
-    order.entries[k].visited = wp.where(couple.change > SETTLED, turn - 1, turn)
+    order.entries[k].visited = wp.where(couple.change > SETTLED, turn - 1, solved)
     if changed == 1 and entry.upper_a + down > 0:
         note_change(entry.body_a, turn, motions, graph)
     if changed == 1 and entry.upper_b + down > 0:
@@ -157,7 +160,7 @@ def solve_levels(
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
-                changed |= visit_frozen(k, turn, down, order, graph, motions, contacts)
+                changed |= visit_frozen(k, turn, solved_turn(color, turn), down, order, graph, motions, contacts)
             meet(team)
         left = any_of_team(changed, team) * (left - 1)
 
