@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.mark.parametrize("struct", [data.State, data.Motions, data.Bodies, data.Pairs, data.Contacts, data.History])
 def test_rows_have_the_size_that_allocation_gives_them(struct):
-    symbols = {term.split(" ")[0] for f in data.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]}
+    symbols = {term.split(" ")[0] for f in data.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]} - {"1"}
     for symbol in symbols:
         sizes = dict.fromkeys((*symbols, "env_bodies"), 10)
         grown = {**sizes, symbol: 11}
