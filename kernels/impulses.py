@@ -327,14 +327,12 @@ def sweep_contacts(
         left = (envs.contact_iterations[env] + 1 - after_shock) / 2
     if after_shock == 1:
         left = left * (1 - graph.settled[env])
+    layered = wp.where(mode == ONE_PASS, 1, 0)
     settled = int(0)
     while left > 0:
         changed = int(0)
-        if mode == ONE_PASS:
-            for level in range(1, graph.level_count[env] + 1):
-                changed |= sweep(level, team, order, graph, motions, contacts)
-        else:
-            changed = sweep(0, team, order, graph, motions, contacts)
+        for level in range(layered, layered * graph.level_count[env] + 1):
+            changed |= sweep(level, team, order, graph, motions, contacts)
         settled = 1 - any_of_team(changed, team)
         left = (1 - settled) * (left - 1)
     if after_shock == 0 and team.lane == 0:

@@ -187,13 +187,14 @@ def propagate(
     zero = wp.vec3(0.0, 0.0, 0.0)
     for b in range(first + team.lane, last, lanes):
         store_velocity(b, LOADED, zero, zero, motions)
-    solve_levels(0, first, last, team, order, graph, motions, contacts)
-    if mode != TWO_PASS:
-        return
-    for b in range(first + team.lane, last, lanes):
-        mover = motions.movers[b]
-        store_velocity(b, LOADED, mover.linear + mover.loaded_linear, mover.angular + mover.loaded_angular, motions)
-    solve_levels(1, first, last, team, order, graph, motions, contacts)
-    for b in range(first + team.lane, last, lanes):
-        motions.movers[b].linear = motions.movers[b].loaded_linear
-        motions.movers[b].angular = motions.movers[b].loaded_angular
+    for down in range(wp.where(mode == TWO_PASS, 2, 1)):
+        if down == 1:
+            for b in range(first + team.lane, last, lanes):
+                mover = motions.movers[b]
+                linear = mover.linear + mover.loaded_linear
+                store_velocity(b, LOADED, linear, mover.angular + mover.loaded_angular, motions)
+        solve_levels(down, first, last, team, order, graph, motions, contacts)
+    if mode == TWO_PASS:
+        for b in range(first + team.lane, last, lanes):
+            motions.movers[b].linear = motions.movers[b].loaded_linear
+            motions.movers[b].angular = motions.movers[b].loaded_angular
