@@ -16,6 +16,7 @@ from warp_rigid.kernels.data import (
 from warp_rigid.kernels.distance import FAR
 from warp_rigid.kernels.narrowphase import BY_CENTER, approach_of, center_inside, touch_of
 from warp_rigid.kernels.packed import IMPULSE, TWIST, carried, carry, inverse_inertia_of, put_contact_row
+from warp_rigid.kernels.predict import smaller_size
 from warp_rigid.kernels.samples import place_sample
 from warp_rigid.kernels.tangents import tangent_of, world_vector
 
@@ -163,7 +164,7 @@ def build_contacts(
         row = ContactRecord()
         row.body_a = pairs.body_a[pair]
         row.body_b = pairs.body_b[pair]
-        size = wp.min(shapes.shapes[bodies.shape[row.body_a]].size, shapes.shapes[bodies.shape[row.body_b]].size)
+        size = smaller_size(row.body_a, row.body_b, shapes, bodies)
         for k in range(wp.tid() % lanes, pairs.contact_start[pair + 1] - start, lanes):
             c = start + k
             key = pairs.kept[pair, k]

@@ -32,7 +32,7 @@ from warp_rigid.kernels.data import (
     State,
 )
 from warp_rigid.kernels.distance import FAR, HEIGHTFIELD, PLANE, SPHERE, signed_distance
-from warp_rigid.kernels.predict import CONTACT_DISTANCE, DRIVEN
+from warp_rigid.kernels.predict import CONTACT_DISTANCE, DRIVEN, smaller_size
 from warp_rigid.kernels.samples import EDGE, POINT, Search, gradient, place_sample
 from warp_rigid.kernels.tangents import tangent_of
 from warp_rigid.kernels.team import bits_below, lowest_bit, meet_in_warp, of_lane, votes
@@ -548,7 +548,7 @@ def keep_contacts(
         dormant = wp.where(pairs.dormant[pair] > 0, 1, 0)
         if dormant != woken or (woken == 1 and not may_meet(motions.role[a], motions.role[b])):
             continue
-        size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
+        size = smaller_size(a, b, shapes, bodies)
         edges = envs.edge_samples[a / bodies_per_env]
         approach = smaller_approach(pair, bodies, state, motions, pairs)
         last = last_pair(a, b, history)
@@ -582,7 +582,7 @@ def search_contacts(
     for k in range(wp.tid() / lanes, pairs.sought_count[0], teams):
         pair = pairs.sought[k]
         a = pairs.body_a[pair]
-        size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[pairs.body_b[pair]]].size)
+        size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
         edges = envs.edge_samples[a / bodies_per_env]
         kept = look_for_contacts(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, pairs)
         if lane == 0:

@@ -36,6 +36,12 @@ UNBOUNDED = wp.constant(1.0e9)
 
 
 @wp.func
+def smaller_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
+    """Size of the smaller body of a pair [m], by which lengths at their contact are measured."""
+    return wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
+
+
+@wp.func
 def field_acceleration(fields: FieldForces, field_count: int, x: wp.vec3):
     """Acceleration at x by all force fields [m/s^2]; the point field after Newton: strength / distance^2."""
     a = wp.vec3(0.0, 0.0, 0.0)

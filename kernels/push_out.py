@@ -40,6 +40,7 @@ from warp_rigid.kernels.packed import (
     mover_quad,
     store_velocity,
 )
+from warp_rigid.kernels.predict import smaller_size
 from warp_rigid.kernels.team import Team, any_of_team, meet, team_of
 
 wp.set_module_options({"enable_backward": False})
@@ -91,7 +92,7 @@ def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Mot
     row = contact_row(c, contacts)
     a = contacts.rows[c].body_a
     b = contacts.rows[c].body_b
-    size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
+    size = smaller_size(a, b, shapes, bodies)
     couple = take_up(a, b, 0.0, 0.0, motions)
     overlap = wp.max(-gap_after(row, contacts.key[c], dt, couple) - SLOP * size, 0.0)
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))

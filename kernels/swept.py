@@ -17,7 +17,7 @@ import warp as wp
 from warp_rigid.kernels.data import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.distance import FAR, HEIGHTFIELD, signed_distance
 from warp_rigid.kernels.narrowphase import NEAR, matters
-from warp_rigid.kernels.predict import DRIVEN, FREE, UNBOUNDED
+from warp_rigid.kernels.predict import DRIVEN, FREE, UNBOUNDED, smaller_size
 from warp_rigid.kernels.samples import EDGE, RIM, gradient, slope
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -343,7 +343,7 @@ def follow(
         share_a = motions.share[a]
         share_b = motions.share[b]
         if again == 0 or share_a < 1.0 or share_b < 1.0:
-            size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
+            size = smaller_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
             if is_fast(first, second, dt, size):
