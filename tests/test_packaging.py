@@ -74,18 +74,26 @@ def test_version_is_told_once(pyproject):
     assert warp_rigid.__version__ == pyproject["project"]["version"]
 
 
-def test_import_is_quick_and_light():
-    code = (
-        "import sys, time; start = time.process_time(); import warp_rigid;"
-        "print(time.process_time() - start, *sys.modules)"
-    )
+IMPORT = """
+import sys, time
+start = time.process_time()
+import warp
+between = time.process_time()
+import warp_rigid
+print((time.process_time() - between) / (between - start), *sys.modules)
+"""
+
+
+def test_import_is_quick_and_light(tmp_path):
+    """The package costs less than one and a half times what Warp does, which both grow alike on a busy machine."""
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(tmp_path)}
     runs = [
         subprocess.run(
-            [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
+            [sys.executable, "-c", IMPORT], cwd=ROOT, check=True, capture_output=True, text=True, env=environment
         ).stdout.split()
-        for _ in range(3)
+        for _ in range(4)
     ]
     loaded = {module.split(".")[0] for module in runs[0][1:]}
     assert loaded.isdisjoint(HEAVY)
-    # Processor time, the least of three: another process on the machine must not decide.
-    assert min(float(run[0]) for run in runs) < 1.0
+    # The first run wrote the bytecode that the others read, as in any installed package.
+    assert min(float(run[0]) for run in runs[1:]) < 1.5

@@ -20,7 +20,7 @@ def test_keys_load_the_six_scenes_and_each_runs_and_is_drawn(stage):
     pictures = []
     for digit, name in enumerate(SIX, start=1):
         live.press(str(digit))
-        live.until(lambda name=name: live.session.source == name, f"key {digit} loads {name}", 40.0)
+        live.until(lambda name=name: live.session.source == name, f"key {digit} loads {name}")
         live.until(lambda: live.session.time > 0.2, f"{name} runs")
         live.press("Space")
         live.until(lambda: not live.session.running, "Space pauses")
@@ -59,7 +59,7 @@ def test_a_newcomer_sees_the_seesaw_fail_without_contact_processing(stage):
     live.until(lambda: live.session.variant == "no_contact", "the variant is taken")
     assert live.session.sim.get("contact_iterations")[0] == 0
     live.type_number("Speed", 4)
-    live.until(lambda: live.session.time > 4.0, "the demo is over", 30.0)
+    live.until(lambda: live.session.time > 4.0, "the demo is over")
     verdicts = {verdict.name: bool(verdict.passed[0]) for verdict in live.session.verdicts}
     assert verdicts == {"tips": True, "tips_back": False}
     live.until(lambda: "then left > 10 degrees: no" in live.page.inner_text("body"), "the page says that it failed")
@@ -90,7 +90,7 @@ def test_sliders_and_switches_change_the_physics(stage):
     live.type_number("Friction", 0.0)
     live.until(lambda: (live.session.sim.get("friction") == 0.0).all(), "friction is gone")
     block = live.session.sim.get("position")[0].copy()
-    live.until(lambda: np.abs(live.session.sim.get("position")[0] - block).max() > 0.2, "the block slides", 20.0)
+    live.until(lambda: np.abs(live.session.sim.get("position")[0] - block).max() > 0.2, "the block slides")
     live.type_number("Gravity [m/s2]", 0)
     live.until(lambda: live.session.sim.get("gravity")[0, 2] == 0.0, "gravity is gone")
 
