@@ -4,9 +4,7 @@ Both directions are tried: samples of A in the distance of B and samples of B in
 passed over when the distance at its centre exceeds its reach. A sample touches if its gap, less what its velocity
 closes within the step, is below the contact distance, and if its own outward normal opposes the distance's gradient.
 
-Contacts are thinned while they are found. Touching samples are sorted into patches of like normal; a patch keeps the
-furthest sample in each of eight fixed directions of its tangent plane, and the deepest. What carries a load at all
-carries it with its convex hull, so nothing is lost; ties go to the first sample, so identities persist.
+Contacts are thinned while they are found (thinning.py).
 
 Bodies may be so deep in each other that no surface of one opposes the other, or that contacts push against each other.
 The ball that fits into one about its centre then makes the contact: it overlaps only if the bodies do.
@@ -18,55 +16,20 @@ them, in the order of the samples, and each lane keeps its own slots.
 import warp as wp
 
 from warp_rigid.kernels.broadphase import may_meet
-from warp_rigid.kernels.data import (
-    EXTREME_DIRECTIONS,
-    PAIR_SLOTS,
-    PATCH_SLOTS,
-    PATCHES,
-    Bodies,
-    Environments,
-    History,
-    Motions,
-    Pairs,
-    Shapes,
-    State,
-)
+from warp_rigid.kernels.data import Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.distance import FAR, HEIGHTFIELD, PLANE, SPHERE, signed_distance
 from warp_rigid.kernels.predict import CONTACT_DISTANCE, DRIVEN, smaller_size
 from warp_rigid.kernels.samples import EDGE, POINT, Search, gradient, place_sample
-from warp_rigid.kernels.tangents import tangent_of
-from warp_rigid.kernels.team import bits_below, lowest_bit, meet_in_warp, of_lane, votes
+from warp_rigid.kernels.team import lowest_bit, meet_in_warp, of_lane, votes
+from warp_rigid.kernels.thinning import contradictory, gap_weight, keep_slots, remember
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
-
-DIRECTIONS = wp.constant(EXTREME_DIRECTIONS)
-SLOTS = wp.constant(PATCH_SLOTS)
-MOST_PATCHES = wp.constant(PATCHES)
-MOST_SLOTS = wp.constant(PAIR_SLOTS)
-
-SAME_PATCH = wp.constant(0.94)
-"""Cosine (20 degrees) above which two contact normals belong to one patch."""
-
-GAP_WEIGHT = wp.constant(20.0)
-"""How much nearer in the tangent plane a sample counts for each metre of gap: those that touch come first."""
-
-FURTHEST_RANKED = wp.constant(0.02)
-"""Gaps beyond this part of the smaller size count as equal: of what a fast body will touch in the step, what is nearest
-must not push out the corners that its fall turns it onto."""
 
 STILL = wp.constant(2.5e-4)
 """Pairs that have moved less than this part of the smaller size, half the contact distance, keep their contacts."""
 
-TIE = wp.constant(1.0e-5)
-"""A later sample must be better by this part of the size to replace an earlier one."""
-
-
 NEAR = wp.constant(0.25)
 """Distance from which fast bodies have contacts, as a part of the smaller size."""
-
-
-AGAINST = wp.constant(-0.8)
-"""Two contact normals with a cosine below this push against each other."""
 
 BY_CENTER = wp.constant(-2)
 """Identity of the contact of the ball about the first body's centre; the second's is one less."""
@@ -179,64 +142,6 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
 
 
 @wp.func
-def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
-    """The patch of like normal, a new one, or, when all are in use, the nearest. The whole team finds it."""
-    count = pairs.patch_count[pair]
-    best = int(0)
-    likeness = float(-2.0)
-    for p in range(count):
-        c = wp.dot(pairs.patch_normal[pair, p], normal)
-        if c > likeness:
-            likeness = c
-            best = p
-    if likeness < SAME_PATCH and count < MOST_PATCHES:
-        best = count
-        meet_in_warp(lanes)
-        if lane == 0:
-            pairs.patch_count[pair] = count + 1
-            pairs.patch_normal[pair, count] = normal
-        for k in range(lane, SLOTS, lanes):
-            pairs.slot_key[pair, count * SLOTS + k] = -1
-        meet_in_warp(lanes)
-    return best
-
-
-@wp.func
-def extent(k: int, x: float, y: float):
-    """How far a place (x, y) of the tangent plane lies in one of the eight directions."""
-    c = float(0.9)
-    s = float(0.43588989)
-    if k % 2 == 1:
-        c = 0.32817533
-        s = 0.94461734
-    along = c * x + s * y
-    across = c * y - s * x
-    quarter = k / 2
-    return wp.where(quarter % 2 == 0, along, across) * wp.where(quarter < 2, 1.0, -1.0)
-
-
-@wp.func
-def remember(
-    pair: int, key: int, point: wp.vec3, normal: wp.vec3, gap: float, size: float, lane: int, lanes: int, pairs: Pairs
-):
-    """Offer a touching sample, given in the second body's frame, to the slots of its patch; a lane keeps its own."""
-    patch = patch_for(pair, normal, lane, lanes, pairs)
-    n = pairs.patch_normal[pair, patch]
-    u = tangent_of(n)
-    x = wp.dot(point, u)
-    y = wp.dot(point, wp.cross(n, u))
-    for k in range(lane, SLOTS, lanes):
-        score = -gap
-        if k < DIRECTIONS:
-            score = extent(k, x, y) - GAP_WEIGHT * gap
-        slot = patch * SLOTS + k
-        if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + TIE * size:
-            pairs.slot_key[pair, slot] = key
-            pairs.slot_score[pair, slot] = score
-            pairs.slot_gap[pair, slot] = gap
-
-
-@wp.func
 def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
     """Whether a point is further than a margin from a shape's box: a cheap bound of the distance."""
     below = shapes.shapes[shape].lower - p
@@ -269,7 +174,7 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
 def touching(
     s: int, side: int, approach: Approach, dt: float, size: float, shapes: Shapes, state: State, motions: Motions
 ):
-    """The touching place of a sample in the second body's frame, its gap the one that it is ranked by; FAR if none."""
+    """The touching place of a sample in the second body's frame; its gap is FAR if there is none."""
     result = Touch()
     result.gap = FAR
     if not sample_is_near(s, approach, shapes):
@@ -284,7 +189,7 @@ def touching(
     if gap < CONTACT_DISTANCE * size + approach.rise:
         result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
         result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
-        result.gap = wp.min(touch.gap, FURTHEST_RANKED * size)
+        result.gap = touch.gap
     return result
 
 
@@ -315,6 +220,7 @@ def try_cluster(
     pairs: Pairs,
 ):
     """Try the samples of a cluster, as many at a time as there are lanes."""
+    weight = gap_weight(approach.reach, size)
     end = shapes.clusters[cluster].sample_end
     for base in range(shapes.clusters[cluster].sample_start, end, lanes):
         touch = Touch()
@@ -326,7 +232,8 @@ def try_cluster(
             k = lowest_bit(hits)
             hits = hits & (hits - wp.uint32(1))
             told = of_lane_touch(touch, k, lanes)
-            remember(pair, 2 * (base + k) + side, told.position, told.normal, told.gap, size, lane, lanes, pairs)
+            key = 2 * (base + k) + side
+            remember(pair, key, told.position, told.normal, told.gap, weight, size, lane, lanes, pairs)
 
 
 @wp.func
@@ -342,41 +249,6 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
     approach.shift = wp.quat_rotate(back, state.position[own] - state.position[other])
     approach.reach = reach
     return approach
-
-
-@wp.func
-def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
-    """List the samples to keep: each once, and a deepest one only if it is deeper than the rest. Returns how many."""
-    kept = int(0)
-    slots = pairs.patch_count[pair] * SLOTS
-    for base in range(0, slots, lanes):
-        slot = base + lane
-        key = int(-1)
-        if slot < slots:
-            key = pairs.slot_key[pair, slot]
-            lowest = float(FAR)
-            for earlier in range(slot - slot % SLOTS, slot):
-                if pairs.slot_key[pair, earlier] >= 0:
-                    lowest = wp.min(lowest, pairs.slot_gap[pair, earlier])
-                    if pairs.slot_key[pair, earlier] == pairs.slot_key[pair, slot]:
-                        key = -1
-            if slot % SLOTS == DIRECTIONS and pairs.slot_gap[pair, slot] > lowest - 0.1 * CONTACT_DISTANCE * size:
-                key = -1
-        hits = votes(wp.where(key >= 0, 1, 0), lanes)
-        if key >= 0:
-            pairs.kept[pair, kept + bits_below(hits, lane)] = key
-        kept += bits_below(hits, 32)
-    return kept
-
-
-@wp.func
-def contradictory(pair: int, pairs: Pairs):
-    """Whether two patches of a pair push against each other."""
-    for p in range(pairs.patch_count[pair]):
-        for q in range(p):
-            if wp.dot(pairs.patch_normal[pair, p], pairs.patch_normal[pair, q]) < AGAINST:
-                return True
-    return False
 
 
 @wp.func

@@ -46,6 +46,9 @@ FOUND = wp.constant(1.0e-4)
 ASIDE = wp.constant(0.01)
 """How far to the sides of a crossing its directions are taken, as a part of the half-length."""
 
+BESIDE = wp.constant(1.0e-3)
+"""How far from where an edge leaves a face its direction is taken, as a part of the half-length."""
+
 DONE = wp.constant(-1)
 
 EDGE_MIDDLE = wp.constant(0)
@@ -176,6 +179,13 @@ def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
 
 
 @wp.func
+def to_flat_side(search: Search):
+    """A little way along an edge, from where it leaves a face, and another is as near, to where it lies flat on it."""
+    left = wp.abs(search.slope_low) < wp.abs(search.slope_high)
+    return wp.where(left, -BESIDE, BESIDE) * search.half * search.along
+
+
+@wp.func
 def edge_found(search: Search, radius: float, convex: int, weight: float):
     """The place is found. A crossing looks to both sides, a flat edge is measured to the faces its normal opposes."""
     if radius > 0.0 and convex == 0:
@@ -187,10 +197,13 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
         search.stage = EDGE_BEFORE
         search.query = search.start + (search.t - ASIDE * search.half) * search.along
         return search
-    search.stage = wp.where(search.crossing == 1, DONE, EDGE_FACING)
     search.facing = weight * search.normal
     search.distance -= radius
     search.query -= radius * search.direction
+    search.stage = DONE
+    if search.crossing == 0:
+        search.stage = EDGE_FACING
+        search.query += to_flat_side(search)
     return search
 
 
@@ -257,6 +270,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         if d[3] < search.distance - BORDER * size:
             return nowhere(search)
         search.stage = DONE
+        search.query -= to_flat_side(search)
         search.direction = gradient(d)
         search.distance = d[3]
         return search
