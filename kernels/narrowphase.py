@@ -46,7 +46,10 @@ class Touch:
 
 @wp.struct
 class Approach:
-    """How two bodies of a pair stand to each other, seen from the one whose distance is taken."""
+    """How two bodies of a pair stand to each other, seen from the one whose distance is taken.
+
+    `weight`: how much a gap counts against a sample (thinning.py).
+    """
 
     own: int
     other: int
@@ -56,6 +59,7 @@ class Approach:
     shift: wp.vec3
     reach: float
     rise: float
+    weight: float
 
 
 @wp.func
@@ -220,7 +224,6 @@ def try_cluster(
     pairs: Pairs,
 ):
     """Try the samples of a cluster, as many at a time as there are lanes."""
-    weight = gap_weight(approach.reach, size)
     end = shapes.clusters[cluster].sample_end
     for base in range(shapes.clusters[cluster].sample_start, end, lanes):
         touch = Touch()
@@ -233,7 +236,7 @@ def try_cluster(
             hits = hits & (hits - wp.uint32(1))
             told = of_lane_touch(touch, k, lanes)
             key = 2 * (base + k) + side
-            remember(pair, key, told.position, told.normal, told.gap, weight, size, lane, lanes, pairs)
+            remember(pair, key, told.position, told.normal, told.gap, approach.weight, size, lane, lanes, pairs)
 
 
 @wp.func
@@ -329,6 +332,7 @@ def look_for_contacts(
     while side < 2:
         approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
         approach.rise = rise
+        approach.weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
         end = shapes.shapes[approach.own_shape].cluster_end
         for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
             near = int(0)

@@ -36,8 +36,8 @@ tipped by three degrees."""
 UPRIGHT = wp.constant(200.0)
 """The same for bodies at rest, in every other direction."""
 
-AT_REST = wp.constant(4.0)
-"""The weight between, for each size that fits into the way that a pair may close in the step."""
+STEADY = wp.constant(0.5)
+"""The weight between, for each size that fits into the way that a pair goes in the step."""
 
 FURTHEST_RANKED = wp.constant(0.02)
 """Gaps beyond this part of the smaller size count as equal."""
@@ -50,9 +50,9 @@ AGAINST = wp.constant(-0.8)
 
 
 @wp.func
-def gap_weight(reach: float, size: float):
-    """How much a gap counts in every other direction, by how far the bodies of a pair may come in the step."""
-    return wp.clamp(AT_REST * size / reach, TIPPED, UPRIGHT)
+def gap_weight(way: float, size: float):
+    """How much a gap counts in every other direction, by how far the bodies of a pair go against each other."""
+    return wp.clamp(STEADY * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
 
 
 @wp.func

@@ -237,7 +237,7 @@ def check_thinning(found, points, gap, size, way=0.0):
     kept = found["position"][:, :2].astype(np.float64), found["gap"].astype(np.float64)
     assert len(kept[1]) <= 9
     assert kept[1].min() == pytest.approx(gap.min(), abs=1e-6)
-    weight = np.tile([np.clip(4.0 * size / (way + CONTACT_DISTANCE * size), 20.0, 200.0), 20.0], 4)
+    weight = np.tile([np.clip(0.5 * size / max(way, 1e-9), 20.0, 200.0), 20.0], 4)
     best = (points[:, :2] @ eight_directions().T - weight * np.minimum(gap, 0.02 * size)[:, None]).max(axis=0)
     reached = (kept[0] @ eight_directions().T - weight * np.minimum(kept[1], 0.02 * size)[:, None]).max(axis=0)
     np.testing.assert_allclose(reached, best, atol=1e-5)
