@@ -188,6 +188,7 @@ def collide(
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
     forget_visits(env * bodies_per_env, (env + 1) * bodies_per_env, team, order, graph)
+    meet(team)
     turn = int(1)
     while left > 0:
         collided = int(0)

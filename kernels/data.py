@@ -221,6 +221,7 @@ State = layout(
     active=Field(int, "bodies", "", "0: switched off, takes no part"),
     turn_rest=Field(wp.vec4, "bodies", "", "what rounding left over of the orientation"),
     spin_rest=Field(wp.vec3, "bodies", "rad/s", "what rounding left over of the angular velocity"),
+    idle_shocks=Field(int, "bodies", "", "steps in a row in which shock propagation was of no use to it"),
 )
 
 MoverRecord = record(
@@ -442,6 +443,8 @@ Graph = layout(
     numerator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
     denominator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
     largest=Field(float, "bodies", "J", "largest summand of either"),
+    swing=Field(float, "bodies", "m/s", "of an island: largest change of a velocity by shock propagation"),
+    idle=Field(int, "bodies", "", "idle_shocks, as the step began"),
     pair_sums=Field(wp.vec2, "pairs", "J", "summands of a touching pair"),
     level_count=Field(int, "envs", "", "highest level of a body that touches another"),
     colors=Field(wp.uint32, "bodies", "", "bit mask of the colours taken at a body"),

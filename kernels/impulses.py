@@ -238,7 +238,6 @@ def forget_visits(first: int, last: int, team: Team, order: Order, graph: Graph)
     begin = order.color_start[team.env, 0]
     for k in range(begin + team.lane, order.color_start[team.env, order.color_count[team.env]], team.lanes):
         order.entries[k].visited = 0
-    meet(team)
 
 
 @wp.func

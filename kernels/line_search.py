@@ -20,6 +20,7 @@ from warp_rigid.kernels.data import (
     Motions,
     Order,
     PairRecord,
+    State,
 )
 from warp_rigid.kernels.impulses import slip_between, take_up
 from warp_rigid.kernels.packed import (
@@ -36,6 +37,7 @@ from warp_rigid.kernels.packed import (
     mover_quad,
     store_velocity,
 )
+from warp_rigid.kernels.shock import island_of, next_idle
 from warp_rigid.kernels.tangents import world_vector
 from warp_rigid.kernels.team import meet, team_of
 
@@ -56,6 +58,7 @@ def searched(env: int, envs: Environments, graph: Graph):
 
 @wp.kernel
 def remember_start(
+    state: State,
     lanes: int,
     bodies_per_env: int,
     envs: Environments,
@@ -72,6 +75,7 @@ def remember_start(
     first = env * bodies_per_env
     for b in range(first + team.lane, first + bodies_per_env, lanes):
         store_velocity(b, START, motions.movers[b].linear, motions.movers[b].angular, motions)
+        graph.idle[b] = state.idle_shocks[b]
     for k in range(order.color_start[env, 0] + team.lane, order.color_start[env, order.color_count[env]], lanes):
         for c in range(order.entries[k].begin, order.entries[k].end):
             carry(c, START_IMPULSE, carried(c, IMPULSE, contacts), contacts)
@@ -106,12 +110,6 @@ def pair_sums(entry: PairRecord, motions: Motions, contacts: Contacts):
 
 
 @wp.func
-def island_of(entry: PairRecord, motions: Motions, graph: Graph):
-    """The island of a touching pair."""
-    return graph.island[wp.where(motions.movers[entry.body_a].inverse_mass > 0.0, entry.body_a, entry.body_b)]
-
-
-@wp.func
 def add_up(island: int, numerator: wp.int64, denominator: wp.int64, graph: Graph):
     """Add to both sums of an island; whole numbers, so the order in which lanes come makes no difference."""
     if island >= 0:
@@ -129,7 +127,7 @@ def sum_energy(
     motions: Motions,
     contacts: Contacts,
 ):
-    """A team an environment: both sums of the line search for each island.
+    """A team an environment: both sums of the line search for each island, and how far it would change a velocity.
 
     The parts of the pairs are added as multiples of a 2^40th of the island's largest part.
     """
@@ -142,7 +140,11 @@ def sum_energy(
         graph.numerator[body] = wp.int64(0)
         graph.denominator[body] = wp.int64(0)
         graph.largest[body] = 1.0e-30
+        graph.swing[body] = 0.0
     meet(team)
+    for body in range(first + team.lane, first + bodies_per_env, lanes):
+        mover = motions.movers[body]
+        wp.atomic_max(graph.swing, graph.island[body], wp.length(mover.linear - mover.start_linear))
     begin = order.color_start[env, 0]
     end = order.color_start[env, order.color_count[env]]
     for k in range(begin + team.lane, end, lanes):
@@ -178,6 +180,7 @@ def accepted_share(island: int, graph: Graph):
 
 @wp.kernel
 def accept(
+    repetition: int,
     lanes: int,
     bodies_per_env: int,
     envs: Environments,
@@ -185,15 +188,19 @@ def accept(
     graph: Graph,
     motions: Motions,
     contacts: Contacts,
+    state: State,
 ):
-    """A team an environment: go the accepted share of the way."""
+    """A team an environment: go the accepted share of the way, and note whether the first repetition was of use."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if not searched(env, envs, graph):
         return
     first = env * bodies_per_env
     for b in range(first + team.lane, first + bodies_per_env, lanes):
-        t = accepted_share(graph.island[b], graph)
+        island = graph.island[b]
+        t = accepted_share(island, graph)
+        if repetition == 0:
+            state.idle_shocks[b] = next_idle(graph.idle[island], graph.swing[island], t)
         mover = motions.movers[b]
         motions.movers[b].linear = mover.start_linear + t * (mover.linear - mover.start_linear)
         motions.movers[b].angular = mover.start_angular + t * (mover.angular - mover.start_angular)

@@ -3,9 +3,20 @@
 import numpy as np
 import pytest
 
-from tests.oracles import ContactProblem, contact_list, find_contacts, ground_scene, opened, random_pile, rotate_about
+from tests.oracles import (
+    ContactProblem,
+    contact_list,
+    find_contacts,
+    ground_scene,
+    opened,
+    random_pile,
+    rotate_about,
+    stages_of,
+)
+from warp_rigid.bench.scenes import find_case, moving
 from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Sphere
+from warp_rigid.simulator import Simulator
 
 DT = 1 / 240
 COLD = {"collision_iterations": 0, "contact_iterations": 0, "warm_starting": False}
@@ -236,3 +247,44 @@ def test_a_tower_of_crossed_beams_stands(device):
     before = sim.get("position")
     sim.step(480)
     assert np.abs(sim.get("position") - before).max() < 2e-4
+
+
+def heap_beside_a_tower(device):
+    """A simulator of a heap that has come down in its bin, with a tower outside, and the bodies of both."""
+    case = find_case("pile_box:70")
+    scene = case.build()
+    heap = moving(scene)
+    tower = [scene.add_body(Box((0.1, 0.1, 0.1)), position=(4, 0, 0.1 + 0.2 * k)) for k in range(8)]
+    sim = Simulator(scene, settings=Settings(dt=1 / 120), device=device)
+    sim.step(150)
+    return sim, heap, tower
+
+
+def test_a_heap_that_it_does_not_help_is_left_alone(device, tmp_path):
+    """But for every eighth step, which a checkpoint knows of; a tower in the same environment never is."""
+    sim, heap, tower = heap_beside_a_tower(device)
+    state = stages_of(sim).state
+    waits = []
+    for _ in range(90):
+        sim.step()
+        idle = state.idle_shocks.numpy()
+        assert idle[tower].max() <= 8
+        waits.append(np.bincount(idle[heap]).argmax())
+    assert "9 10 11 12 13 14 15 8" in " ".join(map(str, waits))
+    path = tmp_path / "heap.checkpoint"
+    sim.save(path)
+    again = Simulator.load(path, device=device)
+    for one in (sim, again):
+        one.step(30)
+    assert np.array_equal(sim.get("position"), again.get("position"))
+
+
+def test_a_heavy_box_that_falls_onto_a_tower_beside_a_heap_is_carried(device):
+    """What the heap goes without, the tower gets from the first step in which it needs it."""
+    sim, _, tower = heap_beside_a_tower(device)
+    top = sim.get("position")[0, tower[-1]]
+    sim.set("mass", 1000.0 * sim.get("mass")[0, tower[0]], bodies=[tower[-1]])
+    sim.set("position", [[top + (0, 0, 0.3)]], bodies=[tower[-1]])
+    sim.step(60)
+    placed = [sim.scene.bodies[b].position for b in tower[:-1]]
+    assert np.abs(sim.get("position")[0, tower[:-1]] - placed).max() < 1e-3

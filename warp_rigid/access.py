@@ -378,4 +378,4 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REST_OF.values(), "active"} == set(data.field_names(data.State))
+assert {*STATE_NAMES, *REST_OF.values(), "active", "idle_shocks"} == set(data.field_names(data.State))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from warp_rigid.simulator import Simulator
 
 KIND = "checkpoint"
-VERSION = 3  # raise whenever older files could no longer be read
+VERSION = 4  # raise whenever older files could no longer be read
 
 FROM_SCENE = ("shape", "motion", "wide", "center_of_mass", "apart_start", "apart")
 """Arrays of bodies that follow from the scene."""

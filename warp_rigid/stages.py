@@ -325,10 +325,10 @@ class Stages:
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
-        self._color_by_color(line_search.remember_start)
+        self._color_by_color(line_search.remember_start, [self.state])
         self._color_by_color(shock.propagate, [repetition])
         self._color_by_color(line_search.sum_energy)
-        self._color_by_color(line_search.accept)
+        self._color_by_color(line_search.accept, [repetition], [self.state])
 
     def push_out(self) -> None:
         """Separate remaining overlaps without adding velocity."""
@@ -406,11 +406,11 @@ class Stages:
             [deepest],
         )
 
-    def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
+    def _color_by_color(self, kernel: Any, before: Sequence = (), after: Sequence = ()) -> None:
         """Launch a kernel of the solver that goes through the touching pairs colour by colour."""
         pools, lanes = self.pools, self.teams.color
         inputs = [*before, lanes, self.num_bodies, self.envs, pools.order]
-        self._per_team(lanes, kernel, inputs, [pools.graph, self.motions, pools.contacts])
+        self._per_team(lanes, kernel, inputs, [pools.graph, self.motions, pools.contacts, *after])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.rows, inputs=inputs, outputs=outputs, device=self.device)
