@@ -3,6 +3,7 @@
 Both directions are tried: samples of A in the distance of B and samples of B in that of A. A cluster of samples is
 passed over when the distance at its centre exceeds its reach. A sample touches if its gap, less what its velocity
 closes within the step, is below the contact distance, and if its own outward normal opposes the distance's gradient.
+Where one does, so may others near by that move away: a body that lands on a corner turns round within the step.
 
 Contacts are thinned while they are found (thinning.py).
 
@@ -28,6 +29,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 STILL = wp.constant(2.5e-4)
 """Pairs that have moved less than this part of the smaller size, half the contact distance, keep their contacts."""
 
+TURNED_BACK = wp.constant(0.25)
+"""Places that move away may come back in the step if they are nearer than this part of the pair's reach."""
+
 NEAR = wp.constant(0.25)
 """Distance from which fast bodies have contacts, as a part of the smaller size."""
 
@@ -37,11 +41,15 @@ BY_CENTER = wp.constant(-2)
 
 @wp.struct
 class Touch:
-    """A touching place in the world. The normal points from the pair's second body to the first."""
+    """A touching place in the world. The normal points from the pair's second body to the first.
+
+    `closing`: 1 if the gap closes within the step.
+    """
 
     position: wp.vec3
     normal: wp.vec3
     gap: float
+    closing: int
 
 
 @wp.struct
@@ -189,11 +197,13 @@ def touching(
     touch = touch_of(placed, side, approach.other, state)
     a = wp.where(side == 0, approach.own, approach.other)
     b = wp.where(side == 0, approach.other, approach.own)
-    gap = closing_gap(touch, a, b, dt, state, motions)
-    if gap < CONTACT_DISTANCE * size + approach.rise:
-        result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
-        result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
-        result.gap = touch.gap
+    left = closing_gap(touch, a, b, dt, state, motions) - approach.rise
+    result.closing = wp.where(left < CONTACT_DISTANCE * size, 1, 0)
+    if result.closing == 0 and touch.gap > TURNED_BACK * approach.reach:
+        return result
+    result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
+    result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
+    result.gap = touch.gap
     return result
 
 
@@ -223,13 +233,15 @@ def try_cluster(
     motions: Motions,
     pairs: Pairs,
 ):
-    """Try the samples of a cluster, as many at a time as there are lanes."""
+    """Try the samples of a cluster, as many at a time as there are lanes. Returns 1 if one of the lane's own closes."""
+    closing = int(0)
     end = shapes.clusters[cluster].sample_end
     for base in range(shapes.clusters[cluster].sample_start, end, lanes):
         touch = Touch()
         touch.gap = FAR
         if base + lane < end:
             touch = touching(base + lane, side, approach, dt, size, shapes, state, motions)
+        closing |= touch.closing
         hits = votes(wp.where(touch.gap < FAR, 1, 0), lanes)
         while hits != wp.uint32(0):
             k = lowest_bit(hits)
@@ -237,6 +249,7 @@ def try_cluster(
             told = of_lane_touch(touch, k, lanes)
             key = 2 * (base + k) + side
             remember(pair, key, told.position, told.normal, told.gap, approach.weight, size, lane, lanes, pairs)
+    return closing
 
 
 @wp.func
@@ -320,7 +333,7 @@ def look_for_contacts(
     motions: Motions,
     pairs: Pairs,
 ):
-    """Try the samples of both bodies of a pair. Returns how many contacts they make."""
+    """Try the samples of both bodies of a pair. Returns how many contacts they make, none if no sample closes."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     rise = dt * (shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise)
@@ -328,6 +341,7 @@ def look_for_contacts(
     if lane == 0:
         pairs.patch_count[pair] = 0
     meet_in_warp(lanes)
+    closing = int(0)
     side = int(0)
     while side < 2:
         approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
@@ -342,11 +356,15 @@ def look_for_contacts(
             while bits != wp.uint32(0):
                 cluster = base + lowest_bit(bits)
                 bits = bits & (bits - wp.uint32(1))
-                try_cluster(cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs)
+                closing |= try_cluster(
+                    cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs
+                )
         side += 1
     meet_in_warp(lanes)
     kept = int(keep_slots(pair, size, lane, lanes, pairs))
     meet_in_warp(lanes)
+    if votes(closing, lanes) == wp.uint32(0):
+        kept = 0
     if kept == 0 or contradictory(pair, pairs):
         kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
     return kept

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.oracles import GROUND, ground_scene, opened, random_pile, random_quaternion, rotate_about
+from warp_rigid import meshes
 from warp_rigid.kernels.push_out import FASTEST, RECOVERY, SLOP
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
@@ -119,6 +120,19 @@ def test_cubes_that_share_most_of_their_width_part(device, share, degrees):
     sim.step(140)
     assert sim.penetration()[0] < 2e-4
     np.testing.assert_allclose(sim.get("linear_velocity"), 0.0, atol=1e-6)
+
+
+def test_what_lands_on_a_point_and_turns_round_does_not_sink(device):
+    """A tetrahedron spins from one corner to the next within a step; the corner that was left comes down again."""
+    scene, generator = ground_scene(friction=0.5), np.random.default_rng(5)
+    body = scene.add_body(meshes.tetrahedron(sdf_resolution=32), position=(0, 0, 0.3), friction=0.5)
+    sim = Simulator(scene, num_envs=128, device=device, settings=Settings(dt=1 / 60))
+    sim.set("orientation", random_quaternion(generator, 128)[:, None], bodies=[body])
+    lowest = 1.0
+    for _ in range(60):
+        sim.step()
+        lowest = min(lowest, sim.get("position")[:, body, 2].min())
+    assert lowest > 0.1 / 3.0 - 0.005
 
 
 def test_boxes_that_fall_onto_a_corner_do_not_sink(device):
