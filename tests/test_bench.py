@@ -109,6 +109,7 @@ def test_quality_sees_what_is_wrong():
     assert found["top_height_error"] == pytest.approx(-0.001, abs=1e-6)
     assert found["drift"] == pytest.approx(0.005, abs=1e-6)
     assert found["deepest_overlap"] == pytest.approx(0.002, abs=1e-5)
+    assert found["median_overlap"] == pytest.approx(0.001, abs=1e-5)
     assert found["max_speed"] == pytest.approx(0.1 * 3**0.5)
     position[0, 0, 0], position[1, 1, 0] = np.nan, 0.2
     found = measure.quality(case, sim, position, np.zeros((2, 2, 3)))

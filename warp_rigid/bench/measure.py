@@ -113,12 +113,15 @@ def quality(case: Case, sim: Simulator, position: np.ndarray, velocity: np.ndarr
         velocity: likewise.
 
     Returns:
-        "deepest_overlap" and "max_speed", None where a body is not a number; "escaped"; for a stack "height_error"
-        (largest of any cube), "top_height_error" (mean of the top cubes) and "drift".
+        "deepest_overlap" of any environment, "median_overlap" of the deepest of each, and "max_speed", None where a
+        body is not a number; "escaped"; for a stack "height_error" (largest of any cube), "top_height_error" (mean of
+        the top cubes) and "drift".
     """
     whole = bool(np.isfinite(position).all() and np.isfinite(velocity).all())
+    overlap = sim.penetration() if whole else None
     told: dict[str, Any] = {
-        "deepest_overlap": float(sim.penetration().max()) if whole else None,
+        "deepest_overlap": None if overlap is None else float(overlap.max()),
+        "median_overlap": None if overlap is None else float(np.median(overlap)),
         "max_speed": float(np.linalg.norm(velocity, axis=-1).max()) if whole else None,
         "escaped": case.escaped(position),
     }
