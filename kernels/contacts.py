@@ -41,7 +41,7 @@ of 20 rows that keeps to 0.02 mm so creeps by millimetres with a fifth of it."""
 
 WIDER = wp.constant(1.05)
 """A gap wider than that by no more than this factor carries load, too. Those that have just closed are, by rounding
-errors, and would otherwise keep closing for ever: a stack at rest is then never solved at once."""
+errors, and would otherwise keep closing for ever: a stack at rest is then seldom solved at once."""
 
 
 @wp.func
