@@ -38,7 +38,6 @@ TOUCHING = wp.constant(1.0e-4)
 If every gap of a rounding error had to close first, the load would jump from contact to contact at each step: a pyramid
 of 20 rows that keeps to 0.02 mm so creeps by millimetres with a fifth of it."""
 
-
 WIDER = wp.constant(1.05)
 """A gap wider than that by no more than this factor carries load, too. Those that have just closed are, by rounding
 errors, and would otherwise keep closing for ever: a stack at rest is then seldom solved at once."""

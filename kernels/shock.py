@@ -72,9 +72,6 @@ load, and a pyramid of 20 rows is pushed 1 mm out of shape."""
 PATIENCE = wp.constant(8)
 """Steps in a row without use after which an island is left alone; one step in as many tries it again."""
 
-LONGEST_IDLE = wp.constant(15)
-"""Then it is tried again: counting goes on from the eighth step."""
-
 USEFUL = wp.constant(0.1)
 """Share of the way from which shock propagation has been of use to an island."""
 
@@ -102,7 +99,7 @@ def is_left_alone(idle: int):
 def next_idle(idle: int, way: float, share: float):
     """The same after this step, in which an island went a share of a way, its largest change of a velocity."""
     if is_left_alone(idle):
-        return wp.where(idle < LONGEST_IDLE, idle + 1, PATIENCE)
+        return wp.where(idle < 2 * PATIENCE - 1, idle + 1, PATIENCE)
     if way < NO_WAY:
         return wp.max(idle - 1, 0)
     return wp.where(share < USEFUL, idle + 1, 0)
