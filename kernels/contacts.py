@@ -7,6 +7,7 @@ from warp_rigid.kernels.data import (
     ContactRecord,
     Contacts,
     Environments,
+    Graph,
     History,
     Motions,
     Pairs,
@@ -209,8 +210,8 @@ def keep_contact(target: int, c: int, contacts: Contacts, history: History):
 
 
 @wp.kernel
-def keep_pairs(threads: int, pairs: Pairs, history: History):
-    """Last stage, first half: the threads share the rows of the history and remember which pairs touched."""
+def keep_pairs(threads: int, pairs: Pairs, history: History, graph: Graph):
+    """Last stage, first half: the threads share the rows of the history and remember which pairs touched, and how."""
     for i in range(wp.tid(), wp.max(history.pair_start.shape[0], history.contact_start.shape[0]), threads):
         if i < history.pair_start.shape[0]:
             history.pair_start[i] = pairs.start[i]
@@ -219,6 +220,8 @@ def keep_pairs(threads: int, pairs: Pairs, history: History):
             history.seen[i] = pairs.seen[i]
             history.seen_turn[i] = pairs.seen_turn[i]
             history.seen_shift[i] = pairs.seen_shift[i]
+            graph.rested[i] = wp.where(pairs.contact_start[i + 1] > pairs.contact_start[i], graph.rests[i], -1)
+            graph.colored[i] = graph.pair_color[i]
         if i < history.contact_start.shape[0]:
             history.contact_start[i] = pairs.contact_start[i]
 

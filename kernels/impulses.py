@@ -23,6 +23,7 @@ from warp_rigid.kernels.data import (
     Motions,
     Order,
     PairRecord,
+    State,
 )
 from warp_rigid.kernels.packed import (
     IMPULSE,
@@ -44,6 +45,19 @@ wp.set_module_options({"enable_backward": False})
 
 SETTLED = wp.constant(1.0e-6)
 """Contacts are solved when no visit changes a velocity by more than this [m/s]."""
+
+TALL = wp.constant(40.0)
+"""Height of a heap from which it has to be solved to SETTLED, in bodies."""
+
+COARSEST = wp.constant(25.0)
+"""Times SETTLED to which a low heap has to be solved, at most."""
+
+PATIENCE = wp.constant(8)
+"""Steps in a row without use of shock propagation that make a heap of an island."""
+
+HEAP_SWEEPS = wp.constant(2)
+"""More sweeps of a heap for each body on the shortest way down, since weight travels in it by sweeps alone. Without
+them, a heap of thousands never comes to rest: it sinks into itself as fast as it is pushed apart."""
 
 ONE_PASS = wp.constant(SHOCK_ONE_PASS)
 TWO_PASS = wp.constant(SHOCK_TWO_PASS)
@@ -207,13 +221,24 @@ def visit_contact(c: int, share_a: float, share_b: float, couple: Couple, contac
 
 
 @wp.func
+def settled_in_heap(env: int, graph: Graph):
+    """Change of a velocity in a visit with which a heap counts as solved [m/s].
+
+    A sweep brings bodies n high nearer to the solution by about 1 / n^2, so what is left is n^2 times what the last
+    sweep changed: in a low heap little, of the size of what positions are rounded to.
+    """
+    ratio = TALL / float(wp.max(graph.tallest[env], 1))
+    return SETTLED * wp.clamp(ratio * ratio, 1.0, COARSEST)
+
+
+@wp.func
 def visit_pair(entry: PairRecord, motions: Motions, contacts: Contacts):
-    """Visit the contacts of a pair, one after another. Returns 1 if they changed a velocity."""
+    """Visit the contacts of a pair, one after another. Returns by how much they changed a velocity [m/s]."""
     couple = take_up(entry.body_a, entry.body_b, 1.0, 1.0, motions)
     for c in range(entry.begin, entry.end):
         couple = visit_contact(c, 1.0, 1.0, couple, contacts)
     put_down(entry.body_a, entry.body_b, couple, motions)
-    return wp.where(couple.change > SETTLED, 1, 0)
+    return couple.change
 
 
 @wp.func
@@ -289,16 +314,48 @@ def warm_start(
 
 @wp.func
 def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
-    """Visit all pairs once, or those of one level, if it is not 0. Returns 1 if a lane's pairs changed a velocity."""
-    changed = int(0)
+    """Visit all pairs once, or those of one level, if it is not 0. Returns a lane's largest change [m/s]."""
+    change = float(0.0)
     for color in range(order.color_count[team.env]):
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order.entries)
             if level == 0 or wp.max(graph.level[entry.body_a], graph.level[entry.body_b]) == level:
-                changed |= visit_pair(entry, motions, contacts)
+                change = wp.max(change, visit_pair(entry, motions, contacts))
         meet(team)
-    return changed
+    return change
+
+
+@wp.func
+def find_heaps(bodies_per_env: int, team: Team, state: State, graph: Graph):
+    """Note whether shock propagation has been of no use to any island of an environment."""
+    first = team.env * bodies_per_env
+    found = int(0)
+    for b in range(first + team.lane, first + bodies_per_env, team.lanes):
+        found |= wp.where(state.idle_shocks[b] >= PATIENCE, 1, 0)
+    found = any_of_team(found, team)
+    if team.lane == 0:
+        graph.heap[team.env] = found
+    meet(team)
+
+
+@wp.func
+def sweeps_of(env: int, after_shock: int, envs: Environments, graph: Graph):
+    """Most sweeps before or after shock propagation."""
+    iterations = envs.contact_iterations[env]
+    if envs.shock_propagation[env] != TWO_PASS:
+        return iterations * (1 - after_shock)
+    if after_shock == 0:
+        return (iterations + 1) / 2
+    if graph.settled[env] == 1:
+        return 0
+    return iterations / 2 + HEAP_SWEEPS * graph.tallest[env] * graph.heap[env]
+
+
+@wp.func
+def spare_sweeps(env: int, envs: Environments, graph: Graph):
+    """Sweeps that follow at once in a heap of which the first half leaves little."""
+    return wp.where(envs.shock_propagation[env] == TWO_PASS, graph.heap[env] * envs.contact_iterations[env] / 2, 0)
 
 
 @wp.kernel
@@ -311,28 +368,33 @@ def sweep_contacts(
     graph: Graph,
     motions: Motions,
     contacts: Contacts,
+    state: State,
 ):
     """A team an environment: half of the contact iterations, before or after the two passes of shock propagation.
 
     A single pass comes after all of them, as in 2003: what it has frozen is not to be moved again, and sweeps prepare
-    it best from the ground up. Sweeps end early when one changes nothing; what is settled before shock propagation
-    needs none.
+    it best from the ground up. Sweeps end early when one changes nothing, and what is settled then needs no shock
+    propagation. Nor do heaps of which the first half leaves little: there the second half follows at once.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    mode = envs.shock_propagation[env]
-    left = envs.contact_iterations[env] * (1 - after_shock)
-    if mode == TWO_PASS:
-        left = (envs.contact_iterations[env] + 1 - after_shock) / 2
-    if after_shock == 1:
-        left = left * (1 - graph.settled[env])
-    layered = wp.where(mode == ONE_PASS, 1, 0)
-    settled = int(0)
+    spare = int(0)
+    if after_shock == 0:
+        find_heaps(bodies_per_env, team, state, graph)
+        spare = spare_sweeps(env, envs, graph)
+    left = sweeps_of(env, after_shock, envs, graph)
+    layered = wp.where(envs.shock_propagation[env] == ONE_PASS, 1, 0)
+    unsolved = int(1)
+    calm = int(0)
     while left > 0:
-        changed = int(0)
+        change = float(0.0)
         for level in range(layered, layered * graph.level_count[env] + 1):
-            changed |= sweep(level, team, order, graph, motions, contacts)
-        settled = 1 - any_of_team(changed, team)
-        left = (1 - settled) * (left - 1)
+            change = wp.max(change, sweep(level, team, order, graph, motions, contacts))
+        unsolved = any_of_team(wp.where(change > SETTLED, 1, 0), team)
+        left = unsolved * (left - 1)
+        if left == 0 and unsolved * spare > 0:
+            calm = 1 - any_of_team(wp.where(change > settled_in_heap(env, graph), 1, 0), team)
+            left = calm * spare
+            spare = 0
     if after_shock == 0 and team.lane == 0:
-        graph.settled[env] = settled
+        graph.settled[env] = wp.max(1 - unsolved, calm)

@@ -86,6 +86,11 @@ def color_pairs(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
     first = env * bodies_per_env
     begin = pairs.start[first]
     end = pairs.start[first + bodies_per_env]
+    if graph.same[env] == 1:
+        for pair in range(begin + team.lane, end, lanes):
+            if touches(pair, pairs):
+                graph.pair_color[pair] = graph.colored[pairs.last[pair]]
+        return
     for b in range(first + team.lane, first + bodies_per_env, lanes):
         graph.colors[b] = wp.uint32(0)
         graph.bid[b] = NO_BID

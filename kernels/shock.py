@@ -29,6 +29,7 @@ from warp_rigid.kernels.data import (
     PairRecord,
 )
 from warp_rigid.kernels.impulses import (
+    PATIENCE,
     SETTLED,
     Couple,
     first_of_color,
@@ -69,15 +70,11 @@ SHARED_ITERATIONS = wp.constant(2)
 """The same where a body stands on several. With one, the tower of beams falls; with eight, the first pair takes all
 load, and a pyramid of 20 rows is pushed 1 mm out of shape."""
 
-PATIENCE = wp.constant(8)
-"""Steps in a row without use after which an island is left alone; one step in as many tries it again."""
-
 USEFUL = wp.constant(0.1)
 """Share of the way from which shock propagation has been of use to an island."""
 
 NO_WAY = wp.constant(1.0e-3)
-"""What changes velocities by less [m/s] tells nothing: the island is at rest, and may need it once something falls on
-it."""
+"""What changes velocities by less [m/s] tells nothing: the island is at rest."""
 
 LEFT_ALONE = wp.constant(2**30)
 """Stands for a visit after all others."""
@@ -101,7 +98,7 @@ def next_idle(idle: int, way: float, share: float):
     if is_left_alone(idle):
         return wp.where(idle < 2 * PATIENCE - 1, idle + 1, PATIENCE)
     if way < NO_WAY:
-        return wp.max(idle - 1, 0)
+        return wp.where(idle == PATIENCE, idle + 1, idle)
     return wp.where(share < USEFUL, idle + 1, 0)
 
 

@@ -9,11 +9,14 @@ other in a cycle are collapsed into one and share a level; statics are level 0.
 Levels are found from the ground up. In a round every body whose supports all have levels gets its own. Where no body is
 ready, cycles stand in the way: they are found, and from then on each gets its level like a single body. The height of
 a body counts the shortest way to the ground instead, and tells how many sweeps weight needs to travel through.
+
+In a pile at rest the same pairs touch, step after step. Then levels, heights, islands and colours stay as they are:
+they follow from the touching pairs and from who rests on whom alone, so finding them again would find the same.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Contacts, Graph, Motions, Pairs
+from warp_rigid.kernels.data import MOTION_DYNAMIC, Bodies, Contacts, Graph, History, Motions, Pairs
 from warp_rigid.kernels.impulses import Couple, slip_between, take_up
 from warp_rigid.kernels.packed import contact_row
 from warp_rigid.kernels.team import Team, any_of_team, meet, team_of
@@ -62,6 +65,12 @@ def touches(pair: int, pairs: Pairs):
     return pairs.contact_start[pair + 1] > pairs.contact_start[pair]
 
 
+@wp.func
+def stays(last: int, place: int, rests: int, graph: Graph):
+    """Whether a touching pair touched in the last step too, at the same place of the list, and carried the same way."""
+    return last >= 0 and last == place and graph.rested[last] == rests
+
+
 @wp.kernel
 def find_support(
     lanes: int,
@@ -70,18 +79,34 @@ def find_support(
     motions: Motions,
     pairs: Pairs,
     contacts: Contacts,
+    history: History,
     graph: Graph,
 ):
-    """A team an environment: which body of each pair rests on the other."""
+    """A team an environment: which body of each pair rests on the other, and whether all is as in the last step."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     first = env * bodies_per_env
-    for pair in range(pairs.start[first] + team.lane, pairs.start[first + bodies_per_env], lanes):
+    begin = pairs.start[first]
+    if team.lane == 0:
+        graph.touching[env] = 0
+    meet(team)
+    count = int(0)
+    changed = int(0)
+    for pair in range(begin + team.lane, pairs.start[first + bodies_per_env], lanes):
         rests = int(0)
         if touches(pair, pairs):
             couple = take_up(pairs.body_a[pair], pairs.body_b[pair], 0.0, 0.0, motions)
             rests = supports_of(pair, couple, bodies, motions, pairs, contacts)
+            count += 1
+            if not stays(pairs.last[pair], history.pair_start[first] + pair - begin, rests, graph):
+                changed = 1
         graph.rests[pair] = rests
+    wp.atomic_add(graph.touching, env, count)
+    changed = any_of_team(changed, team)
+    if team.lane == 0:
+        known = graph.touching[env] + 1
+        graph.same[env] = wp.where(changed == 0 and graph.known[env] == known, 1, 0)
+        graph.known[env] = known
 
 
 @wp.func
@@ -199,6 +224,8 @@ def find_levels(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
     """A team an environment: the level of each body, cycles collapsed."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
+    if graph.same[env] == 1:
+        return
     first = env * bodies_per_env + team.lane
     last = (env + 1) * bodies_per_env
     first_edge = 2 * pairs.start[env * bodies_per_env] + team.lane
@@ -223,6 +250,8 @@ def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
     """A team an environment: bodies connected through touching dynamic bodies, named by their lowest body."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
+    if graph.same[env] == 1:
+        return
     first = env * bodies_per_env
     last = first + bodies_per_env
     for b in range(first + team.lane, last, lanes):
@@ -256,6 +285,8 @@ def find_heights(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
+    if graph.same[env] == 1:
+        return
     first = env * bodies_per_env
     last = first + bodies_per_env
     for b in range(first + team.lane, last, lanes):

@@ -82,7 +82,7 @@ DEMO = Demo(
     summary="bunnies fall into an open box and settle",
     build=build,
     outcome=PileOutcome,
-    duration=4.0,
+    duration=6.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
 )

@@ -5,11 +5,23 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.oracles import GROUND, find_contacts, ground_scene, opened, pair_list, rotate_about
+from tests.oracles import (
+    GROUND,
+    find_contacts,
+    ground_scene,
+    moving,
+    opened,
+    pair_list,
+    random_pile,
+    rotate_about,
+    stages_of,
+)
 from warp_rigid.fields import PointField
 from warp_rigid.kernels import data, support, team
 from warp_rigid.scene import Motion, Scene
+from warp_rigid.settings import Settings
 from warp_rigid.shapes import Box, Sphere
+from warp_rigid.simulator import Simulator
 
 A_ON_B, B_ON_A = 1, 2
 
@@ -248,3 +260,25 @@ def test_a_tilted_tower_still_rests_on_its_base(device):
     edges, level = support_of(scene, device)
     assert edges == {(1, 0), (2, 1), (3, 2)}
     assert level == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("sleeping", [False, True])
+def test_a_graph_that_has_not_changed_is_not_found_again(device, sleeping):
+    """A pile comes to rest, to the same bits as one whose graph is found anew in each step, and is then disturbed."""
+    scene = random_pile(np.random.default_rng(3))
+    reused, anew = (Simulator(scene, settings=Settings(sleeping=sleeping), device=device) for _ in range(2))
+    dynamic = np.flatnonzero(moving(scene))
+    found_again = []
+    for k in range(450):
+        if k == 400:
+            highest = dynamic[reused.get("position")[0, dynamic, 2].argmax()]
+            for sim in (reused, anew):
+                sim.set("linear_velocity", [[(0.0, 0.0, 2.0)]], bodies=[highest])
+        reused.step()
+        stages_of(anew).pools.forget_graph()
+        anew.step()
+        assert stages_of(anew).pools.graph.same.numpy().sum() == 0
+        found_again.append(1 - stages_of(reused).pools.graph.same.numpy()[0])
+        for name in ("position", "orientation", "linear_velocity"):
+            np.testing.assert_array_equal(reused.get(name), anew.get(name))
+    assert np.sum(found_again[300:400]) < 50 and np.sum(found_again[400:]) > 0

@@ -288,3 +288,34 @@ def test_a_heavy_box_that_falls_onto_a_tower_beside_a_heap_is_carried(device):
     sim.step(60)
     placed = [sim.scene.bodies[b].position for b in tower[:-1]]
     assert np.abs(sim.get("position")[0, tower[:-1]] - placed).max() < 1e-3
+
+
+def test_a_heap_gets_a_sweep_more_for_each_way_down_twice(device):
+    """In steps without shock propagation: the same bits as with so many contact iterations to begin with.
+
+    Angular velocities differ by how push-out, which freezes no body then, turns bodies.
+    """
+    scene = find_case("pile_box:70").build()
+    heap, plain = (Simulator(scene, settings=Settings(dt=1 / 120), device=device) for _ in range(2))
+    for sim in (heap, plain):
+        sim.step(100)
+        stages_of(sim).state.idle_shocks.fill_(9)
+    heap.step()
+    graph = stages_of(heap).pools.graph
+    tallest = int(graph.tallest.numpy()[0])
+    assert tallest > 1 and graph.settled.numpy()[0] == 0
+    plain.set("shock_propagation", "off")
+    plain.set("contact_iterations", plain.settings.contact_iterations + 2 * tallest)
+    plain.step()
+    np.testing.assert_array_equal(heap.get("linear_velocity"), plain.get("linear_velocity"))
+
+
+def test_a_heap_of_thousands_comes_to_rest(device):
+    """It sank into itself as fast as it was pushed apart, for as long as anybody watched."""
+    if device == "cpu":
+        pytest.skip("takes minutes on a CPU")
+    case = find_case("pile_box:4096")
+    sim = Simulator(case.build(), settings=Settings(dt=1 / 120), device=device)
+    sim.step(720)
+    assert np.abs(sim.get("linear_velocity")).max() < 0.05
+    assert sim.penetration()[0] < 1e-3

@@ -226,6 +226,7 @@ def _upload(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
     for shard, part in zip(sim._shards, parts, strict=True):
         for name, values in part.items():
             _fill(getattr(shard.pools.history, name), values)
+        shard.pools.forget_graph()
         levels = shard.pools.levels
         levels["Graph.level"].assign(rows["Graph.level"][shard.first_body : shard.end_body])
         levels["Graph.level_count"].assign(rows["Graph.level_count"][shard.first : shard.end])

@@ -79,6 +79,10 @@ class Pools:
         self.turn.zero_()
         self.wanted.zero_()
 
+    def forget_graph(self) -> None:
+        """Let the next step find its graph anew: what it has for the last step is of another one."""
+        self.graph.known.zero_()
+
     def wanted_by_environment(self, name: str) -> np.ndarray:
         """What each environment wanted of a pool in the step at hand, (envs,), whether it fitted or not."""
         if name == "pairs":

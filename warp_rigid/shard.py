@@ -107,6 +107,7 @@ class Shard:
         if self._saved_in == attempt:
             for array, saved in self._kept:
                 wp.copy(array, saved)
+            self.pools.forget_graph()
             self._saved_in = None
 
     def grow(self, sizes: dict[str, int]) -> None:

@@ -292,7 +292,8 @@ class Stages:
         bodies, pairs, graph = self.model.bodies, self.pools.pairs, self.pools.graph
         lanes = self.teams.graph
         own = [lanes, self.num_bodies, bodies]
-        self._per_team(lanes, support.find_support, [*own, self.motions, pairs, self.pools.contacts], [graph])
+        touching = [self.motions, pairs, self.pools.contacts, self.pools.history]
+        self._per_team(lanes, support.find_support, [*own, *touching], [graph])
         self._per_team(lanes, support.find_levels, [*own, pairs], [graph])
         self._per_team(lanes, support.find_heights, [*own, pairs], [graph])
         self._per_team(lanes, support.find_islands, [*own, pairs], [graph])
@@ -321,7 +322,7 @@ class Stages:
 
     def sweep_contacts(self, after_shock: int) -> None:
         """Sweeps over all contacts."""
-        self._color_by_color(impulses.sweep_contacts, [after_shock])
+        self._color_by_color(impulses.sweep_contacts, [after_shock], [self.state])
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
@@ -383,7 +384,7 @@ class Stages:
             self._shared(
                 rest.carry, self.pools.sizes["pairs"], [], [pairs, records, history, self.motions], [self.kept]
             )
-        self._shared(contacts.keep_pairs, rows, [], [pairs], [history])
+        self._shared(contacts.keep_pairs, rows, [], [pairs], [history, self.pools.graph])
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
             self._shared(rest.put_back, self.pools.sizes["contacts"], [], [self.kept], [history])
