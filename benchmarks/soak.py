@@ -28,6 +28,9 @@ LOOKS = 100
 LINES = 20
 """So often a line is told."""
 
+ROOM = 12
+"""Pairs a body for which there is room from the start, so that what grows is not a pool."""
+
 PITCH = 0.26
 """Distance of the columns in which a pile starts [m]."""
 
@@ -124,7 +127,9 @@ def soak(
         seed: of what is taken out.
         on_found: told what was found whenever a part of the steps is done.
     """
-    sim = wr.Simulator(pile(count), num_envs=envs, settings=wr.Settings(sleeping=sleeping), device=device)
+    scene, settings = pile(count), wr.Settings(sleeping=sleeping)
+    room = {"pairs": ROOM * envs * len(scene.bodies)}
+    sim = wr.Simulator(scene, num_envs=envs, settings=settings, device=device, capacity=room)
     sim.set("friction", np.linspace(0.5, 0.8, envs)[np.arange(envs) // 2 * 2, None])
     watch = _Watch(sim, steps, every)
     changes = _changes(sim, watch.loose, half_width(count) - 0.17, np.random.default_rng(seed))

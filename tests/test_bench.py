@@ -95,6 +95,15 @@ def test_measured_figures_add_up(device):
     assert row["quality"]["max_speed"] < 1e-2 and row["quality"]["escaped"] == row["failed_envs"] == 0
 
 
+def test_bodies_sleep_if_they_may(device):
+    case = Case("stack", 2)
+    for sleeping in (False, True):
+        conditions = measure.Conditions(envs=1, substeps=1, settle=90, frames=10, sleeping=sleeping)
+        row, sim = measure.measure(case, conditions, wp.get_device(device))
+        assert row["sleeping"] == sleeping
+        assert sim.get("asleep")[0, moving(sim.scene)].all() == sleeping
+
+
 def test_quality_sees_what_is_wrong():
     """Cubes moved by hand: the figures are the moves."""
     case = Case("stack", 2)

@@ -33,12 +33,14 @@ class Conditions:
         substeps: steps in a frame of 1/60 s.
         settle: frames that are not timed, before those that are.
         frames: frames that are timed.
+        sleeping: whether bodies at rest may fall asleep; those of other engines do what their defaults say.
     """
 
     envs: int
     substeps: int
     settle: int
     frames: int
+    sleeping: bool = False
 
 
 def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, Any], Simulator]:
@@ -51,7 +53,8 @@ def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, 
         Figures, ready for JSON, and the simulator at the end of the timed frames.
     """
     begin = time.perf_counter()
-    sim = Simulator(case.build(), conditions.envs, Settings(dt=1.0 / (FPS * conditions.substeps)), device=device)
+    settings = Settings(dt=1.0 / (FPS * conditions.substeps), sleeping=conditions.sleeping)
+    sim = Simulator(case.build(), conditions.envs, settings, device=device)
     case.scatter(sim)
     wp.synchronize_device(sim.device)
     build_seconds = time.perf_counter() - begin
@@ -66,6 +69,7 @@ def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, 
         "substeps": conditions.substeps,
         "settle": conditions.settle,
         "frames": conditions.frames,
+        "sleeping": conditions.sleeping,
         "collider": "samples against signed distances",
         **rates(case, conditions, seconds, processor_seconds),
         "build_seconds": build_seconds,

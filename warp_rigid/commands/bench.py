@@ -26,6 +26,7 @@ def bench_command(
     substeps: Annotated[str, typer.Option(help="Steps in a frame of 1/60 s, such as 1,4.")] = "4",
     frames: Annotated[int, typer.Option(help="Frames that are timed.")] = 60,
     settle: Annotated[int, typer.Option(help="Frames before them.")] = 120,
+    sleeping: Annotated[bool, typer.Option("--sleeping", help="Let bodies at rest fall asleep.")] = False,
     device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
     json_lines: Annotated[str | None, typer.Option(help="Append a JSON line for every run to this file.")] = None,
     output: Annotated[str | None, typer.Option("-o", "--output", help="Picture (.png) of all runs.")] = None,
@@ -40,7 +41,7 @@ def bench_command(
 ) -> int:
     """Measure scenes: frames, steps and steps of bodies a second, time per stage, contacts, room used, and quality.
 
-    Nothing sleeps, and what a pile does while it falls is not timed. Other engines simulate the same starts for as
+    Nothing sleeps unless you say so, and what a pile does while it falls is not timed. Other engines simulate the same starts for as
     many frames; the overlap of their final states is measured as ours is. On the CPU ours takes all cores, the others
     one, and ratios are those of processor time, summed over the cores.
     """
@@ -59,7 +60,7 @@ def bench_command(
     rows: list[dict[str, Any]] = []
     started = {str(case): _start_up(str(case), str(found)) for case in cases} if cold else {}
     runs = [
-        (case, measure.Conditions(size, substep, settle, frames))
+        (case, measure.Conditions(size, substep, settle, frames, sleeping))
         for case, substep, size in itertools.product(cases, steps, sizes)
     ]
     with progress("bench", len(runs) * (1 + len(chosen))) as advance:
