@@ -41,9 +41,9 @@ def bench_command(
 ) -> int:
     """Measure scenes: frames, steps and steps of bodies a second, time per stage, contacts, room used, and quality.
 
-    Nothing sleeps unless you say so, and what a pile does while it falls is not timed. Other engines simulate the same starts for as
-    many frames; the overlap of their final states is measured as ours is. On the CPU ours takes all cores, the others
-    one, and ratios are those of processor time, summed over the cores.
+    Nothing sleeps unless you say so, and what a pile does while it falls is not timed. Other engines simulate the same
+    starts for as many frames; the overlap of their final states is measured as ours is. On the CPU ours takes all
+    cores, the others one, and ratios are those of processor time, summed over the cores.
     """
     from warp_rigid.bench import measure
     from warp_rigid.bench import peers as other
