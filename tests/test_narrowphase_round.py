@@ -104,3 +104,14 @@ def test_a_cylinder_that_wobbles_on_a_slab_stays_on_it(device):
         fastest = max(fastest, float(np.linalg.norm(sim.get("linear_velocity")[0, 1])))
     assert fastest < 1.0
     np.testing.assert_allclose(sim.get("position")[0, 1], (1, 0.5, 0.55), atol=0.03)
+
+
+@pytest.mark.parametrize("height", [0.45, 0.52, 1.0, 11.5])
+def test_a_coarse_ring_that_lies_against_a_pole_touches_it(device, height):
+    """The middle of a side of the ring, where it has no vertex, near the foot of the pole and further up."""
+    ring, depth = meshes.torus(2.4, 0.45), 0.03
+    apart = 0.5 + 2.85 * np.cos(np.pi / 32) - depth
+    turn = rotate_about((0, 0, 1), 180 / 32)
+    found = touch(device, Cylinder(0.5, 6.0), ring, position=(apart, 0, height - 6.0), orientation=turn)
+    assert found["gap"].min() == pytest.approx(-depth, abs=0.012)  # a tenth of a cell of the ring's grid
+    assert abs(found["normal"][found["gap"].argmin(), 0]) > 0.99

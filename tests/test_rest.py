@@ -12,7 +12,7 @@ from warp_rigid.fields import PointField
 from warp_rigid.runner import execute, find_scene, plan_run
 from warp_rigid.scene import Scene
 from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Plane, Sphere
+from warp_rigid.shapes import Box, Cylinder, Plane, Sphere
 from warp_rigid.simulator import Simulator
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -66,6 +66,18 @@ def test_bumpy_shapes_come_to_rest(device):
 def test_boxes_on_boxes_come_to_rest(device):
     speed, overlap = settled(CUBE, device, 3, 5)
     assert speed < 1e-4 and overlap < 5e-5
+
+
+def test_hardly_a_cylinder_stays_in_another(device):
+    """Where the side of one is across the rim of another, the balls at the ends of its axis touch; rims may hook."""
+    scene, generator = ground_scene(friction=0.5), np.random.default_rng(3)
+    shape, loose = Cylinder(0.08, 0.1), {"friction": 0.5, "rolling_friction": 0.01}
+    rows = [scene.add_body(shape, position=(0, 0, 0.3 + 0.4 * k), **loose) for k in range(2)]
+    sim = Simulator(scene, 256, Settings(dt=1 / 60), device=device)
+    sim.set("orientation", np.stack([random_quaternion(generator, 256) for _ in rows], axis=1), bodies=rows)
+    sim.step(300)
+    overlap = sim.penetration()
+    assert (overlap > 1e-3).sum() <= 2 and overlap.max() < 0.02
 
 
 def test_a_stack_sleeps_within_two_seconds(device):

@@ -19,6 +19,8 @@ from warp_rigid.sampling import VERTEX, SampleKind, SampleList, split_segments
 FEWEST_EDGE_PIECES, MOST_EDGE_PIECES = 4, 16
 """Of a box's edge. A segment touches in one place; where a long beam crosses one of its own width it must in two."""
 RIM_POINTS = 16
+CLEAR_OF_CAP = 1.02
+"""Radii from a cap to the nearest ball in a cylinder: on the ground, the ball must not touch before the cap does."""
 SURFACE_SECTIONS = 32
 
 
@@ -232,8 +234,8 @@ class Cylinder(Shape):
     def sample_list(self):
         """For each cap a RIM, 16 CAP points on its circle and 9 FACE points; for the side, EDGE segments.
 
-        The side of a cylinder longer than wide is sampled by the axis of the capsule that it holds
-        (exact on the side); that of a disc by 16 lines.
+        The side of a cylinder longer than wide is sampled by the axis of a capsule that it holds, and by the balls at
+        its ends, which stay clear of the caps; that of a disc by 16 lines.
         """
         radius, height = self.radius, self.half_height
         angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
@@ -245,8 +247,10 @@ class Cylinder(Shape):
             collected.add(SampleKind.RIM, height * cap, cap, radius=radius)
             collected.add(SampleKind.FACE, height * cap, cap)
             collected.add(SampleKind.FACE, 0.5 * radius * circle[::2] + height * cap, cap)
-        if height > radius:
-            _add_axis(collected, height - radius, radius)
+        axis = height - CLEAR_OF_CAP * radius
+        if axis > 0.0:
+            collected.add(SampleKind.POINT, [[0.0, 0.0, -axis], [0.0, 0.0, axis]], radius=radius)
+            _add_axis(collected, axis, radius)
         else:
             slide = (0.0, 0.0, height)
             collected.add(SampleKind.EDGE, radius * circle, circle, slide)
