@@ -155,12 +155,6 @@ class Stage:
         y = 0.5 * box["height"] - scale * (to @ np.cross(right, ahead))
         return box["x"] + x, box["y"] + y
 
-    def camera_rests(self):
-        """Whether for a second the page has told of the same camera; while it loads, it may still be on its way."""
-        before = self.on_screen((0.0, 0.0, 0.0))
-        self.page.wait_for_timeout(1000)
-        return self.on_screen((0.0, 0.0, 0.0)) == before
-
 
 @pytest.fixture
 def stage(browser):

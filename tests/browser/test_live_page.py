@@ -99,7 +99,7 @@ def test_click_pushes_the_body_that_is_hit_and_drag_pulls_it(stage):
     live = stage("seesaw")
     session = live.session
     small = body(session, "small")
-    live.until(live.camera_rests, "the page is loaded")
+    live.page.wait_for_timeout(500)
     before = session.sim.get("linear_velocity")[0, small].copy()
     live.page.mouse.click(*live.on_screen(session.sim.get("position")[0, small]))
     live.until(lambda: np.abs(session.sim.get("linear_velocity")[0, small] - before).max() > 0.5, "the click pushes")
