@@ -227,6 +227,17 @@ def test_what_is_no_table_of_a_sweep_is_refused(tmp_path, change, message):
         read(path)
 
 
+def test_vectors_are_read_as_they_were_written(tmp_path):
+    """And drawn: a file has lists for them, which do not count as values."""
+    written = quick({"gravity": [(0.0, 0.0, -9.81), (0.0, 0.0, -3.0)]})
+    written.to_parquet(tmp_path / "t.parquet")
+    again = read(tmp_path / "t.parquet")
+    assert [row["gravity"] for row in again.rows] == [row["gravity"] for row in written.rows]
+    for result in (written, again):
+        result.plot(tmp_path / "t.png", kind="line")
+    assert (tmp_path / "t.png").stat().st_size > 1000
+
+
 def test_a_damaged_table_or_one_of_endless_rows_is_refused(tmp_path, monkeypatch):
     """Of pages that are damaged pyarrow tells by an OSError of several lines, without the file."""
     path = tmp_path / "t.parquet"

@@ -93,9 +93,11 @@ def _lines(figure: Any, result: SweepResult, x: str, y: str, others: list[str]) 
     axes = figure.subplots()
     place, height = result.column(x), result.column(y).astype(float)
     words = not _is_number(place)
+    if words:
+        place = np.array([str(value) for value in place.tolist()])
     groups = _groups(result, others)
     for rank, (label, rows) in enumerate(list(groups.items())[:MOST_LINES]):
-        stops = sorted(set(place[rows].tolist()), key=None if not words else str)
+        stops = sorted(set(place[rows].tolist()))
         parts = [height[rows][place[rows] == stop] for stop in stops]
         mean, low, high = (np.array([_of(part, pick) for part in parts]) for pick in (np.mean, np.min, np.max))
         ticks = np.arange(len(stops)) if words else np.array(stops, float)
@@ -105,7 +107,7 @@ def _lines(figure: Any, result: SweepResult, x: str, y: str, others: list[str]) 
         if any(len(part) > 1 for part in parts):
             axes.fill_between(ticks, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
         if words:
-            axes.set_xticks(ticks, [str(stop) for stop in stops])
+            axes.set_xticks(ticks, stops)
     axes.set(xlabel=x, ylabel=y, title=_title(result))
     axes.grid(alpha=0.3)
     if len(groups) > 1:

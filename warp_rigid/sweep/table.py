@@ -10,6 +10,7 @@ import numpy as np
 
 from warp_rigid.checks import shown
 from warp_rigid.outputs import whole_file
+from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.design import MOST_RUNS
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "Book", "SweepResult", "merge", "read", "told", "write"]
@@ -267,6 +268,9 @@ def read(path: Any) -> SweepResult:
         columns = {name: table.column(name).to_pylist() for name in table.column_names}
         rows = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
         _check(about, rows)
+        for name in _axes(about) if rows else ():
+            for row in rows:
+                row[name] = plain(row[name])  # a vector is a list in the file
     except (pyarrow.ArrowException, ValueError, OSError, KeyError, TypeError, RecursionError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
@@ -285,10 +289,14 @@ def _check(about: Any, rows: list[dict[str, Any]]) -> None:
         for name, kind in NEEDED.items():
             if not isinstance(row.get(name), kind):
                 raise ValueError(f"{name}: must be {kind.__name__} in every row, got {shown(row.get(name))}")
-    axes = [*about.get("parameters", ()), *about.get("axes", ())]
-    missing = [name for name in axes if rows and name not in rows[0]]
+    missing = [name for name in _axes(about) if rows and name not in rows[0]]
     if missing:
         raise ValueError(f"{missing[0]}: is an axis, but no column")
+
+
+def _axes(about: dict[str, Any]) -> list[str]:
+    """Columns that a design has chosen."""
+    return [*about.get("parameters", ()), *about.get("axes", ())]
 
 
 def told(about: dict[str, Any], name: str) -> Any:
