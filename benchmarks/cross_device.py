@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 import warp_rigid as wr
-from warp_rigid.terminal import start_warp
+from warp_rigid.commands.terminal import start_warp
 from warp_rigid.validation import report
 
 BAR = 1e-4

@@ -1,8 +1,8 @@
 """What a step would take if memory or arithmetic were all that limits it; `python -m benchmarks.roofline`.
 
 Every scene is run until it has settled. Then the work of one step is counted: rows from the live arrays, bytes of a
-row from the declarations in `kernels/data.py`, operations of a visit from the constants below. A stage cannot be faster
-than its bytes at the memory's bandwidth, its operations at the arithmetic's rate, or its launches one after another:
+row from the declarations in `kernels/schema.py`, operations of a visit from the constants below. A stage cannot be
+faster than its bytes at the memory's bandwidth, its operations at the arithmetic's rate, or its launches one after another:
 the largest of the three is its floor. Each array counts once a stage, however often its rows are read: what is read
 again is in a cache, if all goes well. So no implementation with this data gets below the floor.
 """
@@ -22,9 +22,10 @@ from warp_rigid import Settings, Simulator
 from warp_rigid.bench.measure import FPS, STAGE_STEPS, commit
 from warp_rigid.bench.scenes import Case, find_case
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
-from warp_rigid.cores import shared_by, usable_cores
-from warp_rigid.kernels import data, narrowphase
-from warp_rigid.simulator import choose_device
+from warp_rigid.engine.cores import shared_by, usable_cores
+from warp_rigid.engine.simulator import choose_device
+from warp_rigid.kernels import schema
+from warp_rigid.kernels.collide import narrowphase
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
 """The four main scenes: name, bodies, environments."""
@@ -171,11 +172,11 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 @wp.kernel
 def count_samples(
     dt: float,
-    shapes: data.Shapes,
-    bodies: data.Bodies,
-    state: data.State,
-    motions: data.Motions,
-    pairs: data.Pairs,
+    shapes: schema.Shapes,
+    bodies: schema.Bodies,
+    state: schema.State,
+    motions: schema.Motions,
+    pairs: schema.Pairs,
     counted: wp.array2d[int],
 ):
     """One thread a pair that was searched: its clusters, the near ones, their samples, the close ones."""
@@ -341,7 +342,7 @@ def _watched(note: Callable[[], None]) -> Iterator[None]:
 def row(struct: Any, symbol: str, *only: str) -> int:
     """Bytes of one row of a layout: of its arrays over `symbol`, or of those named."""
     total = 0
-    for name, declared in data.LAYOUTS[struct.key].items():
+    for name, declared in schema.LAYOUTS[struct.key].items():
         first, *others = (term.strip() for term in declared.shape.split(","))
         if first.partition(" ")[0] == symbol and (not only or name in only):
             total += wp.types.type_size_in_bytes(declared.dtype) * int(np.prod([int(term) for term in others]))
@@ -350,14 +351,14 @@ def row(struct: Any, symbol: str, *only: str) -> int:
 
 def part(record: Any, *only: str) -> int:
     """Bytes of the fields named of a record, or of all of it."""
-    fields = data.RECORDS[record.key]
+    fields = schema.RECORDS[record.key]
     return sum(wp.types.type_size_in_bytes(fields[name].dtype) for name in only or fields)
 
 
-VELOCITY = part(data.MoverRecord, "linear", "inverse_mass", "angular", "row_end_1")
-MASS = part(data.MoverRecord, "inverse_inertia_xx", "inverse_inertia_yz", "row_end_3")
-IMPULSE = part(data.LoadRecord, "impulse", "row_end_0", "twist", "row_end_1")
-CONTACT, LOAD, ENTRY = part(data.ContactRecord), part(data.LoadRecord), part(data.PairRecord)
+VELOCITY = part(schema.MoverRecord, "linear", "inverse_mass", "angular", "row_end_1")
+MASS = part(schema.MoverRecord, "inverse_inertia_xx", "inverse_inertia_yz", "row_end_3")
+IMPULSE = part(schema.LoadRecord, "impulse", "row_end_0", "twist", "row_end_1")
+CONTACT, LOAD, ENTRY = part(schema.ContactRecord), part(schema.LoadRecord), part(schema.PairRecord)
 
 
 def work_of(stage: str, c: Counts) -> Work:
@@ -366,42 +367,42 @@ def work_of(stage: str, c: Counts) -> Work:
 
 
 def _predict(c: Counts) -> Work:
-    read = row(data.State, "bodies") + row(data.Bodies, "bodies")
-    return Work(c.rows * read, c.rows * row(data.Motions, "bodies"), c.rows * OPERATIONS["predict"])
+    read = row(schema.State, "bodies") + row(schema.Bodies, "bodies")
+    return Work(c.rows * read, c.rows * row(schema.Motions, "bodies"), c.rows * OPERATIONS["predict"])
 
 
 def _find_pairs(c: Counts) -> Work:
     tests = c.pairs if c.gridded else c.envs * (c.small * (c.small - 1) // 2 + c.small * c.wide)
-    read = c.rows * (row(data.Motions, "bodies", "lower", "upper", "role") + row(data.History, "bodies"))
-    written = c.rows * row(data.Pairs, "bodies") + c.pairs * row(data.Pairs, "pairs", "body_a", "body_b", "dormant")
+    read = c.rows * (row(schema.Motions, "bodies", "lower", "upper", "role") + row(schema.History, "bodies"))
+    written = c.rows * row(schema.Pairs, "bodies") + c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b", "dormant")
     return Work(read, written, 2 * tests * OPERATIONS["test of boxes"])
 
 
 def _find_contacts(c: Counts) -> Work:
     seen = ("seen", "seen_turn", "seen_shift", "contact_start")
-    pool = min(c.clusters, c.pool_clusters) * part(data.ClusterRecord)
-    pool += min(c.samples + c.contacts, c.pool_samples) * part(data.SampleRecord)
+    pool = min(c.clusters, c.pool_clusters) * part(schema.ClusterRecord)
+    pool += min(c.samples + c.contacts, c.pool_samples) * part(schema.SampleRecord)
     pool += min(8 * (c.near + c.close + c.contacts), c.pool_nodes) * 4
-    read = c.rows * (row(data.State, "bodies") + row(data.Motions, "bodies"))
-    read += c.pairs * (row(data.History, "pairs") + row(data.Pairs, "pairs", "body_a", "body_b", "dormant"))
-    read += c.contacts * row(data.History, "contacts", "key", "impulse", "twist") + pool
-    written = c.contacts * (CONTACT + IMPULSE + row(data.Contacts, "contacts", "key", "position"))
-    written += c.pairs * row(data.Pairs, "pairs", *seen, "contact_count") + 4 * c.contacts
+    read = c.rows * (row(schema.State, "bodies") + row(schema.Motions, "bodies"))
+    read += c.pairs * (row(schema.History, "pairs") + row(schema.Pairs, "pairs", "body_a", "body_b", "dormant"))
+    read += c.contacts * row(schema.History, "contacts", "key", "impulse", "twist") + pool
+    written = c.contacts * (CONTACT + IMPULSE + row(schema.Contacts, "contacts", "key", "position"))
+    written += c.pairs * row(schema.Pairs, "pairs", *seen, "contact_count") + 4 * c.contacts
     operations = {"reach of a pair": c.pairs, "cluster": c.clusters, "sample": c.samples, "contact": c.contacts}
     operations["distance"] = c.near + c.close + c.contacts
     return Work(read, written, sum(visits * OPERATIONS[name] for name, visits in operations.items()))
 
 
 def _build_graph(c: Counts) -> Work:
-    read = c.pairs * row(data.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
-    read += c.rows * (VELOCITY + row(data.Motions, "bodies", "acceleration"))
-    written = c.rows * row(data.Graph, "bodies", "level", "height", "island", "colors")
-    written += c.pairs * row(data.Graph, "pairs", "rests", "pair_color") + c.touching * ENTRY
+    read = c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
+    read += c.rows * (VELOCITY + row(schema.Motions, "bodies", "acceleration"))
+    written = c.rows * row(schema.Graph, "bodies", "level", "height", "island", "colors")
+    written += c.pairs * row(schema.Graph, "pairs", "rests", "pair_color") + c.touching * ENTRY
     return Work(read, written, c.contacts * OPERATIONS["graph"])
 
 
 def _accelerate(c: Counts) -> Work:
-    read = VELOCITY + row(data.Motions, "bodies", "acceleration", "spin_acceleration", "role")
+    read = VELOCITY + row(schema.Motions, "bodies", "acceleration", "spin_acceleration", "role")
     return Work(c.rows * read, c.rows * VELOCITY, 12 * c.rows)
 
 
@@ -417,33 +418,33 @@ def _solve_contacts(c: Counts) -> Work:
 
 def _propagate_shock(c: Counts) -> Work:
     entries = c.touching * c.unsettled / max(c.contacts, 1) * ENTRY
-    mover = part(data.MoverRecord)
+    mover = part(schema.MoverRecord)
     single = c.unsettled * (2 * OPERATIONS["visit"] + OPERATIONS["search"])
     read = entries + c.unsettled * (CONTACT + LOAD) + c.unsettled_rows * mover
     return Work(read, c.unsettled * LOAD + c.unsettled_rows * mover, single)
 
 
 def _push_out(c: Counts) -> Work:
-    read = c.contacts * (CONTACT + row(data.Contacts, "contacts", "key")) + c.rows * VELOCITY
-    return Work(read, c.contacts * part(data.LoadRecord, "aimed", "target"), c.contacts * OPERATIONS["overlap"])
+    read = c.contacts * (CONTACT + row(schema.Contacts, "contacts", "key")) + c.rows * VELOCITY
+    return Work(read, c.contacts * part(schema.LoadRecord, "aimed", "target"), c.contacts * OPERATIONS["overlap"])
 
 
 def _follow(c: Counts) -> Work:
-    read = c.rows * (row(data.State, "bodies", "position", "orientation") + VELOCITY)
-    read += c.rows * row(data.Motions, "bodies", "center", "radius", "room")
-    read += c.pairs * row(data.Pairs, "pairs", "body_a", "body_b")
-    return Work(read, c.rows * row(data.Motions, "bodies", "share", "next_share"), c.pairs * OPERATIONS["course"])
+    read = c.rows * (row(schema.State, "bodies", "position", "orientation") + VELOCITY)
+    read += c.rows * row(schema.Motions, "bodies", "center", "radius", "room")
+    read += c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b")
+    return Work(read, c.rows * row(schema.Motions, "bodies", "share", "next_share"), c.pairs * OPERATIONS["course"])
 
 
 def _move(c: Counts) -> Work:
-    state = row(data.State, "bodies")
-    read = state + part(data.MoverRecord) + row(data.Bodies, "bodies", "motion", "inertia", "center_of_mass")
+    state = row(schema.State, "bodies")
+    read = state + part(schema.MoverRecord) + row(schema.Bodies, "bodies", "motion", "inertia", "center_of_mass")
     return Work(c.rows * read, c.rows * state, 0.0, c.envs * c.small * MOVE)
 
 
 def _remember(c: Counts) -> Work:
-    moved = c.rows * row(data.History, "bodies") + c.pairs * row(data.History, "pairs")
-    moved += c.contacts * row(data.History, "contacts")
+    moved = c.rows * row(schema.History, "bodies") + c.pairs * row(schema.History, "pairs")
+    moved += c.contacts * row(schema.History, "contacts")
     return Work(moved, moved)
 
 

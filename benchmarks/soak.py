@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import warp_rigid as wr
-from warp_rigid.terminal import start_warp
+from warp_rigid.commands.terminal import start_warp
 
 WARM = 0.1
 """The first part of the rounds fills caches and pools; flatness is measured after it."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import warp_rigid as wr
-from warp_rigid import meshes
+from warp_rigid.scenes.builders import meshes
 
 UP = np.array([0.592, 0.797, -0.118])
 """The way up of an upright bunny, in its mesh's frame, whose axes are the principal ones."""
@@ -90,8 +90,8 @@ def main(arguments=None):
     recording = wr.record(result.replay(best), frames=round(60 * options.duration), fps=60)
     wr.export_usd(recording, options.out / "best_drop.usdc")
 
-    from warp_rigid.film import film_from_usd
-    from warp_rigid.picture import save_picture
+    from warp_rigid.render.film import film_from_usd
+    from warp_rigid.render.picture import save_picture
 
     save_picture(film_from_usd(options.out / "best_drop.usdc"), options.out / "best_drop.png")
     return result, best

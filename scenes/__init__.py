@@ -1,6 +1,6 @@
 """The built-in scenes: `names`, `load` to build one, `get` for how it is run and judged."""
 
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import (
     bone_pile,
     box_stack,

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import assortment, meshes, tessellation
 from warp_rigid.checks import whole_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Mesh, Plane, tessellation
+from warp_rigid.scenes.builders import assortment, meshes
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -21,7 +22,6 @@ from warp_rigid.scenes.demo import (
     overlap_verdict,
     start_apart,
 )
-from warp_rigid.shapes import Box, Mesh, Plane
 
 SURFACE: dict[str, Any] = {"friction": 0.4, "restitution": 0.3, "rolling_friction": 0.003}
 DENSITY = 1500.0

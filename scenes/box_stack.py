@@ -3,7 +3,8 @@
 import numpy as np
 
 from warp_rigid.checks import whole_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.demo import (
     OFF_2003,
     ONE_PASS_2003,
@@ -14,7 +15,6 @@ from warp_rigid.scenes.demo import (
     overlap_verdict,
     rest_verdict,
 )
-from warp_rigid.shapes import Box, Plane
 
 HALF = 0.1
 PLATFORM_TOP = 0.5

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from warp_rigid import meshes
 from warp_rigid.checks import whole_in
-from warp_rigid.piles import inner_half, starts, walls
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes.builders.piles import inner_half, starts, walls
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -15,7 +16,6 @@ from warp_rigid.scenes.demo import (
     rest_verdict,
     turn,
 )
-from warp_rigid.shapes import Box, Plane
 
 
 def build(bodies: int = 8, seed: int = 1000) -> Scene:

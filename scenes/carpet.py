@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import assortment
 from warp_rigid.checks import number_in, whole_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
+from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.demo import Demo, Verdict, indices, overlap_verdict, start_apart
-from warp_rigid.shapes import HarmonicMotion, Heightfield
 
 EXTENT = 30.0
 VERTICES = 61

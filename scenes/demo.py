@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from warp_rigid.sampling import SampleKind
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes.sampling import SampleKind
 
 ONE_PASS_2003 = {"shock_propagation": "one_pass", "warm_starting": False}
 """The method of 2003: one pass of shock propagation, every step from zero impulses."""

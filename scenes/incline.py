@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, below, clearance, indices
-from warp_rigid.shapes import Box, Plane
 
 HALF = 0.05
 PLATFORM_HALF = (1.5, 0.5, 0.1)

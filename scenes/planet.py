@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import assortment, tessellation
 from warp_rigid.checks import whole_in
-from warp_rigid.fields import PointField
-from warp_rigid.scene import Scene
+from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Mesh, tessellation
+from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.demo import (
     Demo,
     Verdict,
@@ -17,7 +18,6 @@ from warp_rigid.scenes.demo import (
     resting_verdict,
     start_apart,
 )
-from warp_rigid.shapes import Mesh
 
 PLANET_RADIUS = 5.0
 FACETS = 4

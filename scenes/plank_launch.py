@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, below, clearance, indices
-from warp_rigid.shapes import Box, Plane
 
 BASE_HALF = (1.0, 0.25, 0.5)
 PLANK_HALF = (1.25, 0.3, 0.05)

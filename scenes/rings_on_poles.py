@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import assortment, meshes
 from warp_rigid.checks import whole_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Cylinder, Plane
+from warp_rigid.scenes.builders import assortment, meshes
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -21,7 +22,6 @@ from warp_rigid.scenes.demo import (
     start_apart,
     turn,
 )
-from warp_rigid.shapes import Cylinder, Plane
 
 MASS = 10.0
 SURFACE: dict[str, Any] = {"friction": 0.6, "restitution": 0.3}

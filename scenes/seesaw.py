@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices, turn
-from warp_rigid.shapes import Box, Plane
 
 PIVOT_HEIGHT = 0.35
 PLANK_HALF = (1.2, 0.25, 0.04)

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import assortment
 from warp_rigid.checks import whole_in
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.demo import (
     Demo,
     Verdict,
@@ -17,7 +18,6 @@ from warp_rigid.scenes.demo import (
     resting_verdict,
     start_apart,
 )
-from warp_rigid.shapes import Box
 
 RADIUS = 0.2
 PITCH = 0.6

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import mesh_files, meshes
-from warp_rigid.scene import Scene
+from warp_rigid.files import mesh_files
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Mesh, Plane
+from warp_rigid.scenes.builders import meshes
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -17,7 +19,6 @@ from warp_rigid.scenes.demo import (
     overlap_verdict,
     rest_verdict,
 )
-from warp_rigid.shapes import Box, Mesh, Plane
 
 SKULL_SIZE = 0.25
 BRAIN_SIZE = 0.18

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from warp_rigid.scene import Motion
-from warp_rigid.settings import Settings
+from warp_rigid.engine.settings import Settings
+from warp_rigid.scene.scene import Motion
 
 
 class FakeSimulator:

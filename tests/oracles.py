@@ -5,9 +5,9 @@ from unittest import mock
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from warp_rigid.scene import Motion, Scene
-from warp_rigid.shapes import Box, Plane, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box, Plane, Sphere
 
 GROUND = Plane(normal=(0, 0, 1), offset=0.0)
 
@@ -26,7 +26,7 @@ def opened(scene, device, num_envs=1, settings=None):
     bodies = len(scene.bodies)
     pairs = num_envs * max(8, bodies * (bodies - 1) // 2)
     room = {"pairs": pairs, "contacts": min(36 * pairs, 100 * num_envs * bodies)}
-    with mock.patch("warp_rigid.shards.usable_cores", return_value=1):
+    with mock.patch("warp_rigid.engine.batch.usable_cores", return_value=1):
         sim = Simulator(scene, num_envs=num_envs, settings=settings, device=device, capacity=room)
     return sim, stages_of(sim)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_rigid.scene import Motion
+from warp_rigid.scene.scene import Motion
 
 
 def rotation(quaternion):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.oracles import ground_scene
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
 
 HALF = 0.1
 CUBE = Box((HALF, HALF, HALF))

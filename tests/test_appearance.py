@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
-from warp_rigid.appearance import (
+from warp_rigid.render.appearance import (
     body_colors,
     continuous_signs,
     corner_normals,
@@ -16,8 +16,8 @@ from warp_rigid.appearance import (
     rotate,
     rotation_matrices,
 )
-from warp_rigid.recording import record
-from warp_rigid.scene import Motion
+from warp_rigid.runs.recording import record
+from warp_rigid.scene.scene import Motion
 
 
 def test_box_has_flat_faces():

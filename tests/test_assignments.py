@@ -2,7 +2,7 @@
 
 import pytest
 
-from warp_rigid.assignments import parse_assignment, sort_assignments
+from warp_rigid.runs.assignments import parse_assignment, sort_assignments
 
 
 def build(height: int = 10, friction: float = 0.5, skull: str | None = None):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from warp_rigid import assortment, meshes
-from warp_rigid.assortment import CONVEX_KINDS, convex_solid, convex_solids
+from warp_rigid.scenes.builders import assortment, meshes
+from warp_rigid.scenes.builders.assortment import CONVEX_KINDS, convex_solid, convex_solids
 
 
 @pytest.mark.parametrize("kind", CONVEX_KINDS)

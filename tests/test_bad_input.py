@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
-from warp_rigid import archive
-from warp_rigid.assignments import sort_assignments
 from warp_rigid.checks import shown
-from warp_rigid.recording import steps_per_frame
+from warp_rigid.files import archive
+from warp_rigid.runs.assignments import sort_assignments
+from warp_rigid.runs.recording import steps_per_frame
 
 HUGE = 10**5000
 

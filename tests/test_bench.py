@@ -9,10 +9,11 @@ import warp as wp
 from PIL import Image
 
 from tests.oracles import opened
-from warp_rigid import Settings, Simulator, cli
+from warp_rigid import Settings, Simulator
 from warp_rigid.bench import measure, peers
 from warp_rigid.bench.scenes import STANDARD, Case, find_case, moving
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
+from warp_rigid.commands import cli
 
 NAMES = [find_case(text) for text in STANDARD]
 

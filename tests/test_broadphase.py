@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tests.oracles import ground_scene, moving, opened, pair_list, random_quaternion, rotation_matrix
-from warp_rigid import stages as stages_module
-from warp_rigid.model import OVERSIZED
-from warp_rigid.scene import Motion, Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Capsule, Plane, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine import step as stages_module
+from warp_rigid.engine.model import OVERSIZED
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
 
 
 @pytest.fixture(params=["all", "grid"])

@@ -11,10 +11,11 @@ import pytest
 
 import warp_rigid as wr
 from tests.oracles import random_pile, rotate_about, stages_of
-from warp_rigid import meshes, outputs
-from warp_rigid.kernels.narrowphase import BY_CENTER
-from warp_rigid.scene_data import scene_from_data, scene_to_data
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.files import atomic
+from warp_rigid.kernels.collide.narrowphase import BY_CENTER
+from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.scenes.builders import meshes
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque", "level")
 
@@ -319,7 +320,7 @@ def test_a_full_disk_leaves_the_older_file_whole(saved, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(outputs.os, "fsync", full)
+    monkeypatch.setattr(atomic.os, "fsync", full)
     with pytest.raises(OSError, match="No space left on device") as error:
         sim.save(path)
     assert error.value.filename == str(path)

@@ -11,9 +11,11 @@ from PIL import Image
 from pxr import Usd
 
 import warp_rigid
-from warp_rigid import cli, runner, scenes
+from warp_rigid import scenes
+from warp_rigid.commands import cli
 from warp_rigid.commands import run as run_module
-from warp_rigid.terminal import explain
+from warp_rigid.commands.terminal import explain
+from warp_rigid.runs import runner
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -58,7 +60,7 @@ def test_run_tells_its_figures_as_one_json_object(capsys, scene_file):
 
 def test_all_of_stdout_is_the_object(scene_file):
     """Warp's own greeting and progress must not get into it; only a fresh process shows that."""
-    command = [sys.executable, "-m", "warp_rigid.cli", "run", scene_file, "--frames", "1", "--json"]
+    command = [sys.executable, "-m", "warp_rigid.commands.cli", "run", scene_file, "--frames", "1", "--json"]
     done = subprocess.run([*command, "--device", "cpu"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["scene"] == "mine"
     assert done.stderr == ""

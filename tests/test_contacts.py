@@ -16,12 +16,12 @@ from tests.oracles import (
     stages_of,
     tangent_basis,
 )
-from warp_rigid import meshes
-from warp_rigid.kernels.contacts import TOUCHING, WIDER
-from warp_rigid.scene import COMBINE_RULES, Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Compound, Mesh, Plane, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels.constraints.contact import TOUCHING, WIDER
+from warp_rigid.scene.scene import COMBINE_RULES, Scene
+from warp_rigid.scene.shapes import Box, Compound, Mesh, Plane, Sphere
+from warp_rigid.scenes.builders import meshes
 
 
 def settling_pile(device, steps=150, seed=0):

@@ -12,9 +12,9 @@ import warp_rigid as wr
 from benchmarks import cross_device, price_of_determinism
 from tests import pin_hashes
 from tests.oracles import moving, random_pile
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.shapes import Box, Sphere
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 STARTS = 5

@@ -5,12 +5,12 @@ import pytest
 import warp as wp
 
 from tests.oracles import random_quaternion
-from warp_rigid import meshes
-from warp_rigid.kernels import distance
-from warp_rigid.kernels.data import Shapes
-from warp_rigid.model import build_model
-from warp_rigid.scene import Scene
-from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
+from warp_rigid.engine.model import build_model
+from warp_rigid.kernels.collide import distance
+from warp_rigid.kernels.schema import Shapes
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
+from warp_rigid.scenes.builders import meshes
 
 wp.set_module_options({"enable_backward": False})
 

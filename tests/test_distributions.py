@@ -49,7 +49,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(built):
     names = set(contents(built[1]))
     own = {name for name in names if name.startswith("warp_rigid/")}
     assert names - own == {name for name in names if ".dist-info/" in name}
-    assert {"warp_rigid/py.typed", "warp_rigid/kernels/data.py", "warp_rigid/scenes/demo.py"} <= own
+    assert {"warp_rigid/py.typed", "warp_rigid/kernels/schema.py", "warp_rigid/scenes/demo.py"} <= own
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 

@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from warp_rigid import cli, doctor, sdf, selftest
-from warp_rigid.stages import EVERYTHING, load_kernels
+from warp_rigid.commands import cli
+from warp_rigid.diagnostics import machine, selftest
+from warp_rigid.engine.step import EVERYTHING, load_kernels
+from warp_rigid.scene.shapes import distance_grid
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -31,7 +33,7 @@ def run(capsys, *arguments):
 
 def fresh(*arguments, **environment):
     """A process of its own, with other environment variables."""
-    command = [sys.executable, "-m", "warp_rigid.cli", *arguments]
+    command = [sys.executable, "-m", "warp_rigid.commands.cli", *arguments]
     return subprocess.run(
         command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=120
     )
@@ -67,10 +69,10 @@ def test_doctor_tells_what_to_do(capsys, monkeypatch, tmp_path):
     file = tmp_path / "file"
     file.write_text("")
     monkeypatch.setenv("WARP_RIGID_CACHE", str(file / "cache"))
-    monkeypatch.setitem(doctor.LIBRARIES, "no-such-library", "warp-rigid")
-    monkeypatch.setattr(doctor, "ENOUGH_DISK", 2**70)
+    monkeypatch.setitem(machine.LIBRARIES, "no-such-library", "warp-rigid")
+    monkeypatch.setattr(machine, "ENOUGH_DISK", 2**70)
     crashed = subprocess.CompletedProcess([], -11, "", "CUDA error 999: unknown error\n")
-    monkeypatch.setattr(doctor.subprocess, "run", lambda *_, **__: crashed)
+    monkeypatch.setattr(machine.subprocess, "run", lambda *_, **__: crashed)
     status, out, _ = run(capsys, "doctor", "--device", "cpu")
     assert status == 1
     assert "FAIL no-such-library: not installed" in out and "pip install 'warp-rigid'" in out
@@ -83,26 +85,26 @@ def test_a_self_test_that_hangs_or_computes_wrongly_is_told(monkeypatch):
     def hangs(*_, **__):
         raise subprocess.TimeoutExpired("x", 1)
 
-    monkeypatch.setattr(doctor.subprocess, "run", hangs)
-    assert "not done after" in doctor._device("cuda:0").found
+    monkeypatch.setattr(machine.subprocess, "run", hangs)
+    assert "not done after" in machine._device("cuda:0").found
     wrong = json.dumps({"checks": {"a": True, "b": False}, "compile_seconds": 1, "steps_per_second": 1})
     done = subprocess.CompletedProcess([], 0, wrong + "\n", "")
-    monkeypatch.setattr(doctor.subprocess, "run", lambda *_, **__: done)
-    check = doctor._device("cuda:0")
+    monkeypatch.setattr(machine.subprocess, "run", lambda *_, **__: done)
+    check = machine._device("cuda:0")
     assert not check.passed and check.found == "not so: b" and "driver" in check.advice
     silent = subprocess.CompletedProcess([], -9, "", "")
-    monkeypatch.setattr(doctor.subprocess, "run", lambda *_, **__: silent)
-    assert "status -9" in doctor._device("cuda:0").found and "--device cpu" in doctor._device("cuda:0").advice
+    monkeypatch.setattr(machine.subprocess, "run", lambda *_, **__: silent)
+    assert "status -9" in machine._device("cuda:0").found and "--device cpu" in machine._device("cuda:0").advice
 
 
 def test_a_driver_that_warp_cannot_use_is_a_fault(monkeypatch):
-    monkeypatch.setattr(doctor.wp, "is_cuda_available", lambda: False)
-    monkeypatch.setattr(doctor.shutil, "which", lambda _: "/usr/bin/nvidia-smi")
-    check = doctor._cuda()
+    monkeypatch.setattr(machine.wp, "is_cuda_available", lambda: False)
+    monkeypatch.setattr(machine.shutil, "which", lambda _: "/usr/bin/nvidia-smi")
+    check = machine._cuda()
     assert not check.passed and "update the NVIDIA driver" in check.advice
-    monkeypatch.setattr(doctor.shutil, "which", lambda _: None)
-    monkeypatch.setattr(doctor.Path, "exists", lambda _: False)
-    assert doctor._cuda().passed
+    monkeypatch.setattr(machine.shutil, "which", lambda _: None)
+    monkeypatch.setattr(machine.Path, "exists", lambda _: False)
+    assert machine._cuda().passed
 
 
 def test_warmup_compiles_everything(capsys, monkeypatch):
@@ -160,7 +162,7 @@ def test_nothing_needs_shared_memory():
 
 def test_a_device_that_breaks_while_running_is_one_line(capsys, monkeypatch):
     """What Warp raises when a device is lost or out of memory; other errors keep their traceback."""
-    from warp_rigid import runner
+    from warp_rigid.runs import runner
 
     def broken(text):
         def execute(*_, **__):
@@ -258,7 +260,7 @@ def test_a_home_without_room_for_kernels_is_one_line():
     """Nothing is set: Warp would keep its kernels below a home that cannot be written."""
     places = ("WARP_CACHE_PATH", "XDG_CACHE_HOME", "HOME")
     environment = {name: value for name, value in os.environ.items() if name not in places}
-    command = [sys.executable, "-m", "warp_rigid.cli", "run", "incline"]
+    command = [sys.executable, "-m", "warp_rigid.commands.cli", "run", "incline"]
     environment["HOME"] = "/proc/nowhere"
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and done.stdout == ""
@@ -272,7 +274,7 @@ def test_caches_have_a_place_on_every_system(monkeypatch):
         ("darwin", {"HOME": "/h"}, "/h/Library/Caches/warp_rigid"),
         ("win32", {"LOCALAPPDATA": "/l"}, "/l/warp_rigid"),
     ):
-        monkeypatch.setattr(sdf.sys, "platform", platform)
+        monkeypatch.setattr(distance_grid.sys, "platform", platform)
         for name, value in names.items():
             monkeypatch.setenv(name, value)
-        assert sdf.cache_folder().as_posix() == tail
+        assert distance_grid.cache_folder().as_posix() == tail

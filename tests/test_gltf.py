@@ -11,8 +11,8 @@ import trimesh
 import warp_rigid as wr
 from tests.fakes import FakeSimulator
 from tests.oracles import rotation_matrix
-from warp_rigid import cli
-from warp_rigid.appearance import environment_spacing
+from warp_rigid.commands import cli
+from warp_rigid.render.appearance import environment_spacing
 
 FRAMES = 20
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])

@@ -7,9 +7,9 @@ import pytest
 
 from tests.geometry_oracles import distance_to_triangles
 from tests.test_distance import measure
-from warp_rigid.scene import Scene
-from warp_rigid.shapes import Box, HarmonicMotion, Heightfield, PartKind, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, HarmonicMotion, Heightfield, PartKind, Sphere
 
 GENERATOR = np.random.default_rng(5)
 FIELDS = {

@@ -17,10 +17,10 @@ from tests.oracles import (
     rotate_about,
     rotation_matrix,
 )
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Capsule, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Sphere
 
 PLAIN = {"collision_iterations": 0, "shock_propagation": "off", "warm_starting": False}
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.oracles import opened, random_quaternion, rotate_about, rotation_matrix
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Compound, Sphere
+from warp_rigid.engine.settings import Settings
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Compound, Sphere
 
 DT = 1 / 240
 

@@ -16,12 +16,14 @@ from tests.oracles import (
     rotate_about,
     stages_of,
 )
-from warp_rigid.fields import PointField
-from warp_rigid.kernels import data, support, team
-from warp_rigid.scene import Motion, Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels import schema
+from warp_rigid.kernels.common import team
+from warp_rigid.kernels.graph import support
+from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box, Sphere
 
 A_ON_B, B_ON_A = 1, 2
 
@@ -49,10 +51,10 @@ class HandMadeGraph:
             "pairs": max(1, len(rows)),
             "contacts": 1,
         }
-        self.bodies = data.allocate(data.Bodies, sizes, device)
-        self.pairs = data.allocate(data.Pairs, sizes, device)
-        self.graph = data.allocate(data.Graph, sizes, device)
-        self.order = data.allocate(data.Order, sizes, device)
+        self.bodies = schema.allocate(schema.Bodies, sizes, device)
+        self.pairs = schema.allocate(schema.Pairs, sizes, device)
+        self.graph = schema.allocate(schema.Graph, sizes, device)
+        self.order = schema.allocate(schema.Order, sizes, device)
         self.bodies.motion.assign(np.tile(np.array(motions, np.int32), self.count))
         a, b, rests, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
         first = np.bincount(a, minlength=sizes["bodies"] + 1)

@@ -11,8 +11,7 @@ from tests.geometry_oracles import (
     random_rotation,
     star_prism,
 )
-from warp_rigid import mass_properties
-from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere, mass_properties
 from warp_rigid.validation.mass_and_distance import exact_solids
 
 SOLIDS = exact_solids()

@@ -19,12 +19,12 @@ from tests.oracles import (
     rotation_matrix,
     tangent_basis,
 )
-from warp_rigid import meshes
-from warp_rigid.kernels.predict import CONTACT_DISTANCE
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
+from warp_rigid.scenes.builders import meshes
 
 
 def touch(device, lower, upper, settings=None, **pose):

@@ -6,10 +6,10 @@ import pytest
 from tests.geometry_oracles import cube
 from tests.oracles import rotate_about
 from tests.test_narrowphase import touch
-from warp_rigid import meshes
-from warp_rigid.scene import Scene
-from warp_rigid.shapes import Box, Capsule, Cylinder, Mesh, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+from warp_rigid.scenes.builders import meshes
 
 SLAB = Box((5.0, 5.0, 0.25))
 

@@ -5,15 +5,15 @@ import pytest
 
 from tests.oracles import find_contacts, opened, random_pile
 from tests.test_levels import A_ON_B, B_ON_A, HandMadeGraph, random_pairs
-from warp_rigid.kernels import ordering
-from warp_rigid.kernels.impulses import IN_TURN
-from warp_rigid.scene import Motion
+from warp_rigid.kernels.graph import coloring
+from warp_rigid.kernels.solve.gauss_seidel import IN_TURN
+from warp_rigid.scene.scene import Motion
 
 
 def ordered(made):
     """Groups of each environment, as (colour, pairs) by the arrays, after both ordering kernels."""
-    made.launch(ordering.color_pairs, made.bodies, made.pairs, made.graph)
-    made.launch(ordering.group_pairs, made.pairs, made.graph, made.order)
+    made.launch(coloring.color_pairs, made.bodies, made.pairs, made.graph)
+    made.launch(coloring.group_pairs, made.pairs, made.graph, made.order)
     return read_groups(made.order)
 
 

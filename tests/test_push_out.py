@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tests.oracles import GROUND, ground_scene, opened, random_pile, random_quaternion, rotate_about
-from warp_rigid import meshes
-from warp_rigid.kernels.push_out import FASTEST, RECOVERY, SLOP
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels.solve.push_out import FASTEST, RECOVERY, SLOP
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders import meshes
 
 DT = 1 / 240
 

@@ -12,8 +12,9 @@ import pytest
 import warp as wp
 
 import warp_rigid
-from warp_rigid import cli, kernels
-from warp_rigid.stages import Stages
+from warp_rigid import kernels
+from warp_rigid.commands import cli
+from warp_rigid.engine.step import Stages
 from warp_rigid.validation import suite
 from warp_rigid.viewer.page import stop_server
 

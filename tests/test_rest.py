@@ -7,13 +7,13 @@ import pytest
 import warp as wp
 
 from tests.oracles import ground_scene, random_quaternion, rotate_about, stages_of
-from warp_rigid import meshes
-from warp_rigid.fields import PointField
-from warp_rigid.runner import execute, find_scene, plan_run
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Cylinder, Plane, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.runs.runner import execute, find_scene, plan_run
+from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Cylinder, Plane, Sphere
+from warp_rigid.scenes.builders import meshes
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 HALF = 0.1

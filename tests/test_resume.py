@@ -11,8 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warp_rigid import archive, checkpoint, cli, runner, scenes
-from warp_rigid.resume import Checkpoints
+from warp_rigid import scenes
+from warp_rigid.commands import cli
+from warp_rigid.engine import checkpoint
+from warp_rigid.files import archive
+from warp_rigid.runs import runner
+from warp_rigid.runs.progress import Checkpoints
 
 ROOT = Path(__file__).resolve().parents[1]
 FLAT = ("setup_seconds", "seconds", "env_frames_per_second")
@@ -72,7 +76,17 @@ def test_another_run_is_not_gone_on_with(tmp_path, options, told):
 
 
 def command(*arguments):
-    return [sys.executable, "-m", "warp_rigid.cli", "run", "box_stack", "--device", "cpu", "--json", *arguments]
+    return [
+        sys.executable,
+        "-m",
+        "warp_rigid.commands.cli",
+        "run",
+        "box_stack",
+        "--device",
+        "cpu",
+        "--json",
+        *arguments,
+    ]
 
 
 def test_a_killed_run_goes_on_bit_for_bit(tmp_path):
@@ -107,7 +121,7 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path):
 
 def test_a_usd_film_goes_on_with_the_run(tmp_path, monkeypatch):
     """Colours that tell speeds, and contacts, are those of a run that was not interrupted and wrote as it went."""
-    from warp_rigid.film import film_from_usd
+    from warp_rigid.render.film import film_from_usd
 
     monkeypatch.chdir(tmp_path)
     made = ["run", "box_stack", "--device", "cpu", "--color", "speed", "--usd-contacts", "-o"]
@@ -144,7 +158,7 @@ def test_arguments_that_do_not_fit_are_one_line(capsys, tmp_path, monkeypatch, a
 
 
 def test_what_an_outcome_may_keep_comes_back():
-    from warp_rigid.resume import _from_plain, _to_plain
+    from warp_rigid.runs.progress import _from_plain, _to_plain
 
     kept = {"a": [1, 2.5, None, "x", True], "b": (np.arange(3), [np.float64(0.1)]), 3: {"n": np.array([[1.0]])}}
     arrays = {}

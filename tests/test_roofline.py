@@ -11,24 +11,28 @@ from benchmarks import roofline
 from tests.oracles import ground_scene, stages_of
 from warp_rigid import Simulator
 from warp_rigid.bench.scenes import Case
-from warp_rigid.kernels import data
-from warp_rigid.shapes import Box
+from warp_rigid.kernels import schema
+from warp_rigid.scene.shapes import Box
 
 CPU = roofline.LIMITS["cpu"]
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.parametrize("struct", [data.State, data.Motions, data.Bodies, data.Pairs, data.Contacts, data.History])
+@pytest.mark.parametrize(
+    "struct", [schema.State, schema.Motions, schema.Bodies, schema.Pairs, schema.Contacts, schema.History]
+)
 def test_rows_have_the_size_that_allocation_gives_them(struct):
-    symbols = {term.split(" ")[0] for f in data.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]} - {"1"}
+    symbols = {term.split(" ")[0] for f in schema.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]} - {
+        "1"
+    }
     for symbol in symbols:
         sizes = dict.fromkeys((*symbols, "env_bodies"), 10)
         grown = {**sizes, symbol: 11}
-        assert roofline.row(struct, symbol) == data.byte_size(struct, grown) - data.byte_size(struct, sizes)
+        assert roofline.row(struct, symbol) == schema.byte_size(struct, grown) - schema.byte_size(struct, sizes)
 
 
 def test_records_have_the_size_of_their_arrays_elements(device):
-    for record in (data.ContactRecord, data.LoadRecord, data.PairRecord, data.MoverRecord, data.SampleRecord):
+    for record in (schema.ContactRecord, schema.LoadRecord, schema.PairRecord, schema.MoverRecord, schema.SampleRecord):
         two = wp.zeros(2, dtype=record, device=device)
         assert roofline.part(record) == two.strides[0]
 

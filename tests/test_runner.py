@@ -7,7 +7,7 @@ import pytest
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, scenes
-from warp_rigid.runner import Plan, execute, find_scene, plan_run
+from warp_rigid.runs.runner import Plan, execute, find_scene, plan_run
 from warp_rigid.scenes import Demo, Verdict
 
 

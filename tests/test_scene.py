@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from warp_rigid.fields import PointField, UniformField
-from warp_rigid.geometry import Shape
-from warp_rigid.scene import Motion, Scene
+from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes.base import Shape
 
 
 class Lump(Shape):

@@ -7,10 +7,10 @@ import pytest
 
 from tests.scene_oracles import StillSimulator, about, rotation
 from warp_rigid import scenes
-from warp_rigid.scene import Scene
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from warp_rigid.scenes import box_stack, leaning_tower, skull_and_brain
 from warp_rigid.scenes.demo import clearance, turn
-from warp_rigid.shapes import Box, Capsule, Cylinder, Plane, Sphere
 
 
 def by_name(verdicts):

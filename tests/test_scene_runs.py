@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warp_rigid import scenes
-from warp_rigid.runner import execute, plan_run
+from warp_rigid.runs.runner import execute, plan_run
 
 SMALL = {"showcase": ["bodies=40"], "terrain": ["bodies=6"], "carpet": ["bodies=8"], "planet": ["bodies=32"]}
 """What makes the larger scenes quick enough here."""

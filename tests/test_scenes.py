@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from tests.scene_oracles import about, body_separation, rotation
-from warp_rigid import meshes, scenes
-from warp_rigid.scene import Motion, Scene
+from warp_rigid import scenes
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box, Heightfield, Plane
 from warp_rigid.scenes import bunny_pile, rings_on_poles
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Heightfield, Plane
-from warp_rigid.simulator import Simulator
+from warp_rigid.scenes.builders import meshes
 
 NAMES = [
     "box_stack",

@@ -17,9 +17,9 @@ from tests.geometry_oracles import (
     star_prism,
     winding,
 )
-from warp_rigid import meshes, sdf
-from warp_rigid.geometry import Grid
-from warp_rigid.shapes import Mesh
+from warp_rigid.scene.shapes import Mesh, distance_grid
+from warp_rigid.scene.shapes.base import Grid
+from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation.solids import spike, tetrahedron, wedge
 
 SAMPLE_COUNT = 20_000
@@ -60,7 +60,7 @@ def exact_distance(mesh, points):
 def test_distance_to_triangles_is_exact(name, device):
     mesh = Mesh(*SHARP[name])
     points = points_around(*mesh.bounds, 2.0, 1000, np.random.default_rng(1))
-    distance, direction = sdf.mesh_distance(mesh.vertices, mesh.faces, points, True, wp.get_device(device))
+    distance, direction = distance_grid.mesh_distance(mesh.vertices, mesh.faces, points, True, wp.get_device(device))
     extent = np.ptp(mesh.vertices, axis=0).max()
     np.testing.assert_allclose(distance, exact_distance(mesh, points), atol=1e-6 * extent)
     np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-12)
@@ -77,8 +77,8 @@ def test_bunny_distance_is_exact(bunny):
 @pytest.mark.parametrize("simple", [True, False], ids=["pseudonormal", "winding"])
 def test_nodes_hold_the_distance_to_the_mesh(device, simple):
     mesh = meshes.torus(0.4, 0.15, segments=24)
-    origin, spacing, shape = sdf.grid_layout(mesh.vertices, 32)
-    values = sdf.bake(mesh.vertices, mesh.faces, origin, spacing, shape, simple, wp.get_device(device))
+    origin, spacing, shape = distance_grid.grid_layout(mesh.vertices, 32)
+    values = distance_grid.bake(mesh.vertices, mesh.faces, origin, spacing, shape, simple, wp.get_device(device))
     assert values.shape == shape and values.dtype == np.float32
     chosen = np.random.default_rng(3).integers(0, values.size, 1500)
     index = np.stack(np.unravel_index(chosen, shape), axis=1)
@@ -120,7 +120,7 @@ def test_layout_has_the_resolution_and_three_cells_of_padding(bunny):
 def analytic_grid(distance, extent, cells):
     """A grid whose nodes hold a known distance, around a body of the given longest side."""
     spacing = extent / cells
-    count = cells + 2 * sdf.PADDING_CELLS + 1
+    count = cells + 2 * distance_grid.PADDING_CELLS + 1
     axis = (np.arange(count) - 0.5 * (count - 1)) * spacing
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     values = distance(nodes).reshape(count, count, count).astype(np.float32)
@@ -148,7 +148,7 @@ def test_interpolation_converges_at_second_order(distance, extent, sharpest):
     for cells in (32, 64, 128):
         grid = analytic_grid(distance, extent, cells)
         points = band(distance, extent, 3 * grid.spacing)
-        value, _ = sdf.interpolate(grid, points)
+        value, _ = distance_grid.interpolate(grid, points)
         errors.append(np.abs(value - distance(points)).max())
         # Trilinear error: h^2/8 times the sum of the second derivatives, at most 2/r for radius r
         radius = sharpest - 3 * grid.spacing
@@ -161,7 +161,7 @@ def test_interpolation_converges_at_second_order(distance, extent, sharpest):
 def test_sphere_normals_have_the_error_of_a_trilinear_gradient(cells):
     grid = analytic_grid(sphere_distance, 1.0, cells)
     points = band(sphere_distance, 1.0, grid.spacing)
-    _, gradient = sdf.interpolate(grid, points)
+    _, gradient = distance_grid.interpolate(grid, points)
     radial = points / np.linalg.norm(points, axis=1, keepdims=True)
     cosine = np.einsum("ij,ij->i", gradient, radial) / np.linalg.norm(gradient, axis=1)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
@@ -243,13 +243,13 @@ def empty_cache(tmp_path, monkeypatch):
 def bakes(monkeypatch):
     """Counts how often a grid is computed."""
     calls = []
-    original = sdf.bake
+    original = distance_grid.bake
 
     def counted(*arguments):
         calls.append(arguments)
         return original(*arguments)
 
-    monkeypatch.setattr(sdf, "bake", counted)
+    monkeypatch.setattr(distance_grid, "bake", counted)
     return calls
 
 
@@ -318,19 +318,19 @@ def test_nothing_is_left_behind_when_the_disk_is_full(empty_cache, monkeypatch):
 def test_default_cache_folder_is_the_users(monkeypatch, tmp_path):
     monkeypatch.delenv("WARP_RIGID_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(sdf.sys, "platform", "linux")
-    assert sdf.cache_folder() == tmp_path / "warp_rigid"
+    monkeypatch.setattr(distance_grid.sys, "platform", "linux")
+    assert distance_grid.cache_folder() == tmp_path / "warp_rigid"
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert sdf.cache_folder() == tmp_path / ".cache" / "warp_rigid"
+    assert distance_grid.cache_folder() == tmp_path / ".cache" / "warp_rigid"
 
 
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core")
 def test_slabs_on_several_threads_give_what_one_gives(monkeypatch):
     mesh = Mesh(*star_prism())
-    layout = sdf.grid_layout(mesh.vertices, 24)
+    layout = distance_grid.grid_layout(mesh.vertices, 24)
     device = wp.get_device("cpu")
-    threaded = sdf.bake(mesh.vertices, mesh.faces, *layout, True, device)
-    monkeypatch.setattr(sdf.os, "cpu_count", lambda: 1)
-    single = sdf.bake(mesh.vertices, mesh.faces, *layout, True, device)
+    threaded = distance_grid.bake(mesh.vertices, mesh.faces, *layout, True, device)
+    monkeypatch.setattr(distance_grid.os, "cpu_count", lambda: 1)
+    single = distance_grid.bake(mesh.vertices, mesh.faces, *layout, True, device)
     np.testing.assert_array_equal(threaded, single)

@@ -14,8 +14,7 @@ from tests.geometry_oracles import (
     points_around,
     random_rotation,
 )
-from warp_rigid.geometry import quaternion_matrix, quaternion_product
-from warp_rigid.shapes import (
+from warp_rigid.scene.shapes import (
     Box,
     Capsule,
     Compound,
@@ -26,6 +25,7 @@ from warp_rigid.shapes import (
     Plane,
     Sphere,
 )
+from warp_rigid.scene.shapes.base import quaternion_matrix, quaternion_product
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 

@@ -8,8 +8,9 @@ import pytest
 import trimesh
 
 from tests.geometry_oracles import cube, hollow_cube, star_prism
-from warp_rigid import mesh_files, meshes
-from warp_rigid.shapes import Mesh
+from warp_rigid.files import mesh_files
+from warp_rigid.scene.shapes import Mesh
+from warp_rigid.scenes.builders import meshes
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.geometry_oracles import cube, l_prism, random_surface_points, star_prism
-from warp_rigid import meshes
-from warp_rigid.shapes import (
+from warp_rigid.scene.shapes import (
     Box,
     Capsule,
     Compound,
@@ -19,7 +18,8 @@ from warp_rigid.shapes import (
     SampleKind,
     Sphere,
 )
-from warp_rigid.tessellation import geodesic
+from warp_rigid.scene.shapes.tessellation import geodesic
+from warp_rigid.scenes.builders import meshes
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 POINT, EDGE, RIM, FACE, CAP = SampleKind

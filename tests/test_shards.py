@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from tests.oracles import ground_scene, rotate_about
-from warp_rigid import cores, shard, shards
-from warp_rigid.access import counts_of_environments
+from warp_rigid.engine import batch, cores, shard
+from warp_rigid.engine.memory import MemoryLimit
+from warp_rigid.engine.quantities import counts_of_environments
+from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError, NonFiniteError
-from warp_rigid.heightfield import HarmonicMotion
-from warp_rigid.memory import MemoryLimit
-from warp_rigid.shapes import Box, Heightfield, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.scene.shapes import Box, Heightfield, Sphere
+from warp_rigid.scene.shapes.heightfield import HarmonicMotion
 
 ENVS = 5
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
@@ -30,11 +30,11 @@ STATE = ("position", "orientation", "linear_velocity", "angular_velocity", "forc
 @pytest.fixture
 def on_cores(monkeypatch):
     """A function that makes simulators of as many shards as it is told of cores, if there are enough environments."""
-    monkeypatch.setattr(shards, "LEAST_BODIES", 1)
-    monkeypatch.setattr(shards, "SHARDS_A_CORE", 1)
+    monkeypatch.setattr(batch, "LEAST_BODIES", 1)
+    monkeypatch.setattr(batch, "SHARDS_A_CORE", 1)
 
     def make(count, scene, num_envs=ENVS, **arguments):
-        monkeypatch.setattr(shards, "usable_cores", lambda: count)
+        monkeypatch.setattr(batch, "usable_cores", lambda: count)
         sim = Simulator(scene, num_envs=num_envs, device="cpu", **arguments)
         assert len(list(sim._shards)) == min(count, num_envs)
         return sim
@@ -341,21 +341,21 @@ def test_cores_are_those_of_the_process_and_its_container(monkeypatch, tmp_path)
 
 def test_a_process_held_to_one_core_takes_one():
     code = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))]); " + (
-        "from warp_rigid.cores import usable_cores; print(usable_cores())"
+        "from warp_rigid.engine.cores import usable_cores; print(usable_cores())"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "1\n"
 
 
 def test_few_bodies_stay_together(monkeypatch):
     """A thread must be worth its waking, and no environment is in two shards."""
-    monkeypatch.setattr(shards, "usable_cores", lambda: 4)
+    monkeypatch.setattr(batch, "usable_cores", lambda: 4)
     room = {"pairs": 100, "contacts": 301}
     cpu = type("Device", (), {"is_cuda": False})
     for envs in (1, 2, 3, 7, 100):
-        ranges = shards.plan(boxes_apart(), envs, room, cpu)
+        ranges = batch.plan(boxes_apart(), envs, room, cpu)
         assert [some.first for some in ranges] == [0, *(some.end for some in ranges[:-1])] and ranges[-1].end == envs
         assert len(ranges) == {1: 1, 2: 1, 3: 2, 7: 5, 100: 8}[envs]
         assert sum(some.sizes["pairs"] for some in ranges) == 100
         assert sum(some.sizes["contacts"] for some in ranges) == 301
     cuda = type("Device", (), {"is_cuda": True})
-    assert len(shards.plan(boxes_apart(), 1000, room, cuda)) == 1
+    assert len(batch.plan(boxes_apart(), 1000, room, cuda)) == 1

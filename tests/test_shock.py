@@ -14,9 +14,9 @@ from tests.oracles import (
     stages_of,
 )
 from warp_rigid.bench.scenes import find_case, moving
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.shapes import Box, Sphere
 
 DT = 1 / 240
 COLD = {"collision_iterations": 0, "contact_iterations": 0, "warm_starting": False}

@@ -5,11 +5,11 @@ import pytest
 import warp as wp
 
 from tests.oracles import ground_scene, moving, random_pile, rotate_about, rotation_matrix
-from warp_rigid.fields import PointField, UniformField
-from warp_rigid.scene import Scene
-from warp_rigid.settings import PER_ENVIRONMENT, Settings
-from warp_rigid.shapes import Box, Compound, Plane, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Compound, Plane, Sphere
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 

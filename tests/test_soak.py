@@ -7,7 +7,7 @@ import warp as wp
 
 from benchmarks import soak as benchmark
 from benchmarks.soak import pile, soak
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.simulator import Simulator
 
 
 @pytest.mark.parametrize("sleeping", [False, True])

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 from warp_rigid.bench.startup import KERNELS, first_frame, start_up
-from warp_rigid.stages import STEP
+from warp_rigid.engine.step import STEP
 
 WARM_SECONDS = 2.0
 COLD_KERNELS = 9.0
@@ -17,7 +17,7 @@ idle machine: 7.3 to 7.6 of them now, 9.5 with all kernels at once. Both grow al
 ONE_KERNEL = """
 import time
 import warp as wp
-from warp_rigid.kernels import capacity
+from warp_rigid.kernels.common import capacity
 wp.force_load("cpu", [wp.get_module(capacity.__name__)])
 print(time.process_time())
 """
@@ -26,10 +26,11 @@ ON_DEMAND = """
 import json, sys
 from tests.oracles import ground_scene
 from warp_rigid import Box, Simulator
-from warp_rigid.kernels import overlap, rest
+from warp_rigid.kernels.collide import overlap
+from warp_rigid.kernels.update import sleep
 
 def loaded():
-    return [bool(kernel.module.execs) for kernel in (overlap.deepest_overlap, rest.fall_asleep)]
+    return [bool(kernel.module.execs) for kernel in (overlap.deepest_overlap, sleep.fall_asleep)]
 
 scene = ground_scene()
 scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.0999))

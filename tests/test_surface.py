@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from warp_rigid.film import film_from_recording, film_from_usd
-from warp_rigid.picture import fit_camera, points_to_see
-from warp_rigid.raycast import RayCaster
-from warp_rigid.recording import Recording, record
-from warp_rigid.scene import Motion, Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, HarmonicMotion, Heightfield, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.render.film import film_from_recording, film_from_usd
+from warp_rigid.render.picture import fit_camera, points_to_see
+from warp_rigid.render.raycast import RayCaster
+from warp_rigid.runs.recording import Recording, record
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box, HarmonicMotion, Heightfield, Sphere
 from warp_rigid.usd import export_usd
 
 DT = 1.0 / 240.0

@@ -5,11 +5,11 @@ import pytest
 
 import warp_rigid as wr
 from warp_rigid import scenes
+from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep import batch as batch_module
 from warp_rigid.sweep.job import resolve_scene
 from warp_rigid.sweep.table import BOOKKEEPING
-from warp_rigid.variation import start_each, structure
 
 GRAVITY = 9.81
 
@@ -195,7 +195,7 @@ def test_a_batch_that_does_not_fit_is_halved(monkeypatch):
 
 
 def test_a_run_that_needs_too_much_has_status_capacity(monkeypatch):
-    monkeypatch.setattr("warp_rigid.memory.device_memory", lambda device: (2**40, 10_000))
+    monkeypatch.setattr("warp_rigid.engine.memory.device_memory", lambda device: (2**40, 10_000))
     rows = quick({"height": [1.0, 2.0]}, batch=2).rows
     assert [row["status"] for row in rows] == ["capacity"] * 2 and "are free" in rows[0]["reason"]
 

@@ -9,7 +9,7 @@ from distributed import LocalCluster
 
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
-from warp_rigid.cores import usable_cores
+from warp_rigid.engine.cores import usable_cores
 from warp_rigid.sweep.cluster import cluster_of_file
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}

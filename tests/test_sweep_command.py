@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from warp_rigid import cli
+from warp_rigid.commands import cli
 from warp_rigid.commands import sweep as command
 from warp_rigid.sweep import read
 

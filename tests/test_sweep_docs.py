@@ -12,7 +12,7 @@ from PIL import Image
 from pxr import Usd
 
 import warp_rigid as wr
-from warp_rigid import cli
+from warp_rigid.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted((ROOT / "docs" / "sweeps").glob("*.md"))

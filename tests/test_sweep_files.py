@@ -17,7 +17,7 @@ import zarr
 
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
-from warp_rigid import outputs
+from warp_rigid.files import atomic
 from warp_rigid.sweep import batch as batch_module
 from warp_rigid.sweep import merge, read
 from warp_rigid.sweep import table as table_module
@@ -111,7 +111,7 @@ def test_interrupted_writing_leaves_the_old_table(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("the disk is full")
 
-    monkeypatch.setattr(outputs.os, "replace", fail)
+    monkeypatch.setattr(atomic.os, "replace", fail)
     with pytest.raises(OSError, match="disk is full"):
         result.to_parquet(path)
     assert path.read_bytes() == before

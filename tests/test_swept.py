@@ -8,12 +8,12 @@ import warp as wp
 
 from tests.geometry_oracles import cube
 from tests.oracles import ground_scene, random_pile, random_quaternion, rotate_about, stages_of
-from warp_rigid import meshes
-from warp_rigid.cores import shared_by, usable_cores
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Capsule, Cylinder, Heightfield, Mesh, Plane, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.cores import shared_by, usable_cores
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Heightfield, Mesh, Plane, Sphere
+from warp_rigid.scenes.builders import meshes
 
 DT = 1 / 240
 THICKNESS = 0.02

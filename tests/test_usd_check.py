@@ -9,7 +9,7 @@ from pxr import Usd, UsdGeom
 import warp_rigid as wr
 from tests.fakes import FakeSimulator
 from tests.usd_tools import rigid, validator_errors, write_stage
-from warp_rigid import cli
+from warp_rigid.commands import cli
 from warp_rigid.usd.check import check_usd
 from warp_rigid.usd.flatten import flatten_usd
 

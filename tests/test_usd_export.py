@@ -8,7 +8,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdValidation
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
-from warp_rigid.recording import record
+from warp_rigid.runs.recording import record
 from warp_rigid.usd import export_usd
 
 FRAMES = 24

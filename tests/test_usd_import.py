@@ -10,7 +10,7 @@ import pytest
 import warp_rigid as wr
 from tests.oracles import rotation_matrix
 from tests.usd_tools import moved, rigid, start_of, write_stage
-from warp_rigid import cli
+from warp_rigid.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 

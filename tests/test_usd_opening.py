@@ -9,7 +9,7 @@ import pytest
 import warp_rigid as wr
 from tests.fuzz.usd import BALL, chain, doubling, nest
 from tests.usd_tools import moved, rigid, write_stage
-from warp_rigid.film import film_from_usd
+from warp_rigid.render.film import film_from_usd
 from warp_rigid.usd.check import check_usd
 from warp_rigid.usd.flatten import flatten_usd
 

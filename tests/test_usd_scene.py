@@ -10,7 +10,7 @@ from tests.fakes import FakeSimulator
 from tests.oracles import rotation_matrix
 from tests.usd_tools import Resting, start_of, validator_errors
 from warp_rigid import scenes
-from warp_rigid.recording import Recorder
+from warp_rigid.runs.recording import Recorder
 from warp_rigid.usd.check import check_usd
 
 SMALL = {"bunny_pile": {"bodies": 2}, "carpet": {}, "bone_pile": {}, "rings_on_poles": {}}

@@ -11,8 +11,8 @@ from pxr import Sdf, Usd, UsdGeom
 
 import warp_rigid as wr
 from tests.fakes import FakeSimulator
-from warp_rigid.access import CONTACT_RECORD
-from warp_rigid.recording import Recorder
+from warp_rigid.engine.quantities import CONTACT_RECORD
+from warp_rigid.runs.recording import Recorder
 from warp_rigid.usd.check import check_usd
 from warp_rigid.usd.writer import FLUSH_EVERY
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from benchmarks import cross_device
-from warp_rigid import cli
+from warp_rigid.commands import cli
 from warp_rigid.validation import impact, report, shock_comparison, suite
 from warp_rigid.validation.case import (
     AT_LEAST,

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 import warp_rigid as wr
-from warp_rigid.appearance import corner_normals
-from warp_rigid.film import DrawnMesh
+from warp_rigid.render.appearance import corner_normals
+from warp_rigid.render.film import DrawnMesh
 from warp_rigid.scenes.demo import turn
 from warp_rigid.viewer.instances import creased
 from warp_rigid.viewer.overlays import box_lines

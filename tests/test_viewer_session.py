@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from warp_rigid import runner
+from warp_rigid.runs import runner
 from warp_rigid.viewer.session import Paced, Session
 
 FALLING = """

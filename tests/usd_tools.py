@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Sdf, Usd, UsdValidation
 
-from warp_rigid.recording import Recorder
+from warp_rigid.runs.recording import Recorder
 
 
 class Resting:

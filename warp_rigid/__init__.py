@@ -11,14 +11,25 @@ print(sim.get("position")[:, 1])
 """
 
 from warp_rigid import scenes
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError, NonFiniteError
-from warp_rigid.fields import PointField, UniformField
-from warp_rigid.gltf import export_gltf
-from warp_rigid.recording import Recording, record
-from warp_rigid.scene import Body, Motion, Scene
-from warp_rigid.settings import Settings
-from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
-from warp_rigid.simulator import Simulator
+from warp_rigid.render.gltf import export_gltf
+from warp_rigid.runs.recording import Recording, record
+from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene.scene import Body, Motion, Scene
+from warp_rigid.scene.shapes import (
+    Box,
+    Capsule,
+    Compound,
+    Cylinder,
+    HarmonicMotion,
+    Heightfield,
+    Mesh,
+    Plane,
+    Shape,
+    Sphere,
+)
 from warp_rigid.sweep import Choice, Integers, LogUniform, Normal, SweepResult, Uniform, search, sweep
 from warp_rigid.usd import UsdStream, export_usd, import_usd
 

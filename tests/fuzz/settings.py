@@ -8,9 +8,11 @@ from hypothesis import strategies as st
 
 import warp_rigid as wr
 from tests.fuzz.harness import NUMBERS, ODDITIES, Target, vectors
-from warp_rigid import assignments, cli, runner, scenes
-from warp_rigid.access import WRITABLE
-from warp_rigid.settings import PER_ENVIRONMENT
+from warp_rigid import scenes
+from warp_rigid.commands import cli
+from warp_rigid.engine.quantities import WRITABLE
+from warp_rigid.engine.settings import PER_ENVIRONMENT
+from warp_rigid.runs import assignments, runner
 
 VALUES = st.one_of(ODDITIES, NUMBERS, st.integers(-1, 20), vectors(3), st.lists(ODDITIES, max_size=3))
 INDICES = st.one_of(st.none(), st.lists(st.integers(-1, 3), max_size=3), ODDITIES)

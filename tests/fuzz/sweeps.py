@@ -15,7 +15,7 @@ import warp_rigid as wr
 from tests.fuzz.files import PLAIN, change
 from tests.fuzz.harness import NUMBERS, ODDITIES, Target, damaged
 from tests.fuzz.settings import WORD
-from warp_rigid import cli
+from warp_rigid.commands import cli
 from warp_rigid.sweep import Choice, Integers, LogUniform, Normal, Uniform, merge, read, run, search
 from warp_rigid.sweep.axes import clean_axes, parse_axis
 from warp_rigid.sweep.design import DESIGNS, make_points

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import warp_rigid as wr
 from tests.fuzz.harness import Target, damaged
-from warp_rigid.film import film_from_usd
+from warp_rigid.render.film import film_from_usd
 from warp_rigid.usd.check import check_usd
 from warp_rigid.usd.flatten import flatten_usd
 from warp_rigid.usd.load import film_duration

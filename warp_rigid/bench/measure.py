@@ -13,10 +13,10 @@ import warp as wp
 
 from warp_rigid.bench.scenes import Case, moving
 from warp_rigid.bench.stage_times import stage_times
-from warp_rigid.cores import usable_cores
-from warp_rigid.doctor import versions
-from warp_rigid.settings import Settings
-from warp_rigid.simulator import Simulator
+from warp_rigid.diagnostics.machine import versions
+from warp_rigid.engine.cores import usable_cores
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
 
 FPS = 60
 STAGE_STEPS = 32

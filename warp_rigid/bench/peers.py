@@ -18,10 +18,10 @@ import numpy as np
 from warp_rigid.bench.measure import FPS, Conditions, quality, rates
 from warp_rigid.bench.scenes import Case, moving
 from warp_rigid.checks import one_of
-from warp_rigid.scene import Scene
-from warp_rigid.sdf import cache_folder
-from warp_rigid.shapes import Box, Cylinder, Mesh
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Cylinder, Mesh
+from warp_rigid.scene.shapes.distance_grid import cache_folder
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
 NAMES = ("newton", "mujoco_warp", "mujoco", "rapier", "pybullet")

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import meshes, piles
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.scene import Motion, Scene
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes import rings_on_poles
-from warp_rigid.shapes import Box, Plane
-from warp_rigid.simulator import Simulator
+from warp_rigid.scenes.builders import meshes, piles
 
 STANDARD = ("stack:10", "pile_box:32", "pile_torus:16", "pile_bunny:8", "rings:12")
 """What is measured unless something else is asked for."""

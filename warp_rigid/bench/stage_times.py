@@ -6,8 +6,8 @@ from typing import Any
 
 import warp as wp
 
-from warp_rigid.simulator import Simulator
-from warp_rigid.stages import Stages
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.engine.step import Stages
 
 STAGES = (
     "raise_surfaces",

@@ -11,8 +11,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from warp_rigid.bench.scenes import STANDARD, find_case
-from warp_rigid.simulator import choose_device
-from warp_rigid.terminal import check_outputs, console, note, progress
+from warp_rigid.commands.terminal import check_outputs, console, note, progress
+from warp_rigid.engine.simulator import choose_device
 
 
 def bench_command(

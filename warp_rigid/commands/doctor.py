@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from warp_rigid.terminal import console
+from warp_rigid.commands.terminal import console
 
 FAULTY = 1
 
@@ -15,8 +15,8 @@ def doctor_command(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> int:
     """Show versions, devices and caches, test each device, and tell what to do about what fails."""
-    from warp_rigid.doctor import examine
-    from warp_rigid.simulator import choose_device
+    from warp_rigid.diagnostics.machine import examine
+    from warp_rigid.engine.simulator import choose_device
 
     report = examine(None if device is None else [str(choose_device(device))])
     if as_json:

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from warp_rigid import meshes
-from warp_rigid.inspect_mesh import inspect_mesh, parse_slice, save_slice
-from warp_rigid.shapes import Mesh
-from warp_rigid.terminal import check_outputs, console
+from warp_rigid.commands.terminal import check_outputs, console
+from warp_rigid.diagnostics.mesh_report import inspect_mesh, parse_slice, save_slice
+from warp_rigid.scene.shapes import Mesh
+from warp_rigid.scenes.builders import meshes
 
 
 def inspect_command(

@@ -34,7 +34,7 @@ def merge_command(
     tell(result, [path for path in (output, plot) if path], as_json)
     missing = result.about["runs"] - len(result)
     if missing:
-        from warp_rigid.terminal import note
+        from warp_rigid.commands.terminal import note
 
         note(f"{missing} of {result.about['runs']} runs are in none of the tables")
     return FAILED_RUNS if missing or result.failed else 0

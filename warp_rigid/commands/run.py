@@ -7,11 +7,11 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from warp_rigid import runner
-from warp_rigid.appearance import COLORINGS
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.resume import Checkpoints
-from warp_rigid.terminal import check_outputs, console, note, progress
+from warp_rigid.commands.terminal import check_outputs, console, note, progress
+from warp_rigid.render.appearance import COLORINGS
+from warp_rigid.runs import runner
+from warp_rigid.runs.progress import Checkpoints
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
@@ -156,7 +156,7 @@ def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
 def _export(recording, path: str, options: UsdOptions) -> None:
     """Write the film of a run that is done."""
     if path.endswith(".glb"):
-        from warp_rigid.gltf import export_gltf
+        from warp_rigid.render.gltf import export_gltf
 
         export_gltf(recording, path)
     else:
@@ -165,7 +165,7 @@ def _export(recording, path: str, options: UsdOptions) -> None:
 
 def _film(recording, usd: str | None, color: str):
     """What is drawn: the exported file where there is one, so that pictures show what was written."""
-    from warp_rigid.film import colored, film_from_recording, film_from_usd
+    from warp_rigid.render.film import colored, film_from_recording, film_from_usd
 
     if usd:
         return film_from_usd(usd)
@@ -174,7 +174,7 @@ def _film(recording, usd: str | None, color: str):
 
 def _draw(drawn, picture, film, contact_sheet, html) -> None:
     """Write the pictures, films and pages that were asked for."""
-    from warp_rigid.picture import save_contact_sheet, save_film, save_picture
+    from warp_rigid.render.picture import save_contact_sheet, save_film, save_picture
 
     for save, path in ((save_picture, picture), (save_film, film), (save_contact_sheet, contact_sheet)):
         if path:

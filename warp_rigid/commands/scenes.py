@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from warp_rigid import scenes
-from warp_rigid.terminal import console
+from warp_rigid.commands.terminal import console
 
 
 def scenes_command(

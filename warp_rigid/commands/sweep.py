@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warp_rigid.terminal import console, note, progress
+from warp_rigid.commands.terminal import console, note, progress
 
 FAILED_RUNS = 5
 
@@ -141,7 +141,7 @@ def _by_name(pairs: Any, flag: str) -> dict[str, Any]:
 
 def _fixed(texts: Any) -> dict[str, Any]:
     """Values that all runs share, by name."""
-    from warp_rigid.assignments import parse_assignment
+    from warp_rigid.runs.assignments import parse_assignment
 
     given = _by_name(map(parse_assignment, texts), "--set")
     for name, values in given.items():

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from warp_rigid.terminal import console, note
+from warp_rigid.commands.terminal import console, note
 
 BAD_FILE = 2
 

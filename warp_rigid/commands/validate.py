@@ -11,8 +11,8 @@ import warp as wp
 from rich.markup import escape
 from rich.table import Table
 
-from warp_rigid.simulator import choose_device
-from warp_rigid.terminal import check_outputs, console, progress
+from warp_rigid.commands.terminal import check_outputs, console, progress
+from warp_rigid.engine.simulator import choose_device
 
 
 def validate_command(

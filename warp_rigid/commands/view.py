@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warp_rigid.terminal import note
+from warp_rigid.commands.terminal import note
 
 FILMS = (".usd", ".usda", ".usdc", ".usdz", ".npz")
 

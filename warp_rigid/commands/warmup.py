@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 import warp as wp
 
-from warp_rigid.kernels import team
-from warp_rigid.simulator import choose_device
-from warp_rigid.stages import EVERYTHING, WARP, load_kernels
-from warp_rigid.terminal import console, progress
+from warp_rigid.commands.terminal import console, progress
+from warp_rigid.engine.simulator import choose_device
+from warp_rigid.engine.step import EVERYTHING, WARP, load_kernels
+from warp_rigid.kernels.common import team
 
 
 def warmup_command(

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.assignments import parse_assignment
 from warp_rigid.checks import finite_number, number_in, shown, whole_in
+from warp_rigid.runs.assignments import parse_assignment
 
 __all__ = [
     "Choice", "Distribution", "Integers", "LogUniform", "Normal", "Uniform", "clean_axes", "parse_axis", "plain",

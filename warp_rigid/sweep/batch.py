@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.access import counts_of_environments
+from warp_rigid.engine.quantities import counts_of_environments
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.errors import CapacityError
-from warp_rigid.runner import set_each, step_frame
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.simulator import Simulator
+from warp_rigid.runs.runner import set_each, step_frame
+from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.design import Run, address
 from warp_rigid.sweep.job import Job, Needs, build_scene, needs_of, resolve_scene
 from warp_rigid.sweep.metrics import OUTCOME, Watch, measure, metric_name
 from warp_rigid.sweep.table import FINISHED, told
 from warp_rigid.sweep.view import View
-from warp_rigid.variation import start_each, structure
 
 __all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
 

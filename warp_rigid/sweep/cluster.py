@@ -10,9 +10,9 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.cores import shared_by
-from warp_rigid.runner import module_of_file
-from warp_rigid.scene import Scene
+from warp_rigid.engine.cores import shared_by
+from warp_rigid.runs.runner import module_of_file
+from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.batch import Batch, failed_batch, run_batch
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job

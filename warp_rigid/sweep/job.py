@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.assignments import COEFFICIENTS, place_of
 from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
-from warp_rigid.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
-from warp_rigid.scene import Scene
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.variation import structure
+from warp_rigid.runs.assignments import COEFFICIENTS, place_of
+from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
+from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
-from warp_rigid.settings import Settings
 from warp_rigid.sweep.design import Run, address
-from warp_rigid.variation import structure
 
 __all__ = ["Job", "Needs", "group_runs", "make_runs", "needs_of", "resolve_scene", "settle_batch_size"]
 

@@ -4,10 +4,10 @@ from typing import Any
 
 import warp as wp
 
-from warp_rigid.cores import usable_cores
-from warp_rigid.memory import body_bytes, device_memory, pool_bytes
-from warp_rigid.pools import Pools, expected_room
-from warp_rigid.scene import Motion, Scene
+from warp_rigid.engine.cores import usable_cores
+from warp_rigid.engine.memory import body_bytes, device_memory, pool_bytes
+from warp_rigid.engine.pools import Pools, expected_room
+from warp_rigid.scene.scene import Motion, Scene
 
 __all__ = ["bytes_an_environment", "memory_at_hand", "most_environments"]
 

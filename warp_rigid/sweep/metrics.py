@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.access import counts_of_environments
-from warp_rigid.runner import module_of_file
-from warp_rigid.scene import Motion
+from warp_rigid.engine.quantities import counts_of_environments
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.runs.runner import module_of_file
+from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
-from warp_rigid.simulator import Simulator
 
 __all__ = ["DEFAULT", "METRICS", "OUTCOME", "Watch", "check_metrics", "measure", "metric_name"]
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import one_of
-from warp_rigid.outputs import whole_file
+from warp_rigid.files.atomic import whole_file
 from warp_rigid.sweep.table import SweepResult
 
 __all__ = ["KINDS", "plot"]

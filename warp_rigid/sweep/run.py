@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import number_in, whole_in
-from warp_rigid.scene import Scene
-from warp_rigid.simulator import choose_device
+from warp_rigid.engine.simulator import choose_device
+from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch import Batch, run_batch
 from warp_rigid.sweep.design import Run, address, make_points, shard_of

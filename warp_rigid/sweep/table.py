@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
-from warp_rigid.outputs import whole_file
+from warp_rigid.files.atomic import whole_file
 from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.design import MOST_RUNS
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.scene import Scene
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
 
 __all__ = ["View"]
 

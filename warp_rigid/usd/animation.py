@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.appearance import bound_corners, frame_colors, rotate
-from warp_rigid.recording import Frame, Recording, is_moving
+from warp_rigid.render.appearance import bound_corners, frame_colors, rotate
+from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
 

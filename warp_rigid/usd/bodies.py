@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.appearance import frame_colors, rotate
-from warp_rigid.fields import PointField
-from warp_rigid.recording import Frame, Recording
-from warp_rigid.scene import Body, Motion, Scene
-from warp_rigid.shapes import Shape
+from warp_rigid.render.appearance import frame_colors, rotate
+from warp_rigid.runs.recording import Frame, Recording
+from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.scene import Body, Motion, Scene
+from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import STEADY
 from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.library import Library, Material, simple_shapes, write_pose

@@ -3,8 +3,8 @@
 import numpy as np
 from pxr import Sdf, Vt
 
-from warp_rigid.recording import Frame, Recording
-from warp_rigid.scene import Motion
+from warp_rigid.runs.recording import Frame, Recording
+from warp_rigid.scene.scene import Motion
 from warp_rigid.usd.specs import Samples, Track, define, set_attribute
 
 __all__ = ["ContactMarks"]

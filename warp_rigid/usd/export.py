@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from warp_rigid.recording import Recorder, Recording
+from warp_rigid.runs.recording import Recorder, Recording
 from warp_rigid.usd.options import UsdOptions
 
 __all__ = ["UsdStream", "export_usd"]

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from pxr import Usd, UsdPhysics
 
-from warp_rigid.scene import Motion, Scene
+from warp_rigid.scene.scene import Motion, Scene
 
 __all__ = ["filter_pairs"]
 

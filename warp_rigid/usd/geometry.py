@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Gf
 
-from warp_rigid.shapes import Plane
+from warp_rigid.scene.shapes import Plane
 
 __all__ = ["MARK", "frame_of_plane", "gf_quaternion", "precise_quaternions", "quaternion_of_matrix"]
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Vt
 
-from warp_rigid.appearance import bound_corners, corner_normals
-from warp_rigid.geometry import IDENTITY_ROTATION, quaternion_matrix, quaternion_product
-from warp_rigid.heightfield import moves
-from warp_rigid.recording import Surface, drawn_surface
-from warp_rigid.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
+from warp_rigid.render.appearance import bound_corners, corner_normals
+from warp_rigid.runs.recording import Surface, drawn_surface
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
+from warp_rigid.scene.shapes.base import IDENTITY_ROTATION, quaternion_matrix, quaternion_product
+from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
 

@@ -3,8 +3,8 @@
 import warnings
 from pathlib import Path
 
-from warp_rigid.scene import Scene
-from warp_rigid.usd.report import ImportReport
+from warp_rigid.scene.import_report import ImportReport
+from warp_rigid.scene.scene import Scene
 
 __all__ = ["film_duration", "import_usd"]
 

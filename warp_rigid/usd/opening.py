@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd
 
-from warp_rigid import archive
+from warp_rigid.files import archive
 
 __all__ = ["MOST_PRIMS", "open_stage", "reading"]
 

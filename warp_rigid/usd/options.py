@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from warp_rigid.appearance import COLORINGS
 from warp_rigid.checks import one_of
-from warp_rigid.recording import Recording
+from warp_rigid.render.appearance import COLORINGS
+from warp_rigid.runs.recording import Recording
 
 __all__ = ["LAYOUTS", "MOST_IN_SCENE", "PROFILES", "SUFFIXES", "UsdOptions"]
 

@@ -3,10 +3,20 @@
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from warp_rigid import tessellation
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.mesh_files import usd_triangles
-from warp_rigid.shapes import Box, Capsule, Cylinder, HarmonicMotion, Heightfield, Mesh, Plane, Shape, Sphere
+from warp_rigid.files.mesh_files import usd_triangles
+from warp_rigid.scene.shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    HarmonicMotion,
+    Heightfield,
+    Mesh,
+    Plane,
+    Shape,
+    Sphere,
+    tessellation,
+)
 from warp_rigid.usd.geometry import MARK, quaternion_of_matrix
 
 __all__ = ["Unreadable", "marked", "matrix_of", "place", "told_array", "triangles_of"]

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-from warp_rigid.fields import PointField, UniformField
-from warp_rigid.geometry import quaternion_matrix
-from warp_rigid.scene import Motion, Scene
-from warp_rigid.shapes import Compound, Heightfield, Shape
+from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene.import_report import Finding
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Compound, Heightfield, Shape
+from warp_rigid.scene.shapes.base import quaternion_matrix
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, marked, matrix_of, place, told_array
-from warp_rigid.usd.report import Finding
 
 __all__ = ["Reader"]
 

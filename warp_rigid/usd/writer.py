@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 
-from warp_rigid.appearance import Spread, drawn_surfaces, environment_offsets
-from warp_rigid.recording import Frame, Recording
+from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets
+from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
 from warp_rigid.usd.bodies import Bodies
 from warp_rigid.usd.contacts import ContactMarks

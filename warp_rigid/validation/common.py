@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from warp_rigid.scene import Scene
-from warp_rigid.shapes import Plane
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Plane
 from warp_rigid.validation.experiment import Start, Trace
 
 G = 9.81

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.scene import Scene
-from warp_rigid.settings import Settings
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
 
 DT = 1.0 / 240.0
 """Time step of a case unless it says otherwise [s]."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from warp_rigid.scene import Scene
-from warp_rigid.shapes import Box, Sphere
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.validation.case import Case, Check, Curve, Miss, absolute, at_most, each, relative
 from warp_rigid.validation.common import NO_GRAVITY, G, random_turns, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from warp_rigid.scene import Scene
-from warp_rigid.shapes import Box, Capsule, Mesh
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
 from warp_rigid.validation.common import (
     RESTING,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_rigid.shapes import Sphere
+from warp_rigid.scene.shapes import Sphere
 from warp_rigid.validation.case import AT_LEAST, Case, Check, at_least, at_most
 from warp_rigid.validation.common import level_ground, per_env
 from warp_rigid.validation.experiment import Experiment

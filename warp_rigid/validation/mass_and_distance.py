@@ -3,10 +3,10 @@
 import numpy as np
 import warp as wp
 
-from warp_rigid import meshes, sdf, tessellation
-from warp_rigid.geometry import Grid, frozen_array
-from warp_rigid.mesh import Mesh
-from warp_rigid.shapes import Box, SampleKind
+from warp_rigid.scene.shapes import Box, SampleKind, distance_grid, tessellation
+from warp_rigid.scene.shapes.base import Grid, frozen_array
+from warp_rigid.scene.shapes.mesh import Mesh
+from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation import solids
 from warp_rigid.validation.case import AT_LEAST, Case, Check, Miss, absolute, at_most, relative
 
@@ -156,8 +156,8 @@ def torus():
 
 def grid_on(device, mesh: Mesh, cells: int) -> Grid:
     """A mesh's distance grid, computed on a device and not read from the cache."""
-    origin, spacing, shape = sdf.grid_layout(mesh.vertices, cells)
-    values = sdf.bake(mesh.vertices, mesh.faces, origin, spacing, shape, True, wp.get_device(device))
+    origin, spacing, shape = distance_grid.grid_layout(mesh.vertices, cells)
+    values = distance_grid.bake(mesh.vertices, mesh.faces, origin, spacing, shape, True, wp.get_device(device))
     return Grid(tuple(origin.tolist()), spacing, frozen_array(values, np.float32))
 
 
@@ -185,7 +185,7 @@ def sphere_distance(cells, count, frequency):
         for n in cells:
             grid = grid_on(device, ball, n)
             points = points_near(distance, 3 * [radius], BAND * grid.spacing, count)
-            value, gradient = sdf.interpolate(grid, points)
+            value, gradient = distance_grid.interpolate(grid, points)
             near = np.abs(distance(points)) < grid.spacing
             radial = points[near] / np.linalg.norm(points[near], axis=1, keepdims=True)
             unit = gradient[near] / np.linalg.norm(gradient[near], axis=1, keepdims=True)
@@ -237,10 +237,10 @@ def box_distance(cells, count):
             grid = grid_on(device, mesh, n)
             points = points_near(lambda at: box.signed_distance(at)[0], box.half_extents, BAND * grid.spacing, count)
             exact, _ = box.signed_distance(points)
-            error = np.abs(sdf.interpolate(grid, points)[0] - exact)
+            error = np.abs(distance_grid.interpolate(grid, points)[0] - exact)
             over = np.sort(np.abs(points) - box.half_extents, axis=1)
             flat = (over[:, 2] - over[:, 1] > 2 * grid.spacing) & (over[:, 1] < -2 * grid.spacing)
-            center = sdf.interpolate(grid, np.zeros((1, 3)))[0][0] / grid.spacing
+            center = distance_grid.interpolate(grid, np.zeros((1, 3)))[0][0] / grid.spacing
             edge = [error[side].max() / grid.spacing for side in (exact > 0, exact < 0)]
             rows.append((error[flat].max(), *edge, center + 0.2 / grid.spacing))
         return np.array(rows)
@@ -281,7 +281,7 @@ def eikonal(count):
     def share(grid):
         upper = np.array(grid.origin) + grid.spacing * (np.array(grid.values.shape) - 1)
         points = np.random.default_rng(6).uniform(grid.origin, upper, (5 * count, 3))
-        distance, gradient = sdf.interpolate(grid, points)
+        distance, gradient = distance_grid.interpolate(grid, points)
         length = np.linalg.norm(gradient[np.abs(distance) < BAND * grid.spacing], axis=1)
         return (np.abs(length - 1) < 0.05).mean()
 
@@ -322,7 +322,7 @@ def signs(count):
         lower, upper = vertices.min(axis=0), vertices.max(axis=0)
         draw = np.random.default_rng(3)
         points = 0.5 * (lower + upper) + draw.uniform(-1, 1, (count, 3)) * (upper - lower)
-        distance, _ = sdf.mesh_distance(vertices, faces, points, simple, wp.get_device(device))
+        distance, _ = distance_grid.mesh_distance(vertices, faces, points, simple, wp.get_device(device))
         inside = solids.winding(points, vertices[faces]) > 0.5
         return int(((distance < 0) != inside)[np.abs(distance) > 1e-6].sum())
 

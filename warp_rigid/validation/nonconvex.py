@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from warp_rigid import meshes
-from warp_rigid.kernels.predict import CONTACT_DISTANCE
-from warp_rigid.scene import Scene
-from warp_rigid.shapes import Box, Capsule, Mesh, Sphere
+from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
+from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation import solids
 from warp_rigid.validation.case import AT_LEAST, OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
 from warp_rigid.validation.common import NO_GRAVITY, level_ground, random_turns, turn_about

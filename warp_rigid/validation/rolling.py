@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_rigid.shapes import Box, Cylinder, Sphere
+from warp_rigid.scene.shapes import Box, Cylinder, Sphere
 from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, at_most, each, relative
 from warp_rigid.validation.common import (
     RESTING,

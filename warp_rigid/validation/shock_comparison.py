@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.shapes import Box
+from warp_rigid.scene.shapes import Box
 from warp_rigid.validation.common import level_ground
 from warp_rigid.validation.experiment import DT, Experiment, Trace
 from warp_rigid.validation.stacks import HALF, leaning, piles, pyramid_scene, stack_scene

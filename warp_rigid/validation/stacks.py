@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.shapes import Box, Plane, Sphere
+from warp_rigid.scene.shapes import Box, Plane, Sphere
 from warp_rigid.validation.case import AT_LEAST, OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
 from warp_rigid.validation.common import G, largest_rise, level_ground, random_turns, turn_about
 from warp_rigid.validation.experiment import Experiment, Start, Trace

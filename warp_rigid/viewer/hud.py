@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from warp_rigid.scene import Motion
+from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 from warp_rigid.viewer.session import Paced, Session
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from warp_rigid.film import DrawnMesh, Film
-from warp_rigid.raycast import on_screen
+from warp_rigid.render.film import DrawnMesh, Film
+from warp_rigid.render.raycast import on_screen
 from warp_rigid.viewer.page import add_ground, level_planes, opacity_of_walls
 
 __all__ = ["Instances", "bytes_of_light", "creased"]

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.appearance import told_colors
-from warp_rigid.film import Film, film_from_recording
-from warp_rigid.recording import Recorder
-from warp_rigid.scene import Motion
-from warp_rigid.terminal import explain
+from warp_rigid.commands.terminal import explain
+from warp_rigid.render.appearance import told_colors
+from warp_rigid.render.film import Film, film_from_recording
+from warp_rigid.runs.recording import Recorder
+from warp_rigid.scene.scene import Motion
 from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
 from warp_rigid.viewer.page import add_labels, look_at_film, opacity_of_walls, set_light, start_server, stop_server

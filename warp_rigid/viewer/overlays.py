@@ -3,10 +3,10 @@
 import numpy as np
 import trimesh
 
-from warp_rigid.access import CONTACT_RECORD
-from warp_rigid.appearance import rotate
-from warp_rigid.scene import Motion
-from warp_rigid.simulator import Simulator
+from warp_rigid.engine.quantities import CONTACT_RECORD
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.render.appearance import rotate
+from warp_rigid.scene.scene import Motion
 
 __all__ = ["CONTACTS", "OVERLAYS", "Overlays"]
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
-from warp_rigid.appearance import COLORINGS
-from warp_rigid.settings import SHOCK_MODES
+from warp_rigid.engine.settings import SHOCK_MODES
+from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.overlays import OVERLAYS
 from warp_rigid.viewer.session import Session, key_scenes

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_rigid.geometry import Shape
+from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scenes.demo import turn
 
 __all__ = ["trace"]

@@ -5,9 +5,9 @@ import time
 
 import numpy as np
 
-from warp_rigid.film import Film, film_from_recording, film_from_usd
-from warp_rigid.outputs import whole_file
-from warp_rigid.recording import Recording
+from warp_rigid.files.atomic import whole_file
+from warp_rigid.render.film import Film, film_from_recording, film_from_usd
+from warp_rigid.runs.recording import Recording
 from warp_rigid.viewer.instances import Instances
 from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
 

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import runner, scenes
-from warp_rigid.access import WRITABLE
-from warp_rigid.scene import Motion
+from warp_rigid import scenes
+from warp_rigid.engine.quantities import WRITABLE
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.runs import runner
+from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes import Verdict
 from warp_rigid.scenes.demo import turn
-from warp_rigid.simulator import Simulator
 
 __all__ = ["Paced", "Session"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import viser
 
-from warp_rigid.geometry import Shape
+from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.viewer.slicing import cut
 
 __all__ = ["SliceView"]

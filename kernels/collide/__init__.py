@@ -1,0 +1,1 @@
+"""Broad phase, distances, surface samples and contact detection."""

@@ -1,0 +1,278 @@
+"""Second stage: which pairs of bodies can meet in this step.
+
+A body lists the pairs in which it comes first. Small bodies find each other through a hash grid, or, in small
+environments, by trying all (faster up to hundreds of bodies). Wide bodies (statics, planes, kinematic ones, and those
+much larger than the rest) never enter the grid: each is tried against every body of its environment.
+The grid is the engine's own: a grid of Warp keeps what a recorded build needs in one place for all grids, so that of
+two simulators on a GPU one would search in the cells of the other.
+
+Pairs are counted, the counts are summed, and the same search writes them: their order depends on nothing but the scene.
+
+Pairs of two sleeping bodies, or of a sleeping and a fixed one, are not searched: those that touched when they fell
+asleep are carried over from the last step's list as dormant pairs.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.schema import (
+    ROLE_ABSENT,
+    ROLE_ASLEEP,
+    ROLE_DRIVEN,
+    ROLE_FREE,
+    Bodies,
+    Cells,
+    Environments,
+    History,
+    Motions,
+    Pairs,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+ABSENT = wp.constant(ROLE_ABSENT)
+ASLEEP = wp.constant(ROLE_ASLEEP)
+FREE = wp.constant(ROLE_FREE)
+FURTHEST_CELL = wp.constant(1.0e9)
+DRIVEN_AND_ASLEEP = wp.constant(ROLE_DRIVEN | ROLE_ASLEEP)
+
+
+@wp.func
+def may_meet(a: int, b: int):
+    """Whether bodies of two roles can come into contact anew: one moves, and one of them gives way."""
+    both = a | b
+    return a != ABSENT and b != ABSENT and ((both & FREE) != 0 or both == DRIVEN_AND_ASLEEP)
+
+
+@wp.func
+def boxes_overlap(motions: Motions, i: int, j: int):
+    """Whether the swept boxes of two bodies overlap."""
+    a = motions.lower[i]
+    b = motions.upper[i]
+    c = motions.lower[j]
+    d = motions.upper[j]
+    return a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
+
+
+@wp.func
+def are_apart(i: int, j: int, bodies: Bodies):
+    """Whether bodies i and j of an environment, by their numbers in it, never touch by the user's wish."""
+    found = bool(False)
+    for k in range(bodies.apart_start[i], bodies.apart_start[i + 1]):
+        found = found or bodies.apart[k] == j
+    return found
+
+
+@wp.func
+def visit_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodies, motions: Motions, pairs: Pairs):
+    """Count the pair if its boxes overlap, and write it in the second round. Returns the new count."""
+    if not boxes_overlap(motions, i, j) or are_apart(i - first, j - first, bodies):
+        return found
+    if write == 1:
+        slot = pairs.start[i] + found
+        pairs.body_a[slot] = i
+        pairs.body_b[slot] = j
+        pairs.dormant[slot] = 0
+    return found + 1
+
+
+@wp.func
+def carry_dormant(i: int, found: int, write: int, motions: Motions, history: History, pairs: Pairs):
+    """Keep the pairs of body i that touched in the last step and now sleep. Returns the new count."""
+    total = int(found)
+    for row in range(history.pair_start[i], history.pair_start[i + 1]):
+        j = history.body_b[row]
+        both = motions.role[i] | motions.role[j]
+        present = motions.role[i] != ABSENT and motions.role[j] != ABSENT
+        sleeping = present and (both & ASLEEP) != 0 and not may_meet(motions.role[i], motions.role[j])
+        if sleeping and history.contact_start[row + 1] > history.contact_start[row]:
+            if write == 1:
+                slot = pairs.start[i] + total
+                pairs.body_a[slot] = i
+                pairs.body_b[slot] = j
+                pairs.dormant[slot] = row + 1
+            total += 1
+    return total
+
+
+@wp.func
+def visit_wide(
+    i: int, first: int, found: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs
+):
+    """Visit the pairs of body i with the wide bodies of its environment, each pair of wide ones once."""
+    total = int(found)
+    for w in range(cells.large.shape[0]):
+        j = first + cells.large[w]
+        both_wide = bodies.wide[i] == 1
+        if i != j and not (both_wide and j < i) and may_meet(motions.role[i], motions.role[j]):
+            total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
+    return total
+
+
+@wp.func
+def visit_small(i: int, first: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs):
+    """Visit the pairs of body i with all later small bodies of its environment."""
+    total = int(0)
+    for s in range(cells.small.shape[0]):
+        j = first + cells.small[s]
+        if j > i and may_meet(motions.role[i], motions.role[j]):
+            total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
+    return total
+
+
+@wp.kernel
+def pairs_by_trying_all(
+    write: int,
+    threads: int,
+    cells: Cells,
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    history: History,
+    pairs: Pairs,
+):
+    """The threads share the bodies: try all later small bodies of the environment, then the wide ones."""
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    for i in range(wp.tid(), motions.role.shape[0], threads):
+        env = i / bodies_per_env
+        first = env * bodies_per_env
+        found = int(0)
+        if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
+            if envs.moving[env] > envs.step[env]:
+                if bodies.wide[i] == 0:
+                    found = visit_small(i, first, write, cells, bodies, motions, pairs)
+                found = visit_wide(i, first, found, write, cells, bodies, motions, pairs)
+            found = carry_dormant(i, found, write, motions, history, pairs)
+        if write == 0:
+            pairs.count[i] = found
+
+
+@wp.func
+def cell_along(x: float, width: float):
+    """Number of the cell at a place along an axis."""
+    return int(wp.floor(wp.clamp(x / width, -FURTHEST_CELL, FURTHEST_CELL)))
+
+
+@wp.func
+def bucket_of(env: int, x: int, y: int, z: int, buckets: int):
+    """The bucket of a cell, one of `buckets`, a power of two, that the environment has (Teschner et al. 2003)."""
+    mixed = wp.uint32(x) * wp.uint32(73856093)
+    mixed = mixed ^ (wp.uint32(y) * wp.uint32(19349663))
+    mixed = mixed ^ (wp.uint32(z) * wp.uint32(83492791))
+    mixed = (mixed ^ (mixed >> wp.uint32(15))) * wp.uint32(2654435769)
+    return env * buckets + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
+
+
+@wp.kernel
+def choose_buckets(bodies_per_env: int, buckets: int, width: float, motions: Motions, cells: Cells):
+    """One thread a small body: the bucket of its swept box's centre, and the environment's largest half-width."""
+    k = wp.tid()
+    small = cells.small.shape[0]
+    env = k / small
+    b = env * bodies_per_env + cells.small[k - env * small]
+    x = 0.5 * (motions.lower[b] + motions.upper[b])
+    across = cell_along(x[0], width)
+    cells.key[k] = bucket_of(env, across, cell_along(x[1], width), cell_along(x[2], width), buckets)
+    cells.member[k] = b
+    wp.atomic_max(cells.reach, env, 0.5 * wp.max(motions.upper[b] - motions.lower[b]))
+
+
+@wp.kernel
+def find_bucket_starts(count: int, cells: Cells):
+    """One thread a place in the sorted list, and one past it: the buckets up to this one's that begin here."""
+    k = wp.tid()
+    last = int(-1)
+    if k > 0:
+        last = cells.key[k - 1]
+    bucket = cells.start.shape[0] - 1
+    if k < count:
+        bucket = cells.key[k]
+    for begun in range(last + 1, bucket + 1):
+        cells.start[begun] = k
+
+
+@wp.func
+def visit_cell(
+    i: int,
+    first: int,
+    found: int,
+    write: int,
+    at: wp.vec3i,
+    width: float,
+    bucket: int,
+    cells: Cells,
+    bodies: Bodies,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Visit the pairs of body i with the later small bodies of a cell. Returns the new count."""
+    total = int(found)
+    for k in range(cells.start[bucket], cells.start[bucket + 1]):
+        j = cells.member[k]
+        if j > i and may_meet(motions.role[i], motions.role[j]):
+            x = 0.5 * (motions.lower[j] + motions.upper[j])
+            here = cell_along(x[0], width) == at[0] and cell_along(x[1], width) == at[1]
+            if here and cell_along(x[2], width) == at[2]:
+                total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
+    return total
+
+
+@wp.func
+def visit_around(
+    i: int,
+    env: int,
+    first: int,
+    write: int,
+    buckets: int,
+    width: float,
+    cells: Cells,
+    bodies: Bodies,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Visit the pairs of body i with the later small bodies in the cells around it.
+
+    Where something moves so fast that there are more cells to look into than bodies, all are tried instead.
+    """
+    around = wp.vec3(cells.reach[env], cells.reach[env], cells.reach[env])
+    lower = motions.lower[i] - around
+    upper = motions.upper[i] + around
+    across = (upper - lower) / width + wp.vec3(1.0, 1.0, 1.0)
+    if not across[0] * across[1] * across[2] <= float(cells.small.shape[0]):
+        return visit_small(i, first, write, cells, bodies, motions, pairs)
+    total = int(0)
+    for x in range(cell_along(lower[0], width), cell_along(upper[0], width) + 1):
+        for y in range(cell_along(lower[1], width), cell_along(upper[1], width) + 1):
+            for z in range(cell_along(lower[2], width), cell_along(upper[2], width) + 1):
+                bucket = bucket_of(env, x, y, z, buckets)
+                at = wp.vec3i(x, y, z)
+                total = visit_cell(i, first, total, write, at, width, bucket, cells, bodies, motions, pairs)
+    return total
+
+
+@wp.kernel
+def pairs_by_grid(
+    write: int,
+    threads: int,
+    buckets: int,
+    width: float,
+    cells: Cells,
+    bodies: Bodies,
+    motions: Motions,
+    envs: Environments,
+    history: History,
+    pairs: Pairs,
+):
+    """The threads share the bodies: small bodies look around in the hash grid, then try the wide ones."""
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    for i in range(wp.tid(), motions.role.shape[0], threads):
+        env = i / bodies_per_env
+        first = env * bodies_per_env
+        found = int(0)
+        if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
+            if envs.moving[env] > envs.step[env]:
+                if bodies.wide[i] == 0:
+                    found = visit_around(i, env, first, write, buckets, width, cells, bodies, motions, pairs)
+                found = visit_wide(i, first, found, write, cells, bodies, motions, pairs)
+            found = carry_dormant(i, found, write, motions, history, pairs)
+        if write == 0:
+            pairs.count[i] = found

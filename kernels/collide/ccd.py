@@ -1,0 +1,367 @@
+"""Swept detection: what moves far in a step is followed along its way, so that it cannot pass through anything.
+
+Contacts are looked for near the pose at the start of a step: further on, neither the place nor the direction of a touch
+is known. So before the bodies move, pairs whose motion in the step is large against the smaller of both sizes are
+followed with the velocities that the solver has given them: the ball around a body, then the balls around its clusters,
+then its samples and its centre, each traced in the other body's distance (conservative advancement). Edges are traced
+whole, at their deepest place: where two of them cross, no sampled point need come near. A pair moves only up to where
+it would touch; the next step finds the contact there, with the true normal and the full speed, so that it rebounds as
+it should.
+
+In a convex distance the way ahead is bounded by the tangent of the distance and by how fast the motion can curve, so a
+few rounds are enough, and what moves along a surface is not held up; elsewhere by the speed alone.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.distance import FAR, HEIGHTFIELD, signed_distance
+from warp_rigid.kernels.collide.narrowphase import NEAR, matters
+from warp_rigid.kernels.collide.samples import EDGE, RIM, gradient, slope
+from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.update.predict import DRIVEN, FREE, UNBOUNDED, smaller_size
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+FAST = wp.constant(0.25)
+"""A pair is followed if it moves further in a step than this part of the smaller size."""
+
+DEPTH = wp.constant(0.02)
+"""How deep others may go when they are stopped, as a part of the size."""
+
+CLOSE_ENOUGH = wp.constant(2.0e-3)
+"""A trace ends when this part of the size is left."""
+
+ROUNDS = wp.constant(64)
+"""Most rounds of a trace; one that needs more is taken to touch where it has come to."""
+
+
+EDGE_ROUNDS = wp.constant(4)
+"""Rounds of the search for an edge's deepest place; a V takes one."""
+
+
+@wp.struct
+class Course:
+    """How a body moves in a step: uniformly, about its centre of mass."""
+
+    center: wp.vec3
+    turn: wp.quat
+    local_center: wp.vec3
+    linear: wp.vec3
+    angular: wp.vec3
+    radius: float
+    shape: int
+
+
+@wp.func
+def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
+    """The course of a body that moves a share of its step."""
+    course = Course()
+    course.center = motions.center[b]
+    course.turn = state.orientation[b]
+    course.local_center = bodies.center_of_mass[b]
+    course.radius = motions.radius[b]
+    course.shape = bodies.shape[b]
+    if motions.role[b] == FREE or motions.role[b] == DRIVEN:
+        course.linear = share * motions.movers[b].linear
+        course.angular = share * motions.movers[b].angular
+    return course
+
+
+@wp.func
+def rotation_after(angular: wp.vec3, t: float):
+    """Rotation by an angular velocity in a time."""
+    speed = wp.length(angular)
+    if speed == 0.0:
+        return wp.quat_identity()
+    return wp.quat_from_axis_angle(angular / speed, speed * t)
+
+
+@wp.func
+def lead(shapes: Shapes, shape: int, x: wp.vec3, left: float, ball: float):
+    """How far a ball about x can surely go until nothing is left of its distance.
+
+    The height over a heightfield holds for its own neighbourhood only, the way down to its highest place everywhere.
+    """
+    part = shapes.shapes[shape].part_start
+    if shapes.parts[part].kind != HEIGHTFIELD:
+        return left
+    size = shapes.parts[part].size
+    dims = shapes.parts[part].grid_dims
+    cell = wp.min(size[0] / float(dims[0] - 1), size[1] / float(dims[1] - 1))
+    return wp.max(x[2] - ball - shapes.shapes[shape].upper[2], wp.min(left, 0.5 * cell))
+
+
+@wp.func
+def place_at(own: Course, other: Course, arm: wp.vec3, t: float):
+    """Where a point at an arm from a body's centre is after a time, in the frame of the other body's shape."""
+    offset = own.center - other.center + t * (own.linear - other.linear)
+    offset = offset + wp.quat_rotate(rotation_after(own.angular, t), arm)
+    turn = rotation_after(other.angular, t) * other.turn
+    return wp.quat_rotate(wp.quat_inverse(turn), offset) + other.local_center
+
+
+@wp.func
+def closing_speed(own: Course, other: Course, arm: wp.vec3, x: wp.vec3, n: wp.vec3, t: float):
+    """Speed at which a point comes nearer to the other body along its normal n; x and n in that one's frame."""
+    turn = rotation_after(other.angular, t) * other.turn
+    v = own.linear + wp.cross(own.angular, wp.quat_rotate(rotation_after(own.angular, t), arm))
+    w = other.linear + wp.cross(other.angular, wp.quat_rotate(turn, x - other.local_center))
+    return wp.dot(w - v, wp.quat_rotate(turn, n))
+
+
+@wp.func
+def trace(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    arm: wp.vec3,
+    radius: float,
+    allowed: float,
+    tolerance: float,
+    begin: float,
+    end: float,
+):
+    """Time from `begin` at which a ball at an arm enters the other body deeper than allowed, or `end`."""
+    other_spin = wp.length(other.angular)
+    away = wp.length(own.center + arm - other.center)
+    speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * wp.length(arm) + other_spin * away
+    curve = wp.length_sq(own.angular) * wp.length(arm) + other_spin * (2.0 * speed + other_spin * away)
+    t = float(begin)
+    for _round in range(ROUNDS):
+        x = place_at(own, other, arm, t)
+        d = signed_distance(shapes, other.shape, x)
+        left = d[3] - radius + allowed
+        if left < tolerance:
+            return t
+        if shapes.shapes[other.shape].convex == 1:
+            closing = closing_speed(own, other, arm, x, wp.vec3(d[0], d[1], d[2]), t)
+            t += 2.0 * left / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * left), 1.0e-12)
+        else:
+            t += lead(shapes, other.shape, x, left, radius - allowed) / wp.max(speed, 1.0e-12)
+        if t >= end:
+            return end
+    return t
+
+
+@wp.func
+def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
+    """Where a segment, middle +- slide, is deepest in a convex shape: from -1 to 1, with the distance there.
+
+    Ends are replaced by where the tangents at both meet, as for contacts (samples.py).
+    """
+    low = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    high = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    left = float(-1.0)
+    right = float(1.0)
+    place = float(0.0)
+    deepest = wp.vec4(0.0, 0.0, 1.0, FAR)
+    t = float(left)
+    rounds = int(0)
+    while rounds < 2 + EDGE_ROUNDS:
+        d = signed_distance(shapes, shape, middle + t * slide)
+        if d[3] < deepest[3]:
+            place = t
+            deepest = d
+        if rounds == 0:
+            low = d
+            t = right
+        else:
+            if rounds == 1 or slope(d, slide) >= 0.0:
+                right = t
+                high = d
+            else:
+                left = t
+                low = d
+            fall = slope(low, slide)
+            rise = slope(high, slide)
+            if fall >= 0.0 or rise <= 0.0:
+                rounds = 2 + EDGE_ROUNDS
+            t = (low[3] - high[3] + rise * right - fall * left) / wp.max(rise - fall, 1.0e-12)
+            t = wp.clamp(t, left, right)
+        rounds += 1
+    return place, deepest
+
+
+@wp.func
+def trace_edge(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    arm: wp.vec3,
+    slide: wp.vec3,
+    radius: float,
+    allowed: float,
+    tolerance: float,
+    begin: float,
+    end: float,
+):
+    """`trace` for a whole segment, arm +- slide, against a convex shape.
+
+    The tangent at its deepest place bounds the distance of both ends, and so of all between, as long as it has hardly
+    a slope along the segment: it has where edges cross below the surface, and there the speed alone counts.
+    """
+    other_spin = wp.length(other.angular)
+    reach = wp.max(wp.length(arm - slide), wp.length(arm + slide))
+    away = wp.length(own.center - other.center) + reach
+    speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * reach + other_spin * away
+    curve = wp.length_sq(own.angular) * reach + other_spin * (2.0 * speed + other_spin * away)
+    t = float(begin)
+    for _round in range(ROUNDS):
+        low = place_at(own, other, arm - slide, t)
+        high = place_at(own, other, arm + slide, t)
+        half = 0.5 * (high - low)
+        place, d = deepest_place(shapes, other.shape, low + half, half)
+        left = d[3] - radius + allowed
+        if left < tolerance:
+            return t
+        rise = slope(d, half)
+        bound = left - wp.max((place - 1.0) * rise, (place + 1.0) * rise)
+        if bound > 0.5 * left:
+            closing = wp.max(
+                closing_speed(own, other, arm - slide, low, gradient(d), t),
+                closing_speed(own, other, arm + slide, high, gradient(d), t),
+            )
+            t += 2.0 * bound / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * bound), 1.0e-12)
+        else:
+            t += left / wp.max(speed, 1.0e-12)
+        if t >= end:
+            return end
+    return t
+
+
+@wp.func
+def trace_segment(
+    shapes: Shapes, own: Course, other: Course, s: int, near: float, begin: float, end: float, size: float
+):
+    """Time at which an edge's sample would enter the other body, which is convex, too deep; see `trace_sample`."""
+    arm = wp.quat_rotate(own.turn, shapes.samples[s].point - own.local_center)
+    slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
+    radius = shapes.samples[s].radius
+    tolerance = CLOSE_ENOUGH * size
+    at = trace(shapes, own, other, arm, radius + wp.length(slide), 0.0, tolerance, begin, end)
+    if at >= end:
+        return end
+    low = place_at(own, other, arm - slide, 0.0)
+    half = 0.5 * (place_at(own, other, arm + slide, 0.0) - low)
+    _place, d = deepest_place(shapes, other.shape, low + half, half)
+    gap = d[3] - radius
+    allowed = DEPTH * size
+    if gap < near:
+        allowed = near - wp.min(gap, 0.0)
+        at = 0.0
+    return trace_edge(shapes, own, other, arm, slide, radius, allowed, tolerance, at, end)
+
+
+@wp.func
+def trace_sample(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    p: wp.vec3,
+    radius: float,
+    near: float,
+    begin: float,
+    end: float,
+    size: float,
+):
+    """Time at which a sample would enter the other body too deep, or `end`; it cannot before `begin`.
+
+    A sample that starts nearer than `near` is the solver's, and may go so much deeper.
+    """
+    arm = wp.quat_rotate(own.turn, p - own.local_center)
+    d = signed_distance(shapes, other.shape, place_at(own, other, arm, 0.0))
+    gap = d[3] - radius
+    allowed = DEPTH * size
+    earliest = float(begin)
+    if gap < near:
+        allowed = near - wp.min(gap, 0.0)
+        earliest = 0.0
+    return trace(shapes, own, other, arm, radius, allowed, CLOSE_ENOUGH * size, earliest, end)
+
+
+@wp.func
+def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: float):
+    """Time at which a sample, an edge or the centre of one body would first enter the other too deep, at most `end`."""
+    earliest = float(end)
+    if own.radius > UNBOUNDED:
+        return earliest
+    tolerance = CLOSE_ENOUGH * size
+    begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, tolerance, 0.0, end)
+    if begin >= end:
+        return earliest
+    if shapes.shapes[own.shape].convex == 1:
+        earliest = trace_sample(shapes, own, other, own.local_center, 0.0, DEPTH * size, begin, earliest, size)
+    for cluster in range(shapes.shapes[own.shape].cluster_start, shapes.shapes[own.shape].cluster_end):
+        if matters(shapes.clusters[cluster].kind, own.shape, other.shape, 1, shapes):
+            arm = wp.quat_rotate(own.turn, shapes.clusters[cluster].center - own.local_center)
+            ball = shapes.clusters[cluster].radius
+            at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
+            if at < earliest:
+                for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
+                    if shapes.samples[s].kind == EDGE and shapes.shapes[other.shape].convex == 1:
+                        earliest = trace_segment(shapes, own, other, s, NEAR * size, at, earliest, size)
+                    elif shapes.samples[s].kind != RIM:
+                        p = shapes.samples[s].point
+                        ball = shapes.samples[s].radius
+                        earliest = trace_sample(shapes, own, other, p, ball, NEAR * size, at, earliest, size)
+    return earliest
+
+
+@wp.func
+def is_fast(a: Course, b: Course, dt: float, size: float):
+    """Whether two bodies move so far against each other in a step that they must be followed."""
+    small = a
+    if b.radius < a.radius:
+        small = b
+    v = a.linear + wp.cross(a.angular, small.center - a.center)
+    w = b.linear + wp.cross(b.angular, small.center - b.center)
+    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius) > FAST * size
+
+
+@wp.kernel
+def limit_way(dt: float, motions: Motions):
+    """One thread a body: it may move no further than other bodies were looked for."""
+    b = wp.tid()
+    way = dt * wp.length(motions.movers[b].linear)
+    share = wp.min(1.0, motions.room[b] / wp.max(way, 1.0e-12))
+    motions.share[b] = share
+    motions.next_share[b] = share
+
+
+@wp.kernel
+def follow(
+    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
+):
+    """The threads share the pairs: how much of the step's motion its two bodies may make.
+
+    Who is stopped may be run into by who follows: a second round does the pairs of all that were stopped once more.
+    """
+    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
+        a = pairs.body_a[pair]
+        b = pairs.body_b[pair]
+        share_a = motions.share[a]
+        share_b = motions.share[b]
+        if again == 0 or share_a < 1.0 or share_b < 1.0:
+            size = smaller_size(a, b, shapes, bodies)
+            first = course_of(a, share_a, bodies, state, motions)
+            second = course_of(b, share_b, bodies, state, motions)
+            if is_fast(first, second, dt, size):
+                t = float(dt)
+                side = int(0)
+                while side < 2:
+                    t = first_touch(shapes, first, second, t, size)
+                    swapped = first
+                    first = second
+                    second = swapped
+                    side += 1
+                if t < dt:
+                    wp.atomic_min(motions.next_share, a, share_a * t / dt)
+                    wp.atomic_min(motions.next_share, b, share_b * t / dt)
+
+
+@wp.kernel
+def settle(motions: Motions):
+    """One thread a body: what the first round allows holds for the second."""
+    b = wp.tid()
+    motions.share[b] = motions.next_share[b]

@@ -1,0 +1,160 @@
+"""Thinning: which few of the samples that touch represent the contact of a pair.
+
+Touching samples are sorted into patches of like normal. A patch keeps the furthest sample in each of eight fixed
+directions of its tangent plane, and the deepest. What carries a load at all carries it with its convex hull, so nothing
+is lost; ties go to the first sample, so identities persist.
+
+What lies higher counts as less far out, as if the bodies were tipped by an angle. In every other direction that is the
+angle of a fall: what is nearest must not push out the corners that a fast body turns onto. In the directions between it
+is, for slow bodies, a small one: a bumpy shape then keeps the samples on which it stands and not those about its bumps,
+on which it would rock for ever.
+
+A team of lanes does it together. All of them find the patch, and each keeps its own slots.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.common.tangents import tangent_of
+from warp_rigid.kernels.common.team import bits_below, meet_in_warp, votes
+from warp_rigid.kernels.schema import EXTREME_DIRECTIONS, PATCH_SLOTS, PATCHES, Pairs
+from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
+
+wp.set_module_options({"enable_backward": False})
+
+DIRECTIONS = wp.constant(EXTREME_DIRECTIONS)
+SLOTS = wp.constant(PATCH_SLOTS)
+MOST_PATCHES = wp.constant(PATCHES)
+
+SAME_PATCH = wp.constant(0.94)
+"""Cosine (20 degrees) above which two contact normals belong to one patch."""
+
+TIPPED = wp.constant(20.0)
+"""How much less far out a sample counts for each metre that it lies higher: it touches first once the bodies have
+tipped by three degrees."""
+
+UPRIGHT = wp.constant(200.0)
+"""The same for bodies at rest, in every other direction."""
+
+STEADY = wp.constant(0.5)
+"""The weight between, for each size that fits into the way that a pair goes in the step."""
+
+FURTHEST_RANKED = wp.constant(0.02)
+"""Gaps beyond this part of the smaller size count as equal."""
+
+TIE = wp.constant(1.0e-6)
+"""A later sample must be better by what a gap of this part of the size counts: by more than rounding errors."""
+
+AGAINST = wp.constant(-0.8)
+"""Two contact normals with a cosine below this push against each other."""
+
+
+@wp.func
+def gap_weight(way: float, size: float):
+    """How much a gap counts in every other direction, by how far the bodies of a pair go against each other."""
+    return wp.clamp(STEADY * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
+
+
+@wp.func
+def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
+    """The patch of like normal, a new one, or, when all are in use, the nearest. The whole team finds it."""
+    count = pairs.patch_count[pair]
+    best = int(0)
+    likeness = float(-2.0)
+    for p in range(count):
+        c = wp.dot(pairs.patch_normal[pair, p], normal)
+        if c > likeness:
+            likeness = c
+            best = p
+    if likeness < SAME_PATCH and count < MOST_PATCHES:
+        best = count
+        meet_in_warp(lanes)
+        if lane == 0:
+            pairs.patch_count[pair] = count + 1
+            pairs.patch_normal[pair, count] = normal
+        for k in range(lane, SLOTS, lanes):
+            pairs.slot_key[pair, count * SLOTS + k] = -1
+        meet_in_warp(lanes)
+    return best
+
+
+@wp.func
+def extent(k: int, x: float, y: float):
+    """How far a place (x, y) of the tangent plane lies in one of the eight directions."""
+    c = float(0.9)
+    s = float(0.43588989)
+    if k % 2 == 1:
+        c = 0.32817533
+        s = 0.94461734
+    along = c * x + s * y
+    across = c * y - s * x
+    quarter = k / 2
+    return wp.where(quarter % 2 == 0, along, across) * wp.where(quarter < 2, 1.0, -1.0)
+
+
+@wp.func
+def remember(
+    pair: int,
+    key: int,
+    point: wp.vec3,
+    normal: wp.vec3,
+    height: float,
+    weight: float,
+    size: float,
+    lane: int,
+    lanes: int,
+    pairs: Pairs,
+):
+    """Offer a touching sample, given in the second body's frame, to the slots of its patch; a lane keeps its own."""
+    gap = wp.min(height, FURTHEST_RANKED * size)
+    patch = patch_for(pair, normal, lane, lanes, pairs)
+    n = pairs.patch_normal[pair, patch]
+    u = tangent_of(n)
+    x = wp.dot(point, u)
+    y = wp.dot(point, wp.cross(n, u))
+    for k in range(lane, SLOTS, lanes):
+        counts = float(1.0)
+        score = -gap
+        if k < DIRECTIONS:
+            counts = wp.where(k % 2 == 0, weight, TIPPED)
+            score = extent(k, x, y) - counts * gap
+        slot = patch * SLOTS + k
+        if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + TIE * size * counts:
+            pairs.slot_key[pair, slot] = key
+            pairs.slot_score[pair, slot] = score
+            pairs.slot_gap[pair, slot] = gap
+
+
+@wp.func
+def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
+    """List the samples to keep: each once, and a deepest one only if it is deeper than the rest. Returns how many."""
+    kept = int(0)
+    slots = pairs.patch_count[pair] * SLOTS
+    for base in range(0, slots, lanes):
+        slot = base + lane
+        key = int(-1)
+        if slot < slots:
+            key = pairs.slot_key[pair, slot]
+            lowest = float(FAR)
+            for earlier in range(slot - slot % SLOTS, slot):
+                if pairs.slot_key[pair, earlier] >= 0:
+                    lowest = wp.min(lowest, pairs.slot_gap[pair, earlier])
+                    if pairs.slot_key[pair, earlier] == pairs.slot_key[pair, slot]:
+                        key = -1
+            if slot % SLOTS == DIRECTIONS and pairs.slot_gap[pair, slot] > lowest - 0.1 * CONTACT_DISTANCE * size:
+                key = -1
+        hits = votes(wp.where(key >= 0, 1, 0), lanes)
+        if key >= 0:
+            pairs.kept[pair, kept + bits_below(hits, lane)] = key
+        kept += bits_below(hits, 32)
+    return kept
+
+
+@wp.func
+def contradictory(pair: int, pairs: Pairs):
+    """Whether two patches of a pair push against each other."""
+    for p in range(pairs.patch_count[pair]):
+        for q in range(p):
+            if wp.dot(pairs.patch_normal[pair, p], pairs.patch_normal[pair, q]) < AGAINST:
+                return True
+    return False

@@ -1,0 +1,237 @@
+"""Signed distance of every kind of shape part, with its direction.
+
+Every function takes a point in the part's frame and returns `vec4(direction, distance)`: the distance is negative
+inside, and the direction is the unit outward normal of the nearest surface, that is, the distance's gradient.
+
+Near the border of a box's face the gradient jumps from one face to the next, and two boxes of equal size that lie
+flush touch exactly there. `contact_distance` therefore takes the sample's own outward normal too and measures to a
+face that opposes it, as long as the sample has not really left that face sideways.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.height_distance import heightfield_distance
+from warp_rigid.kernels.schema import Shapes
+
+wp.set_module_options({"enable_backward": False})
+
+SPHERE = wp.constant(0)
+BOX = wp.constant(1)
+CAPSULE = wp.constant(2)
+CYLINDER = wp.constant(3)
+PLANE = wp.constant(4)
+GRID = wp.constant(5)
+HEIGHTFIELD = wp.constant(6)
+
+FAR = wp.constant(1.0e10)
+"""Distance told where there is nothing to touch [m]."""
+
+OPPOSING = wp.constant(-0.1)
+"""Two outward normals with a scalar product below this face each other."""
+
+BORDER = wp.constant(0.005)
+"""A sample counts as above a face until it has left it sideways by this part of the smallest half-extent."""
+
+
+@wp.func
+def direction_or_up(v: wp.vec3):
+    """Return v normalised, or +z for the zero vector."""
+    length = wp.length(v)
+    if length > 0.0:
+        return v / length
+    return wp.vec3(0.0, 0.0, 1.0)
+
+
+@wp.func
+def ball_distance(offset: wp.vec3, radius: float):
+    """Distance to a ball from an offset from its centre."""
+    n = direction_or_up(offset)
+    return wp.vec4(n[0], n[1], n[2], wp.length(offset) - radius)
+
+
+@wp.func
+def capsule_distance(p: wp.vec3, size: wp.vec4):
+    """Distance to a capsule of radius size[0] around the segment |z| <= size[1]."""
+    return ball_distance(wp.vec3(p[0], p[1], p[2] - wp.clamp(p[2], -size[1], size[1])), size[0])
+
+
+@wp.func
+def plane_distance(p: wp.vec3, size: wp.vec4):
+    """Distance to the half space n . x <= offset, size = (n, offset)."""
+    return wp.vec4(size[0], size[1], size[2], wp.dot(wp.vec3(size[0], size[1], size[2]), p) - size[3])
+
+
+@wp.func
+def slab_distance(separation: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3):
+    """Distance to the intersection of three slabs with orthogonal normals, given the separation from each."""
+    outside = wp.vec3(wp.max(separation[0], 0.0), wp.max(separation[1], 0.0), wp.max(separation[2], 0.0))
+    length = wp.length(outside)
+    n = n0
+    distance = separation[0]
+    if length > 0.0:
+        n = (outside[0] * n0 + outside[1] * n1 + outside[2] * n2) / length
+        distance = length
+    else:
+        if separation[1] > distance:
+            n = n1
+            distance = separation[1]
+        if separation[2] > distance:
+            n = n2
+            distance = separation[2]
+    return wp.vec4(n[0], n[1], n[2], distance)
+
+
+@wp.func
+def facing_slab_distance(
+    separation: wp.vec3, thickness: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, sample_normal: wp.vec3, half: float
+):
+    """`slab_distance`, but within the border measured to the nearest face that opposes the sample's normal.
+
+    The far face of a slab, a thickness away, counts too: a sample that has passed the middle of a thin wall is held to
+    touch the face through which it came. `half` is the smallest half-extent.
+    """
+    border = BORDER * half
+    beyond = int(0)
+    for i in range(3):
+        if separation[i] > border:
+            beyond += 1
+    if beyond > 1 or wp.length_sq(sample_normal) == 0.0:
+        return slab_distance(separation, n0, n1, n2)
+    result = wp.vec4(n0[0], n0[1], n0[2], FAR)
+    nearest = -FAR
+    for i in range(3):
+        n = n0
+        if i == 1:
+            n = n1
+        if i == 2:
+            n = n2
+        facing = wp.dot(n, sample_normal)
+        behind = -separation[i] - thickness[i]
+        if separation[i] > nearest and (separation[i] > border or facing < OPPOSING):
+            nearest = separation[i]
+            result = wp.vec4(n[0], n[1], n[2], nearest)
+        elif beyond == 0 and behind > nearest and facing > -OPPOSING:
+            nearest = behind
+            result = wp.vec4(-n[0], -n[1], -n[2], nearest)
+    return result
+
+
+@wp.func
+def outward(coordinate: float, axis: wp.vec3):
+    """The axis, turned to the side on which the coordinate lies."""
+    return wp.where(coordinate < 0.0, -1.0, 1.0) * axis
+
+
+@wp.func
+def box_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
+    """Distance to a box with half-extents size[0:3]."""
+    half = wp.vec3(size[0], size[1], size[2])
+    nx = outward(p[0], wp.vec3(1.0, 0.0, 0.0))
+    ny = outward(p[1], wp.vec3(0.0, 1.0, 0.0))
+    nz = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
+    separation = wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2])) - half
+    return facing_slab_distance(separation, 2.0 * half, nx, ny, nz, sample_normal, wp.min(half))
+
+
+@wp.func
+def cylinder_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
+    """Distance to a cylinder of radius size[0] and half height size[1] along z."""
+    radial = wp.vec3(p[0], p[1], 0.0)
+    side = direction_or_up(radial)
+    if side[2] > 0.5:
+        side = wp.vec3(1.0, 0.0, 0.0)
+    cap = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
+    separation = wp.vec3(wp.length(radial) - size[0], -FAR, wp.abs(p[2]) - size[1])
+    thickness = wp.vec3(FAR, FAR, 2.0 * size[1])
+    around = wp.cross(cap, side)
+    return facing_slab_distance(separation, thickness, side, around, cap, sample_normal, wp.min(size[0], size[1]))
+
+
+@wp.func
+def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
+    """Trilinear interpolation in a part's grid, and its gradient.
+
+    Outside the grid, with d the distance at its nearest point c and a the way to c, every surface point is at least
+    sqrt(d^2 + a^2) away, since the grid's box is convex: a bound that never rejects too much.
+    """
+    dims = shapes.parts[part].grid_dims
+    top = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
+    q = (p - shapes.parts[part].grid_origin) / shapes.parts[part].grid_spacing
+    inside = wp.vec3(wp.clamp(q[0], 0.0, top[0]), wp.clamp(q[1], 0.0, top[1]), wp.clamp(q[2], 0.0, top[2]))
+    i = wp.min(int(inside[0]), dims[0] - 2)
+    j = wp.min(int(inside[1]), dims[1] - 2)
+    k = wp.min(int(inside[2]), dims[2] - 2)
+    x = inside[0] - float(i)
+    y = inside[1] - float(j)
+    z = inside[2] - float(k)
+    row = dims[2]
+    slab = dims[1] * dims[2]
+    at = shapes.parts[part].grid_start + i * slab + j * row + k
+    v = shapes.grid_value
+    z00 = v[at + 1] - v[at]
+    z01 = v[at + row + 1] - v[at + row]
+    z10 = v[at + slab + 1] - v[at + slab]
+    z11 = v[at + slab + row + 1] - v[at + slab + row]
+    v00 = v[at] + z * z00
+    v01 = v[at + row] + z * z01
+    v10 = v[at + slab] + z * z10
+    v11 = v[at + slab + row] + z * z11
+    v0 = v00 + y * (v01 - v00)
+    v1 = v10 + y * (v11 - v10)
+    gx = v1 - v0
+    gy = (1.0 - x) * (v01 - v00) + x * (v11 - v10)
+    gz = (1.0 - x) * ((1.0 - y) * z00 + y * z01) + x * ((1.0 - y) * z10 + y * z11)
+    n = direction_or_up(wp.vec3(gx, gy, gz))
+    distance = v0 + x * gx
+    away = (q - inside) * shapes.parts[part].grid_spacing
+    if wp.length_sq(away) > 0.0:
+        for axis in range(3):
+            n[axis] = wp.where(away[axis] != 0.0, away[axis], distance * n[axis])
+        n = direction_or_up(n)
+        distance = wp.sqrt(wp.max(distance, 0.0) * wp.max(distance, 0.0) + wp.length_sq(away))
+    return wp.vec4(n[0], n[1], n[2], distance)
+
+
+@wp.func
+def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3):
+    """Distance to one part, in the part's own frame."""
+    kind = shapes.parts[part].kind
+    size = shapes.parts[part].size
+    if kind == GRID:
+        return grid_distance(shapes, part, p)
+    if kind == BOX:
+        return box_distance(p, size, sample_normal)
+    if kind == PLANE:
+        return plane_distance(p, size)
+    if kind == SPHERE:
+        return ball_distance(p, size[0])
+    if kind == CYLINDER:
+        return cylinder_distance(p, size, sample_normal)
+    if kind == CAPSULE:
+        return capsule_distance(p, size)
+    return heightfield_distance(shapes, part, p)
+
+
+@wp.func
+def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.vec3):
+    """Distance from a sample with its outward normal to a shape (the union of its parts), in the shape's frame."""
+    nearest = wp.vec4(0.0, 0.0, 1.0, FAR)
+    for part in range(shapes.shapes[shape].part_start, shapes.shapes[shape].part_end):
+        d = wp.vec4(0.0, 0.0, 1.0, FAR)
+        if shapes.parts[part].placed == 0:
+            d = part_distance(shapes, part, p, sample_normal)
+        else:
+            turn = shapes.parts[part].orientation
+            local = wp.quat_rotate_inv(turn, p - shapes.parts[part].position)
+            d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal))
+            n = wp.quat_rotate(turn, wp.vec3(d[0], d[1], d[2]))
+            d = wp.vec4(n[0], n[1], n[2], d[3])
+        if d[3] < nearest[3]:
+            nearest = d
+    return nearest
+
+
+@wp.func
+def signed_distance(shapes: Shapes, shape: int, p: wp.vec3):
+    """Distance from a point to a shape, in the shape's frame."""
+    return contact_distance(shapes, shape, p, wp.vec3(0.0, 0.0, 0.0))

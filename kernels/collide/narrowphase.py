@@ -1,0 +1,487 @@
+"""Third stage: which surface samples of one body touch the other, and which few of them represent the contact.
+
+Both directions are tried: samples of A in the distance of B and samples of B in that of A. A cluster of samples is
+passed over when the distance at its centre exceeds its reach. A sample touches if its gap, less what its velocity
+closes within the step, is below the contact distance, and if its own outward normal opposes the distance's gradient.
+Where one does, so may others near by that move away: a body that lands on a corner turns round within the step.
+
+Contacts are thinned while they are found (thinning.py).
+
+Bodies may be so deep in each other that no surface of one opposes the other, or that contacts push against each other.
+The ball that fits into one about its centre then makes the contact: it overlaps only if the bodies do.
+
+A team of lanes does a pair. They try clusters, then a cluster's samples side by side; what touches is told to all of
+them, in the order of the samples, and each lane keeps its own slots.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.broadphase import may_meet
+from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, remember
+from warp_rigid.kernels.collide.distance import FAR, HEIGHTFIELD, PLANE, SPHERE, signed_distance
+from warp_rigid.kernels.collide.samples import EDGE, POINT, Search, gradient, place_sample
+from warp_rigid.kernels.common.team import lowest_bit, meet_in_warp, of_lane, votes
+from warp_rigid.kernels.schema import Bodies, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, DRIVEN, smaller_size
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+STILL = wp.constant(2.5e-4)
+"""Pairs that have moved less than this part of the smaller size, half the contact distance, keep their contacts."""
+
+TURNED_BACK = wp.constant(0.25)
+"""Places that move away may come back in the step if they are nearer than this part of the pair's reach."""
+
+NEAR = wp.constant(0.25)
+"""Distance from which fast bodies have contacts, as a part of the smaller size."""
+
+BY_CENTER = wp.constant(-2)
+"""Identity of the contact of the ball about the first body's centre; the second's is one less."""
+
+
+@wp.struct
+class Touch:
+    """A touching place in the world. The normal points from the pair's second body to the first.
+
+    `closing`: 1 if the gap closes within the step.
+    """
+
+    position: wp.vec3
+    normal: wp.vec3
+    gap: float
+    closing: int
+
+
+@wp.struct
+class Approach:
+    """How two bodies of a pair stand to each other, seen from the one whose distance is taken.
+
+    `weight`: how much a gap counts against a sample (thinning.py).
+    """
+
+    own: int
+    other: int
+    own_shape: int
+    shape: int
+    turn: wp.quat
+    shift: wp.vec3
+    reach: float
+    rise: float
+    weight: float
+
+
+@wp.func
+def last_pair(a: int, b: int, history: History):
+    """Row of the same pair in the last step, or -1."""
+    for pair in range(history.pair_start[a], history.pair_start[a + 1]):
+        if history.body_b[pair] == b:
+            return pair
+    return -1
+
+
+@wp.func
+def touch_of(placed: Search, side: int, other: int, state: State):
+    """The touching place in the world; on side 0 the sample is the first body's, on side 1 the second's."""
+    result = Touch()
+    turn = state.orientation[other]
+    n = wp.quat_rotate(turn, placed.direction)
+    middle = placed.query - 0.5 * placed.distance * placed.direction
+    result.position = wp.quat_rotate(turn, middle) + state.position[other]
+    result.normal = wp.where(side == 0, n, -n)
+    result.gap = placed.distance
+    return result
+
+
+@wp.func
+def velocity_at(body: int, x: wp.vec3, dt: float, state: State, motions: Motions):
+    """Velocity of a body's material at world point x, with a step's acceleration."""
+    v = state.linear_velocity[body] + dt * motions.acceleration[body]
+    w = state.angular_velocity[body] + dt * motions.spin_acceleration[body]
+    return v + wp.cross(w, x - motions.center[body])
+
+
+@wp.func
+def closing_gap(touch: Touch, a: int, b: int, dt: float, state: State, motions: Motions):
+    """The gap that is left after the step if nothing stops the approach; never more than the gap now."""
+    v = velocity_at(a, touch.position, dt, state, motions) - velocity_at(b, touch.position, dt, state, motions)
+    return touch.gap + dt * wp.min(wp.dot(v, touch.normal), 0.0)
+
+
+@wp.func
+def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motions):
+    """How far the surfaces of two bodies can move against each other in a time dt, accelerated for a time `ahead`."""
+    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
+    x = motions.center[small]
+    speed = velocity_at(a, x, ahead, state, motions) - velocity_at(b, x, ahead, state, motions)
+    spin = wp.length(state.angular_velocity[a] - state.angular_velocity[b]) * motions.radius[small]
+    return dt * (wp.length(speed) + spin)
+
+
+@wp.func
+def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
+    """How far apart two surfaces are now, at most, if their contact is the solver's in this step [m].
+
+    They close what they travel. Bodies that travel further than their size are brought to the touch by the swept
+    detection first (swept.py): where and how they will touch cannot be told from afar. Kinematic bodies are never held
+    up.
+    """
+    way = travel(a, b, dt, dt, state, motions)
+    if way > size and motions.role[a] != DRIVEN and motions.role[b] != DRIVEN:
+        way = NEAR * size
+    return CONTACT_DISTANCE * size + way
+
+
+@wp.func
+def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
+    """Whether samples of a kind can tell something of a contact that the others do not.
+
+    Between convex shapes a point inside a face never touches first, nothing but a point touches a plane first, and a
+    ball is found exactly by its own centre: but for the rounded edges and corners of a grid, and by the faces of a
+    grid that is small beside it.
+    """
+    if shapes.shapes[shape].convex == 0:
+        return kind != EDGE or edges == 1
+    other = shapes.parts[shapes.shapes[shape].part_start].kind
+    own = shapes.parts[shapes.shapes[own_shape].part_start].kind
+    if own == HEIGHTFIELD:
+        return True
+    by_center = other == SPHERE and shapes.shapes[own_shape].convex == 1
+    if kind == POINT:
+        return own == SPHERE or not by_center
+    if kind == EDGE:
+        return edges == 1 and other != PLANE and not by_center
+    return other == SPHERE and not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
+
+
+@wp.func
+def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
+    """Whether a point is further than a margin from a shape's box: a cheap bound of the distance."""
+    below = shapes.shapes[shape].lower - p
+    above = p - shapes.shapes[shape].upper
+    return wp.max(wp.max(below), wp.max(above)) > margin
+
+
+@wp.func
+def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
+    """Whether a cluster may hold a sample that touches."""
+    if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
+        return 0
+    center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
+    margin = shapes.clusters[cluster].radius + approach.reach
+    if out_of_box(center, margin, approach.shape, shapes):
+        return 0
+    d = signed_distance(shapes, approach.shape, center)
+    return wp.where(d[3] < margin, 1, 0)
+
+
+@wp.func
+def sample_is_near(s: int, approach: Approach, shapes: Shapes):
+    """Whether a sample may touch, by the other shape's box."""
+    p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
+    margin = approach.reach + shapes.samples[s].radius + wp.length(shapes.samples[s].slide)
+    return not out_of_box(p, margin, approach.shape, shapes)
+
+
+@wp.func
+def touching(
+    s: int, side: int, approach: Approach, dt: float, size: float, shapes: Shapes, state: State, motions: Motions
+):
+    """The touching place of a sample in the second body's frame; its gap is FAR if there is none."""
+    result = Touch()
+    result.gap = FAR
+    if not sample_is_near(s, approach, shapes):
+        return result
+    placed = place_sample(shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.reach)
+    if placed.distance >= approach.reach:
+        return result
+    touch = touch_of(placed, side, approach.other, state)
+    a = wp.where(side == 0, approach.own, approach.other)
+    b = wp.where(side == 0, approach.other, approach.own)
+    left = closing_gap(touch, a, b, dt, state, motions) - approach.rise
+    result.closing = wp.where(left < CONTACT_DISTANCE * size, 1, 0)
+    if result.closing == 0 and touch.gap > TURNED_BACK * approach.reach:
+        return result
+    result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
+    result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
+    result.gap = touch.gap
+    return result
+
+
+@wp.func
+def of_lane_touch(touch: Touch, lane: int, lanes: int):
+    """A lane's touching place, told to the whole team."""
+    result = Touch()
+    for i in range(3):
+        result.position[i] = of_lane(touch.position[i], lane, lanes)
+        result.normal[i] = of_lane(touch.normal[i], lane, lanes)
+    result.gap = of_lane(touch.gap, lane, lanes)
+    return result
+
+
+@wp.func
+def try_cluster(
+    cluster: int,
+    pair: int,
+    side: int,
+    lane: int,
+    lanes: int,
+    approach: Approach,
+    dt: float,
+    size: float,
+    shapes: Shapes,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Try the samples of a cluster, as many at a time as there are lanes. Returns 1 if one of the lane's own closes."""
+    closing = int(0)
+    end = shapes.clusters[cluster].sample_end
+    for base in range(shapes.clusters[cluster].sample_start, end, lanes):
+        touch = Touch()
+        touch.gap = FAR
+        if base + lane < end:
+            touch = touching(base + lane, side, approach, dt, size, shapes, state, motions)
+        closing |= touch.closing
+        hits = votes(wp.where(touch.gap < FAR, 1, 0), lanes)
+        while hits != wp.uint32(0):
+            k = lowest_bit(hits)
+            hits = hits & (hits - wp.uint32(1))
+            told = of_lane_touch(touch, k, lanes)
+            key = 2 * (base + k) + side
+            remember(pair, key, told.position, told.normal, told.gap, approach.weight, size, lane, lanes, pairs)
+    return closing
+
+
+@wp.func
+def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State):
+    """How `own` stands in the frame of `other`."""
+    approach = Approach()
+    approach.own = own
+    approach.other = other
+    approach.own_shape = bodies.shape[own]
+    approach.shape = bodies.shape[other]
+    back = wp.quat_inverse(state.orientation[other])
+    approach.turn = back * state.orientation[own]
+    approach.shift = wp.quat_rotate(back, state.position[own] - state.position[other])
+    approach.reach = reach
+    return approach
+
+
+@wp.func
+def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """The touching place of the ball that fits into a pair's first (side 0) or second body about its centre of mass.
+
+    Where it enters the other body, the two overlap, whatever their surfaces tell. FAR where it cannot be told: only
+    convex bodies know how large the ball is, and beyond a grid its distance is a bound.
+    """
+    own = wp.where(side == 0, a, b)
+    other = wp.where(side == 0, b, a)
+    placed = Search()
+    placed.query = wp.quat_rotate_inv(state.orientation[other], motions.center[own] - state.position[other])
+    placed.distance = FAR
+    shape = bodies.shape[own]
+    query = bodies.center_of_mass[own]
+    radius = float(0.0)
+    asked = int(0)
+    while asked < 2:
+        # First how large the ball is, then how far it lies from the other body.
+        d = signed_distance(shapes, shape, query)
+        if asked == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
+            placed.direction = gradient(d)
+            placed.distance = d[3] - radius
+            placed.query -= radius * placed.direction
+        elif asked == 0 and shapes.shapes[shape].convex == 1:
+            radius = -d[3]
+        shape = bodies.shape[other]
+        query = placed.query
+        asked = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), asked + 1, 2)
+    return touch_of(placed, side, other, state)
+
+
+@wp.func
+def keep_center(
+    pair: int, kept: int, lane: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
+):
+    """Where samples do not tell the way out, the deeper of the balls about the centres takes their place, if any."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    deepest = float(0.0)
+    side = int(0)
+    while side < 2:
+        touch = center_inside(side, a, b, shapes, bodies, state, motions)
+        if touch.gap < deepest:
+            deepest = touch.gap
+            if lane == 0:
+                pairs.kept[pair, 0] = BY_CENTER - side
+        side += 1
+    if deepest == 0.0:
+        return kept
+    return 1
+
+
+@wp.func
+def look_for_contacts(
+    pair: int,
+    lane: int,
+    lanes: int,
+    dt: float,
+    size: float,
+    edges: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Try the samples of both bodies of a pair. Returns how many contacts they make, none if no sample closes."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    rise = dt * (shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise)
+    reach = contact_reach(a, b, size, dt, state, motions) + rise
+    if lane == 0:
+        pairs.patch_count[pair] = 0
+    meet_in_warp(lanes)
+    closing = int(0)
+    side = int(0)
+    while side < 2:
+        approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
+        approach.rise = rise
+        approach.weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
+        end = shapes.shapes[approach.own_shape].cluster_end
+        for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
+            near = int(0)
+            if base + lane < end:
+                near = cluster_is_near(base + lane, approach, edges, shapes)
+            bits = votes(near, lanes)
+            while bits != wp.uint32(0):
+                cluster = base + lowest_bit(bits)
+                bits = bits & (bits - wp.uint32(1))
+                closing |= try_cluster(
+                    cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs
+                )
+        side += 1
+    meet_in_warp(lanes)
+    kept = int(keep_slots(pair, size, lane, lanes, pairs))
+    meet_in_warp(lanes)
+    if votes(closing, lanes) == wp.uint32(0):
+        kept = 0
+    if kept == 0 or contradictory(pair, pairs):
+        kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
+    return kept
+
+
+@wp.func
+def hardly_moved(
+    last: int,
+    approach: Approach,
+    dt: float,
+    size: float,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    history: History,
+):
+    """Whether two bodies stand, and will stand after the step, as they stood when contacts were last looked for.
+
+    What did not touch then was further than the contact distance away, and cannot have come as near as half of it.
+    """
+    moved = wp.length(approach.shift - history.seen_shift[last]) + travel(
+        approach.own, approach.other, dt, 0.0, state, motions
+    )
+    q = approach.turn
+    q0 = history.seen_turn[last]
+    turned = 2.0 * wp.min(wp.length(q - q0), wp.length(q + q0))
+    radius = motions.radius[approach.own] + wp.length(bodies.center_of_mass[approach.own])
+    return moved + turned * radius < STILL * size
+
+
+@wp.func
+def take_over(pair: int, last: int, edges: int, pairs: Pairs, history: History):
+    """Keep the samples of the last step's contacts, and what is known of the look that found them."""
+    start = history.contact_start[last]
+    count = history.contact_start[last + 1] - start
+    for k in range(count):
+        pairs.kept[pair, k] = history.key[start + k]
+    pairs.contact_count[pair] = count
+    pairs.seen[pair] = edges + 1
+    pairs.seen_turn[pair] = history.seen_turn[last]
+    pairs.seen_shift[pair] = history.seen_shift[last]
+
+
+@wp.func
+def smaller_approach(pair: int, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
+    """How the smaller body of a pair stands to the larger one."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
+    return approach_of(small, a + b - small, 0.0, bodies, state)
+
+
+@wp.kernel
+def keep_contacts(
+    woken: int,
+    threads: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    envs: Environments,
+    history: History,
+    pairs: Pairs,
+):
+    """The threads share the pairs: keep the samples of those that have hardly moved, list the others to be searched.
+
+    A first round passes over dormant pairs, a second one does those that have woken since. The order of the list is
+    free: a pair's search knows of no other pair.
+    """
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
+        a = pairs.body_a[pair]
+        b = pairs.body_b[pair]
+        dormant = wp.where(pairs.dormant[pair] > 0, 1, 0)
+        if dormant != woken or (woken == 1 and not may_meet(motions.role[a], motions.role[b])):
+            continue
+        size = smaller_size(a, b, shapes, bodies)
+        edges = envs.edge_samples[a / bodies_per_env]
+        approach = smaller_approach(pair, bodies, state, motions, pairs)
+        last = last_pair(a, b, history)
+        pairs.last[pair] = last
+        if (
+            last >= 0
+            and shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise == 0.0
+            and history.seen[last] == edges + 1
+            and hardly_moved(last, approach, dt, size, bodies, state, motions, history)
+        ):
+            take_over(pair, last, edges, pairs, history)
+        else:
+            pairs.sought[wp.atomic_add(pairs.sought_count, 0, 1)] = pair
+
+
+@wp.kernel
+def search_contacts(
+    teams: int,
+    lanes: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    envs: Environments,
+    pairs: Pairs,
+):
+    """The teams share the listed pairs: find the samples that represent a pair's contact."""
+    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
+    lane = wp.tid() % lanes
+    for k in range(wp.tid() / lanes, pairs.sought_count[0], teams):
+        pair = pairs.sought[k]
+        a = pairs.body_a[pair]
+        size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
+        edges = envs.edge_samples[a / bodies_per_env]
+        kept = look_for_contacts(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, pairs)
+        if lane == 0:
+            approach = smaller_approach(pair, bodies, state, motions, pairs)
+            pairs.contact_count[pair] = kept
+            pairs.seen[pair] = edges + 1
+            pairs.seen_turn[pair] = approach.turn
+            pairs.seen_shift[pair] = approach.shift

@@ -1,0 +1,50 @@
+"""A measurement, not a stage: how deep surface samples lie inside other bodies now."""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.distance import signed_distance
+from warp_rigid.kernels.collide.samples import bring_to_touch
+from warp_rigid.kernels.schema import Bodies, Pairs, Shapes, State
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@wp.func
+def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: State):
+    """Depth of the deepest sample of one body inside another [m], at least 0."""
+    shape = bodies.shape[other]
+    back = wp.quat_inverse(state.orientation[other])
+    turn = back * state.orientation[own]
+    shift = wp.quat_rotate(back, state.position[own] - state.position[other])
+    deepest = float(0.0)
+    own_shape = bodies.shape[own]
+    for cluster in range(shapes.shapes[own_shape].cluster_start, shapes.shapes[own_shape].cluster_end):
+        c = wp.quat_rotate(turn, shapes.clusters[cluster].center) + shift
+        d = signed_distance(shapes, shape, c)
+        if d[3] < shapes.clusters[cluster].radius - deepest:
+            for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
+                found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, 0.0, 0.0)
+                deepest = wp.max(deepest, -found.distance)
+    return deepest
+
+
+@wp.kernel
+def deepest_overlap(
+    bodies_per_env: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array2d[float]
+):
+    """One thread a pair: the environment's deepest overlap [m], (envs, 1).
+
+    Warp compiles a kernel whose own arrays have one dimension twice for the CPU: as a second, contiguous case.
+    """
+    pair = wp.tid()
+    if pair >= pairs.start[pairs.start.shape[0] - 1]:
+        return
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    depth = float(0.0)
+    side = int(0)
+    while side < 2:
+        own = wp.where(side == 0, a, b)
+        depth = wp.max(depth, deepest_sample(own, a + b - own, shapes, bodies, state))
+        side += 1
+    wp.atomic_max(deepest, a / bodies_per_env, 0, depth)

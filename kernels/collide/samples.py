@@ -1,0 +1,462 @@
+"""Bringing one surface sample to the place where it touches another shape.
+
+A point stays where it is. An edge slides to where it is deepest or leaves a face, the rim of a cylinder turns to its
+deepest point, a ball touches at its own deepest point. Each is a short search, written as a sequence of stages, so
+that the distance function, which is large, stands in one place: small code is fast code on a GPU, and compiles soon.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.distance import BORDER, FAR, HEIGHTFIELD, PLANE, contact_distance, direction_or_up
+from warp_rigid.kernels.schema import Shapes
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+POINT = wp.constant(0)
+EDGE = wp.constant(1)
+RIM = wp.constant(2)
+FACE = wp.constant(3)
+CAP = wp.constant(4)
+
+OPPOSED = wp.constant(0.1)
+"""A vertex or edge counts only if its normal's cosine with the contact normal is below this: their cones are wide."""
+
+OVERLAP = wp.constant(1.05)
+"""Edge segments are searched this much longer than they are."""
+
+BEYOND = wp.constant(1.01)
+"""What is found further out than this many half-lengths belongs to the next segment, or lies past the edge's end."""
+
+STEEP = wp.constant(0.05)
+"""Slope beyond which an edge crosses another and does not lie along it."""
+
+FLAT = wp.constant(0.01)
+"""Slope of the distance along an edge below which the edge lies flat."""
+
+MUCH_DEEPER = wp.constant(3.0)
+DEEPER = wp.constant(0.1)
+"""A face that a point opposes may lie so many times as deep as the nearest, and this part of the size more."""
+
+CURVED = wp.constant(1.0e-3)
+"""Where the distance lies above its tangents by more than this part of the interval, it is no kink but a curve."""
+
+FOUND = wp.constant(1.0e-4)
+"""An edge's place is found when it moves by less than this part of the half-length."""
+
+ASIDE = wp.constant(0.01)
+"""How far to the sides of a crossing its directions are taken, as a part of the half-length."""
+
+BESIDE = wp.constant(1.0e-3)
+"""How far from where an edge leaves a face its direction is taken, as a part of the half-length."""
+
+DONE = wp.constant(-1)
+
+EDGE_MIDDLE = wp.constant(0)
+EDGE_LOW = wp.constant(1)
+EDGE_HIGH = wp.constant(2)
+EDGE_INSIDE = wp.constant(3)
+EDGE_LAST_INSIDE = wp.constant(9)
+EDGE_CLAMPED = wp.constant(10)
+EDGE_FACING = wp.constant(11)
+EDGE_BEFORE = wp.constant(12)
+EDGE_AFTER = wp.constant(13)
+
+RIM_LAST_TURN = wp.constant(2)
+RIM_FACING = wp.constant(3)
+
+POINT_AGAIN = wp.constant(1)
+
+BALL_CENTER = wp.constant(20)
+BALL_FIRST = wp.constant(21)
+BALL_LAST = wp.constant(27)
+
+
+@wp.struct
+class Search:
+    """A sample on its way. `query` is where the distance is wanted next, `facing` the normal given with it."""
+
+    stage: int
+    query: wp.vec3
+    facing: wp.vec3
+    normal: wp.vec3
+    direction: wp.vec3
+    distance: float
+    start: wp.vec3
+    along: wp.vec3
+    half: float
+    crossing: int
+    t: float
+    left: float
+    right: float
+    low: wp.vec4
+    high: wp.vec4
+    slope_low: float
+    slope_high: float
+    turning: float
+    before: wp.vec4
+    way: wp.vec3
+
+
+@wp.func
+def slope(d: wp.vec4, along: wp.vec3):
+    """Slope of a distance along a direction."""
+    return d[0] * along[0] + d[1] * along[1] + d[2] * along[2]
+
+
+@wp.func
+def gradient(d: wp.vec4):
+    """The direction that belongs to a distance."""
+    return wp.vec3(d[0], d[1], d[2])
+
+
+@wp.func
+def nowhere(search: Search):
+    """The search ends without a place."""
+    search.stage = DONE
+    search.distance = FAR
+    return search
+
+
+@wp.func
+def look_at(search: Search, t: float):
+    """Ask for the distance at a place of the edge."""
+    search.t = t
+    search.query = search.start + t * search.along
+    return search
+
+
+@wp.func
+def next_inside(search: Search, curved: bool):
+    """Ask for the place where the tangents at both ends meet, or, on a curve, where the slope passes through zero."""
+    bend = wp.max(search.slope_high - search.slope_low, 1.0e-6)
+    rise = search.slope_high * search.right - search.slope_low * search.left
+    t = (search.low[3] - search.high[3] + rise) / bend
+    if curved:
+        t = search.left - search.slope_low * (search.right - search.left) / bend
+    return look_at(search, wp.clamp(t, search.left, search.right))
+
+
+@wp.func
+def came_elsewhere(search: Search, distance: float, direction: wp.vec3, size: float, weight: float):
+    """Whether an edge lies deep under a face that it cannot have come through, nearer than to one that it can."""
+    deep = distance < -BORDER * size and wp.dot(direction, search.normal) >= OPPOSED
+    return deep and weight > 0.0 and wp.length_sq(search.facing) == 0.0
+
+
+@wp.func
+def edge_again(search: Search):
+    """Begin an edge's search once more, measured to the faces that its normal opposes."""
+    search.facing = search.normal
+    search.crossing = 0
+    search.left = -OVERLAP * search.half
+    search.right = OVERLAP * search.half
+    search.stage = EDGE_LOW
+    return look_at(search, search.left)
+
+
+@wp.func
+def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
+    """Both ends are known: see whether the distance has an inner minimum, or the edge leaves a face.
+
+    The distance to a convex shape lies above its tangents, so where these meet out of reach nothing touches.
+    """
+    search.high = d
+    search.slope_high = slope(d, search.along)
+    search.slope_low = slope(search.low, search.along)
+    low = search.slope_low
+    high = search.slope_high
+    if low > FLAT or high < -FLAT or high - low < 2.0 * FLAT:
+        return nowhere(search)
+    search.turning = 0.5 * (wp.min(low + FLAT, 0.0) + wp.max(high - FLAT, 0.0))
+    if low < -STEEP and high > STEEP:
+        search.turning = 0.0
+        search.crossing = 1
+    search.stage = EDGE_INSIDE
+    search = next_inside(search, False)
+    if convex == 1 and search.low[3] + low * (search.t - search.left) > reach:
+        return nowhere(search)
+    return search
+
+
+@wp.func
+def to_flat_side(search: Search):
+    """A little way along an edge, from where it leaves a face, and another is as near, to where it lies flat on it."""
+    left = wp.abs(search.slope_low) < wp.abs(search.slope_high)
+    return wp.where(left, -BESIDE, BESIDE) * search.half * search.along
+
+
+@wp.func
+def edge_found(search: Search, radius: float, convex: int, weight: float):
+    """The place is found. A crossing looks to both sides, a flat edge is measured to the faces its normal opposes."""
+    if radius > 0.0 and convex == 0:
+        # The middle line of a rod may lie beyond a grid where its surface does not.
+        search.start = search.query
+        search.stage = BALL_CENTER
+        return search
+    if search.crossing == 1 and convex == 1:
+        search.stage = EDGE_BEFORE
+        search.query = search.start + (search.t - ASIDE * search.half) * search.along
+        return search
+    search.facing = weight * search.normal
+    search.distance -= radius
+    search.query -= radius * search.direction
+    search.stage = DONE
+    if search.crossing == 0:
+        search.stage = EDGE_FACING
+        search.query += to_flat_side(search)
+    return search
+
+
+@wp.func
+def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float):
+    """The direction of a crossing of a convex shape's edge, from the gradients on both sides of it.
+
+    Their mixture without slope along the edge is perpendicular to both edges. Where both faces are d away, the edge
+    leaves the shape along it through the one that it meets first, after d / (g . n). Where the search has not come near
+    enough to see both sides, its two ends stand in.
+    """
+    if slope(before, search.along) >= 0.0 or slope(after, search.along) <= 0.0:
+        before = search.low
+        after = search.high
+    rise = wp.max(slope(after, search.along), 0.0)
+    fall = wp.max(-slope(before, search.along), 0.0)
+    mixture = rise * gradient(before) + fall * gradient(after)
+    if wp.length_sq(mixture) > 0.0:
+        search.direction = wp.normalize(mixture)
+        if search.distance < 0.0:
+            n = search.direction
+            search.distance /= wp.max(wp.max(wp.dot(gradient(before), n), wp.dot(gradient(after), n)), 0.3)
+    search.stage = DONE
+    search.distance -= radius
+    search.query = search.start + search.t * search.along - radius * search.direction
+    return search
+
+
+@wp.func
+def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: float, convex: int, weight: float):
+    """Where on an edge segment, between its ends, it touches.
+
+    That is the distance's inner minimum, or, for an edge that lies flat, the place where it leaves the face. In both
+    cases the slope along the edge jumps there. The tangents at both ends meet below the curve; their meeting point
+    replaces the end on its side: exact at once where two straight edges cross and the distance is a V. Neighbouring
+    segments overlap a little, so that nothing falls between them.
+    """
+    if search.stage == EDGE_MIDDLE:
+        if d[3] > OVERLAP * search.half + reach + radius:
+            return nowhere(search)
+        search.stage = EDGE_LOW
+        return look_at(search, search.left)
+    if search.stage == EDGE_LOW:
+        search.low = d
+        search.stage = EDGE_HIGH
+        return look_at(search, search.right)
+    if search.stage == EDGE_HIGH:
+        deepest = wp.where(d[3] < search.low[3], d, search.low)
+        search = edge_has_ends(search, d, reach + radius, convex)
+        if search.stage == DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
+            search = edge_again(search)
+        return search
+    if search.stage == EDGE_BEFORE:
+        search.before = d
+        search.stage = EDGE_AFTER
+        search.query = search.start + (search.t + ASIDE * search.half) * search.along
+        return search
+    if search.stage == EDGE_AFTER:
+        search = edge_crossed(search, search.before, d, radius)
+        if came_elsewhere(search, search.distance, search.direction, size, weight):
+            search = edge_again(search)
+        return search
+    if search.stage == EDGE_FACING:
+        if d[3] < search.distance - BORDER * size:
+            return nowhere(search)
+        search.stage = DONE
+        search.query -= to_flat_side(search)
+        search.direction = gradient(d)
+        search.distance = d[3]
+        return search
+    search.distance = d[3]
+    search.direction = gradient(d)
+    if search.stage == EDGE_CLAMPED:
+        return edge_found(search, radius, convex, weight)
+    before = search.t
+    curved = d[3] - search.low[3] - search.slope_low * (before - search.left) > CURVED * (search.right - search.left)
+    if slope(d, search.along) < search.turning:
+        search.left = before
+        search.low = d
+        search.slope_low = slope(d, search.along)
+    else:
+        search.right = before
+        search.high = d
+        search.slope_high = slope(d, search.along)
+    after = next_inside(search, curved)
+    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
+        after.stage = search.stage + 1
+        return after
+    if wp.abs(before) > BEYOND * search.half:
+        return nowhere(search)
+    if wp.abs(before) > search.half:
+        search.stage = EDGE_CLAMPED
+        return look_at(search, wp.clamp(before, -search.half, search.half))
+    return edge_found(search, radius, convex, weight)
+
+
+@wp.func
+def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
+    """The deepest point of a circle about `along`, nowhere if it lies flat on the surface."""
+    if search.stage == RIM_FACING:
+        search.stage = DONE
+        search.direction = gradient(d)
+        search.distance = d[3]
+        return search
+    n = gradient(d)
+    down = wp.dot(n, search.along) * search.along - n
+    if wp.length(down) < 0.05:
+        return nowhere(search)
+    search.query = search.start + radius * wp.normalize(down)
+    search.stage += 1
+    if search.stage > RIM_LAST_TURN:
+        # Halfway between side and cap, as at a box's corner: either face may be the one that touches.
+        search.normal = wp.normalize((search.query - search.start) / radius + search.along)
+        search.facing = weight * search.normal
+    return search
+
+
+@wp.func
+def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int):
+    """A ball's deepest point.
+
+    Beyond a grid the distance is only a bound, and a ball's centre may lie there; its deepest point does not. It is
+    looked for downhill over the ball's surface: toward the gradient as far as the distance falls, at most as far as the
+    shape is wide. Corners and edges of the shape need no search, as their own samples meet the ball.
+    """
+    if search.stage == BALL_CENTER:
+        search.direction = gradient(d)
+        search.distance = d[3] - radius
+        search.along = gradient(d)
+        search.half = wp.min(size / radius, 1.0)
+        search.t = search.half
+        search.query = search.start - radius * search.along
+        search.stage = wp.where(exact == 1, DONE, BALL_FIRST)
+        return search
+    if search.stage == BALL_FIRST or d[3] < search.distance:
+        if search.stage > BALL_FIRST:
+            search.along = search.way
+            search.t = wp.min(2.0 * search.t, search.half)
+        search.direction = gradient(d)
+        search.distance = d[3]
+    else:
+        search.t *= 0.5
+    search.way = direction_or_up((1.0 - search.t) * search.along + search.t * search.direction)
+    if search.stage == BALL_LAST:
+        search.way = search.along
+    search.query = search.start - radius * search.way
+    search.stage = wp.where(search.stage == BALL_LAST, DONE, search.stage + 1)
+    return search
+
+
+@wp.func
+def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
+    """A point's distance. `flat` ones stand for a whole face, those of a `thin` shape may lie close to its far side.
+
+    Near an edge a flat point may lie inside a face that it does not oppose, far from one that it does. And where the
+    thin ear of a mesh has entered a little, what lies on the ear's other side opposes only faces that are far away.
+    """
+    if search.stage == POINT_AGAIN:
+        deepest = wp.where(flat == 1, 2.0 * d[3] - BORDER * size, MUCH_DEEPER * d[3] - DEEPER * size)
+        if search.distance < deepest:
+            return nowhere(search)
+        search.stage = DONE
+        return search
+    search.direction = gradient(d)
+    search.distance = d[3]
+    search.stage = DONE
+    if flat + thin > 0 and d[3] < -BORDER * size:
+        search.stage = POINT_AGAIN
+        search.facing = wp.vec3(0.0, 0.0, 0.0)
+    return search
+
+
+@wp.func
+def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: int, weight: float):
+    """Set a sample on its way; turn and shift map its shape's frame to that of the other shape.
+
+    An edge's middle tells whether it is near at all, but to a convex shape its ends tell that too.
+    """
+    search = Search()
+    search.start = wp.quat_rotate(turn, shapes.samples[s].point) + shift
+    search.query = search.start
+    search.normal = wp.quat_rotate(turn, shapes.samples[s].normal)
+    if shapes.samples[s].kind == EDGE:
+        slide = wp.quat_rotate(turn, shapes.samples[s].slide)
+        search.half = wp.length(slide)
+        search.along = slide / search.half
+        search.left = -OVERLAP * search.half
+        search.right = OVERLAP * search.half
+        if convex == 1:
+            search.stage = EDGE_LOW
+            search = look_at(search, search.left)
+    elif shapes.samples[s].kind == RIM:
+        search.along = search.normal
+    elif shapes.samples[s].radius > 0.0:
+        search.stage = BALL_CENTER
+    else:
+        search.facing = weight * search.normal
+    return search
+
+
+@wp.func
+def bring_to_touch(
+    shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float
+):
+    """Bring sample s of `own_shape` to its touching place on `shape`, in the frame of that one.
+
+    What is further than `reach` away may be told as infinitely far. With weight 1 the sample's own normal takes part
+    in choosing the face; with 0 the distance alone decides.
+    """
+    kind = shapes.samples[s].kind
+    radius = shapes.samples[s].radius
+    convex = shapes.shapes[shape].convex
+    size = shapes.shapes[shape].size
+    exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == HEIGHTFIELD, 1, convex)
+    flat = wp.where(weight > 0.0 and (kind == FACE or kind == CAP), 1, 0)
+    thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
+    search = begin_search(shapes, s, turn, shift, convex, weight)
+    while search.stage >= 0:
+        d = contact_distance(shapes, shape, search.query, search.facing)
+        if search.stage >= BALL_CENTER:
+            search = ball_next(search, d, radius, size, exact)
+        elif kind == EDGE:
+            search = edge_next(search, d, reach, radius, size, convex, weight)
+        elif kind == RIM:
+            search = rim_next(search, d, radius, weight)
+        else:
+            search = point_next(search, d, size, flat, thin)
+    return search
+
+
+@wp.func
+def opposed(cosine: float, kind: int, other: int):
+    """Whether a sample's normal, by its cosine with the contact normal, allows it to touch there.
+
+    The points of a cap stand for it only while it lies nearly flat; else its rim does, without corners. What is below
+    a plane touches it in any case: a plane has no far side.
+    """
+    if kind == CAP:
+        return cosine < -0.95
+    if kind == FACE:
+        return cosine < -0.5
+    return cosine < OPPOSED or other == PLANE
+
+
+@wp.func
+def place_sample(shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
+    """Bring sample s to its touching place; FAR where it touches nothing that it faces.
+
+    An edge that ends at a face without leaving it is no contact: its distance to the faces that it opposes is not its
+    distance.
+    """
+    found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, 1.0)
+    other = shapes.parts[shapes.shapes[shape].part_start].kind
+    if not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
+        found.distance = FAR
+    return found

@@ -1,0 +1,1 @@
+"""The contact graph: supports, levels, islands and colours."""

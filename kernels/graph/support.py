@@ -1,0 +1,310 @@
+"""Fifth stage: the contact graph. Who rests on whom, in levels with cycles collapsed, and which bodies form islands.
+
+Body p rests on j if p, moved alone by its own acceleration, presses into j where they touch; without acceleration its
+velocity decides. The 2003 method (section 8.1) adds p's velocity to the test; next to it the acceleration of one
+step is small, and who carries whom would change with every tremor. No direction is singled out as "up", so this holds
+in any force field. A body's level is one more than the highest level that it rests on; bodies that rest on each
+other in a cycle are collapsed into one and share a level; statics are level 0.
+
+Levels are found from the ground up. In a round every body whose supports all have levels gets its own. Where no body is
+ready, cycles stand in the way: they are found, and from then on each gets its level like a single body. The height of
+a body counts the shortest way to the ground instead, and tells how many sweeps weight needs to travel through.
+
+In a pile at rest the same pairs touch, step after step. Then levels, heights, islands and colours stay as they are:
+they follow from the touching pairs and from who rests on whom alone, so finding them again would find the same.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.packed import contact_row
+from warp_rigid.kernels.common.team import Team, any_of_team, meet, team_of
+from warp_rigid.kernels.schema import MOTION_DYNAMIC, Bodies, Contacts, Graph, History, Motions, Pairs
+from warp_rigid.kernels.solve.gauss_seidel import Couple, slip_between, take_up
+
+wp.set_module_options({"enable_backward": False})
+
+DYNAMIC = wp.constant(MOTION_DYNAMIC)
+A_ON_B = wp.constant(1)
+B_ON_A = wp.constant(2)
+UNKNOWN = wp.constant(-1)
+NOWHERE = wp.constant(1 << 30)
+
+MOST_PASSES = wp.constant(4)
+
+SLANT = wp.constant(0.05)
+"""A body rests on another if at least this part of its acceleration is along the normal: upright walls do not carry."""
+
+
+@wp.func
+def presses(pull: wp.vec3, n: wp.vec3, approach: float):
+    """Whether a body moved alone by its own acceleration presses against n; without any, its approach decides."""
+    if wp.length_sq(pull) > 0.0:
+        return wp.dot(pull, n) < -SLANT * wp.length(pull)
+    return approach > 0.0
+
+
+@wp.func
+def supports_of(pair: int, couple: Couple, bodies: Bodies, motions: Motions, pairs: Pairs, contacts: Contacts):
+    """Which of the two bodies rests on the other, as bits."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    rests = int(0)
+    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
+        row = contact_row(c, contacts)
+        approach = -wp.dot(slip_between(row, couple), row.normal)
+        if bodies.motion[a] == DYNAMIC and presses(motions.acceleration[a], row.normal, approach):
+            rests = rests | A_ON_B
+        if bodies.motion[b] == DYNAMIC and presses(motions.acceleration[b], -row.normal, approach):
+            rests = rests | B_ON_A
+    return rests
+
+
+@wp.func
+def touches(pair: int, pairs: Pairs):
+    """Whether a pair has contacts."""
+    return pairs.contact_start[pair + 1] > pairs.contact_start[pair]
+
+
+@wp.func
+def stays(last: int, place: int, rests: int, graph: Graph):
+    """Whether a touching pair touched in the last step too, at the same place of the list, and carried the same way."""
+    return last >= 0 and last == place and graph.rested[last] == rests
+
+
+@wp.kernel
+def find_support(
+    lanes: int,
+    bodies_per_env: int,
+    bodies: Bodies,
+    motions: Motions,
+    pairs: Pairs,
+    contacts: Contacts,
+    history: History,
+    graph: Graph,
+):
+    """A team an environment: which body of each pair rests on the other, and whether all is as in the last step."""
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    first = env * bodies_per_env
+    begin = pairs.start[first]
+    if team.lane == 0:
+        graph.touching[env] = 0
+    meet(team)
+    count = int(0)
+    changed = int(0)
+    for pair in range(begin + team.lane, pairs.start[first + bodies_per_env], lanes):
+        rests = int(0)
+        if touches(pair, pairs):
+            couple = take_up(pairs.body_a[pair], pairs.body_b[pair], 0.0, 0.0, motions)
+            rests = supports_of(pair, couple, bodies, motions, pairs, contacts)
+            count += 1
+            if not stays(pairs.last[pair], history.pair_start[first] + pair - begin, rests, graph):
+                changed = 1
+        graph.rests[pair] = rests
+    wp.atomic_add(graph.touching, env, count)
+    changed = any_of_team(changed, team)
+    if team.lane == 0:
+        known = graph.touching[env] + 1
+        graph.same[env] = wp.where(changed == 0 and graph.known[env] == known, 1, 0)
+        graph.known[env] = known
+
+
+@wp.func
+def upper_of(edge: int, pairs: Pairs, graph: Graph):
+    """The body that rests on the other, -1 if it does not. Each pair has two edges, one for either direction."""
+    pair = edge / 2
+    if edge % 2 == 0:
+        return wp.where((graph.rests[pair] & A_ON_B) != 0, pairs.body_a[pair], -1)
+    return wp.where((graph.rests[pair] & B_ON_A) != 0, pairs.body_b[pair], -1)
+
+
+@wp.func
+def lower_of(edge: int, pairs: Pairs):
+    """The body on which the other rests, if it does."""
+    return wp.where(edge % 2 == 0, pairs.body_b[edge / 2], pairs.body_a[edge / 2])
+
+
+@wp.func
+def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+    """One round: bodies, or whole cycles, whose supports all have levels get theirs. Returns 1 if any did."""
+    for b in range(first, last, team.lanes):
+        graph.waiting[b] = 0
+        graph.highest[b] = 0
+    meet(team)
+    for edge in range(first_edge, last_edge, team.lanes):
+        upper = upper_of(edge, pairs, graph)
+        if upper >= 0 and graph.level[upper] == UNKNOWN:
+            lower = lower_of(edge, pairs)
+            cycle = graph.cycle[upper]
+            if graph.level[lower] != UNKNOWN:
+                wp.atomic_max(graph.highest, cycle, graph.level[lower])
+            elif graph.cycle[lower] != cycle:
+                graph.waiting[cycle] = 1
+    meet(team)
+    got = int(0)
+    for b in range(first, last, team.lanes):
+        if graph.level[b] == UNKNOWN and graph.waiting[graph.cycle[b]] == 0:
+            graph.level[b] = graph.highest[graph.cycle[b]] + 1
+            got = 1
+    return any_of_team(got, team)
+
+
+@wp.func
+def passes_of(team: Team):
+    """How often lanes go through their part before all meet: what spreads needs no order, and meeting takes time."""
+    return wp.min(team.lanes, MOST_PASSES)
+
+
+@wp.func
+def is_open(b: int, graph: Graph):
+    """Whether a body has no level yet, and is in no cycle that is known."""
+    return graph.level[b] == UNKNOWN and graph.within[b] == 0
+
+
+@wp.func
+def spread_labels(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+    """One round: an open body takes over the highest label among its open supports. Returns 1 if any changed.
+
+    A label is a body that it reaches, so it reaches what that one reaches: labels travel in leaps.
+    """
+    changed = int(0)
+    for _ in range(passes_of(team)):
+        for edge in range(first_edge, last_edge, team.lanes):
+            upper = upper_of(edge, pairs, graph)
+            lower = lower_of(edge, pairs)
+            if upper >= 0 and is_open(upper, graph) and is_open(lower, graph):
+                if graph.cycle[lower] > graph.cycle[upper]:
+                    wp.atomic_max(graph.cycle, upper, graph.cycle[lower])
+                    changed = 1
+        for b in range(first, last, team.lanes):
+            if is_open(b, graph) and graph.cycle[graph.cycle[b]] > graph.cycle[b]:
+                wp.atomic_max(graph.cycle, b, graph.cycle[graph.cycle[b]])
+                changed = 1
+    return any_of_team(changed, team)
+
+
+@wp.func
+def spread_within(first_edge: int, last_edge: int, team: Team, pairs: Pairs, graph: Graph):
+    """One round: what the body of a label reaches with the same label is in its cycle. Returns 1 if any changed."""
+    changed = int(0)
+    for _ in range(passes_of(team)):
+        for edge in range(first_edge, last_edge, team.lanes):
+            upper = upper_of(edge, pairs, graph)
+            lower = lower_of(edge, pairs)
+            if upper >= 0 and graph.within[upper] == 1 and is_open(lower, graph):
+                if graph.cycle[lower] == graph.cycle[upper]:
+                    graph.within[lower] = 1
+                    changed = 1
+    return any_of_team(changed, team)
+
+
+@wp.func
+def find_cycles(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+    """Find strongly connected components among the bodies without a level, at least one.
+
+    A body's label is the highest body that it reaches downwards. Those that this body reaches in turn, and that bear
+    its label, are its component (Orzan 2004, colouring). What is in none that was found keeps its own name as label.
+    """
+    while spread_labels(first_edge, last_edge, first, last, team, pairs, graph) == 1:
+        meet(team)
+    for b in range(first, last, team.lanes):
+        if is_open(b, graph) and graph.cycle[b] == b:
+            graph.within[b] = 1
+    meet(team)
+    while spread_within(first_edge, last_edge, team, pairs, graph) == 1:
+        meet(team)
+    for b in range(first, last, team.lanes):
+        if is_open(b, graph):
+            graph.cycle[b] = b
+    meet(team)
+
+
+@wp.kernel
+def find_levels(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+    """A team an environment: the level of each body, cycles collapsed."""
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    if graph.same[env] == 1:
+        return
+    first = env * bodies_per_env + team.lane
+    last = (env + 1) * bodies_per_env
+    first_edge = 2 * pairs.start[env * bodies_per_env] + team.lane
+    last_edge = 2 * pairs.start[last]
+    for b in range(first, last, lanes):
+        graph.level[b] = wp.where(bodies.motion[b] == DYNAMIC, UNKNOWN, 0)
+        graph.cycle[b] = b
+        graph.within[b] = 0
+    left = int(1)
+    while left == 1:
+        if climb(first_edge, last_edge, first, last, team, pairs, graph) == 0:
+            find_cycles(first_edge, last_edge, first, last, team, pairs, graph)
+        left = int(0)
+        for b in range(first, last, lanes):
+            if graph.level[b] == UNKNOWN:
+                left = 1
+        left = any_of_team(left, team)
+
+
+@wp.kernel
+def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+    """A team an environment: bodies connected through touching dynamic bodies, named by their lowest body."""
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    if graph.same[env] == 1:
+        return
+    first = env * bodies_per_env
+    last = first + bodies_per_env
+    for b in range(first + team.lane, last, lanes):
+        graph.island[b] = b
+    changed = int(1)
+    while changed == 1:
+        meet(team)
+        changed = int(0)
+        for pair in range(pairs.start[first] + team.lane, pairs.start[last], lanes):
+            a = pairs.body_a[pair]
+            b = pairs.body_b[pair]
+            if touches(pair, pairs) and bodies.motion[a] == DYNAMIC and bodies.motion[b] == DYNAMIC:
+                lowest = wp.min(graph.island[a], graph.island[b])
+                if graph.island[a] != graph.island[b]:
+                    changed = 1
+                    wp.atomic_min(graph.island, graph.island[a], lowest)
+                    wp.atomic_min(graph.island, graph.island[b], lowest)
+                    wp.atomic_min(graph.island, a, lowest)
+                    wp.atomic_min(graph.island, b, lowest)
+        meet(team)
+        for b in range(first + team.lane, last, lanes):
+            graph.island[b] = graph.island[graph.island[b]]
+        changed = any_of_team(changed, team)
+
+
+@wp.kernel
+def find_heights(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+    """A team an environment: how few supports lead from a body to the ground, and the most of any body.
+
+    In a heap this is far less than the level, which counts the longest way. Bodies that lie on nothing have none.
+    """
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    if graph.same[env] == 1:
+        return
+    first = env * bodies_per_env
+    last = first + bodies_per_env
+    for b in range(first + team.lane, last, lanes):
+        graph.height[b] = wp.where(bodies.motion[b] == DYNAMIC, NOWHERE, 0)
+    if team.lane == 0:
+        graph.tallest[env] = 0
+    changed = int(1)
+    while changed == 1:
+        meet(team)
+        changed = int(0)
+        for _ in range(passes_of(team)):
+            for edge in range(2 * pairs.start[first] + team.lane, 2 * pairs.start[last], lanes):
+                upper = upper_of(edge, pairs, graph)
+                lower = lower_of(edge, pairs)
+                if upper >= 0 and graph.height[lower] + 1 < graph.height[upper]:
+                    wp.atomic_min(graph.height, upper, graph.height[lower] + 1)
+                    changed = 1
+        changed = any_of_team(changed, team)
+    for b in range(first + team.lane, last, lanes):
+        if graph.height[b] < NOWHERE:
+            wp.atomic_max(graph.tallest, env, graph.height[b])

@@ -1,0 +1,1 @@
+"""Solvers: restitution, contact impulses, shock propagation, push-out."""

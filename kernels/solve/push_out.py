@@ -1,0 +1,213 @@
+"""Push-out: separate what still overlaps after the velocities are solved, without touching the velocities.
+
+Contacts that would end the step deeper than the slop get a pseudo-velocity that moves the bodies in this step only.
+What overlaps already is taken out bit by bit; what would come on top of it is kept from happening at all. Of two levels
+the lower body is frozen (Guendelman et al. 2003, section 8.3), so a deep stack is set right from the ground up.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.arithmetic import quotient
+from warp_rigid.kernels.common.packed import (
+    AIMED,
+    PUSH,
+    carry_with_target,
+    contact_row,
+    entry_at,
+    first_three,
+    load_quad,
+    mover_quad,
+    store_velocity,
+)
+from warp_rigid.kernels.common.team import Team, any_of_team, meet, team_of
+from warp_rigid.kernels.schema import (
+    SHOCK_OFF,
+    Bodies,
+    ContactRecord,
+    Contacts,
+    Environments,
+    Graph,
+    Motions,
+    Order,
+    PairRecord,
+    Pairs,
+    Shapes,
+)
+from warp_rigid.kernels.solve.gauss_seidel import (
+    Couple,
+    first_of_color,
+    slip_between,
+    stride_of_color,
+    take_up,
+    with_impulse,
+)
+from warp_rigid.kernels.update.predict import smaller_size
+
+wp.set_module_options({"enable_backward": False})
+
+OFF = wp.constant(SHOCK_OFF)
+
+LEVEL_ITERATIONS = wp.constant(6)
+"""Most sweeps, and one more for each body on the shortest way down."""
+
+SLOP = wp.constant(1.0e-4)
+"""Overlap left alone, as a part of the smaller body's size."""
+
+RECOVERY = wp.constant(0.25)
+"""Part of the overlap at the start of the step that is taken out in it."""
+
+ENOUGH = wp.constant(1.0e-4)
+"""Bodies are apart when no visit changes a pseudo-velocity by more than this [m/s]: within a step, a micrometre."""
+
+FASTEST = wp.constant(2.0)
+"""Largest speed at which bodies are pushed apart [m/s]."""
+
+
+@wp.func
+def turned(v: wp.vec3, spin: wp.vec3, dt: float):
+    """A vector that goes with a spinning body, after the step."""
+    angle = dt * wp.length(spin)
+    if angle < 1.0e-6:
+        return v
+    return wp.quat_rotate(wp.quat_from_axis_angle(wp.normalize(spin), angle), v)
+
+
+@wp.func
+def gap_after(row: ContactRecord, key: int, dt: float, couple: Couple):
+    """Gap of a contact after the step, with its turning, which the velocities do not see; its normal goes with a face.
+
+    The sample is the first body's if the key is even, and the face the second's.
+    """
+    way_a = dt * couple.linear_a + turned(row.arm_a, couple.angular_a, dt) - row.arm_a
+    way_b = dt * couple.linear_b + turned(row.arm_b, couple.angular_b, dt) - row.arm_b
+    spin = couple.angular_b
+    if key % 2 == 1:
+        spin = couple.angular_a
+    return row.gap + wp.dot(way_a - way_b + dt * row.surface, turned(row.normal, spin, dt))
+
+
+@wp.func
+def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions, contacts: Contacts):
+    """Separation speed that the contact needs [m/s], 0 if none."""
+    row = contact_row(c, contacts)
+    a = contacts.rows[c].body_a
+    b = contacts.rows[c].body_b
+    size = smaller_size(a, b, shapes, bodies)
+    couple = take_up(a, b, 0.0, 0.0, motions)
+    overlap = wp.max(-gap_after(row, contacts.key[c], dt, couple) - SLOP * size, 0.0)
+    old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
+    return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
+
+
+@wp.func
+def push_contact(c: int, share_a: float, share_b: float, couple: Couple, contacts: Contacts):
+    """One visit: bring the pseudo-velocity of separation to its target; aimed[0] is the pseudo-impulse."""
+    carries = load_quad(contacts.loads, c, AIMED)
+    target = carries[3]
+    if target <= 0.0:
+        return couple
+    row = contact_row(c, contacts)
+    k = share_a * row.normal_a + share_b * row.normal_b
+    if k < 1.0e-12:
+        return couple
+    old = carries[0]
+    missing = target - wp.dot(slip_between(row, couple), row.normal)
+    new = wp.max(old + quotient(missing, k), 0.0)
+    carry_with_target(c, wp.vec3(new, 0.0, 0.0), target, contacts)
+    couple = with_impulse(row, (new - old) * row.normal, couple)
+    couple.change = wp.max(couple.change, k * wp.abs(new - old))
+    return couple
+
+
+@wp.func
+def push_pair(entry: PairRecord, freeze: int, motions: Motions, contacts: Contacts):
+    """Visit the contacts of a pair; the bodies' pseudo-velocities stand in for their velocities."""
+    a = entry.body_a
+    b = entry.body_b
+    share_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
+    share_b = wp.where(freeze == 1, float(entry.upper_b), 1.0)
+    couple = take_up(a, b, share_a, share_b, motions)
+    couple.linear_a = first_three(mover_quad(motions.movers, a, PUSH))
+    couple.angular_a = first_three(mover_quad(motions.movers, a, PUSH + 1))
+    couple.linear_b = first_three(mover_quad(motions.movers, b, PUSH))
+    couple.angular_b = first_three(mover_quad(motions.movers, b, PUSH + 1))
+    for c in range(entry.begin, entry.end):
+        couple = push_contact(c, share_a, share_b, couple, contacts)
+    if couple.inverse_mass_a > 0.0:
+        store_velocity(a, PUSH, couple.linear_a, couple.angular_a, motions)
+    if couple.inverse_mass_b > 0.0:
+        store_velocity(b, PUSH, couple.linear_b, couple.angular_b, motions)
+    return wp.where(couple.change > ENOUGH, 1, 0)
+
+
+@wp.kernel
+def find_overlaps(
+    dt: float,
+    lanes: int,
+    bodies_per_env: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    envs: Environments,
+    pairs: Pairs,
+    motions: Motions,
+    graph: Graph,
+    contacts: Contacts,
+):
+    """A team an environment: the separation speed that each contact needs, and whether any needs one."""
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    first = env * bodies_per_env
+    begin = pairs.contact_start[pairs.start[first]]
+    end = pairs.contact_start[pairs.start[first + bodies_per_env]]
+    found = int(0)
+    for c in range(begin + team.lane, end, lanes):
+        target = wanted_speed(c, dt, shapes, bodies, motions, contacts)
+        carry_with_target(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
+        if target > 0.0 and envs.contact_iterations[env] > 0:
+            found = 1
+    found = any_of_team(found, team)
+    if team.lane == 0:
+        graph.overlapping[env] = found
+
+
+@wp.func
+def separate(freeze: int, most: int, team: Team, order: Order, motions: Motions, contacts: Contacts):
+    """Iterate all pairs, at most so many times. Returns 1 if they are not apart by then."""
+    left = most
+    changed = int(0)
+    while left > 0:
+        changed = int(0)
+        for color in range(order.color_count[team.env]):
+            stride = stride_of_color(color, team)
+            for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
+                changed |= push_pair(entry_at(k, order.entries), freeze, motions, contacts)
+            meet(team)
+        changed = any_of_team(changed, team)
+        left = changed * (left - 1)
+    return changed
+
+
+@wp.kernel
+def push_apart(
+    lanes: int,
+    bodies_per_env: int,
+    envs: Environments,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    contacts: Contacts,
+):
+    """A team an environment: separate all pairs, each upper body against the frozen one below it.
+
+    As in shock propagation, all levels are iterated together. What is caught between two frozen bodies then has to
+    push them apart; without shock propagation, no body is frozen in the first place.
+    """
+    team = team_of(wp.tid(), lanes, graph.gate)
+    env = team.env
+    if graph.overlapping[env] == 0:
+        return
+    caught = int(1)
+    if envs.shock_propagation[env] != OFF:
+        caught = separate(1, LEVEL_ITERATIONS + graph.tallest[env], team, order, motions, contacts)
+    if caught == 1:
+        separate(0, LEVEL_ITERATIONS, team, order, motions, contacts)

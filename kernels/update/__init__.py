@@ -1,0 +1,1 @@
+"""Prediction, integration, sleep and moving ground."""

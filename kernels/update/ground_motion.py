@@ -1,0 +1,111 @@
+"""Ground that moves: height fields whose vertices go up and down harmonically.
+
+Each environment has its own copy of such a field in the pool of shapes, so that distances read today's heights without
+knowing of time. At the beginning of a step `raise_surfaces` writes the heights of now, from the environment's own
+count of steps, and how fast the vertices rise: the change of height over the step, so that what rests on the ground
+follows it exactly. `carry_contacts` then gives each contact the surface's velocity. Collisions see the velocity
+of the step before, which a resting body has: what rests does not bounce.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.schema import Bodies, Contacts, Environments, Motions, Pairs, Shapes, State, Surfaces
+from warp_rigid.kernels.update.predict import DRIVEN, FIXED
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def height_at(k: int, time: wp.float64, surfaces: Surfaces):
+    """Height of vertex k at a time [m]."""
+    swing = wp.sin(wp.float64(surfaces.frequency[k]) * time + wp.float64(surfaces.phase[k]))
+    return wp.float64(surfaces.height[k]) + wp.float64(surfaces.amplitude[k]) * swing
+
+
+@wp.kernel
+def raise_surfaces(dt: wp.float64, first: int, envs: Environments, surfaces: Surfaces, shapes: Shapes):
+    """One thread a vertex: height, speed, and the sample there. `first`: the first vertex's node in the pool."""
+    k = wp.tid()
+    env = k / (surfaces.height.shape[0] / envs.step.shape[0])
+    time = wp.float64(envs.step[env]) * dt
+    now = height_at(k, time, surfaces)
+    shapes.grid_value[first + k] = float(now)
+    surfaces.rise[k] = float((height_at(k, time + dt, surfaces) - now) / dt)
+    surfaces.rise_before[k] = float((now - height_at(k, time - dt, surfaces)) / dt)
+    around = surfaces.around[k]
+    slope_x = (
+        float(height_at(k + around[1], time, surfaces) - height_at(k + around[0], time, surfaces)) * surfaces.per_x[k]
+    )
+    slope_y = (
+        float(height_at(k + around[3], time, surfaces) - height_at(k + around[2], time, surfaces)) * surfaces.per_y[k]
+    )
+    sample = shapes.samples[surfaces.sample[k]]
+    sample.point = wp.vec3(sample.point[0], sample.point[1], float(now))
+    sample.normal = wp.normalize(wp.vec3(-slope_x, -slope_y, 1.0))
+    shapes.samples[surfaces.sample[k]] = sample
+
+
+@wp.kernel
+def drive_ground(bodies_per_env: int, shapes: Shapes, bodies: Bodies, envs: Environments, motions: Motions):
+    """One thread a body: ground that moves is driven, though its body stands still. Nothing falls asleep on it."""
+    b = wp.tid()
+    if shapes.shapes[bodies.shape[b]].rise > 0.0 and motions.role[b] == FIXED:
+        motions.role[b] = DRIVEN
+        envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
+
+
+@wp.func
+def surface_velocity(
+    body: int, x: wp.vec3, before: int, first: int, shapes: Shapes, bodies: Bodies, state: State, surfaces: Surfaces
+):
+    """Velocity of a body's surface at a world point relative to the body; zero unless its ground moves."""
+    shape = bodies.shape[body]
+    if shapes.shapes[shape].rise == 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    part = shapes.shapes[shape].part_start
+    dims = shapes.parts[part].grid_dims
+    size = shapes.parts[part].size
+    local = wp.quat_rotate_inv(state.orientation[body], x - state.position[body])
+    qx = wp.clamp((local[0] / size[0] + 0.5) * float(dims[0] - 1), 0.0, float(dims[0] - 1))
+    qy = wp.clamp((local[1] / size[1] + 0.5) * float(dims[1] - 1), 0.0, float(dims[1] - 1))
+    i = wp.min(int(qx), dims[0] - 2)
+    j = wp.min(int(qy), dims[1] - 2)
+    u = qx - float(i)
+    v = qy - float(j)
+    at = shapes.parts[part].grid_start - first + i * dims[1] + j
+    r = surfaces.rise
+    if before == 1:
+        r = surfaces.rise_before
+    far = r[at + dims[1] + 1]
+    rise = r[at] + u * (r[at + dims[1]] - r[at]) + v * (far - r[at + dims[1]])
+    if v > u:
+        rise = r[at] + u * (far - r[at + 1]) + v * (r[at + 1] - r[at])
+    return wp.quat_rotate(state.orientation[body], wp.vec3(0.0, 0.0, rise))
+
+
+@wp.kernel
+def carry_contacts(
+    before: int,
+    first: int,
+    bodies_per_env: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    envs: Environments,
+    surfaces: Surfaces,
+    pairs: Pairs,
+    contacts: Contacts,
+):
+    """One thread a contact: the surfaces' relative velocity, `before` this step (for collisions that come first)."""
+    c = wp.tid()
+    if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
+        return
+    a = contacts.rows[c].body_a
+    b = contacts.rows[c].body_b
+    x = contacts.position[c]
+    earlier = before * envs.collision_first[a / bodies_per_env]
+    v = surface_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
+    v -= surface_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
+    contacts.rows[c].surface = v
+    if wp.length_sq(v) > 0.0:
+        contacts.rows[c].more = 1.0

@@ -1,0 +1,95 @@
+"""Command line: `warp-rigid COMMAND`; the commands are in `commands`, one a file.
+
+Results go to stdout, everything else to stderr. Exit status: 0 done, 1 a device that does not work or a failed check,
+2 usage or bad input, 3 capacity, 4 non-finite state, 5 a sweep with failed runs, 130 interrupted.
+"""
+
+import sys
+from typing import Annotated, Any
+
+import typer
+
+import warp_rigid
+from warp_rigid.commands.bench import bench_command
+from warp_rigid.commands.doctor import doctor_command
+from warp_rigid.commands.inspect import inspect_command
+from warp_rigid.commands.merge import merge_command
+from warp_rigid.commands.run import run_command
+from warp_rigid.commands.scenes import scenes_command
+from warp_rigid.commands.sweep import sweep_command
+from warp_rigid.commands.terminal import explain, messages_on_stderr, note, of_device, start_warp
+from warp_rigid.commands.usd import usd_app
+from warp_rigid.commands.validate import validate_command
+from warp_rigid.commands.view import view_command
+from warp_rigid.commands.warmup import warmup_command
+from warp_rigid.errors import CapacityError, NonFiniteError
+
+__all__ = ["main"]
+
+DEVICE, USAGE, CAPACITY, NON_FINITE = 1, 2, 3, 4
+UsageError: Any = typer.BadParameter.__bases__[0]
+
+app = typer.Typer(
+    help="Batched simulation of nonconvex rigid bodies with stacking.",
+    pretty_exceptions_enable=False,
+    invoke_without_command=True,
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command line and return its exit status.
+
+    Args:
+        argv: the arguments; None takes those of the process.
+    """
+    try:
+        with messages_on_stderr():
+            start_warp()
+            given = sys.argv[1:] if argv is None else argv
+            return app(args=argv, prog_name="warp-rigid", standalone_mode=False, obj=["warp-rigid", *given]) or 0
+    except UsageError as error:
+        return _fail(USAGE, error.format_message())
+    except CapacityError as error:
+        return _fail(CAPACITY, explain(error))
+    except NonFiniteError as error:
+        return _fail(NON_FINITE, explain(error))
+    except (ValueError, FileNotFoundError, ModuleNotFoundError, OSError) as error:
+        return _fail(USAGE, explain(error))
+    except RuntimeError as error:
+        if not of_device(error):
+            raise
+        return _fail(DEVICE, f"{explain(error)}; `warp-rigid doctor` tells what works on this machine")
+
+
+@app.callback()
+def common(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Options without a command."""
+    if version:
+        print(f"warp-rigid {warp_rigid.__version__}")
+    elif context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+app.command("run")(run_command)
+app.command("scenes")(scenes_command)
+app.command("inspect")(inspect_command)
+app.command("view")(view_command)
+app.command("doctor")(doctor_command)
+app.command("warmup")(warmup_command)
+app.command("sweep")(sweep_command)
+app.command("merge")(merge_command)
+app.add_typer(usd_app, name="usd")
+app.command("validate")(validate_command)
+app.command("bench")(bench_command)
+
+
+def _fail(status: int, text: str) -> int:
+    note(f"warp-rigid: {text}")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Checks of a machine, an installation and a mesh."""

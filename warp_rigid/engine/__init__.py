@@ -1,0 +1,1 @@
+"""The simulator: its arrays, the step, growth of its pools, checkpoints."""

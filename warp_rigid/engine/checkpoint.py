@@ -1,0 +1,261 @@
+"""Checkpoints: a simulator in one file, from which it goes on to the same bits.
+
+The file holds the scene with its meshes and their distance grids, all parameters and settings of every environment,
+the state, and the contacts of the last step with their impulses; of the pools, only what is in use. It does not tell
+how many cores shared the environments: any machine goes on from it.
+"""
+
+import logging
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid.checks import whole_in
+from warp_rigid.engine import quantities
+from warp_rigid.engine.pools import LARGEST, NAMES
+from warp_rigid.engine.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
+from warp_rigid.engine.shard import Shard
+from warp_rigid.files import archive
+from warp_rigid.files.archive import shaped
+from warp_rigid.kernels import schema
+from warp_rigid.kernels.collide.narrowphase import BY_CENTER
+from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+
+if TYPE_CHECKING:
+    from warp_rigid.engine.simulator import Simulator
+
+KIND = "checkpoint"
+VERSION = 4  # raise whenever older files could no longer be read
+
+FROM_SCENE = ("shape", "motion", "wide", "center_of_mass", "apart_start", "apart")
+"""Arrays of bodies that follow from the scene."""
+
+log = logging.getLogger("warp_rigid")
+
+
+def save(sim: "Simulator", path: Any, more: dict[str, Any] | None = None, arrays: dict | None = None) -> None:
+    """Write a checkpoint; see Simulator.save.
+
+    Args:
+        sim: the simulator.
+        path: where.
+        more: plain data to keep beside it, in the header under "more".
+        arrays: arrays to keep beside it; their names begin with "more_".
+    """
+    import warp_rigid
+
+    scene, shapes = scene_to_data(sim.scene)
+    used = {name: sim.counts()[name] for name in NAMES}
+    header = {
+        "warp_rigid": warp_rigid.__version__,
+        "warp": wp.__version__,
+        "device": str(sim.device),
+        "scene": scene,
+        "num_envs": sim.num_envs,
+        "settings": asdict(sim.settings),
+        "seed": sim.seed,
+        "steps": sim._shards.steps,
+        "on_overflow": sim.on_overflow,
+        "on_nonfinite": sim.on_nonfinite,
+        "memory_limit": sim._memory_limit.given,
+        "capacity": sim._shards.room,
+        "used": used,
+        "fitted": sim._shards.most_wanted.tolist(),
+        "more": more or {},
+    }
+    archive.save(path, KIND, VERSION, header, {**shapes, **_stored(sim), **(arrays or {})})
+
+
+def load(path: Any, device: Any = None) -> "Simulator":
+    """Read a checkpoint; see Simulator.load."""
+    from warp_rigid.engine.simulator import Simulator
+
+    header, arrays = archive.load(path, KIND, VERSION)
+    try:
+        arguments = _arguments(header, arrays)
+        if device is None:
+            device = header["device"] if isinstance(header["device"], str) else "cpu"
+        sim = Simulator(**arguments, device=device)
+        restore(sim, header, arrays)
+        return sim
+    except archive.UNREADABLE as error:
+        if str(error).startswith(("device:", "memory")):
+            raise
+        raise archive.unusable(path, KIND, error) from None
+
+
+def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+    """Bring a simulator of the same scene and as many environments to where a checkpoint was written.
+
+    Raises:
+        ValueError, TypeError, KeyError: header or arrays do not fit.
+        CapacityError: there is no room for the contacts of the last step.
+    """
+    used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
+    rows = {name: _checked(name, own, arrays, used, sim) for name, own in _stored(sim).items()}
+    _check_neighbours(sim, rows)
+    steps = whole_in("steps", header["steps"], 0, 2**62)
+    most_wanted = [whole_in("fitted", n, 0, LARGEST) for _, n in zip(NAMES, header["fitted"], strict=True)]
+    _upload(sim, rows)
+    sim._shards.most_wanted = np.array(most_wanted, np.int64)
+    sim._shards.steps = steps
+    quantities.renew_stages(sim)
+
+
+def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The Simulator's arguments, after a look whether the arrays are as large as they would make it."""
+    scene = scene_from_data(header["scene"], arrays)
+    envs = whole_in("num_envs", header["num_envs"], 1, 10_000_000)
+    shaped(arrays, "State.position", np.float32, (envs * len(scene.bodies), 3))
+    return {
+        "scene": scene,
+        "num_envs": envs,
+        "settings": Settings(**header["settings"]),
+        "seed": header["seed"],
+        "on_overflow": header["on_overflow"],
+        "on_nonfinite": header["on_nonfinite"],
+        "memory_limit": header["memory_limit"],
+        "capacity": header["capacity"] if header["on_overflow"] == "raise" else None,
+    }
+
+
+def _whole(sim: "Simulator") -> dict[str, wp.array]:
+    """Device arrays of all environments that are stored as they are."""
+    owners = [
+        (schema.Bodies, sim._model.bodies, [n for n in schema.field_names(schema.Bodies) if n not in FROM_SCENE]),
+        (schema.State, sim._state, schema.field_names(schema.State)),
+        (schema.Rest, sim._rest, [n for n in schema.field_names(schema.Rest) if n != "island"]),
+        (schema.Environments, sim._envs, schema.field_names(schema.Environments)),
+    ]
+    return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
+
+
+def _stored(sim: "Simulator") -> dict[str, np.ndarray]:
+    """All arrays that a checkpoint holds, numbered as if all environments were one shard."""
+    stored = {name: array.numpy() for name, array in _whole(sim).items()}
+    island = sim._rest.island.numpy() + _first_bodies(sim)
+    stored["Rest.island"] = np.where(stored["Rest.asleep"] == 1, island, 0).astype(np.int32)
+    stored |= {f"History.{name}": rows for name, rows in _history(sim).items()}
+    levels = [shard.pools.levels for shard in sim._shards]
+    return stored | {name: np.concatenate([some[name].numpy() for some in levels]) for name in levels[0]}
+
+
+def _first_bodies(sim: "Simulator") -> np.ndarray:
+    """For each body the first one of its shard, (envs * bodies,)."""
+    return sim._shards.gather(lambda shard: np.full(shard.end_body - shard.first_body, shard.first_body, np.int32))
+
+
+def _history(sim: "Simulator") -> dict[str, np.ndarray]:
+    """The contacts of the last step, shard after shard; only rows that are in use."""
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in schema.field_names(schema.History)}
+    last = {"pair_start": 0, "contact_start": 0}
+    for shard in sim._shards:
+        history = shard.pools.history
+        pairs, contacts = int(history.pair_start.numpy()[-1]), int(history.contact_start.numpy()[-1])
+        used = {"bodies": shard.end_body - shard.first_body, "pairs": pairs, "contacts": contacts}
+        shift = {**last, "body_b": shard.first_body}
+        for name, field in schema.LAYOUTS["History"].items():
+            rows = getattr(history, name).numpy()[: used[_counted_by(field)]]
+            parts[name].append(rows + np.int32(shift[name]) if name in shift else rows)
+        last = {"pair_start": last["pair_start"] + pairs, "contact_start": last["contact_start"] + contacts}
+    for name, total in last.items():
+        parts[name].append(np.array([total], np.int32))
+    return {name: np.concatenate(some) for name, some in parts.items()}
+
+
+def _counted_by(field: schema.Field) -> str:
+    """What there is a row for; sums have one more."""
+    return field.shape.partition(" + ")[0]
+
+
+def _checked(
+    name: str, own: np.ndarray, arrays: dict[str, np.ndarray], used: dict[str, int], sim: "Simulator"
+) -> np.ndarray:
+    """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
+    struct, _, last = name.partition(".")
+    counted = _counted_by(schema.LAYOUTS[struct][last])
+    count = used[counted] + last.endswith("_start") if counted in used else len(own)
+    rows = shaped(arrays, name, own.dtype, (count, *own.shape[1:]))
+    if last in PER_ENVIRONMENT:
+        for value in np.unique(rows).tolist():
+            _check_stored_setting(last, value)
+    if last.endswith("_start"):
+        top = used[f"{last.removesuffix('_start')}s"]
+        if (np.diff(rows) < 0).any() or rows[0] != 0 or rows[-1] != top:
+            raise ValueError(f"{name} must rise from 0 to {top}")
+    if last == "contact_start" and np.diff(rows).max(initial=0) > schema.PAIR_SLOTS:
+        raise ValueError(f"{name} must not give a pair more than {schema.PAIR_SLOTS} contacts")
+    if last == "key":
+        _within(name, rows, BY_CENTER - 1, 2 * sim._model.shapes.samples.shape[0] - 1)
+    return rows
+
+
+def _check_neighbours(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
+    """Pairs and sleeping islands are of bodies of one environment."""
+    env = np.arange(sim.num_envs * sim.num_bodies) // sim.num_bodies
+    env_of_pair = np.repeat(env, np.diff(rows["History.pair_start"]))
+    for name, bodies, envs in (
+        ("History.body_b", rows["History.body_b"], env_of_pair),
+        ("Rest.island", rows["Rest.island"][rows["Rest.asleep"] == 1], env[rows["Rest.asleep"] == 1]),
+    ):
+        if (bodies // sim.num_bodies != envs).any():
+            raise ValueError(f"{name} must be bodies of the same environment")
+
+
+def _within(name: str, rows: np.ndarray, low: int, high: int) -> None:
+    if len(rows) and not low <= rows.min() <= rows.max() <= high:
+        raise ValueError(f"{name} must be from {low} to {high}")
+
+
+def _check_stored_setting(name: str, value: int) -> None:
+    """A setting as the device keeps it."""
+    if name == "shock_propagation":
+        whole_in(name, value, 0, len(SHOCK_MODES) - 1)
+    elif name.endswith("_iterations"):
+        check_setting(name, value)
+    else:
+        check_setting(name, bool(whole_in(name, value, 0, 1)))
+
+
+def _upload(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
+    """Write all arrays, each shard's part of the contacts to its own pools."""
+    parts = [_part_of_history(shard, rows) for shard in sim._shards]
+    for shard, part in zip(sim._shards, parts, strict=True):
+        sim._shards.make_room(shard, {"pairs": len(part["body_b"]), "contacts": len(part["key"])})
+    for shard, part in zip(sim._shards, parts, strict=True):
+        for name, values in part.items():
+            _fill(getattr(shard.pools.history, name), values)
+        shard.pools.forget_graph()
+        levels = shard.pools.levels
+        levels["Graph.level"].assign(rows["Graph.level"][shard.first_body : shard.end_body])
+        levels["Graph.level_count"].assign(rows["Graph.level_count"][shard.first : shard.end])
+    for name, array in _whole(sim).items():
+        array.assign(rows[name])
+    island = np.where(rows["Rest.asleep"] == 1, rows["Rest.island"] - _first_bodies(sim), 0)
+    sim._rest.island.assign(island.astype(np.int32))
+
+
+def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A shard's rows of the contacts of the last step, by its own numbers."""
+    bodies = (shard.first_body, shard.end_body)
+    pairs = tuple(int(rows["History.pair_start"][body]) for body in bodies)
+    contacts = tuple(int(rows["History.contact_start"][pair]) for pair in pairs)
+    bounds = {"bodies": bodies, "pairs": pairs, "contacts": contacts}
+    shift = {"pair_start": pairs[0], "contact_start": contacts[0], "body_b": bodies[0]}
+    part = {}
+    for name, field in schema.LAYOUTS["History"].items():
+        first, end = bounds[_counted_by(field)]
+        own = rows[f"History.{name}"][first : end + name.endswith("_start")]
+        part[name] = own - np.int32(shift[name]) if name in shift else own
+    return part
+
+
+def _fill(array: wp.array, rows: np.ndarray) -> None:
+    """Write the first rows of an array, and the last of them to all that follow (sums stay what they are)."""
+    host = array.numpy().copy()
+    host[: len(rows)] = rows
+    if 0 < len(rows) < len(host):
+        host[len(rows) :] = rows[-1]
+    array.assign(host)

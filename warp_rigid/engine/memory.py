@@ -1,0 +1,135 @@
+"""What a simulation needs of a device's memory, told before it is taken."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from warp_rigid.checks import number_in, whole_in
+from warp_rigid.engine.model import body_sizes
+from warp_rigid.errors import CapacityError
+from warp_rigid.kernels import schema
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Compound, Heightfield, Mesh, Shape
+from warp_rigid.scene.shapes.distance_grid import grid_layout
+
+LARGEST_LIMIT = 2**50
+
+
+def pool_bytes(sizes: dict[str, int]) -> int:
+    """Bytes of all that is sized with the pools: lists, contacts, the last step's contacts twice, graph, orders."""
+    structs = (schema.Pairs, schema.Contacts, schema.History, schema.History, schema.Graph, schema.Order, schema.Order)
+    return sum(schema.byte_size(struct, sizes) for struct in structs)
+
+
+def body_bytes(scene: Scene, num_envs: int) -> int:
+    """Bytes of all that is sized with bodies and environments: parameters, state and its copies, settings."""
+    sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
+    structs = (schema.Bodies, *[schema.State] * 3, *[schema.Rest] * 2, schema.Motions, schema.Environments)
+    return sum(schema.byte_size(struct, sizes) for struct in structs)
+
+
+def shape_bytes(scene: Scene) -> int:
+    """Bytes of the different shapes' distance grids and samples, without computing the grids."""
+    shapes = {body.shape.key: body.shape for body in scene.bodies}.values()
+    records = sum(
+        _record_bytes(schema.SampleRecord) * len(shape.samples().kind)
+        + _record_bytes(schema.ClusterRecord) * len(shape.samples().cluster_radius)
+        for shape in shapes
+    )
+    return records + sum(_grid_bytes(shape) for shape in shapes)
+
+
+def _record_bytes(record: Any) -> int:
+    return wp.types.type_size_in_bytes(record)
+
+
+def _grid_bytes(shape: Shape) -> int:
+    if isinstance(shape, Compound):
+        return sum(_grid_bytes(child) for child, _, _ in shape.children)
+    if isinstance(shape, Heightfield):
+        return 4 * shape.heights.size
+    if isinstance(shape, Mesh):
+        nx, ny, nz = grid_layout(shape.vertices, shape.sdf_resolution)[2]
+        return 4 * nx * ny * nz
+    return 0
+
+
+def device_memory(device: Any) -> tuple[int, int]:
+    """Total and free memory of a device [bytes]; on the CPU what the machine or its container gives."""
+    if device.is_cuda:
+        return device.total_memory, device.free_memory
+    page = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
+    total = os.sysconf("SC_PHYS_PAGES") * page if hasattr(os, "sysconf") else LARGEST_LIMIT
+    free = _available(total)
+    limit, used = _number(Path("/sys/fs/cgroup/memory.max")), _number(Path("/sys/fs/cgroup/memory.current"))
+    if limit is not None and used is not None:
+        total, free = min(total, limit), min(free, max(0, limit - used))
+    return total, free
+
+
+def _available(total: int) -> int:
+    """What Linux says could be given to programs now; elsewhere all there is."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return total
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")), total)
+
+
+def _number(file: Path) -> int | None:
+    try:
+        return int(file.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+class MemoryLimit:
+    """How much memory a simulator may take on its device.
+
+    Args:
+        device: the Warp device.
+        limit: bytes (int), a fraction of the device's memory (float), or None for all that is free.
+
+    Raises:
+        ValueError: the limit is neither.
+    """
+
+    def __init__(self, device: Any, limit: int | float | None) -> None:
+        """Check the limit."""
+        self.device, self.given = device, limit
+        if isinstance(limit, float):
+            fraction = number_in("memory_limit", limit, high=1.0, above=0.0)
+            self.bytes = int(fraction * device_memory(device)[0])
+        else:
+            self.bytes = LARGEST_LIMIT if limit is None else whole_in("memory_limit", limit, 1, LARGEST_LIMIT)
+
+    def check(self, held: int, more: int, what: str) -> None:
+        """Refuse to take `more` bytes beside the `held` ones if that is too much.
+
+        Raises:
+            CapacityError: with the bytes that would be needed.
+        """
+        total = held + more
+        if total > self.bytes:
+            raise CapacityError(
+                f"memory_limit: {what} needs {_size(total)}, {_size(self.bytes)} are allowed; "
+                f"raise memory_limit to {total} bytes or more, or simulate fewer environments",
+                "memory",
+                total,
+                self.bytes,
+            )
+        free = device_memory(self.device)[1]
+        if more > free:
+            raise CapacityError(
+                f"memory: {what} needs {_size(more)} more on {self.device}, {_size(free)} are free; "
+                "simulate fewer environments at once",
+                "memory",
+                total,
+                held + free,
+            )
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e9:.3g} GB" if count >= 1e8 else f"{count / 1e6:.3g} MB"

@@ -1,0 +1,120 @@
+"""Pools whose needed size is known only while simulating: pairs, contacts, and all that is sized with them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid.kernels import schema
+
+NAMES = ("pairs", "contacts")
+"""What is counted, in the order of `wanted` on the device."""
+
+LARGEST = 2**30
+"""Most entries of a pool: ends of pairs, two each, are counted in 32 bits."""
+
+CHUNK = 16
+"""Most steps between two looks at the pools; as many are repeated if one was too small."""
+
+HEADROOM = 1.5
+"""A pool that was too small grows to this many times what was wanted."""
+
+
+@dataclass
+class Pools:
+    """Arrays sized by the number of pairs and contacts, and how many the last steps wanted.
+
+    Attributes:
+        sizes: symbols of the data layout and their values.
+        pairs: candidate pairs.
+        contacts: contact records.
+        history: contacts of the last step.
+        graph: contact graph.
+        order: touching pairs by colour.
+        turn: (1,) row of `wanted` that belongs to the step at hand.
+        wanted: (CHUNK, 2) pairs and contacts wanted, step by step.
+    """
+
+    sizes: dict[str, int]
+    pairs: Any
+    contacts: Any
+    history: Any
+    graph: Any
+    order: Any
+    turn: wp.array
+    wanted: wp.array
+
+    @staticmethod
+    def sizes_for(num_envs: int, bodies_per_env: int, pairs: int, contacts: int) -> dict[str, int]:
+        """Symbols of the data layout and their values."""
+        return {
+            "envs": num_envs,
+            "bodies": num_envs * bodies_per_env,
+            "pairs": pairs,
+            "contacts": contacts,
+        }
+
+    @classmethod
+    def allocate(cls, sizes: dict[str, int], device: Any) -> "Pools":
+        """Make empty pools of these sizes."""
+        return cls(
+            sizes=sizes,
+            pairs=schema.allocate(schema.Pairs, sizes, device),
+            contacts=schema.allocate(schema.Contacts, sizes, device),
+            history=schema.allocate(schema.History, sizes, device),
+            graph=schema.allocate(schema.Graph, sizes, device),
+            order=schema.allocate(schema.Order, sizes, device),
+            turn=wp.zeros(1, dtype=int, device=device),
+            wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
+        )
+
+    @property
+    def levels(self) -> dict[str, wp.array]:
+        """What is told of the last step's levels."""
+        return {"Graph.level": self.graph.level, "Graph.level_count": self.graph.level_count}
+
+    def begin(self) -> None:
+        """Count anew what steps want, from the first row on."""
+        self.turn.zero_()
+        self.wanted.zero_()
+
+    def forget_graph(self) -> None:
+        """Let the next step find its graph anew: what it has for the last step is of another one."""
+        self.graph.known.zero_()
+
+    def wanted_by_environment(self, name: str) -> np.ndarray:
+        """What each environment wanted of a pool in the step at hand, (envs,), whether it fitted or not."""
+        if name == "pairs":
+            body, count = np.arange(self.sizes["bodies"]), self.pairs.count.numpy()[:-1]
+        else:
+            listed = int(self.pairs.start.numpy()[-1])
+            body, count = self.pairs.body_a.numpy()[:listed], self.pairs.contact_count.numpy()[:listed]
+        envs = self.sizes["envs"]
+        return np.bincount(body // (self.sizes["bodies"] // envs), weights=count, minlength=envs).astype(np.int64)
+
+    def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
+        """Sizes with room for what was wanted, and more."""
+        return {**self.sizes, **{name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}}
+
+    def grown(self, sizes: dict[str, int]) -> "Pools":
+        """Larger pools that remember the same last step."""
+        pools = Pools.allocate(sizes, self.wanted.device)
+        pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
+        copy_arrays(self.history, pools.history, schema.History)
+        for name, array in self.levels.items():
+            wp.copy(pools.levels[name], array)
+        return pools
+
+
+def expected_room(num_envs: int, dynamic: int) -> tuple[int, int]:
+    """Pairs and contacts to begin with: six pairs for each of `dynamic` bodies an environment, six contacts a pair."""
+    pairs = min(num_envs * max(8, 6 * dynamic), LARGEST)
+    return pairs, min(6 * pairs, LARGEST)
+
+
+def copy_arrays(source: Any, target: Any, struct: Any) -> None:
+    """Copy all arrays of a struct into the beginning of another's."""
+    for name in schema.field_names(struct):
+        array = getattr(source, name)
+        wp.copy(getattr(target, name), array, count=array.size)

@@ -1,0 +1,139 @@
+"""Shards: ranges of environments that are stepped on their own, at the same time on the cores of a CPU.
+
+A shard has its own pools, its own recorded step and its own way back; state and parameters are parts of the arrays of
+all environments. What a kernel numbers, bodies and environments, it numbers within its shard. An environment's bits do
+not depend on which others it is with, so they do not depend on the shards either.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid.engine.model import Model
+from warp_rigid.engine.pools import Pools
+from warp_rigid.engine.step import OVERLAP, Stages, load_kernels
+from warp_rigid.kernels import schema
+
+WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
+"""What a step notes of an environment; undone with it, and cleared by a reset."""
+
+
+class Shard:
+    """Environments that are stepped together.
+
+    Args:
+        first: the first environment.
+        end: one past the last.
+        sizes: of its pools.
+        model: what is constant, of all environments.
+        state: what a step changes, of all environments.
+        rest: who sleeps, of all environments.
+        envs: settings of all environments.
+
+    Attributes:
+        first: as given.
+        end: as given.
+        pools: pairs, contacts and graph.
+        stages: the recorded step.
+        recorded: how it was recorded, None before `record`.
+        seconds: what the last `advance` took.
+    """
+
+    stages: Stages
+    recorded: tuple[float, int, bool] | None = None
+    seconds = 0.0
+
+    def __init__(
+        self, first: int, end: int, sizes: dict[str, int], model: Model, state: Any, rest: Any, envs: Any
+    ) -> None:
+        """Make the arrays; `record` must follow."""
+        self.first, self.end = first, end
+        self.num_envs, self.num_bodies = end - first, len(model.scene.bodies)
+        self._model = model.part(first, end)
+        self._state = schema.part(state, "bodies", self.first_body, self.end_body)
+        self._rest = schema.part(rest, "bodies", self.first_body, self.end_body)
+        self._envs = schema.part(envs, "envs", first, end)
+        self._device: Any = envs.step.device
+        self._saved_state = schema.allocate(schema.State, sizes, self._device)
+        self._saved_rest = schema.allocate(schema.Rest, sizes, self._device)
+        self._saved_envs = [(array, wp.clone(array)) for array in (getattr(self._envs, name) for name in WATCHED)]
+        self._saved_in: int | None = None
+        self.pools = Pools.allocate(sizes, self._device)
+
+    @property
+    def first_body(self) -> int:
+        """Row of its first body in the arrays of all environments."""
+        return self.first * self.num_bodies
+
+    @property
+    def end_body(self) -> int:
+        """One past the row of its last body."""
+        return self.end * self.num_bodies
+
+    def record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools | None = None) -> None:
+        """Record the step anew, over other pools if they are given; the other arguments are those of Stages.
+
+        One shard at a time, while no other is at work. Whatever interrupts it leaves the shard as it was.
+        """
+        pools = pools or self.pools
+        stages = Stages(self._model, self._state, self._rest, self._envs, pools, dt, repetitions, sleeping)
+        kept = self._kept_arrays(pools, sleeping)
+        with wp.ScopedCapture(self._device, force_module_load=False) as capture:
+            for array, saved in kept:
+                wp.copy(saved, array)
+            pools.begin()
+        self.pools, self.stages, self._kept, self._keeping = pools, stages, kept, capture.graph
+        self._measuring: Any = None
+        self.recorded = (dt, repetitions, sleeping)
+
+    def advance(self, steps: int, attempt: int) -> None:
+        """Do steps that can be undone, at most CHUNK of them."""
+        begin = time.perf_counter()
+        self.save(attempt)
+        for _ in range(steps):
+            self.stages.replay()
+        self.seconds = time.perf_counter() - begin
+
+    def save(self, attempt: int) -> None:
+        """Keep what a step changes, under the number of an attempt, and count anew what the pools are asked for."""
+        self._saved_in = None
+        wp.capture_launch(self._keeping)
+        self._saved_in = attempt
+
+    def undo(self, attempt: int) -> None:
+        """Undo the steps since `save`, if it was in this attempt, and they were not undone already."""
+        if self._saved_in == attempt:
+            for array, saved in self._kept:
+                wp.copy(array, saved)
+            self.pools.forget_graph()
+            self._saved_in = None
+
+    def grow(self, sizes: dict[str, int]) -> None:
+        """Enlarge the pools and record the step anew."""
+        assert self.recorded is not None
+        self.record(*self.recorded, pools=self.pools.grown(sizes))
+
+    def record_measuring(self) -> None:
+        """Record what `deepest_overlap` does, where it is not yet; one shard at a time, as `record`."""
+        if self._measuring is None:
+            load_kernels(self._device, OVERLAP)
+            self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
+            with wp.ScopedCapture(self._device, force_module_load=False) as capture:
+                self.pools.begin()
+                self.stages.deepest_overlap(self._deepest)
+            self._measuring = capture.graph
+
+    def deepest_overlap(self) -> np.ndarray:
+        """Deepest overlap now in each of its environments, (envs,) [m]; see Simulator.penetration."""
+        wp.capture_launch(self._measuring)
+        return self._deepest.numpy()[:, 0]
+
+    def _kept_arrays(self, pools: Pools, sleeping: bool) -> list[tuple[wp.array, wp.array]]:
+        """What a step changes for the next one or for a reader, and the copies that undo it."""
+        structs = [(schema.State, self._state, self._saved_state)]
+        structs += [(schema.Rest, self._rest, self._saved_rest)] if sleeping else []
+        structs += [(schema.History, pools.history, schema.allocate(schema.History, pools.sizes, self._device))]
+        both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in schema.field_names(struct)]
+        return both + self._saved_envs + [(some, wp.clone(some)) for some in pools.levels.values()]

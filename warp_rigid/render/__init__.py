@@ -1,0 +1,1 @@
+"""Pictures, films and glTF files of recordings."""

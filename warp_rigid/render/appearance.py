@@ -1,0 +1,295 @@
+"""How a recording looks: colours, normals and the places of its environments.
+
+The USD writer and the picture maker share this, so that both show the same thing.
+"""
+
+import math
+
+import numpy as np
+
+from warp_rigid.runs.recording import Frame, Recording, Surface, is_moving
+from warp_rigid.scene.scene import Motion
+
+__all__ = [
+    "COLORINGS",
+    "Spread",
+    "body_colors",
+    "bound_corners",
+    "continuous_signs",
+    "corner_normals",
+    "drawn_surfaces",
+    "environment_colors",
+    "environment_offsets",
+    "environment_spacing",
+    "frame_colors",
+    "level_colors",
+    "rotate",
+    "rotation_matrices",
+    "speed_colors",
+    "told_colors",
+]
+
+# Colours on screen (sRGB). Neighbours in the list differ in hue and lightness, so that bodies
+# added one after another stay apart for colour-blind eyes too.
+DYNAMIC_COLORS = (
+    "#e07a3f", "#3f7fbf", "#f2c14e", "#4b9e86", "#b5483a",
+    "#8fbcd4", "#6d5a9c", "#a9b665", "#d98a9e", "#5b6770",
+)  # fmt: skip
+STATIC_COLOR = "#c9c6bf"
+KINEMATIC_COLOR = "#9a8f7a"
+ASLEEP_COLOR = "#3c4a63"
+
+COLORINGS = ("body", "environment", "level", "speed", "asleep")
+"""What the colour of a dynamic body can tell: which one it is, its environment, its level in the contact graph, how
+fast it moves, or whether it sleeps."""
+
+LEVEL_COLORS = ("#8a8f96", "#440154", "#3b528b", "#21918c", "#5ec962", "#fde725", "#f89540", "#cc4778")
+"""Of bodies that rest on nothing, then of levels 1, 2, ...; further levels begin anew at 1."""
+SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR = "#2b5c8a", "#e8e3d3", "#c23b22"
+QUICK = 2.0
+"""Speed of the last colour [m/s]."""
+
+CREASE_ANGLE = math.radians(40.0)
+ROW_LENGTH = 5
+"""Up to so many environments stand in one row, side by side; more make a square grid."""
+SPACING = 1.35
+"""Distance between environments, in their own width."""
+
+
+def linear_color(code: str) -> np.ndarray:
+    """A screen colour "#rrggbb" as linear light, which USD and the shading expect, (3,)."""
+    value = np.array([int(code[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def body_colors(motion) -> np.ndarray:
+    """One colour a body, (bodies, 3) float32 in linear light: grey static, bright dynamic."""
+    palette = np.array([linear_color(code) for code in DYNAMIC_COLORS])
+    motion = np.asarray(motion)
+    dynamic = motion == Motion.DYNAMIC
+    colors = palette[(np.cumsum(dynamic) - 1) % len(palette)]
+    colors[motion == Motion.STATIC] = linear_color(STATIC_COLOR)
+    colors[motion == Motion.KINEMATIC] = linear_color(KINEMATIC_COLOR)
+    return colors.astype(np.float32)
+
+
+def environment_colors(env) -> np.ndarray:
+    """A colour for each environment by its number, (...) -> (..., 3) float32 in linear light."""
+    palette = np.array([linear_color(code) for code in DYNAMIC_COLORS])
+    return palette[np.asarray(env) % len(palette)].astype(np.float32)
+
+
+def level_colors(level) -> np.ndarray:
+    """A colour for each level of the contact graph, (...) -> (..., 3) float32 in linear light."""
+    palette = np.array([linear_color(code) for code in LEVEL_COLORS])
+    level = np.asarray(level)
+    cycle = (np.maximum(level, 1) - 1) % (len(palette) - 1) + 1
+    return palette[np.where(level > 0, cycle, 0)].astype(np.float32)
+
+
+def speed_colors(speed) -> np.ndarray:
+    """From blue at rest to red at QUICK and beyond, (...) [m/s] -> (..., 3) float32 in linear light."""
+    ends = np.array([linear_color(code) for code in (SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR)])
+    part = np.clip(np.asarray(speed) / QUICK, 0.0, 1.0)
+    return np.stack([np.interp(part, (0.0, 0.5, 1.0), ends[:, k]) for k in range(3)], axis=-1).astype(np.float32)
+
+
+def told_colors(coloring: str, plain, dynamic, told) -> np.ndarray:
+    """Colours in which the dynamic bodies tell something.
+
+    Args:
+        coloring: one of COLORINGS.
+        plain: (..., 3) the bodies' own colours.
+        dynamic: (...) which bodies are dynamic.
+        told: (...) what is told: the environment's number, the level, the speed [m/s] or whether the body is asleep;
+            not looked at where the colouring is "body".
+
+    Returns:
+        (..., 3) float32 in linear light.
+    """
+    if coloring == "body":
+        return plain
+    if coloring == "asleep":
+        return np.where((dynamic & told)[..., None], linear_color(ASLEEP_COLOR).astype(np.float32), plain)
+    tell = {"environment": environment_colors, "level": level_colors, "speed": speed_colors}[coloring]
+    return np.where(np.asarray(dynamic)[..., None], tell(told), plain)
+
+
+def frame_colors(coloring: str, recording: Recording, row: int, frame: Frame) -> np.ndarray:
+    """One colour a body of an environment at one time, (bodies, 3) float32 in linear light.
+
+    Args:
+        coloring: one of COLORINGS.
+        recording: what stays the same over time.
+        row: which of its environments.
+        frame: the state at that time.
+
+    Raises:
+        ValueError: The speed is wanted, but velocities were not recorded.
+    """
+    told = None
+    if coloring == "environment":
+        told = np.full(len(recording.motion), recording.envs[row])
+    elif coloring == "speed":
+        if frame.linear_velocity is None:
+            raise ValueError("color: speed needs a recording with velocities")
+        told = np.linalg.norm(frame.linear_velocity[row], axis=-1)
+    elif coloring != "body":
+        told = getattr(frame, coloring)[row]
+    return told_colors(coloring, body_colors(recording.motion), recording.motion == Motion.DYNAMIC, told)
+
+
+def corner_normals(vertices, faces) -> np.ndarray:
+    """Unit normals for each corner of each triangle: smooth, but sharp at creases.
+
+    A corner takes the area-weighted mean over the triangles around its vertex whose normals lie
+    within CREASE_ANGLE of its own. Vertices in the same place count as one.
+
+    Args:
+        vertices: (n, 3) [m].
+        faces: (m, 3).
+
+    Returns:
+        (m, 3, 3) float32.
+    """
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    if len(faces) == 0:
+        return np.zeros((0, 3, 3), dtype=np.float32)
+    place = np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1)[faces].reshape(-1)
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    area = np.cross(b - a, c - a)
+    unit = _normalised(area, fallback=(0.0, 0.0, 1.0))
+
+    # All pairs of corners that share a vertex, without a loop: corners sorted by vertex form runs.
+    order = np.argsort(place, kind="stable")
+    start = np.searchsorted(place[order], place, side="left")
+    count = np.searchsorted(place[order], place, side="right") - start
+    corner = np.repeat(np.arange(len(place)), count)
+    within = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
+    face, other = corner // 3, order[np.repeat(start, count) + within] // 3
+
+    smooth = np.einsum("ij,ij->i", unit[face], unit[other]) >= math.cos(CREASE_ANGLE)
+    total = np.stack(
+        [np.bincount(corner, np.where(smooth, area[other, axis], 0.0), len(place)) for axis in range(3)],
+        axis=1,
+    )
+    normals = _normalised(total, fallback=np.repeat(unit, 3, axis=0))
+    return normals.reshape(-1, 3, 3).astype(np.float32)
+
+
+def continuous_signs(orientation) -> np.ndarray:
+    """Quaternions (frames, ..., 4) with signs chosen so that no frame turns the long way round.
+
+    q and -q are one rotation, but a reader that interpolates between frames takes the way from the
+    one to the other literally.
+    """
+    orientation = np.asarray(orientation)
+    dots = np.sum(orientation[1:] * orientation[:-1], axis=-1, keepdims=True)
+    flips = np.where(dots < 0.0, -1.0, 1.0)
+    signs = np.concatenate([np.ones_like(orientation[:1, ..., :1]), np.cumprod(flips, axis=0)])
+    return (orientation * signs).astype(orientation.dtype)
+
+
+def rotation_matrices(orientation) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), in their precision."""
+    x, y, z, w = np.moveaxis(np.asarray(orientation), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotate(orientation, vector) -> np.ndarray:
+    """Rotate vectors (..., 3) by unit quaternions (..., 4), broadcasting."""
+    return np.einsum("...ij,...j->...i", rotation_matrices(orientation), np.asarray(vector))
+
+
+def bound_corners(vertices) -> np.ndarray:
+    """The eight corners of the box around some points, (8, 3)."""
+    bounds = np.stack([np.min(vertices, axis=0), np.max(vertices, axis=0)])
+    return np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+
+
+class Spread:
+    """How much room an environment takes, learned frame by frame.
+
+    Everything finite counts at the start, and the moving bodies all along, but for the few that fly far away.
+
+    Args:
+        recording: its surfaces, motions and first frame.
+    """
+
+    def __init__(self, recording: Recording):
+        """Take the bounds of the first frame."""
+        self._moving = is_moving(recording.motion)
+        self._lower, self._upper = np.full(3, np.inf), np.full(3, -np.inf)
+        for index, surface in enumerate(recording.surfaces):
+            bodies = np.flatnonzero(recording.surface == index)
+            if len(surface.vertices) == 0 or (surface.endless and not self._moving[bodies].any()):
+                continue
+            turned = rotate(recording.orientation[0][:, bodies, None], bound_corners(surface.vertices))
+            self._include((turned + recording.position[0][:, bodies, None]).reshape(-1, 3))
+
+    def add(self, position: np.ndarray) -> None:
+        """Take note of where the bodies are in a frame, (envs, bodies, 3) [m]."""
+        if self._moving.any():
+            self._include(np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0))
+
+    def spacing(self) -> np.ndarray:
+        """Distances between neighbouring environments along x and y, (2,) [m]."""
+        extent = (self._upper - self._lower)[:2]
+        return np.where(np.isfinite(extent), np.maximum(SPACING * extent, 1e-3), 1.0)
+
+    def _include(self, points: np.ndarray) -> None:
+        finite = points[np.isfinite(points).all(axis=-1)]
+        self._lower = np.minimum(self._lower, finite.min(axis=0, initial=np.inf))
+        self._upper = np.maximum(self._upper, finite.max(axis=0, initial=-np.inf))
+
+
+def environment_spacing(recording: Recording) -> np.ndarray:
+    """Distances between neighbouring environments along x and y for all of a recording, (2,) [m]."""
+    spread = Spread(recording)
+    for position in recording.position:
+        spread.add(position)
+    return spread.spacing()
+
+
+def environment_offsets(count: int, spacing) -> np.ndarray:
+    """Where the environments stand, (count, 3) [m], around the origin on the plane z = 0."""
+    columns = count if count <= ROW_LENGTH else math.ceil(math.sqrt(count))
+    rows = math.ceil(count / columns)
+    column, row = np.arange(count) % columns, np.arange(count) // columns
+    x = (column - (columns - 1) / 2.0) * spacing[0]
+    y = (row - (rows - 1) / 2.0) * spacing[1]
+    return np.stack([x, y, np.zeros(count)], axis=1)
+
+
+def drawn_surfaces(recording: Recording, count: int, spacing) -> list[Surface]:
+    """The surfaces as they stand among `count` environments.
+
+    Level planes may overlap, as they coincide; a tilted one shrinks so that it keeps out of the
+    other environments.
+    """
+    surfaces = list(recording.surfaces)
+    for index, surface in enumerate(surfaces):
+        if surface.endless and count > 1 and _is_tilted(recording, index):
+            center = surface.vertices.mean(axis=0)
+            scale = min(1.0, float(np.max(spacing)) / np.ptp(surface.vertices, axis=0).max())
+            vertices = (center + scale * (surface.vertices - center)).astype(np.float32)
+            surfaces[index] = Surface(vertices, surface.faces, endless=True)
+    return surfaces
+
+
+def _is_tilted(recording: Recording, index: int) -> bool:
+    """Whether a plane stands at a slope in any body that has it."""
+    plane = recording.surfaces[index]
+    normal = corner_normals(plane.vertices, plane.faces)[0, 0]
+    orientation = recording.orientation[0][:, recording.surface == index]
+    return bool((np.abs(rotate(orientation, normal)[..., 2]) < 1.0 - 1e-6).any())
+
+
+def _normalised(vectors: np.ndarray, fallback) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 0.0, vectors / np.where(length > 0.0, length, 1.0), fallback)

@@ -1,0 +1,289 @@
+"""Film: what is to be drawn, frame by frame, read from a recording or from a USD file."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from warp_rigid.checks import number_in, one_of
+from warp_rigid.render.appearance import (
+    COLORINGS,
+    body_colors,
+    corner_normals,
+    drawn_surfaces,
+    environment_offsets,
+    environment_spacing,
+    frame_colors,
+)
+from warp_rigid.runs.recording import Recording, Surface
+
+__all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
+
+
+MOST_FRAMES = 100_000
+"""Of a film that is read."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnMesh:
+    """Triangles with normals, in the shape's frame.
+
+    Attributes:
+        vertices: (n, 3) float32 [m].
+        faces: (m, 3) int32.
+        normals: (m, 3, 3) float32, one for each corner of each triangle.
+        frames: the vertices in each frame of the film, where they change; else nothing.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    frames: tuple[np.ndarray, ...] = ()
+
+    @property
+    def flat(self) -> bool:
+        """All in one plane: a ground, which is drawn with a grid and does not guide the camera."""
+        return bool(np.ptp(self.normals.reshape(-1, 3), axis=0).max() < 1e-6)
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Instances of meshes, moving in one world.
+
+    Attributes:
+        meshes: the different meshes.
+        mesh: (instances,) index into meshes.
+        color: (instances, 3) float32, linear light; or (frames, instances, 3) where colours change.
+        position: (frames, instances, 3) float32 [m].
+        orientation: (frames, instances, 4) float32, unit quaternions (x, y, z, w).
+        fps: frames per simulated second.
+        env: (instances,) index of the environment.
+        offset: (envs, 3) where the environments stand [m].
+        labels: a text for each environment; empty where nothing tells it apart.
+    """
+
+    meshes: tuple[DrawnMesh, ...]
+    mesh: np.ndarray
+    color: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    fps: float
+    env: np.ndarray
+    offset: np.ndarray
+    labels: tuple[str, ...]
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames, the first included."""
+        return len(self.position)
+
+    @property
+    def moving(self) -> np.ndarray:
+        """(instances,) True where a pose changes in the course of the film."""
+        moves = (self.position != self.position[0]).any(axis=(0, 2))
+        return moves | (self.orientation != self.orientation[0]).any(axis=(0, 2))
+
+    def color_at(self, frame: int) -> np.ndarray:
+        """Colours in one frame, (instances, 3)."""
+        return self.color if self.color.ndim == 2 else self.color[frame]
+
+    def alone(self, env: int) -> "Film":
+        """One environment by its index, brought back to the origin."""
+        kept = self.env == env
+        return replace(
+            self,
+            mesh=self.mesh[kept],
+            color=self.color[..., kept, :],
+            position=self.position[:, kept] - self.offset[env].astype(np.float32),
+            orientation=self.orientation[:, kept],
+            env=np.zeros(np.count_nonzero(kept), dtype=np.int64),
+            offset=np.zeros((1, 3)),
+            labels=(self.labels[env],),
+        )
+
+
+def film_from_recording(recording: Recording, envs=None) -> Film:
+    """The environments of a recording side by side, as export_usd lays them out.
+
+    Raises:
+        ValueError: One of the environments was not recorded.
+    """
+    rows = recording.rows(envs)
+    spacing = environment_spacing(recording)
+    surfaces = drawn_surfaces(recording, len(rows), spacing)
+    offsets = environment_offsets(len(rows), spacing).astype(np.float32)
+    frames, count = len(recording.time), len(rows) * len(recording.surface)
+    return Film(
+        meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
+        mesh=np.tile(recording.surface, len(rows)),
+        color=np.tile(body_colors(recording.motion), (len(rows), 1)),
+        position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),
+        orientation=recording.orientation[:, rows].reshape(frames, count, 4),
+        fps=recording.fps,
+        env=np.repeat(np.arange(len(rows)), len(recording.surface)),
+        offset=offsets,
+        labels=tuple(recording.labels[row] for row in rows),
+    )
+
+
+def colored(film: Film, recording: Recording, by: str) -> Film:
+    """A film in which the colours of the dynamic bodies tell something.
+
+    Args:
+        film: of all environments of the recording, made by film_from_recording.
+        recording: what it was made from.
+        by: one of COLORINGS; "body" changes nothing.
+
+    Raises:
+        ValueError: There is no such colouring, or it tells what was not recorded.
+    """
+    one_of("by", by, COLORINGS)
+    if by == "body":
+        return film
+    rows = range(len(recording.envs))
+    colors = [np.concatenate([frame_colors(by, recording, row, f) for row in rows]) for f in recording.frames()]
+    return replace(film, color=np.stack(colors))
+
+
+def _drawn(surface: Surface, times: np.ndarray) -> DrawnMesh:
+    """A surface as it is drawn, frame by frame if it changes its shape."""
+    vertices = surface.vertices_at(times[0])
+    frames = tuple(surface.vertices_at(time) for time in times) if surface.moves else ()
+    return DrawnMesh(vertices, surface.faces, corner_normals(vertices, surface.faces), frames)
+
+
+def film_from_usd(path) -> Film:
+    """Read the bodies and meshes of a file that export_usd wrote, from the file alone.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is no USD file, or one without bodies.
+    """
+    from warp_rigid.usd.opening import open_stage, reading
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    stage = open_stage(path)
+    with reading(path):
+        try:
+            return _film_of_stage(stage)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+
+def _film_of_stage(stage) -> Film:
+    from pxr import UsdGeom
+
+    root = stage.GetDefaultPrim()
+    envs = [prim for prim in root.GetChildren() if prim.IsA(UsdGeom.Xform)] if root else []
+    groups = [
+        (index, prim)
+        for index, env in enumerate(envs)
+        for prim in env.GetChildren()
+        if prim.IsA(UsdGeom.PointInstancer) or prim.HasAttribute("xformOp:orient")
+    ]
+    if not groups:
+        raise ValueError("holds no environment with bodies, as export_usd writes them")
+
+    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    number_in("endTimeCode", last, number_in("startTimeCode", first), first + MOST_FRAMES)
+    frames = np.arange(first, last + 1)
+    offset = np.array([_translation(prim) for prim in envs])
+    meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
+    for index, group in groups:
+        read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
+        drawn, places, turns, colors = read(group, frames)
+        key = drawn.vertices.tobytes() + drawn.faces.tobytes()
+        if key not in mesh_index:
+            mesh_index[key] = len(meshes)
+            meshes.append(drawn)
+        position.append(places + offset[index].astype(np.float32))
+        orientation.append(turns)
+        color.append(colors)
+        mesh.append(np.full(places.shape[1], mesh_index[key]))
+        env.append(np.full(places.shape[1], index))
+    told = np.concatenate(color, axis=1)
+    return Film(
+        meshes=tuple(meshes),
+        mesh=np.concatenate(mesh),
+        color=told if (told != told[0]).any() else told[0],
+        position=np.concatenate(position, axis=1),
+        orientation=np.concatenate(orientation, axis=1),
+        fps=stage.GetFramesPerSecond(),
+        env=np.concatenate(env),
+        offset=offset,
+        labels=tuple(prim.GetDisplayName() for prim in envs),
+    )
+
+
+def _read_instancer(prim, frames):
+    """A PointInstancer's only mesh, and positions, quaternions and colours of its instances."""
+    from pxr import UsdGeom
+
+    instancer = UsdGeom.PointInstancer(prim)
+    mesh = UsdGeom.Mesh(prim.GetStage().GetPrimAtPath(instancer.GetPrototypesRel().GetTargets()[0]))
+    points = mesh.GetPointsAttr()
+    vertices = np.array(points.Get(), dtype=np.float32)
+    moving = tuple(_read(points, frames)) if points.ValueMightBeTimeVarying() else ()
+    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int32).reshape(-1, 3)
+    normals = np.array(mesh.GetNormalsAttr().Get(), dtype=np.float32).reshape(-1, 3, 3)
+    color = _read(UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor").GetAttr(), frames)
+    places = _read(instancer.GetPositionsAttr(), frames)
+    return DrawnMesh(vertices, faces, normals, moving), places, _read(instancer.GetOrientationsfAttr(), frames), color
+
+
+def _read_body(prim, frames):
+    """The same of a body of its own; several colliders make one mesh."""
+    from pxr import Usd, UsdGeom
+
+    from warp_rigid.usd.prims import matrix_of, triangles_of
+
+    vertices, faces, count, moving = [], [], 0, {}
+    for part in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
+        if part.IsA(UsdGeom.Gprim):
+            matrix = matrix_of(UsdGeom.XformCache().ComputeRelativeTransform(part, prim)[0])
+            points, triangles = triangles_of(part)
+            attribute = part.GetAttribute("points")
+            if attribute and attribute.ValueMightBeTimeVarying():
+                moving[len(vertices)] = _read(attribute, frames) @ matrix[:3, :3].T + matrix[:3, 3]
+            vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
+            faces.append(triangles + count)
+            count += len(points)
+    if not vertices:
+        raise ValueError(f"{prim.GetPath()} has no geometry")
+    joined = np.concatenate(vertices).astype(np.float32)
+    corners = np.concatenate(faces).astype(np.int32)
+    shown = [
+        np.concatenate([moving[k][f] if k in moving else part for k, part in enumerate(vertices)]).astype(np.float32)
+        for f in range(len(frames) if moving else 0)
+    ]
+    color = _read(UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor").GetAttr(), frames)
+    places = _read(prim.GetAttribute("xformOp:translate"), frames).astype(np.float32)
+    turns = _read(prim.GetAttribute("xformOp:orient"), frames)
+    drawn = DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown))
+    return drawn, places[:, None], turns[:, None], color
+
+
+def _translation(prim) -> np.ndarray:
+    from pxr import UsdGeom
+
+    matrix = UsdGeom.XformCache().GetLocalToWorldTransform(prim)
+    return np.array(matrix.ExtractTranslation())
+
+
+def _read(attribute, frames) -> np.ndarray:
+    """An attribute's values at some time codes; one that never changes is read once.
+
+    Quaternions come as (x, y, z, w).
+    """
+    if not attribute.ValueMightBeTimeVarying():
+        value = _numbers(attribute.Get())
+        return np.broadcast_to(value, (len(frames), *value.shape))
+    return np.stack([_numbers(attribute.Get(frame)) for frame in frames])
+
+
+def _numbers(value) -> np.ndarray:
+    """A value of USD's as an array: a single quaternion's parts must be asked for."""
+    if hasattr(value, "GetImaginary"):
+        return np.array([*value.GetImaginary(), value.GetReal()], dtype=np.float32)
+    return np.array(value)

@@ -1,0 +1,161 @@
+"""glTF export: a film as one .glb file, which web browsers and the previewers of desktops play."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_rigid.files.atomic import whole_file
+from warp_rigid.render.appearance import (
+    body_colors,
+    continuous_signs,
+    corner_normals,
+    drawn_surfaces,
+    environment_offsets,
+    environment_spacing,
+)
+from warp_rigid.runs.recording import Recording, Surface
+
+if TYPE_CHECKING:
+    import pygltflib
+
+__all__ = ["export_gltf"]
+
+Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
+"""glTF has y up: a quarter turn of the root node."""
+FLOAT, UINT = 5126, 5125
+VERTICES, INDICES = 34962, 34963
+
+
+def export_gltf(recording: Recording, path, envs=None) -> None:
+    """Write a recording as binary glTF 2.0, one node a body, animated over time.
+
+    Args:
+        recording: what to write.
+        path: ends in .glb; folders are made.
+        envs: numbers of the environments to write; None writes all that were recorded.
+
+    Raises:
+        ValueError: The path has another ending, or an environment was not recorded.
+        OSError: The file cannot be written.
+        ModuleNotFoundError: pygltflib is not installed.
+    """
+    path = Path(path)
+    if path.suffix != ".glb":
+        raise ValueError(f"path: must end in .glb, got {path}")
+    rows = recording.rows(envs)
+    import pygltflib
+
+    file = _Assembly(pygltflib)
+    spacing = environment_spacing(recording)
+    surfaces = drawn_surfaces(recording, len(rows), spacing)
+    colors = body_colors(recording.motion)
+    world = file.node(name="World", rotation=Z_UP_TO_Y_UP)
+    orientation = continuous_signs(recording.orientation)
+    time = file.numbers((recording.time - recording.time[0]).astype(np.float32), "SCALAR", bounds=True)
+    for row, offset in zip(rows.tolist(), environment_offsets(len(rows), spacing).tolist(), strict=True):
+        env = file.node(world, name=recording.labels[row] or f"env_{recording.envs[row]:04d}", translation=offset)
+        for body, name in enumerate(recording.names):
+            places, turns = recording.position[:, row, body], orientation[:, row, body]
+            mesh = file.mesh(int(recording.surface[body]), surfaces[recording.surface[body]], colors[body])
+            node = file.node(env, name=name, mesh=mesh, translation=places[0].tolist(), rotation=turns[0].tolist())
+            if (places != places[0]).any():
+                file.animate(node, "translation", time, file.numbers(places, "VEC3"))
+            if (turns != turns[0]).any():
+                file.animate(node, "rotation", time, file.numbers(turns, "VEC4"))
+    with whole_file(path) as beside:
+        file.save(beside)
+
+
+class _Assembly:
+    """Nodes, meshes and arrays of one file."""
+
+    def __init__(self, library: "pygltflib"):
+        self._library = library
+        self._gltf = library.GLTF2(
+            asset=library.Asset(version="2.0", generator="warp_rigid"),
+            scene=0,
+            scenes=[library.Scene(nodes=[0])],
+            buffers=[library.Buffer(byteLength=0)],
+        )
+        self._blob = bytearray()
+        self._meshes: dict[tuple, int] = {}
+        self._geometry: dict[int, tuple[Any, int]] = {}
+        self._animation = library.Animation(name="simulation")
+
+    def node(self, parent: int | None = None, **values) -> int:
+        """Add a node; its index."""
+        self._gltf.nodes.append(self._library.Node(**values))
+        index = len(self._gltf.nodes) - 1
+        if parent is not None:
+            self._gltf.nodes[parent].children.append(index)
+        return index
+
+    def numbers(self, values: np.ndarray, kind: str, bounds: bool = False, target: int | None = None) -> int:
+        """Add an array; its accessor's index."""
+        values = np.ascontiguousarray(values)
+        offset = len(self._blob)
+        self._blob += values.tobytes()
+        self._gltf.bufferViews.append(
+            self._library.BufferView(buffer=0, byteOffset=offset, byteLength=values.nbytes, target=target)
+        )
+        accessor = self._library.Accessor(
+            bufferView=len(self._gltf.bufferViews) - 1,
+            componentType=UINT if values.dtype == np.uint32 else FLOAT,
+            count=len(values),
+            type=kind,
+        )
+        if bounds:
+            accessor.min, accessor.max = (np.atleast_1d(pick(values, axis=0)).tolist() for pick in (np.min, np.max))
+        self._gltf.accessors.append(accessor)
+        return len(self._gltf.accessors) - 1
+
+    def mesh(self, index: int, surface: Surface, color: np.ndarray) -> int:
+        """Surface number `index` in a colour; meshes of one surface share its arrays."""
+        key = index, color.tobytes()
+        if key not in self._meshes:
+            if index not in self._geometry:
+                self._geometry[index] = self._arrays(surface)
+            attributes, corners = self._geometry[index]
+            primitive = self._library.Primitive(attributes=attributes, indices=corners, material=self._material(color))
+            self._gltf.meshes.append(self._library.Mesh(primitives=[primitive]))
+            self._meshes[key] = len(self._gltf.meshes) - 1
+        return self._meshes[key]
+
+    def _arrays(self, surface: Surface) -> tuple[Any, int]:
+        """Points and normals, each pair of them once, and the triangles' indices."""
+        corners = surface.vertices[surface.faces].reshape(-1, 3)
+        normals = corner_normals(surface.vertices, surface.faces).reshape(-1, 3)
+        pairs, index = np.unique(np.concatenate([corners, normals], axis=1), axis=0, return_inverse=True)
+        pairs = pairs.astype(np.float32)
+        attributes = self._library.Attributes(
+            POSITION=self.numbers(pairs[:, :3], "VEC3", bounds=True, target=VERTICES),
+            NORMAL=self.numbers(pairs[:, 3:], "VEC3", target=VERTICES),
+        )
+        return attributes, self.numbers(index.reshape(-1).astype(np.uint32), "SCALAR", target=INDICES)
+
+    def _material(self, color: np.ndarray) -> int:
+        """A matt colour; open surfaces are seen from inside too."""
+        shading = self._library.PbrMetallicRoughness(
+            baseColorFactor=[*color.tolist(), 1.0], metallicFactor=0.0, roughnessFactor=0.7
+        )
+        self._gltf.materials.append(
+            self._library.Material(pbrMetallicRoughness=shading, doubleSided=True, alphaCutoff=None, alphaMode="OPAQUE")
+        )
+        return len(self._gltf.materials) - 1
+
+    def animate(self, node: int, path: str, time: int, values: int) -> None:
+        """Let a node's translation or rotation follow an array."""
+        library = self._library
+        self._animation.samplers.append(library.AnimationSampler(input=time, output=values, interpolation="LINEAR"))
+        target = library.AnimationChannelTarget(node=node, path=path)
+        sampler = len(self._animation.samplers) - 1
+        self._animation.channels.append(library.AnimationChannel(sampler=sampler, target=target))
+
+    def save(self, path: Path) -> None:
+        """Write the file."""
+        if self._animation.channels:
+            self._gltf.animations.append(self._animation)
+        self._gltf.buffers[0].byteLength = len(self._blob)
+        self._gltf.set_binary_blob(bytes(self._blob))
+        self._gltf.save_binary(str(path))

@@ -1,0 +1,1 @@
+"""Runs of scenes: assignments, recordings, events and verdicts."""

@@ -1,0 +1,440 @@
+"""Recording: the poses of a simulation, frame by frame, with what it takes to draw them.
+
+A recording stands on its own. It keeps the bodies' surfaces and names rather than the scene, so
+that a saved one can be exported or drawn without the program that made it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warp_rigid.checks import number_in
+from warp_rigid.engine.quantities import CONTACT_RECORD
+from warp_rigid.files import archive
+from warp_rigid.files.archive import shaped
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes.heightfield import moves
+
+__all__ = ["Frame", "Recorder", "Recording", "Surface", "drawn_surface", "is_moving", "record", "steps_per_frame"]
+
+KIND = "recording"
+VERSION = 3  # raise whenever older files could no longer be read
+MOST_STEPS = 1_000_000
+"""Steps that a frame may be made of."""
+CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
+"""What is kept of every frame, by its name in the simulator."""
+VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
+"""What is kept beside it on demand."""
+TAILS = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
+START = (*VELOCITIES, "mass", "friction", "restitution", "rolling_friction", "spinning_friction", "gravity")
+"""What is noted of the first frame only."""
+CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
+"""Where a file keeps the fields of the contacts of all frames, one after another."""
+
+
+def _no_swing() -> np.ndarray:
+    """What keeps its shape has no swing."""
+    return np.zeros((2, 0), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles of a shape, in the shape's frame.
+
+    Attributes:
+        vertices: (n, 3) float32 [m].
+        faces: (m, 3) int32, counter-clockwise seen from outside.
+        endless: True for a plane, whose triangles only stand for it.
+        swing: (2, n) float32, parts of the vertices' rise that go with the sine and the cosine of time [m]; empty for
+            what keeps its shape. Then `vertices` are the mean places.
+        angular_frequency: of that motion [rad/s].
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    endless: bool = False
+    swing: np.ndarray = field(default_factory=_no_swing)
+    angular_frequency: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the surface changes its shape in time."""
+        return self.swing.size > 0
+
+    def vertices_at(self, time: float) -> np.ndarray:
+        """Vertices at a time [s], (n, 3) float32 [m]."""
+        if not self.moves:
+            return self.vertices
+        angle = self.angular_frequency * time
+        rise = np.array([np.sin(angle), np.cos(angle)]) @ self.swing
+        return (self.vertices + rise[:, None] * [0.0, 0.0, 1.0]).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The recorded environments at one time; fields as in Recording, without its first axis."""
+
+    time: float
+    position: np.ndarray
+    orientation: np.ndarray
+    asleep: np.ndarray
+    level: np.ndarray
+    linear_velocity: np.ndarray | None = None
+    angular_velocity: np.ndarray | None = None
+    contacts: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Poses of some environments over time.
+
+    Attributes:
+        time: (frames + 1,) float64 [s]; the first frame is the state before the first step.
+        position: (frames + 1, envs, bodies, 3) float32, pose of the shape's frame [m].
+        orientation: (frames + 1, envs, bodies, 4) float32, unit quaternions (x, y, z, w).
+        asleep: (frames + 1, envs, bodies) bool.
+        level: (frames + 1, envs, bodies) int32, level in the contact graph.
+        fps: frames per simulated second.
+        envs: (envs,) int64, which environments of the simulation these are.
+        labels: a text for each of them; empty where nothing tells it apart.
+        names: the bodies' names.
+        motion: (bodies,) int64, values of Motion.
+        surface: (bodies,) int64, index into surfaces.
+        surfaces: the different surfaces.
+        linear_velocity: (frames + 1, envs, bodies, 3) float32, of the centres of mass [m/s]; None unless asked for.
+        angular_velocity: (frames + 1, envs, bodies, 3) float32, in the world frame [rad/s]; None likewise.
+        contacts: for each frame its records as Simulator.contacts gives them; None unless asked for.
+        scene: what was simulated; None in a recording that was read from a file.
+        start: (envs, bodies, ...) quantities of the first frame by their names (see START); empty likewise.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    asleep: np.ndarray
+    level: np.ndarray
+    fps: float
+    envs: np.ndarray
+    labels: tuple[str, ...]
+    names: tuple[str, ...]
+    motion: np.ndarray
+    surface: np.ndarray
+    surfaces: tuple[Surface, ...]
+    linear_velocity: np.ndarray | None = None
+    angular_velocity: np.ndarray | None = None
+    contacts: tuple[np.ndarray, ...] | None = None
+    scene: Scene | None = None
+    start: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def num_frames(self) -> int:
+        """Frames after the first one."""
+        return len(self.time) - 1
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames, the first included, one after another."""
+        return _frames({name: getattr(self, name) for name in ("time", *self._kept)}, self.contacts)
+
+    @property
+    def _kept(self) -> list[str]:
+        """What there is of every frame, without the contacts."""
+        return [*CAPTURED, *(name for name in VELOCITIES if getattr(self, name) is not None)]
+
+    def rows(self, envs=None) -> np.ndarray:
+        """Where the environments `envs` (numbers in the simulation; None: all) lie in the arrays.
+
+        Raises:
+            ValueError: One of them was not recorded.
+        """
+        if envs is None:
+            return np.arange(len(self.envs))
+        missing = sorted(set(envs) - set(self.envs.tolist()))
+        if missing:
+            raise ValueError(f"envs: {missing} were not recorded; there are {self.envs.tolist()}")
+        return np.array([int(np.flatnonzero(self.envs == env)[0]) for env in envs])
+
+    def save(self, path) -> None:
+        """Write all frames to one .npz file, which holds plain arrays and text only.
+
+        The scene is not written: what is read back can be drawn, but not exported as a scene with physics.
+        """
+        arrays = {name: getattr(self, name) for name in ("time", *self._kept, "envs", "motion", "surface")}
+        if self.contacts is not None:
+            arrays |= _contact_arrays(self.contacts)
+        for index, surface in enumerate(self.surfaces):
+            arrays[f"vertices_{index}"] = surface.vertices
+            arrays[f"faces_{index}"] = surface.faces
+            arrays[f"swing_{index}"] = surface.swing
+        text = {
+            "fps": self.fps,
+            "labels": self.labels,
+            "names": self.names,
+            "endless": [surface.endless for surface in self.surfaces],
+            "angular_frequency": [surface.angular_frequency for surface in self.surfaces],
+        }
+        archive.save(path, KIND, VERSION, text, arrays, compress=True)
+
+    @staticmethod
+    def load(path) -> "Recording":
+        """Read a file that `save` wrote.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It holds no whole recording of this version.
+        """
+        text, arrays = archive.load(path, KIND, VERSION)
+        try:
+            return Recording(**_checked(text, arrays))
+        except archive.UNREADABLE as error:
+            raise archive.unusable(path, KIND, error) from None
+
+
+class Recorder:
+    """Collects frames of a running simulation.
+
+    Args:
+        sim: the Simulator, or anything with its `scene`, `num_envs`, `time` and `get`.
+        fps: frames per simulated second, only noted here: the caller steps.
+        envs: numbers of the environments to keep; None keeps all.
+        labels: a text for each environment kept.
+        velocities: whether to keep the bodies' velocities too.
+        contacts: whether to keep the contacts too.
+
+    Raises:
+        ValueError: An environment does not exist, or labels and environments differ in number.
+    """
+
+    def __init__(self, sim, fps, envs=None, labels=None, velocities=False, contacts=False):
+        """Note what stays the same over time; the first frame is the first `capture`."""
+        self.envs = np.arange(sim.num_envs) if envs is None else np.asarray(envs, dtype=np.int64)
+        outside = self.envs[(self.envs < 0) | (self.envs >= sim.num_envs)]
+        if len(outside):
+            raise ValueError(f"envs: must be from 0 to {sim.num_envs - 1}, got {outside.tolist()}")
+        self.labels = ("",) * len(self.envs) if labels is None else tuple(labels)
+        if len(self.labels) != len(self.envs):
+            raise ValueError(f"labels: {len(self.labels)} for {len(self.envs)} environments")
+        self.fps = float(fps)
+        self._captured = CAPTURED | (VELOCITIES if velocities else {})
+        self._contacts = contacts
+        self._scene = sim.scene
+        self._start = {name: np.asarray(sim.get(name), dtype=np.float32)[self.envs] for name in START}
+        self._frames: list[Frame] = []
+
+    def snapshot(self, sim) -> Frame:
+        """The state of now, without keeping it."""
+        return Frame(
+            time=float(sim.time),
+            **{name: np.asarray(sim.get(name), dtype=dtype)[self.envs] for name, dtype in self._captured.items()},
+            contacts=self._contacts_of(sim) if self._contacts else None,
+        )
+
+    def capture(self, sim) -> None:
+        """Append the state of now as a frame."""
+        self._frames.append(self.snapshot(sim))
+
+    @property
+    def quantities(self) -> list[str]:
+        """What is kept of every frame, by name."""
+        return [*self._captured, *(["contacts"] if self._contacts else [])]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What was captured so far, by name."""
+        return self._stacked() | (_contact_arrays(self._contact_frames()) if self._contacts else {})
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """Go on from what another recorder had captured.
+
+        Raises:
+            ValueError: The arrays are not of such environments, bodies and quantities.
+        """
+        time = shaped(arrays, "time", np.float64, (None,))
+        rows = (len(time), len(self.envs), len(self._scene.bodies))
+        contacts = _contacts(arrays, len(time)) if self._contacts else None
+        self._frames = list(_frames({"time": time, **_quantities(arrays, self._captured, rows)}, contacts))
+
+    def recording(self) -> Recording:
+        """All frames captured so far."""
+        surfaces, surface = _surfaces(self._scene.bodies)
+        return Recording(
+            **self._stacked(),
+            fps=self.fps,
+            envs=self.envs,
+            labels=self.labels,
+            names=tuple(body.name for body in self._scene.bodies),
+            motion=np.array([int(body.motion) for body in self._scene.bodies], dtype=np.int64),
+            surface=surface,
+            surfaces=surfaces,
+            contacts=self._contact_frames() if self._contacts else None,
+            scene=self._scene,
+            start=self._start,
+        )
+
+    def _stacked(self) -> dict[str, np.ndarray]:
+        """The frames as arrays, without their contacts."""
+        time = np.array([frame.time for frame in self._frames])
+        return {"time": time} | {name: np.stack([getattr(f, name) for f in self._frames]) for name in self._captured}
+
+    def _contact_frames(self) -> tuple[np.ndarray, ...]:
+        return tuple(frame.contacts for frame in self._frames if frame.contacts is not None)
+
+    def _contacts_of(self, sim) -> np.ndarray:
+        """The contacts of the environments kept; `env` stays the simulation's number."""
+        records = sim.contacts()
+        return records[np.isin(records["env"], self.envs)]
+
+
+def record(
+    sim, frames: int, fps: float = 60.0, on_frame=None, envs=None, *, velocities: bool = False, contacts: bool = False
+) -> Recording:
+    """Step a simulation and keep the poses of every frame.
+
+    Args:
+        sim: the Simulator; it is left at the time of the last frame.
+        frames: how many frames to simulate, >= 0.
+        fps: frames per simulated second; one frame must be a whole number of steps of dt.
+        on_frame: function(index, sim), called after each captured frame; index 0 is the start.
+        envs: numbers of the environments to keep; None keeps all.
+        velocities: whether to keep the bodies' velocities too.
+        contacts: whether to keep the contacts of the last step of each frame too.
+
+    Returns:
+        A Recording of frames + 1 frames, the first of them the state before the first step.
+
+    Raises:
+        ValueError: fps does not divide the step rate, frames is negative, or an environment does
+            not exist.
+    """
+    if frames < 0:
+        raise ValueError(f"frames: must be >= 0, got {frames}")
+    steps = steps_per_frame(sim.settings.dt, fps)
+    recorder = Recorder(sim, fps, envs, velocities=velocities, contacts=contacts)
+    for index in range(frames + 1):
+        if index > 0:
+            sim.step(steps)
+        recorder.capture(sim)
+        if on_frame is not None:
+            on_frame(index, sim)
+    return recorder.recording()
+
+
+def steps_per_frame(dt: float, fps: float) -> int:
+    """How many steps of dt [s] make one frame.
+
+    Raises:
+        ValueError: It is no whole number; the message names the nearest frame rate that fits.
+    """
+    fps = number_in("fps", fps, above=0.0)
+    if 1.0 > MOST_STEPS * fps * dt:
+        raise ValueError(
+            f"fps: a frame must be at most {MOST_STEPS} steps of dt = {dt:g} s, so fps >= {1.0 / (MOST_STEPS * dt):g}"
+        )
+    steps = max(1, round(1.0 / (fps * dt)))
+    if abs(steps * fps * dt - 1.0) > 1e-6:
+        raise ValueError(
+            f"fps: a frame at {fps:g} frames/s is no whole number of steps of dt = {dt:g} s "
+            f"({1.0 / dt:g} steps/s); the nearest rate that is: {1.0 / (steps * dt):g}"
+        )
+    return steps
+
+
+def is_moving(motion: np.ndarray) -> np.ndarray:
+    """Which bodies can move, by their Motion."""
+    return np.asarray(motion) != Motion.STATIC
+
+
+def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
+    """A recording's fields from a file, if they belong together."""
+    time = shaped(arrays, "time", np.float64, (None,))
+    envs = shaped(arrays, "envs", np.int64, (None,))
+    motion = shaped(arrays, "motion", np.int64, (None,))
+    surface = shaped(arrays, "surface", np.int64, motion.shape)
+    rows = (len(time), len(envs), len(motion))
+    kept = CAPTURED | {name: kind for name, kind in VELOCITIES.items() if name in arrays}
+    frames = _quantities(arrays, kept, rows)
+    told = zip(text["endless"], text["angular_frequency"], strict=True)
+    surfaces = tuple(_surface(arrays, index, bool(endless), speed) for index, (endless, speed) in enumerate(told))
+    if not len(time) or not np.isin(motion, list(Motion)).all() or not np.isin(surface, range(len(surfaces))).all():
+        raise ValueError("it must have a frame, known motions and a surface for each body")
+    labels, names = tuple(map(str, text["labels"])), tuple(map(str, text["names"]))
+    if (len(labels), len(names)) != rows[1:]:
+        raise ValueError(
+            f"it has {len(labels)} labels and {len(names)} names for {rows[1]} environments, {rows[2]} bodies"
+        )
+    fps = number_in("fps", text["fps"], above=0.0)
+    contacts = _contacts(arrays, len(time)) if "contact_count" in arrays else None
+    return {
+        "time": time, **frames, "fps": fps, "envs": envs, "labels": labels, "names": names, "motion": motion,
+        "surface": surface, "surfaces": surfaces, "contacts": contacts,
+    }  # fmt: skip
+
+
+def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency: float) -> Surface:
+    vertices = shaped(arrays, f"vertices_{index}", np.float32, (None, 3))
+    faces = shaped(arrays, f"faces_{index}", np.int32, (None, 3))
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise ValueError(f"faces_{index} must be from 0 to {len(vertices) - 1}")
+    swing = shaped(arrays, f"swing_{index}", np.float32, (2, None))
+    if swing.shape[1] not in (0, len(vertices)):
+        raise ValueError(f"swing_{index} must have {len(vertices)} columns")
+    return Surface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0))
+
+
+def _quantities(arrays: dict[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
+    """Quantities of (frames, envs, bodies) by name, if they are whole."""
+    return {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in kinds.items()}
+
+
+def _frames(arrays: dict[str, np.ndarray], contacts: Sequence[np.ndarray] | None) -> Iterator[Frame]:
+    """The frames of the arrays of a film, one after another."""
+    captured = {name: array for name, array in arrays.items() if name != "time"}
+    for index, time in enumerate(arrays["time"].tolist()):
+        now = {name: array[index] for name, array in captured.items()}
+        yield Frame(time=time, **now, contacts=contacts[index] if contacts is not None else None)
+
+
+def _contact_arrays(contacts: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Contacts frame by frame as plain arrays: how many a frame has, and each field of all of them."""
+    records = np.concatenate(contacts)
+    counts = np.array([len(part) for part in contacts], dtype=np.int64)
+    return {"contact_count": counts} | {place: records[name] for name, place in CONTACTS.items()}
+
+
+def _contacts(arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray, ...]:
+    """The reverse, if everything is there."""
+    counts = shaped(arrays, "contact_count", np.int64, (frames,))
+    total = len(shaped(arrays, CONTACTS["env"], np.int32, (None,)))
+    if (counts < 0).any() or (counts > total).any() or counts.sum() != total:
+        raise ValueError(f"contact_count must add up to {total}")
+    records = np.zeros(total, CONTACT_RECORD)
+    for name, place in CONTACTS.items():
+        records[name] = shaped(arrays, place, records[name].dtype, records[name].shape)
+    return tuple(np.split(records, np.cumsum(counts)[:-1]))
+
+
+def _surfaces(bodies) -> tuple[tuple[Surface, ...], np.ndarray]:
+    """The different surfaces of a scene's bodies, and which of them each body has."""
+    surfaces, index_of = [], {}
+    for body in bodies:
+        if body.shape.key not in index_of:
+            index_of[body.shape.key] = len(surfaces)
+            surfaces.append(drawn_surface(body.shape))
+    return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
+
+
+def drawn_surface(shape) -> Surface:
+    """What is drawn of a shape."""
+    vertices, faces = shape.surface()
+    swing, frequency = _no_swing(), 0.0
+    if moves(shape):
+        vertices = vertices.copy()
+        vertices[:, 2] = shape.heights.reshape(-1)
+        parts = shape.amplitude * np.array([np.cos(shape.phase), np.sin(shape.phase)])
+        swing, frequency = parts.reshape(2, -1).astype(np.float32), shape.angular_frequency
+    return Surface(
+        np.asarray(vertices, dtype=np.float32),
+        np.asarray(faces, dtype=np.int32),
+        not np.isfinite(np.asarray(shape.bounds)).all(),
+        swing,
+        frequency,
+    )

@@ -1,0 +1,1 @@
+"""Scenes and shapes: what is simulated, as plain data."""

@@ -1,0 +1,238 @@
+"""Height fields: terrain over a rectangle, and ground that moves up and down in waves."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeGuard
+
+import numpy as np
+
+from warp_rigid.checks import finite_vector, number_array, number_in, shown
+from warp_rigid.scene.shapes import mass_properties, tessellation
+from warp_rigid.scene.shapes.base import Grid, Part, PartKind, Shape, frozen_array, point_array
+from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
+
+__all__ = ["HarmonicMotion", "Heightfield", "moves"]
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicMotion:
+    """How a height field moves: each vertex by `amplitude * sin(angular_frequency * t + phase)`.
+
+    One amplitude and phase for all make a vibrating table; phases that fall along a direction make a wave that
+    travels that way; amplitudes of both signs, a standing wave.
+
+    Attributes:
+        amplitude: [m], a number or one for each vertex.
+        angular_frequency: [rad/s], >= 0.
+        phase: [rad], a number or one for each vertex.
+    """
+
+    amplitude: float | np.ndarray
+    angular_frequency: float
+    phase: float | np.ndarray = 0.0
+
+
+class Heightfield(Shape):
+    """Terrain over a rectangle around the origin, solid below; for static and kinematic bodies.
+
+    Heights are linear over two triangles a cell, cut from corner (i, j) to (i + 1, j + 1). At the border the
+    solid ends with upright sides. With a motion the vertices go up and down, and the surface's velocity takes part
+    in contacts.
+    """
+
+    static_only = True
+    size = math.inf
+
+    def __init__(self, heights, size, motion: HarmonicMotion | None = None):
+        """Make a height field.
+
+        Args:
+            heights: (nx, ny), at least 2 x 2, finite [m]; heights[i, j] belongs to
+                x = size_x (i / (nx - 1) - 1/2), y = size_y (j / (ny - 1) - 1/2).
+            size: (size_x, size_y) of the rectangle [m], both greater than 0.
+            motion: how the heights move in time; such a field belongs to a kinematic body. None stands still.
+        """
+        heights = number_array("heights", heights)
+        if heights.ndim != 2 or min(heights.shape) < 2:
+            raise ValueError(f"heights: must be at least 2 x 2 numbers, got {heights.shape}")
+        if not np.isfinite(heights).all():
+            raise ValueError("heights: must be finite numbers, got NaN or infinity")
+        self.heights = frozen_array(heights)
+        extent = finite_vector("size", size, 2)
+        if min(extent) <= 0.0:
+            raise ValueError(f"size: must be 2 finite numbers > 0, got {shown(size)}")
+        self.extent = frozen_array(extent)
+        if motion is not None and not isinstance(motion, HarmonicMotion):
+            raise ValueError(f"motion: must be a HarmonicMotion or None, got {motion!r}")
+        self.moving = motion is not None
+        motion = motion or HarmonicMotion(0.0, 0.0)
+        self.amplitude = self._at_vertices("amplitude", motion.amplitude)
+        self.phase = self._at_vertices("phase", motion.phase)
+        self.angular_frequency = number_in("angular_frequency", motion.angular_frequency, 0.0)
+
+    def _at_vertices(self, name, value):
+        """A finite number for each vertex."""
+        try:
+            values = np.broadcast_to(np.asarray(value, dtype=np.float64), self.heights.shape)
+        except ValueError:
+            raise ValueError(
+                f"{name}: must be a number or shaped {self.heights.shape}, got shape {np.shape(value)}"
+            ) from None
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name}: must be finite numbers, got NaN or infinity")
+        return frozen_array(values)
+
+    def _content(self):
+        return [self.heights, self.extent, self.moving, self.amplitude, self.phase, self.angular_frequency]
+
+    def heights_at(self, time: float) -> np.ndarray:
+        """Heights at a time [s], (nx, ny) [m]."""
+        return self.heights + self.amplitude * np.sin(self.angular_frequency * time + self.phase)
+
+    @property
+    def top_speed(self) -> float:
+        """Largest speed of any vertex [m/s]."""
+        return float(np.abs(self.amplitude).max() * self.angular_frequency)
+
+    @cached_property
+    def steepest_slope(self) -> float:
+        """Bound of the slope of any triangle at any time."""
+        swing = self.amplitude * np.exp(1j * self.phase)
+        slopes = []
+        for axis, length in enumerate(self.extent):
+            step = length / (self.heights.shape[axis] - 1)
+            rise = np.abs(np.diff(self.heights, axis=axis)) + np.abs(np.diff(swing, axis=axis))
+            slopes.append(rise.max() / step)
+        return float(np.hypot(*slopes))
+
+    @cached_property
+    def mass_properties(self):
+        """None: a height field has no mass."""
+        return mass_properties.no_solid()
+
+    @cached_property
+    def bounds(self):
+        """The rectangle, from the lowest to the highest height at any time; the solid goes on below."""
+        half, swing = 0.5 * self.extent, np.abs(self.amplitude)
+        return (
+            np.array([*-half, (self.heights - swing).min()]),
+            np.array([*half, (self.heights + swing).max()]),
+        )
+
+    def signed_distance(self, points):
+        """Distance at time 0 to the solid below the triangles, and its direction.
+
+        Exact above, below and beside the solid. Beyond the rectangle and above the height of its border it is a lower
+        bound, `sqrt(d^2 + a^2)` with the distance d at the border's nearest point and the way a to it.
+        """
+        points = point_array(points)
+        half = 0.5 * self.extent
+        inside = np.column_stack([np.clip(points[:, :2], -half, half), points[:, 2]])
+        distance, normal = self._distance_within(inside)
+        side = np.abs(points[:, :2]) - half
+        nearest = np.argmax(side, axis=1)
+        beside = side.max(axis=1)
+        through_side = (beside > distance) & (distance < 0.0)
+        normal[through_side] = (np.sign(points[:, :2]) * np.eye(2)[nearest] @ np.eye(2, 3))[through_side]
+        distance = np.where(through_side, beside, distance)
+        away = points - inside
+        beyond = (away != 0.0).any(axis=1)
+        above = np.maximum(distance[beyond], 0.0)
+        above[through_side[beyond]] = 0.0
+        reach = np.hypot(above, np.linalg.norm(away[beyond], axis=1))
+        toward = away[beyond] + above[:, None] * normal[beyond]
+        normal[beyond] = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+        distance[beyond] = reach
+        return distance, normal
+
+    def _distance_within(self, points):
+        """The same within the rectangle, to the upper surface alone."""
+        vertices, faces = self._surface_at(self.heights_at(0.0))
+        corners = vertices[faces]
+        portion = max(1, 200_000 // len(corners))
+        found = [_to_triangles(points[k : k + portion], corners) for k in range(0, len(points), portion)]
+        arm, normal, inner = (np.concatenate(column) for column in zip(*found, strict=True))
+        length = np.linalg.norm(arm, axis=1)
+        under = points[:, 2] < self.height_at(points[:, :2], 0.0)
+        flat = inner | (length < 1e-12)
+        distance = np.where(flat, np.einsum("ij,ij->i", arm, normal), np.where(under, -length, length))
+        direction = np.where(flat[:, None], normal, arm / np.where(flat, 1.0, distance)[:, None])
+        return distance, direction
+
+    def height_at(self, places, time: float) -> np.ndarray:
+        """Height of the surface at places (n, 2) of its rectangle and a time [s], (n,) [m]."""
+        heights, last = self.heights_at(time), np.array(self.heights.shape) - 1
+        place = np.clip((np.asarray(places) / self.extent + 0.5) * last, 0.0, last)
+        cell = np.minimum(place.astype(np.int64), last - 1)
+        i, j = cell.T
+        u, v = (place - cell).T
+        corner, h10, h01, far = heights[i, j], heights[i + 1, j], heights[i, j + 1], heights[i + 1, j + 1]
+        along_x = np.where(u > v, h10 - corner, far - h01)
+        along_y = np.where(u > v, far - h10, h01 - corner)
+        return corner + u * along_x + v * along_y
+
+    def parts(self):
+        """One HEIGHTFIELD; its grid's spacing is that along x."""
+        values = frozen_array(self.heights_at(0.0)[:, :, None], np.float32)
+        origin = (-0.5 * float(self.extent[0]), -0.5 * float(self.extent[1]), 0.0)
+        spacing = float(self.extent[0] / (self.heights.shape[0] - 1))
+        grid = Grid(origin, spacing, values)
+        return [Part(PartKind.HEIGHTFIELD, (*self.extent.tolist(), self.steepest_slope, 0.0), grid=grid)]
+
+    def sample_list(self):
+        """The grid's vertices, as FACE points: what slides over one must not be stopped by it."""
+        vertices, _ = self.surface()
+        spacing = self.extent / (np.array(self.heights.shape) - 1)
+        slope_x, slope_y = np.gradient(self.heights_at(0.0), *spacing)
+        normal = np.stack([-slope_x, -slope_y, np.ones_like(self.heights)], axis=-1).reshape(-1, 3)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        collected = SampleList()
+        collected.add(SampleKind.FACE, vertices, normal, rank=VERTEX)
+        return collected
+
+    @cached_property
+    def _samples(self):
+        """Clusters of a moving field hold their vertices at any time."""
+        samples = self.sample_list().cluster()
+        swing = np.float32(2.0 * np.abs(self.amplitude).max())
+        return replace(samples, cluster_radius=samples.cluster_radius + swing)
+
+    def surface(self):
+        """Two triangles a cell, at time 0."""
+        return self._surface_at(self.heights_at(0.0))
+
+    def _surface_at(self, heights):
+        rows, columns = heights.shape
+        x = np.linspace(-0.5, 0.5, rows) * self.extent[0]
+        y = np.linspace(-0.5, 0.5, columns) * self.extent[1]
+        x, y = np.meshgrid(x, y, indexing="ij")
+        vertices = np.stack([x, y, heights], axis=-1).reshape(-1, 3)
+        return vertices, tessellation.lattice(rows, columns)
+
+
+def moves(shape: Shape) -> TypeGuard[Heightfield]:
+    """Whether a shape is ground that moves."""
+    return isinstance(shape, Heightfield) and shape.moving
+
+
+def _to_triangles(points, corners):
+    """For each of some points the way from the nearest triangle, its normal, and whether it ends inside it."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    best_arm = np.einsum("pmk,mk->pm", points[:, None] - a, normal)[..., None] * normal
+    inner = np.ones(best_arm.shape[:2], dtype=bool)
+    nearest = np.full(inner.shape, np.inf)
+    side_arm = np.zeros_like(best_arm)
+    for start, end in ((a, b), (b, c), (c, a)):
+        side, arm = end - start, points[:, None] - start
+        inner &= np.einsum("pmk,mk->pm", arm, np.cross(normal, side)) >= 0.0
+        share = np.clip(np.einsum("pmk,mk->pm", arm, side) / np.einsum("mk,mk->m", side, side), 0.0, 1.0)
+        arm = arm - share[..., None] * side
+        square = np.einsum("pmk,pmk->pm", arm, arm)
+        side_arm = np.where((square < nearest)[..., None], arm, side_arm)
+        nearest = np.minimum(nearest, square)
+    best_arm = np.where(inner[..., None], best_arm, side_arm)
+    rows, chosen = np.arange(len(points)), np.einsum("pmk,pmk->pm", best_arm, best_arm).argmin(axis=1)
+    return best_arm[rows, chosen], normal[chosen], inner[rows, chosen]

@@ -1,0 +1,179 @@
+"""Mesh: a solid given by its triangles, with a signed distance grid."""
+
+import warnings
+from functools import cached_property
+
+import numpy as np
+
+from warp_rigid.checks import whole_in
+from warp_rigid.files import mesh_files
+from warp_rigid.scene.shapes import distance_grid, mass_properties, topology
+from warp_rigid.scene.shapes.base import Grid, Part, PartKind, Shape, frozen_array, point_array
+from warp_rigid.scene.shapes.mesh_repair import Surface, checked, repair
+from warp_rigid.scene.shapes.sampling import sample_mesh
+
+SAMPLES_PER_SIDE = 16
+
+
+class Mesh(Shape):
+    """Solid inside a triangle mesh, convex or not.
+
+    Collisions use a grid of signed distances, computed at first use and kept in a cache folder (see
+    `warp_rigid.scene.shapes.distance_grid`).
+
+    A mesh with holes stands for the solid that results when each boundary loop is closed by a fan
+    of triangles from the loop's mean point. Mass, signed distance and sign (by winding number
+    > 1/2) all follow that solid: an open skull is a solid skull, its eye sockets lidded at
+    their rims, and nothing enters its hollow. For a hollow body give the mesh a thickness: an outer
+    and an inner wall.
+
+    Attributes:
+        vertices: (n, 3) float64 [m].
+        faces: (m, 3) int32, facing outward.
+        sdf_resolution: grid cells along the longest side.
+        watertight: whether the mesh came without holes.
+        repairs: what had to be repaired, in words.
+    """
+
+    def __init__(self, vertices, faces, sdf_resolution: int = 64):
+        """Make a mesh.
+
+        Args:
+            vertices: (n, 3) [m], finite.
+            faces: (m, 3) vertex indices; either winding.
+            sdf_resolution: grid cells along the longest side, 8 to 512.
+
+        Raises:
+            ValueError: The mesh is empty, not finite or encloses no volume.
+        """
+        self._setup(repair(vertices, faces), sdf_resolution)
+        if self.repairs:
+            warnings.warn(f"mesh repaired: {'; '.join(self.repairs)}", stacklevel=2)
+
+    def _setup(self, surface, sdf_resolution):
+        self.sdf_resolution = whole_in("sdf_resolution", sdf_resolution, 8, 512)
+        self.vertices = frozen_array(surface.vertices)
+        self.faces = frozen_array(surface.faces, np.int32)
+        self.repairs = surface.repairs
+        edges = topology.find_edges(self.faces)
+        self.watertight = edges.closed
+        self._simple = edges.closed and edges.manifold
+        apexes, fans = topology.cap_boundaries(self.vertices, self.faces)
+        self._solid_vertices = frozen_array(np.concatenate([self.vertices, apexes]))
+        self._solid_faces = frozen_array(np.concatenate([self.faces, fans]), np.int32)
+        _refuse_flat(self.vertices, self.faces, self.mass_properties)
+
+    @classmethod
+    def from_file(cls, path, scale: float = 1.0, sdf_resolution: int = 64) -> "Mesh":
+        """Read a mesh file.
+
+        Vertices that a file format repeats for each face (STL) or texture seam (OBJ) are merged
+        without a warning; other repairs warn.
+
+        Args:
+            path: OBJ, STL, PLY, GLB, GLTF or OFF, or USD (.usd, .usda, .usdc, .usdz; all its meshes
+                at their places). glTF and USD state their up axis, and USD its unit: such
+                files are turned z up and brought to metres. Other files are taken as they are.
+            scale: factor on all coordinates, greater than 0.
+            sdf_resolution: as in `Mesh`.
+
+        Raises:
+            ValueError: The file cannot be read or holds no usable mesh; the message names it.
+        """
+        vertices, faces = mesh_files.load(path, scale)
+        mesh = cls.__new__(cls)
+        try:
+            mesh._setup(repair(vertices, faces), sdf_resolution)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+        told = [text for text in mesh.repairs if "duplicate" not in text]
+        if told:
+            warnings.warn(f"{path}: mesh repaired: {'; '.join(told)}", stacklevel=2)
+        return mesh
+
+    @classmethod
+    def from_trimesh(cls, mesh, sdf_resolution: int = 64) -> "Mesh":
+        """Take a `trimesh.Trimesh` as it is."""
+        return cls(mesh.vertices, mesh.faces, sdf_resolution)
+
+    @classmethod
+    def restored(cls, vertices, faces, sdf_resolution: int, repairs: list[str], distances: np.ndarray) -> "Mesh":
+        """A mesh as it was, to the last bit: nothing is repaired, told or computed again.
+
+        Args:
+            vertices: (n, 3) [m].
+            faces: (m, 3).
+            sdf_resolution: as in `Mesh`.
+            repairs: what had to be repaired.
+            distances: (nx, ny, nz) float32, the values of its `grid` [m].
+
+        Raises:
+            ValueError: These do not belong together.
+        """
+        mesh = cls.__new__(cls)
+        vertices, faces = checked(vertices, faces)
+        mesh._setup(Surface(vertices, faces.astype(np.int32), [str(text) for text in repairs]), sdf_resolution)
+        origin, spacing, shape = distance_grid.grid_layout(mesh._solid_vertices, mesh.sdf_resolution)
+        if distances.shape != shape or not np.isfinite(distances).all():
+            raise ValueError(f"distances: must be finite numbers shaped {shape}, got shape {distances.shape}")
+        mesh.__dict__["grid"] = Grid(tuple(origin.tolist()), spacing, frozen_array(distances, np.float32))
+        return mesh
+
+    def _content(self):
+        return [self.vertices, self.faces, self.sdf_resolution]
+
+    @cached_property
+    def mass_properties(self):
+        """Exact integrals over the triangles, holes closed by fans."""
+        return mass_properties.polyhedron(self._solid_vertices, self._solid_faces)
+
+    def support(self, directions):
+        """Largest `direction . x` over the vertices."""
+        return (directions @ self.vertices.T).max(axis=1)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """Signed distances: `sdf_resolution` cells on the longest side, and 3 more all around."""
+        return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
+
+    def signed_distance(self, points):
+        """Trilinear interpolation of the grid.
+
+        The gradient is that of the interpolation, near unit length but not normalised. Outside the
+        grid the distance is a lower bound (see `warp_rigid.scene.shapes.distance_grid.interpolate`).
+        """
+        return distance_grid.interpolate(self.grid, point_array(points))
+
+    def exact_signed_distance(self, points):
+        """Distance to the triangles themselves, signed, (n,) [m], and unit direction (n, 3).
+
+        The direction is undefined (zero) on the surface.
+        """
+        return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
+
+    def parts(self):
+        """One GRID."""
+        return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid)]
+
+    @property
+    def sample_spacing(self) -> float:
+        """No surface point is farther than this from a sample: longest side / 16 [m]."""
+        return float(np.ptp(self.vertices, axis=0).max()) / SAMPLES_PER_SIDE
+
+    def sample_list(self):
+        """Vertices, EDGE segments on sharp convex edges, points wherever triangles are large."""
+        return sample_mesh(self.vertices, self.faces, self.sample_spacing)
+
+    def surface(self):
+        """The mesh itself, as repaired, holes left open."""
+        return self.vertices, self.faces
+
+
+def _refuse_flat(vertices, faces, properties) -> None:
+    """Refuse a mesh that encloses nothing, or whose inertia could not be a solid's."""
+    area = topology.face_normals(vertices, faces)[1].sum()
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    if not properties.volume > 1e-7 * area * diagonal:
+        raise ValueError(f"mesh: must enclose a volume > 0, got {properties.volume:.3g} m^3")
+    if not np.linalg.eigvalsh(properties.inertia)[0] > 0.0:
+        raise ValueError("mesh: must bound a solid, got a surface whose inertia is not positive")

@@ -1,0 +1,243 @@
+"""Surface samples of shapes, and their grouping into tight clusters."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from warp_rigid.scene.shapes import topology
+
+CLUSTER_LIMIT = 32
+FEATURE_DEGREES = 30.0
+COLUMNS = ("point", "normal", "slide", "radius", "kind", "rank")
+VERTEX, OTHER = 0, 1  # ranks: inside a cluster, vertices come first
+
+
+class SampleKind(IntEnum):
+    """What a surface sample stands for."""
+
+    POINT = 0
+    """A vertex, or the centre of a ball."""
+    EDGE = 1
+    """A segment of an edge; its lowest point is looked for along it."""
+    RIM = 2
+    """A circle; its lowest point is looked for around it."""
+    FACE = 3
+    """A point inside a face: only something hollow can touch there and nowhere else."""
+    CAP = 4
+    """A point on the rim of a cylinder's cap, for the cap lying flat; the RIM serves when it is tilted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Surface samples in the shape's frame [m], grouped into clusters.
+
+    Attributes:
+        point: (n, 3) float32, a surface point, the middle of a segment, or a circle's centre.
+        normal: (n, 3) float32, unit outward; zero where a sample has no direction of its own.
+        slide: (n, 3) float32, half of the segment of an EDGE sample, else zero.
+        radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
+        kind: (n,) int32, a `SampleKind`.
+        cluster_start: (c + 1,) int32, where each cluster begins and the last ends.
+        cluster_center: (c, 3) float32, centre of a sphere that holds all that the samples reach.
+        cluster_radius: (c,) float32, its radius.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+    slide: np.ndarray
+    radius: np.ndarray
+    kind: np.ndarray
+    cluster_start: np.ndarray
+    cluster_center: np.ndarray
+    cluster_radius: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.point)
+
+
+class SampleList:
+    """Collects samples of mixed kinds; `cluster` turns them into `Samples`."""
+
+    def __init__(self):
+        """An empty list."""
+        self._columns = {name: [] for name in COLUMNS}
+
+    def add(self, kind, point, normal=(0, 0, 0), slide=(0, 0, 0), radius=0.0, rank=OTHER):
+        """Append n samples; each argument is one value for all, or one a sample."""
+        point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
+        count = len(point)
+        values = (point, normal, slide, radius, kind, rank)
+        for (name, column), value in zip(self._columns.items(), values, strict=True):
+            shape = (count, 3) if name in ("point", "normal", "slide") else (count,)
+            column.append(np.broadcast_to(np.asarray(value), shape))
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """All samples: point, normal, slide (n, 3), and radius, kind, rank (n,)."""
+        self.add(SampleKind.POINT, np.zeros((0, 3)))
+        return {name: np.concatenate(column) for name, column in self._columns.items()}
+
+    def cluster(self) -> Samples:
+        """All samples, grouped."""
+        return cluster_samples(**self.columns())
+
+
+def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
+    """Group samples into spatially tight clusters of at most 32; points and rims, edges, and faces apart.
+
+    Args:
+        point: (n, 3) as in `Samples`.
+        normal: (n, 3) as in `Samples`.
+        slide: (n, 3) as in `Samples`.
+        radius: (n,) as in `Samples`.
+        kind: (n,) as in `Samples`.
+        rank: (n,) order inside a cluster; where equal, samples stay as they were given.
+    """
+    groups = []
+    for family in ((SampleKind.POINT, SampleKind.RIM, SampleKind.CAP), (SampleKind.EDGE,), (SampleKind.FACE,)):
+        members = np.flatnonzero(np.isin(kind, family))
+        if len(members):
+            groups += [members[group] for group in _bisect(point[members])]
+    groups = [group[np.lexsort((group, rank[group]))] for group in groups]
+    order = np.concatenate(groups) if groups else np.zeros(0, dtype=np.int64)
+    start = np.concatenate([[0], np.cumsum([len(group) for group in groups])])
+    point, slide, radius = point[order], slide[order], radius[order].astype(np.float64)
+    center, reach = _bounding_spheres(point, slide, radius, start)
+    return Samples(
+        point=_frozen(point, np.float32),
+        normal=_frozen(normal[order], np.float32),
+        slide=_frozen(slide, np.float32),
+        radius=_frozen(radius, np.float32),
+        kind=_frozen(kind[order], np.int32),
+        cluster_start=_frozen(start, np.int32),
+        cluster_center=_frozen(center, np.float32),
+        cluster_radius=_frozen(reach, np.float32),
+    )
+
+
+def _frozen(values, dtype) -> np.ndarray:
+    array = np.ascontiguousarray(values, dtype=dtype)
+    array.flags.writeable = False
+    return array
+
+
+def _bisect(point: np.ndarray) -> list[np.ndarray]:
+    """Halve along the longest side until no group exceeds the limit; evenly filled."""
+    groups, waiting = [], [np.arange(len(point))]
+    while waiting:
+        members = waiting.pop()
+        clusters = -(-len(members) // CLUSTER_LIMIT)
+        if clusters == 1:
+            groups.append(members)
+            continue
+        axis = int(np.argmax(np.ptp(point[members], axis=0)))
+        ordered = members[np.argsort(point[members, axis], kind="stable")]
+        cut = len(members) * ((clusters + 1) // 2) // clusters
+        waiting += [ordered[cut:], ordered[:cut]]
+    return groups
+
+
+def _bounding_spheres(point, slide, radius, start) -> tuple[np.ndarray, np.ndarray]:
+    """Spheres that hold every point +- slide with the ball (or circle) around it."""
+    count = len(start) - 1
+    if count == 0:
+        return np.zeros((0, 3)), np.zeros(0)
+    reach = np.abs(slide) + radius[:, None]
+    lower = np.minimum.reduceat(point - reach, start[:-1])
+    upper = np.maximum.reduceat(point + reach, start[:-1])
+    center = (0.5 * (lower + upper)).astype(np.float32)
+    offset = point - np.repeat(center, np.diff(start), axis=0)
+    ends = [np.linalg.norm(offset + sign * slide, axis=1) for sign in (-1.0, 1.0)]
+    distance = np.maximum.reduceat(np.maximum(*ends) + radius, start[:-1])
+    # float32 rounding of points and centres must not let a sample stick out
+    return center, distance * (1.0 + 1e-5) + 1e-6 * np.abs(center).max(axis=1)
+
+
+def split_segments(start: np.ndarray, end: np.ndarray, pieces: np.ndarray):
+    """Cut segments into equal pieces.
+
+    Args:
+        start: (n, 3) first ends.
+        end: (n, 3) second ends.
+        pieces: (n,) how many pieces each becomes.
+
+    Returns:
+        middle (m, 3) and half (m, 3) of each piece, and segment (m,), the index it came from.
+    """
+    segment = np.repeat(np.arange(len(start)), pieces)
+    first = np.concatenate([[0], np.cumsum(pieces)[:-1]]) if len(pieces) else np.zeros(0, int)
+    step = np.arange(len(segment)) - first[segment]
+    fraction = (step + 0.5) / pieces[segment]
+    along = (end - start)[segment]
+    return (
+        start[segment] + fraction[:, None] * along,
+        0.5 * along / pieces[segment][:, None],
+        segment,
+    )
+
+
+def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> SampleList:
+    """Samples of a triangle mesh that leave no surface point farther away than the spacing.
+
+    All vertices (angle-weighted normals); EDGE segments, no longer than the spacing, on boundary
+    edges and convex edges of more than 30 degrees if longer than half of the spacing; FACE points
+    on the other edges and inside triangles that are longer than the spacing. Concave edges need no
+    EDGE: what enters a notch is the other body's edge.
+    """
+    edges = topology.find_edges(faces)
+    normals, _ = topology.face_normals(vertices, faces)
+    edge_normal = topology.edge_normals(edges, normals)
+    start, end = vertices[edges.ends[:, 0]], vertices[edges.ends[:, 1]]
+    length = np.linalg.norm(end - start, axis=1)
+    sharp = sharp_edges(vertices, faces, edges, normals)
+    collected = SampleList()
+    collected.add(SampleKind.POINT, vertices, topology.vertex_normals(vertices, faces), rank=VERTEX)
+    chosen = np.flatnonzero(sharp & (length > 0.5 * spacing))
+    pieces = np.ceil(length[chosen] / spacing - 1e-9).astype(np.int64)
+    middle, half, segment = split_segments(start[chosen], end[chosen], pieces)
+    collected.add(SampleKind.EDGE, middle, edge_normal[chosen[segment]], half)
+    plain = np.flatnonzero(~sharp & (length > spacing))
+    pieces = np.ceil(length[plain] / spacing - 1e-9).astype(np.int64)
+    edge, fraction = _inner_fractions(pieces)
+    chosen = plain[edge]
+    point = start[chosen] + fraction[:, None] * (end - start)[chosen]
+    collected.add(SampleKind.FACE, point, edge_normal[chosen])
+    point, face = _inner_points(vertices, faces, length[edges.face_edge].max(axis=1), spacing)
+    collected.add(SampleKind.FACE, point, normals[face])
+    return collected
+
+
+def sharp_edges(vertices, faces, edges, normals) -> np.ndarray:
+    """Which edges are boundaries, or convex with more than 30 degrees between the faces, (e,)."""
+    pairs, shared = topology.face_pairs(edges)
+    first, second = normals[pairs[:, 0]], normals[pairs[:, 1]]
+    cosine = np.einsum("ij,ij->i", first, second)
+    centroid = vertices[faces].mean(axis=1)
+    across = centroid[pairs[:, 1]] - centroid[pairs[:, 0]]
+    convex = np.einsum("ij,ij->i", across, first - second) < 0.0
+    sharp = edges.count != 2
+    sharp[shared] = convex & (cosine < np.cos(np.radians(FEATURE_DEGREES)))
+    return sharp
+
+
+def _inner_fractions(pieces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where edges cut into equal pieces are cut: (m,) edge and (m,) fraction along it."""
+    edge = np.repeat(np.arange(len(pieces)), pieces - 1)
+    first = np.cumsum(pieces - 1) - (pieces - 1)
+    step = np.arange(len(edge)) - first[edge] + 1
+    return edge, step / pieces[edge]
+
+
+def _inner_points(vertices, faces, longest, spacing) -> tuple[np.ndarray, np.ndarray]:
+    """Lattice points strictly inside triangles whose longest side exceeds the spacing."""
+    pieces = np.ceil(longest / spacing - 1e-9).astype(np.int64)
+    points, owners = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)]
+    for count in np.unique(pieces[pieces > 2]):
+        chosen = np.flatnonzero(pieces == count)
+        i, j = np.meshgrid(np.arange(1, count), np.arange(1, count), indexing="ij")
+        inside = i + j < count
+        weight = np.stack([i[inside], j[inside], count - i[inside] - j[inside]], axis=1) / count
+        points.append(np.einsum("wk,fkx->fwx", weight, vertices[faces[chosen]]).reshape(-1, 3))
+        owners.append(np.repeat(chosen, len(weight)))
+    return np.concatenate(points), np.concatenate(owners)
