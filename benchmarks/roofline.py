@@ -2,9 +2,9 @@
 
 Every scene is run until it has settled. Then the work of one step is counted: rows from the live arrays, bytes of a
 row from the declarations in `kernels/schema.py`, operations of a visit from the constants below. A stage cannot be
-faster than its bytes at the memory's bandwidth, its operations at the arithmetic's rate, or its launches one after another:
-the largest of the three is its floor. Each array counts once a stage, however often its rows are read: what is read
-again is in a cache, if all goes well. So no implementation with this data gets below the floor.
+faster than its bytes at the memory's bandwidth, its operations at the arithmetic's rate, or its launches one after
+another: the largest of the three is its floor. Each array counts once a stage, however often its rows are read:
+repeated reads are assumed to hit a cache. So no implementation with this data gets below the floor.
 """
 
 import argparse
@@ -248,7 +248,7 @@ def count(sim: Simulator) -> Counts:
     start = pools.pairs.contact_start.numpy()[: pairs + 1]
     first_pair = pools.pairs.start.numpy()[:: sim.num_bodies]
     contacts = np.diff(start[first_pair])
-    settled = pools.graph.settled.numpy() == 1
+    converged = pools.graph.converged.numpy() == 1
     shard.undo(attempt=0)
     stages.predict(sim.settings.dt)
     counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
@@ -259,7 +259,7 @@ def count(sim: Simulator) -> Counts:
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
         small=sim._model.small.shape[0],
-        wide=sim._model.wide.shape[0],
+        wide=sim._model.oversized.shape[0],
         pairs=pairs,
         searched=searched,
         clusters=clusters,
@@ -270,8 +270,8 @@ def count(sim: Simulator) -> Counts:
         contacts=int(contacts.sum()),
         levels=sim.counts()["levels"],
         sweeps=int((sweeps_needed(sim) * contacts).sum()),
-        unsettled=int(contacts[~settled].sum()),
-        unsettled_rows=int((~settled).sum()) * sim.num_bodies,
+        unsettled=int(contacts[~converged].sum()),
+        unsettled_rows=int((~converged).sum()) * sim.num_bodies,
         gridded=stages.buckets > 0,
         pool_clusters=sim._model.shapes.clusters.shape[0],
         pool_samples=sim._model.shapes.samples.shape[0],
@@ -355,10 +355,10 @@ def part(record: Any, *only: str) -> int:
     return sum(wp.types.type_size_in_bytes(fields[name].dtype) for name in only or fields)
 
 
-VELOCITY = part(schema.MoverRecord, "linear", "inverse_mass", "angular", "row_end_1")
-MASS = part(schema.MoverRecord, "inverse_inertia_xx", "inverse_inertia_yz", "row_end_3")
-IMPULSE = part(schema.LoadRecord, "impulse", "row_end_0", "twist", "row_end_1")
-CONTACT, LOAD, ENTRY = part(schema.ContactRecord), part(schema.LoadRecord), part(schema.PairRecord)
+VELOCITY = part(schema.SolverBodyRecord, "linear", "inverse_mass", "angular", "row_end_1")
+MASS = part(schema.SolverBodyRecord, "inverse_inertia_xx", "inverse_inertia_yz", "row_end_3")
+IMPULSE = part(schema.ImpulseRecord, "impulse", "row_end_0", "angular_impulse", "row_end_1")
+CONTACT, LOAD, ENTRY = part(schema.ContactRecord), part(schema.ImpulseRecord), part(schema.PairRecord)
 
 
 def work_of(stage: str, c: Counts) -> Work:
@@ -379,15 +379,15 @@ def _find_pairs(c: Counts) -> Work:
 
 
 def _find_contacts(c: Counts) -> Work:
-    seen = ("seen", "seen_turn", "seen_shift", "contact_start")
+    searched = ("searched", "searched_orientation", "searched_position", "contact_start")
     pool = min(c.clusters, c.pool_clusters) * part(schema.ClusterRecord)
     pool += min(c.samples + c.contacts, c.pool_samples) * part(schema.SampleRecord)
     pool += min(8 * (c.near + c.close + c.contacts), c.pool_nodes) * 4
     read = c.rows * (row(schema.State, "bodies") + row(schema.Motions, "bodies"))
     read += c.pairs * (row(schema.History, "pairs") + row(schema.Pairs, "pairs", "body_a", "body_b", "dormant"))
-    read += c.contacts * row(schema.History, "contacts", "key", "impulse", "twist") + pool
+    read += c.contacts * row(schema.History, "contacts", "key", "impulse", "angular_impulse") + pool
     written = c.contacts * (CONTACT + IMPULSE + row(schema.Contacts, "contacts", "key", "position"))
-    written += c.pairs * row(schema.Pairs, "pairs", *seen, "contact_count") + 4 * c.contacts
+    written += c.pairs * row(schema.Pairs, "pairs", *searched, "contact_count") + 4 * c.contacts
     operations = {"reach of a pair": c.pairs, "cluster": c.clusters, "sample": c.samples, "contact": c.contacts}
     operations["distance"] = c.near + c.close + c.contacts
     return Work(read, written, sum(visits * OPERATIONS[name] for name, visits in operations.items()))
@@ -397,7 +397,7 @@ def _build_graph(c: Counts) -> Work:
     read = c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
     read += c.rows * (VELOCITY + row(schema.Motions, "bodies", "acceleration"))
     written = c.rows * row(schema.Graph, "bodies", "level", "height", "island", "colors")
-    written += c.pairs * row(schema.Graph, "pairs", "rests", "pair_color") + c.touching * ENTRY
+    written += c.pairs * row(schema.Graph, "pairs", "supports", "pair_color") + c.touching * ENTRY
     return Work(read, written, c.contacts * OPERATIONS["graph"])
 
 
@@ -418,27 +418,31 @@ def _solve_contacts(c: Counts) -> Work:
 
 def _propagate_shock(c: Counts) -> Work:
     entries = c.touching * c.unsettled / max(c.contacts, 1) * ENTRY
-    mover = part(schema.MoverRecord)
+    solver_body = part(schema.SolverBodyRecord)
     single = c.unsettled * (2 * OPERATIONS["visit"] + OPERATIONS["search"])
-    read = entries + c.unsettled * (CONTACT + LOAD) + c.unsettled_rows * mover
-    return Work(read, c.unsettled * LOAD + c.unsettled_rows * mover, single)
+    read = entries + c.unsettled * (CONTACT + LOAD) + c.unsettled_rows * solver_body
+    return Work(read, c.unsettled * LOAD + c.unsettled_rows * solver_body, single)
 
 
 def _push_out(c: Counts) -> Work:
     read = c.contacts * (CONTACT + row(schema.Contacts, "contacts", "key")) + c.rows * VELOCITY
-    return Work(read, c.contacts * part(schema.LoadRecord, "aimed", "target"), c.contacts * OPERATIONS["overlap"])
+    return Work(
+        read, c.contacts * part(schema.ImpulseRecord, "impact_impulse", "target"), c.contacts * OPERATIONS["overlap"]
+    )
 
 
 def _follow(c: Counts) -> Work:
     read = c.rows * (row(schema.State, "bodies", "position", "orientation") + VELOCITY)
     read += c.rows * row(schema.Motions, "bodies", "center", "radius", "room")
     read += c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b")
-    return Work(read, c.rows * row(schema.Motions, "bodies", "share", "next_share"), c.pairs * OPERATIONS["course"])
+    return Work(
+        read, c.rows * row(schema.Motions, "bodies", "share", "next_time_of_impact"), c.pairs * OPERATIONS["course"]
+    )
 
 
 def _move(c: Counts) -> Work:
     state = row(schema.State, "bodies")
-    read = state + part(schema.MoverRecord) + row(schema.Bodies, "bodies", "motion", "inertia", "center_of_mass")
+    read = state + part(schema.SolverBodyRecord) + row(schema.Bodies, "bodies", "motion", "inertia", "center_of_mass")
     return Work(c.rows * read, c.rows * state, 0.0, c.envs * c.small * MOVE)
 
 

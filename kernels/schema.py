@@ -24,20 +24,6 @@ PATCH_SLOTS = EXTREME_DIRECTIONS + 1
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples remembered a pair before doubles are taken out."""
 
-MOTION_STATIC = 0
-MOTION_KINEMATIC = 1
-MOTION_DYNAMIC = 2
-
-ROLE_ABSENT = 0
-ROLE_FIXED = 1
-ROLE_ASLEEP = 2
-ROLE_DRIVEN = 4
-ROLE_FREE = 8
-
-SHOCK_OFF = 0
-SHOCK_ONE_PASS = 1
-SHOCK_TWO_PASS = 2
-
 
 class Field(NamedTuple):
     """One device array: element type, symbolic shape such as "bodies + 1" or "pairs, 36", unit, and meaning."""
@@ -45,7 +31,7 @@ class Field(NamedTuple):
     dtype: Any
     shape: str
     unit: str
-    meaning: str
+    description: str
 
 
 FILLER = Field(float, "", "", "fills a row of four words (packed.py)")
@@ -195,7 +181,7 @@ Bodies = layout(
     "What a body is. Users may change masses and coefficients per environment.",
     shape=Field(int, "bodies", "", "index into the pool of shapes"),
     motion=Field(int, "bodies", "", "static, kinematic or dynamic"),
-    wide=Field(int, "bodies", "", "1: never in the hash grid, tested against every body of its environment"),
+    oversized=Field(int, "bodies", "", "1: never in the hash grid, tested against every body of its environment"),
     mass=Field(float, "bodies", "kg", "mass; 0 unless dynamic"),
     inverse_mass=Field(float, "bodies", "1/kg", "0 unless dynamic"),
     inertia=Field(wp.mat33, "bodies", "kg m^2", "about the centre of mass, in the shape's frame"),
@@ -205,8 +191,8 @@ Bodies = layout(
     restitution=Field(float, "bodies", "", "coefficient of restitution"),
     rolling_friction=Field(float, "bodies", "m", "rolling torque limit divided by the normal force"),
     spinning_friction=Field(float, "bodies", "m", "spinning torque limit divided by the normal force"),
-    apart_start=Field(int, "env_bodies + 1", "", "first of those that a body of any environment never touches"),
-    apart=Field(int, "apart", "", "their numbers in the environment; every pair is listed both ways"),
+    filtered_start=Field(int, "env_bodies + 1", "", "first of those that a body of any environment never touches"),
+    filtered=Field(int, "filtered", "", "their numbers in the environment; every pair is listed both ways"),
 )
 
 State = layout(
@@ -219,13 +205,13 @@ State = layout(
     force=Field(wp.vec3, "bodies", "N", "held by the user until changed, at the centre of mass"),
     torque=Field(wp.vec3, "bodies", "N m", "held by the user until changed"),
     active=Field(int, "bodies", "", "0: switched off, takes no part"),
-    turn_rest=Field(wp.vec4, "bodies", "", "what rounding left over of the orientation"),
-    spin_rest=Field(wp.vec3, "bodies", "rad/s", "what rounding left over of the angular velocity"),
-    idle_shocks=Field(int, "bodies", "", "steps in a row in which shock propagation was of no use to it"),
+    orientation_remainder=Field(wp.vec4, "bodies", "", "what rounding left over of the orientation"),
+    angular_velocity_remainder=Field(wp.vec3, "bodies", "rad/s", "what rounding left over of the angular velocity"),
+    shock_ineffective_steps=Field(int, "bodies", "", "steps in a row in which shock propagation was of no use to it"),
 )
 
-MoverRecord = record(
-    "MoverRecord",
+SolverBodyRecord = record(
+    "SolverBodyRecord",
     "A body as the solver sees it.",
     linear=Field(wp.vec3, "", "m/s", "velocity of the centre of mass in this step so far"),
     inverse_mass=Field(float, "", "1/kg", "0 unless dynamic"),
@@ -252,17 +238,17 @@ Motions = layout(
     "Motions",
     "What the first stage derives from the state for the rest of the step.",
     center=Field(wp.vec3, "bodies", "m", "centre of mass in the world"),
-    movers=Field(MoverRecord, "bodies", "", "what the solver changes"),
-    sound=Field(int, "bodies", "", "1: its state was finite at the start of the step"),
+    solver_bodies=Field(SolverBodyRecord, "bodies", "", "what the solver changes"),
+    is_finite=Field(int, "bodies", "", "1: its state was finite at the start of the step"),
     acceleration=Field(wp.vec3, "bodies", "m/s^2", "by gravity, fields and the held force"),
     spin_acceleration=Field(wp.vec3, "bodies", "rad/s^2", "by the held torque"),
     lower=Field(wp.vec3, "bodies", "m", "lower corner of the box swept in this step"),
     upper=Field(wp.vec3, "bodies", "m", "upper corner of the box swept in this step"),
     radius=Field(float, "bodies", "m", "of the sphere about the centre of mass that holds the body"),
     role=Field(int, "bodies", "", "part in this step: absent, fixed, asleep, driven or free"),
-    room=Field(float, "bodies", "m", "how far the body may move: other bodies are looked for so far around it"),
-    share=Field(float, "bodies", "", "part of the step's motion that nothing stops, as far as is known"),
-    next_share=Field(float, "bodies", "", "the same after the round at hand; the body moves by it"),
+    max_travel=Field(float, "bodies", "m", "how far the body may move: other bodies are looked for so far around it"),
+    time_of_impact=Field(float, "bodies", "", "part of the step's motion that nothing stops, as far as is known"),
+    next_time_of_impact=Field(float, "bodies", "", "the same after the round at hand; the body moves by it"),
 )
 
 Environments = layout(
@@ -284,7 +270,9 @@ Environments = layout(
     outside_step=Field(int, "envs", "", "step in which the first one did"),
     outside_body=Field(int, "envs", "", "body that did"),
     moving=Field(int, "envs", "", "1 + the last step in which a body was free or driven"),
-    broken=Field(int, "envs", "", "rank of the first non-finite body in this step (integrate.watch); 0 if none"),
+    broken=Field(
+        int, "envs", "", "rank of the first non-finite body in this step (integrate.find_non_finite); 0 if none"
+    ),
     strayed=Field(int, "envs", "", "the same from the first one that left the bounds"),
     step=Field(int, "envs", "", "steps done"),
 )
@@ -293,7 +281,7 @@ Cells = layout(
     "Cells",
     "Who looks for whom in the broad phase, and the hash grid in which they do.",
     small=Field(int, "small", "", "numbers, in any environment, of the bodies that find each other"),
-    large=Field(int, "large", "", "numbers of the wide ones, which are tested against every body"),
+    oversized=Field(int, "oversized", "", "numbers of the wide ones, which are tested against every body"),
     reach=Field(float, "envs", "m", "largest half-width of a small body's swept box, along any axis"),
     key=Field(int, "points + points", "", "bucket of each small body, in rising order; then room to sort"),
     member=Field(int, "points + points", "", "the bodies in the order of their buckets; then room to sort"),
@@ -318,8 +306,8 @@ Pairs = layout(
     contact_count=Field(int, "pairs + 1", "", "contacts wanted by each pair"),
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair (exclusive sums of contact_count)"),
     last=Field(int, "pairs", "", "the pair's row in the history, -1 if it is new; not of dormant pairs"),
-    sought=Field(int, "pairs", "", "pairs whose samples are searched in this step, in any order"),
-    sought_count=Field(int, "1", "", "how many they are"),
+    candidates=Field(int, "pairs", "", "pairs whose samples are searched in this step, in any order"),
+    candidate_count=Field(int, "1", "", "how many they are"),
     patch_count=Field(int, "pairs", "", "patches in use"),
     patch_normal=Field(wp.vec3, "pairs, 4", "", "normal of a patch in the second body's frame"),
     dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 if it was searched"),
@@ -327,16 +315,16 @@ Pairs = layout(
     slot_gap=Field(float, "pairs, 36", "m", "the gap that it is ranked by"),
     slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
     kept=Field(int, "pairs, 36", "", "identities of the samples that become contacts"),
-    seen=Field(int, "pairs", "", "edge_samples + 1 at the last look for contacts; 0 if the next step must look"),
-    seen_turn=Field(wp.quat, "pairs", "", "relative orientation at that look"),
-    seen_shift=Field(wp.vec3, "pairs", "m", "relative position at that look"),
+    searched=Field(int, "pairs", "", "edge_samples + 1 at the last look for contacts; 0 if the next step must look"),
+    searched_orientation=Field(wp.quat, "pairs", "", "relative orientation at that look"),
+    searched_position=Field(wp.vec3, "pairs", "m", "relative position at that look"),
 )
 
 ContactRecord = record(
     "ContactRecord",
     "What is fixed about a contact while it is solved. The normal points from the second body to the first.",
     normal=Field(wp.vec3, "", "", "unit normal in the world"),
-    closing=Field(float, "", "m/s", "speed at which the bodies may still approach: the gap allows it"),
+    bias_velocity=Field(float, "", "m/s", "speed at which the bodies may still approach: the gap allows it"),
     tangent=Field(wp.vec3, "", "", "first unit tangent in the world; the second is normal x tangent"),
     friction=Field(float, "", "", "of the pair"),
     arm_a=Field(wp.vec3, "", "m", "from the first body's centre of mass"),
@@ -357,18 +345,18 @@ ContactRecord = record(
     body_b=Field(int, "", "", "second body"),
 )
 
-LoadRecord = record(
-    "LoadRecord",
+ImpulseRecord = record(
+    "ImpulseRecord",
     "What a contact carries, as the solver changes it. Components are along the normal and the two tangents.",
     impulse=Field(wp.vec3, "", "N s", "accumulated impulse"),
     row_end_0=FILLER,
-    twist=Field(wp.vec3, "", "N m s", "accumulated angular impulse"),
+    angular_impulse=Field(wp.vec3, "", "N m s", "accumulated angular impulse"),
     row_end_1=FILLER,
-    aimed=Field(wp.vec3, "", "N s", "impulse of an impact, pseudo-impulse of the push-out"),
+    impact_impulse=Field(wp.vec3, "", "N s", "impulse of an impact, pseudo-impulse of the push-out"),
     target=Field(float, "", "m/s", "normal velocity that an impact or the push-out aims at"),
     start_impulse=Field(wp.vec3, "", "N s", "impulse before shock propagation"),
     row_end_3=FILLER,
-    start_twist=Field(wp.vec3, "", "N m s", "angular impulse before shock propagation"),
+    start_angular_impulse=Field(wp.vec3, "", "N m s", "angular impulse before shock propagation"),
     row_end_4=FILLER,
 )
 
@@ -376,7 +364,7 @@ Contacts = layout(
     "Contacts",
     "Contact points. Records keep together what a visit of the solver reads together.",
     rows=Field(ContactRecord, "contacts", "", "what is fixed during the step"),
-    loads=Field(LoadRecord, "contacts", "", "what the solver changes"),
+    impulses=Field(ImpulseRecord, "contacts", "", "what the solver changes"),
     key=Field(int, "contacts", "", "identity within the pair: 2 * sample + side"),
     position=Field(wp.vec3, "contacts", "m", "in the world"),
 )
@@ -387,22 +375,22 @@ History = layout(
     pair_start=Field(int, "bodies + 1", "", "first pair of each first body"),
     body_b=Field(int, "pairs", "", "second body"),
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair"),
-    seen=Field(int, "pairs", "", "as in Pairs"),
-    seen_turn=Field(wp.quat, "pairs", "", "as in Pairs"),
-    seen_shift=Field(wp.vec3, "pairs", "m", "as in Pairs"),
+    searched=Field(int, "pairs", "", "as in Pairs"),
+    searched_orientation=Field(wp.quat, "pairs", "", "as in Pairs"),
+    searched_position=Field(wp.vec3, "pairs", "m", "as in Pairs"),
     key=Field(int, "contacts", "", "identity within the pair"),
     impulse=Field(wp.vec3, "contacts", "N s", "in the world frame"),
-    twist=Field(wp.vec3, "contacts", "N m s", "in the world frame"),
+    angular_impulse=Field(wp.vec3, "contacts", "N m s", "in the world frame"),
     position=Field(wp.vec3, "contacts", "m", "in the world"),
     normal=Field(wp.vec3, "contacts", "", "unit normal in the world"),
     gap=Field(float, "contacts", "m", "distance, negative inside"),
 )
 
-Rest = layout(
-    "Rest",
+SleepState = layout(
+    "SleepState",
     "Who sleeps, and how long the others have kept still.",
     asleep=Field(int, "bodies", "", "1: at rest until something disturbs its island"),
-    still=Field(int, "bodies", "", "steps since the body last moved"),
+    still_steps=Field(int, "bodies", "", "steps since the body last moved"),
     position=Field(wp.vec3, "bodies", "m", "pose from which its motion is measured; of a sleeper, the pose it has"),
     orientation=Field(wp.quat, "bodies", "", "the same"),
     force=Field(wp.vec3, "bodies", "N", "held force under which it fell asleep"),
@@ -411,8 +399,8 @@ Rest = layout(
     level=Field(int, "bodies", "", "of a sleeper: its level in the contact graph"),
     disturbed=Field(int, "bodies", "", "1: changed from outside since the last step"),
     wake=Field(int, "bodies", "", "1: the sleeping island of this name wakes"),
-    restless=Field(int, "bodies", "", "1: the island of this name has a body that is not ready to sleep"),
-    grounded=Field(int, "bodies", "", "1: the island of this name lies on something that does not move"),
+    keeps_awake=Field(int, "bodies", "", "1: the island of this name has a body that is not ready to sleep"),
+    supported=Field(int, "bodies", "", "1: the island of this name lies on something that does not move"),
 )
 
 PairRecord = record(
@@ -431,8 +419,8 @@ PairRecord = record(
 Graph = layout(
     "Graph",
     "The contact graph: who rests on whom, levels, islands, and what the stages of the solver tell each other.",
-    rests=Field(int, "pairs", "", "1: the first body rests on the second, 2: the other way, 3: both"),
-    rested=Field(int, "pairs", "", "the same in the last step, by its rows; -1 for a pair that did not touch"),
+    supports=Field(int, "pairs", "", "1: the first body rests on the second, 2: the other way, 3: both"),
+    supports_before=Field(int, "pairs", "", "the same in the last step, by its rows; -1 for a pair that did not touch"),
     touching=Field(int, "envs", "", "touching pairs"),
     known=Field(int, "envs", "", "1 + touching pairs of the last step; 0 if its graph is no longer at hand"),
     same=Field(int, "envs", "", "1: the graph is that of the last step"),
@@ -441,14 +429,16 @@ Graph = layout(
     highest=Field(int, "bodies", "", "of a cycle's name: highest level among its supports that have one"),
     cycle=Field(int, "bodies", "", "name of its cycle, a body of it; its own while it is known to be in none"),
     within=Field(int, "bodies", "", "1: its cycle is known, which may be the body alone"),
-    height=Field(int, "bodies", "", "0 for statics, else 1 + the height of the lowest support; 2^30 without any"),
-    tallest=Field(int, "envs", "", "greatest height of a body that has one"),
+    depth=Field(int, "bodies", "", "0 for statics, else 1 + the height of the lowest support; 2^30 without any"),
+    max_depth=Field(int, "envs", "", "greatest height of a body that has one"),
     island=Field(int, "bodies", "", "lowest body among those connected through dynamic bodies"),
     numerator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
     denominator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
     largest=Field(float, "bodies", "J", "largest summand of either"),
-    swing=Field(float, "bodies", "m/s", "of an island: largest change of a velocity by shock propagation"),
-    idle=Field(int, "bodies", "", "idle_shocks, as the step began"),
+    max_velocity_change=Field(
+        float, "bodies", "m/s", "of an island: largest change of a velocity by shock propagation"
+    ),
+    ineffective_steps=Field(int, "bodies", "", "idle_shocks, as the step began"),
     pair_sums=Field(wp.vec2, "pairs", "J", "summands of a touching pair"),
     level_count=Field(int, "envs", "", "highest level of a body that touches another"),
     colors=Field(wp.uint32, "bodies", "", "bit mask of the colours taken at a body"),
@@ -456,10 +446,10 @@ Graph = layout(
     pair_color=Field(int, "pairs", "", "colour; -1 for a pair that does not touch or has none yet"),
     colored=Field(int, "pairs", "", "the same in the last step, by its rows"),
     tally=Field(int, "envs, 32", "", "pairs of a colour, then where they go in the order"),
-    stands=Field(int, "bodies", "", "touching pairs in which the body is not the lower one"),
+    support_count=Field(int, "bodies", "", "touching pairs in which the body is not the lower one"),
     changed=Field(int, "bodies", "", "when collisions or shock propagation last changed its velocity"),
-    settled=Field(int, "envs", "", "1: the contacts are solved, nothing worth propagating is left"),
-    heap=Field(int, "envs", "", "1: shock propagation has been of no use to an island of it"),
+    converged=Field(int, "envs", "", "1: the contacts are solved, nothing worth propagating is left"),
+    shock_ineffective=Field(int, "envs", "", "1: shock propagation has been of no use to an island of it"),
     overlapping=Field(int, "envs", "", "1: something is to be pushed out"),
     gate=Field(wp.uint32, "envs, 4", "", "where the blocks of a team that is larger than one wait for each other"),
 )

@@ -62,7 +62,7 @@ def contact_list(stages):
     contacts = stages.pools.contacts
     count = int(stages.pools.pairs.contact_start.numpy()[-1])
     fields = table(contacts, ("key", "position"), count)
-    for records in (contacts.rows.numpy()[:count], contacts.loads.numpy()[:count]):
+    for records in (contacts.rows.numpy()[:count], contacts.impulses.numpy()[:count]):
         fields |= {name: records[name].copy() for name in records.dtype.names}
     return fields
 
@@ -139,8 +139,8 @@ class ContactProblem:
 
     def velocity(self, stages):
         """The present velocities, (bodies, 6)."""
-        movers = stages.motions.movers.numpy()
-        return np.concatenate([movers["linear"], movers["angular"]], axis=1).astype(np.float64)
+        solver_bodies = stages.motions.solver_bodies.numpy()
+        return np.concatenate([solver_bodies["linear"], solver_bodies["angular"]], axis=1).astype(np.float64)
 
     def slip(self, velocity):
         """Relative velocities at the contacts, (contacts, 3)."""
@@ -177,8 +177,8 @@ class ContactProblem:
         limit = self.contacts["friction"] * impulse[:, 0]
         length = np.linalg.norm(trial, axis=1)
         shrink = np.minimum(1.0, limit / np.maximum(length, 1e-300))
-        tangential = np.linalg.norm(impulse[:, 1:] - shrink[:, None] * trial, axis=1)
-        return np.maximum(np.abs(normal) * k[:, 0], tangential * scale)
+        tangential_inverse_mass = np.linalg.norm(impulse[:, 1:] - shrink[:, None] * trial, axis=1)
+        return np.maximum(np.abs(normal) * k[:, 0], tangential_inverse_mass * scale)
 
 
 def hull_polygon(points):

@@ -135,7 +135,7 @@ def test_stages_are_timed_without_a_trace(device):
     timed, plain = (Simulator(scene, 2, Settings(sleeping=True), device=device) for _ in range(2))
     timed.step(20), plain.step(20)
     seconds = stage_times(timed, 3)
-    assert {"predict", "find_contacts", "solve_contacts", "propagate_shock", "fall_asleep"} <= set(seconds)
+    assert {"predict", "find_contacts", "solve_contacts", "propagate_shock", "update_sleep"} <= set(seconds)
     assert all(taken > 0.0 for taken in seconds.values())
     timed.step(20), plain.step(20)
     for name in ("position", "orientation", "linear_velocity", "asleep"):
@@ -179,7 +179,7 @@ def test_stages_are_walked_through_in_the_order_of_the_step(device):
     within = marks.index("propagate_shock")
     assert marks[within - 1] == marks[within + 1] == "solve_contacts"
     named = [name for name in marks if name is not None]
-    assert named[0] == "raise_surfaces" and named[-1] == "remember" and marks[-1] is None
+    assert named[0] == "move_ground" and named[-1] == "remember" and marks[-1] is None
     assert named.count("accelerate") == 2 and len(marks) <= 6 * len(STAGES) + 2 * stages.repetitions
     assert not set(STAGES) & set(vars(stages))
 

@@ -134,7 +134,7 @@ def test_only_ordinary_dynamic_bodies_enter_the_grid(device, search):
     scene = mixed_scene(np.random.default_rng(7))
     _, stages = opened(scene, device)
     small = stages.model.small.numpy()
-    wide = stages.model.wide.numpy()
+    wide = stages.model.oversized.numpy()
     assert sorted([*small, *wide]) == list(range(len(scene.bodies)))
     assert all(scene.bodies[k].motion == Motion.DYNAMIC for k in small)
     dynamic = np.flatnonzero(moving(scene))

@@ -84,10 +84,10 @@ def test_masses_seen_by_contacts(device):
         k = problem.inverse_mass[rows, None, None] * np.eye(3) + np.swapaxes(cross, 1, 2) @ (
             np.swapaxes(problem.inverse_inertia[rows], 1, 2) @ cross
         )
-        seen = basis @ k @ np.swapaxes(basis, 1, 2)
-        expected = np.stack([seen[:, 1, 1], seen[:, 1, 2], seen[:, 2, 2]], axis=1)
+        searched = basis @ k @ np.swapaxes(basis, 1, 2)
+        expected = np.stack([searched[:, 1, 1], searched[:, 1, 2], searched[:, 2, 2]], axis=1)
         scale = np.maximum(np.trace(k, axis1=1, axis2=2), 1e-9)
-        np.testing.assert_allclose(contacts[f"normal_{end}"] / scale, seen[:, 0, 0] / scale, atol=2e-5)
+        np.testing.assert_allclose(contacts[f"normal_{end}"] / scale, searched[:, 0, 0] / scale, atol=2e-5)
         np.testing.assert_allclose(contacts[f"tangent_{end}"] / scale[:, None], expected / scale[:, None], atol=2e-5)
         fixed = ~moving(stages.model.scene)[rows]
         assert (contacts[f"normal_{end}"][fixed] == 0.0).all()

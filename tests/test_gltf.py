@@ -66,7 +66,7 @@ def nodes_by_place(tree):
 def test_first_frame_is_where_another_reader_sees_it(path, recording):
     """Trimesh puts the nodes together by itself; y is up there."""
     scene = trimesh.load(path, process=False)
-    seen = sorted(tuple(mesh.bounds.round(4).ravel()) for mesh in scene.dump())
+    searched = sorted(tuple(mesh.bounds.round(4).ravel()) for mesh in scene.dump())
     offsets = np.array([[-0.5, 0, 0], [0.5, 0, 0]])
     wanted = []
     offsets = offsets * environment_spacing(recording)[0]
@@ -76,7 +76,7 @@ def test_first_frame_is_where_another_reader_sees_it(path, recording):
             turned = vertices @ rotation_matrix(recording.orientation[0, row, body].astype(float)).T
             world = (turned + recording.position[0, row, body] + offsets[row]) @ UPRIGHT.T
             wanted.append((*world.min(axis=0).round(4), *world.max(axis=0).round(4)))
-    np.testing.assert_allclose(seen, sorted(wanted), atol=2e-4)
+    np.testing.assert_allclose(searched, sorted(wanted), atol=2e-4)
 
 
 def test_every_frame_is_the_recordings(content, recording):

@@ -39,15 +39,15 @@ class HandMadeGraph:
     def __init__(self, motions, envs, device):
         self.per_env, self.count, self.device = len(motions), len(envs), device
         rows = [
-            (e * self.per_env + a, e * self.per_env + b, rests, touches)
+            (e * self.per_env + a, e * self.per_env + b, supports, touches)
             for e, pairs in enumerate(envs)
-            for a, b, rests, touches in sorted(pairs)
+            for a, b, supports, touches in sorted(pairs)
         ]
         sizes = {
             "envs": self.count,
             "bodies": self.count * self.per_env,
             "env_bodies": self.per_env,
-            "apart": 0,
+            "filtered": 0,
             "pairs": max(1, len(rows)),
             "contacts": 1,
         }
@@ -56,13 +56,13 @@ class HandMadeGraph:
         self.graph = schema.allocate(schema.Graph, sizes, device)
         self.order = schema.allocate(schema.Order, sizes, device)
         self.bodies.motion.assign(np.tile(np.array(motions, np.int32), self.count))
-        a, b, rests, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
+        a, b, supports, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
         first = np.bincount(a, minlength=sizes["bodies"] + 1)
         self.pairs.start.assign(np.concatenate([[0], np.cumsum(first)])[:-1].astype(np.int32))
         self.pairs.body_a.assign(a)
         self.pairs.body_b.assign(b)
         self.pairs.contact_start.assign(np.concatenate([[0], np.cumsum(touches)]).astype(np.int32))
-        self.graph.rests.assign(rests * touches)
+        self.graph.supports.assign(supports * touches)
 
     def launch(self, kernel, *arrays, before=()):
         """One team an environment; on the GPU it has more lanes than a small environment has bodies."""
@@ -79,16 +79,16 @@ class HandMadeGraph:
 
     def heights(self):
         """Heights (envs, bodies), 2^30 where a body lies on nothing, and the greatest of each environment."""
-        self.launch(support.find_heights, self.bodies, self.pairs, self.graph)
-        return self.graph.height.numpy().reshape(self.count, self.per_env), self.graph.tallest.numpy()
+        self.launch(support.find_depths, self.bodies, self.pairs, self.graph)
+        return self.graph.depth.numpy().reshape(self.count, self.per_env), self.graph.max_depth.numpy()
 
 
 def supports(pairs, motions):
     """Edges (upper, lower) of an environment; only what is dynamic rests on anything."""
-    for a, b, rests, touches in pairs:
-        if touches and rests & A_ON_B and motions[a] == Motion.DYNAMIC:
+    for a, b, supports, touches in pairs:
+        if touches and supports & A_ON_B and motions[a] == Motion.DYNAMIC:
             yield a, b
-        if touches and rests & B_ON_A and motions[b] == Motion.DYNAMIC:
+        if touches and supports & B_ON_A and motions[b] == Motion.DYNAMIC:
             yield b, a
 
 
@@ -134,11 +134,11 @@ def random_pairs(generator, motions, density, upward):
     for a in range(len(motions)):
         for b in range(a + 1, len(motions)):
             if generator.random() < density and Motion.DYNAMIC in (motions[a], motions[b]):
-                rests = B_ON_A if upward else int(generator.integers(4))
-                rests &= (A_ON_B if motions[a] == Motion.DYNAMIC else 0) | (
+                supports = B_ON_A if upward else int(generator.integers(4))
+                supports &= (A_ON_B if motions[a] == Motion.DYNAMIC else 0) | (
                     B_ON_A if motions[b] == Motion.DYNAMIC else 0
                 )
-                pairs.append((a, b, rests, int(generator.random() < 0.8)))
+                pairs.append((a, b, supports, int(generator.random() < 0.8)))
     return pairs
 
 
@@ -146,11 +146,17 @@ def random_pairs(generator, motions, density, upward):
 @pytest.mark.parametrize("density", [0.02, 0.05, 0.15])
 def test_levels_and_islands_of_random_graphs(device, density, upward):
     generator = np.random.default_rng(int(1000 * density) + upward)
-    motions = [Motion.STATIC, Motion.KINEMATIC, *[Motion.DYNAMIC] * 46, Motion.STATIC, *[Motion.DYNAMIC] * 11]
+    motions = [
+        Motion.STATIC,
+        Motion.KINEMATIC,
+        *[Motion.DYNAMIC] * 46,
+        Motion.STATIC,
+        *[Motion.DYNAMIC] * 11,
+    ]
     envs = [random_pairs(generator, motions, density, upward) for _ in range(8)]
     made = HandMadeGraph(motions, envs, device)
     level, island = made.solve()
-    height, tallest = made.heights()
+    height, max_depth = made.heights()
     deepest = lower = 0
     for env, pairs in enumerate(envs):
         expected = oracle_levels(pairs, motions)
@@ -159,7 +165,7 @@ def test_levels_and_islands_of_random_graphs(device, density, upward):
         assert (island[env] - first).tolist() == oracle_islands(pairs, motions)
         shortest = oracle_heights(pairs, motions)
         assert [None if h == 2**30 else h for h in height[env].tolist()] == shortest
-        assert tallest[env] == max(h for h in shortest if h is not None)
+        assert max_depth[env] == max(h for h in shortest if h is not None)
         deepest = max(deepest, *expected)
         lower += sum(h is not None and h < level for h, level in zip(shortest, expected, strict=True))
     assert deepest > 2 and (lower > 0 or density < 0.1)
@@ -190,9 +196,9 @@ def support_of(scene, device):
     sim, stages = opened(scene, device)
     find_contacts(stages)
     stages.build_graph()
-    rests = stages.pools.graph.rests.numpy()
+    supports = stages.pools.graph.supports.numpy()
     edges = set()
-    for (a, b), bits in zip(pair_list(stages).tolist(), rests, strict=False):
+    for (a, b), bits in zip(pair_list(stages).tolist(), supports, strict=False):
         edges |= ({(a, b)} if bits & A_ON_B else set()) | ({(b, a)} if bits & B_ON_A else set())
     return edges, sim.get("level")[0].tolist()
 

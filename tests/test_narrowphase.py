@@ -310,14 +310,16 @@ def test_identities_persist_in_a_resting_stack(device):
         )
     sim, stages = opened(scene, device)
     sim.step(60)
-    seen = []
+    searched = []
     for _ in range(30):
         sim.step()
         found = contact_list(stages)
-        seen.append(list(zip(found["body_a"].tolist(), found["body_b"].tolist(), found["key"].tolist(), strict=True)))
-    assert len(seen[0]) >= 16
-    assert len(set(seen[0])) == len(seen[0])
-    assert all(now == seen[0] for now in seen)
+        searched.append(
+            list(zip(found["body_a"].tolist(), found["body_b"].tolist(), found["key"].tolist(), strict=True))
+        )
+    assert len(searched[0]) >= 16
+    assert len(set(searched[0])) == len(searched[0])
+    assert all(now == searched[0] for now in searched)
 
 
 def test_identities_do_not_depend_on_rounding(device):
@@ -327,13 +329,13 @@ def test_identities_do_not_depend_on_rounding(device):
     scene.add_body(Box((HALF, HALF, HALF)), position=(0, 0, 2 * HALF))
     sim, stages = opened(scene, device)
     generator = np.random.default_rng(0)
-    seen = set()
+    searched = set()
     for _ in range(30):
         sim.set("position", [0, 0, 2 * HALF] + generator.normal(scale=1e-8, size=3), bodies=[1])
         sim.set("orientation", np.array([0, 0, 0, 1]) + generator.normal(scale=1e-8, size=4), bodies=[1])
         find_contacts(stages)
-        seen.add(tuple(contact_list(stages)["key"].tolist()))
-    assert len(seen) == 1
+        searched.add(tuple(contact_list(stages)["key"].tolist()))
+    assert len(searched) == 1
 
 
 def test_approach_within_the_step_is_a_contact(device):

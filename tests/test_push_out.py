@@ -100,9 +100,9 @@ def test_velocity_after_the_step_does_not_know_of_the_push(device):
     stages.build_graph()
     stages.accelerate(before_collisions=False)
     stages.solve_contacts()
-    before = stages.motions.movers.numpy()
+    before = stages.motions.solver_bodies.numpy()
     stages.push_out()
-    after = stages.motions.movers.numpy()
+    after = stages.motions.solver_bodies.numpy()
     assert np.linalg.norm(after["push_linear"], axis=1).max() > 1e-4
     assert after["linear"].tolist() == before["linear"].tolist()
     assert after["angular"].tolist() == before["angular"].tolist()

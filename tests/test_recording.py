@@ -21,10 +21,10 @@ def scene():
 
 def test_frames_are_the_simulators_states_at_their_times(scene):
     sim = FakeSimulator(scene, num_envs=3)
-    seen = []
-    recording = record(sim, frames=30, fps=60.0, on_frame=lambda i, s: seen.append((i, s.steps)))
+    searched = []
+    recording = record(sim, frames=30, fps=60.0, on_frame=lambda i, s: searched.append((i, s.steps)))
     assert recording.num_frames == 30
-    assert seen == [(i, 4 * i) for i in range(31)]
+    assert searched == [(i, 4 * i) for i in range(31)]
     time = np.arange(31) / 60.0
     np.testing.assert_allclose(recording.time, time, rtol=0, atol=1e-12)
     height = 30.0 - 0.5 * sim.GRAVITY * time**2

@@ -45,7 +45,7 @@ def snapshot(sim):
     return [sim.get(name).tobytes() for name in STATE]
 
 
-def settled(shape, device, falling, seconds):
+def converged(shape, device, falling, seconds):
     """Speeds and overlap in 64 environments at one step a frame, after bodies fell onto each other however turned."""
     scene, generator = ground_scene(friction=0.5), np.random.default_rng(0)
     rows = [scene.add_body(shape, position=(0, 0, 0.25 + 0.35 * k), friction=0.5) for k in range(falling)]
@@ -59,12 +59,12 @@ def settled(shape, device, falling, seconds):
 
 def test_bumpy_shapes_come_to_rest(device):
     """They stand on the samples that lie lowest, not on those furthest out, and do not rock for ever."""
-    speed, overlap = settled(meshes.bunny(0.2), device, 1, 5)
+    speed, overlap = converged(meshes.bunny(0.2), device, 1, 5)
     assert speed < 1e-4 and overlap < 3e-5
 
 
 def test_boxes_on_boxes_come_to_rest(device):
-    speed, overlap = settled(CUBE, device, 3, 5)
+    speed, overlap = converged(CUBE, device, 3, 5)
     assert speed < 1e-4 and overlap < 5e-5
 
 
@@ -138,7 +138,7 @@ def test_sleepers_keep_their_state_bit_for_bit(device):
     sim = sleeping_sim(stack_scene(4, places=(0.0, 1.0)), device)
     assert len(asleep(sim)) == 8
 
-    def seen():
+    def searched():
         return [
             *snapshot(sim),
             sim.contacts().tobytes(),
@@ -146,14 +146,14 @@ def test_sleepers_keep_their_state_bit_for_bit(device):
             sim.get("potential_energy").tobytes(),
         ]
 
-    before = seen()
+    before = searched()
     sim.step(100)
-    assert seen() == before
+    assert searched() == before
     assert (sim.get("linear_velocity") == 0).all() and (sim.get("kinetic_energy") == 0).all()
     assert len(sim.contacts()) == 32 and sim.penetration()[0] < 1e-4
     assert sim.get("level")[0].tolist() == [0, 1, 2, 3, 4, 1, 2, 3, 4]
-    carried = 240 * np.abs(sim.contacts()["impulse"][:, 2]).sum()
-    assert carried == pytest.approx(2 * (1 + 2 + 3 + 4) * 8 * 9.81, rel=1e-3)
+    impulse_of = 240 * np.abs(sim.contacts()["impulse"][:, 2]).sum()
+    assert impulse_of == pytest.approx(2 * (1 + 2 + 3 + 4) * 8 * 9.81, rel=1e-3)
 
 
 def test_waking_does_not_depend_on_how_long_one_slept(device):

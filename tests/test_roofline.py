@@ -32,7 +32,13 @@ def test_rows_have_the_size_that_allocation_gives_them(struct):
 
 
 def test_records_have_the_size_of_their_arrays_elements(device):
-    for record in (schema.ContactRecord, schema.LoadRecord, schema.PairRecord, schema.MoverRecord, schema.SampleRecord):
+    for record in (
+        schema.ContactRecord,
+        schema.ImpulseRecord,
+        schema.PairRecord,
+        schema.SolverBodyRecord,
+        schema.SampleRecord,
+    ):
         two = wp.zeros(2, dtype=record, device=device)
         assert roofline.part(record) == two.strides[0]
 

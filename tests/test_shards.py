@@ -61,11 +61,11 @@ def lively_scene():
 
 def look(sim):
     """All that a user can see, but for the room that there is."""
-    seen = [sim.get(name).tobytes() for name in (*STATE, "level", "asleep", "center_of_mass", "kinetic_energy")]
-    seen += [sim.contacts().tobytes(), sim.status().tobytes()]
-    seen.append({name: count for name, count in sim.counts().items() if not name.endswith("capacity")})
+    searched = [sim.get(name).tobytes() for name in (*STATE, "level", "asleep", "center_of_mass", "kinetic_energy")]
+    searched += [sim.contacts().tobytes(), sim.status().tobytes()]
+    searched.append({name: count for name, count in sim.counts().items() if not name.endswith("capacity")})
     swept = sim.swept_boxes().tobytes()
-    return [*seen, sim.penetration().tobytes(), sim.time, swept]
+    return [*searched, sim.penetration().tobytes(), sim.time, swept]
 
 
 def eventful_run(sim, folder):
@@ -73,32 +73,32 @@ def eventful_run(sim, folder):
     sim.set("friction", np.linspace(0.1, 0.9, ENVS)[:, None])
     sim.set("shock_propagation", ["off", "one_pass", "two_pass", "two_pass", "off"])
     sim.set("contact_iterations", [3, 10, 10, 5, 20])
-    seen = [look(sim)]
+    searched = [look(sim)]
     sim.step(50)
-    seen.append(look(sim))
+    searched.append(look(sim))
     sim.apply_impulse((20.0, 0, 0), (0, 0, 0.5), body=6, envs=[1, 3])
     sim.set("sleeping", True, envs=[0, 2, 4])
     sim.set("mass", 50.0, envs=[4], bodies=[6])
     sim.set("shock_iterations", [1, 1, 1, 2, 1])
     sim.step(37)
-    seen.append(look(sim))
+    searched.append(look(sim))
     sim.reset(envs=[0, 3])
     sim.step(3)
-    seen.append(look(sim))
+    searched.append(look(sim))
     sim.step(300)
     assert sim.get("asleep")[2].any() and not sim.get("asleep")[1].any()
     sim.save(folder / "asleep.ckpt")
-    seen.append(look(sim))
+    searched.append(look(sim))
     sim.set("force", (0, 0, 30.0), envs=[2], bodies=[7])
     sim.set("active", False, envs=[4], bodies=[6])
     sim.array("linear_velocity").assign(broken(sim, env=3, body=8))
     sim.step(33)
     assert sim.status()["status"].tolist() == ["ok", "ok", "ok", "non-finite", "ok"]
-    seen.append(look(sim))
+    searched.append(look(sim))
     sim.save(folder / "end.ckpt")
     sim.reset()
     sim.step(20)
-    return [*seen, look(sim)]
+    return [*searched, look(sim)]
 
 
 def broken(sim, env, body):

@@ -37,22 +37,22 @@ class Search:
         self.problem = ContactProblem(stages)
         self.free = self.problem.velocity(stages)
         if not warm:
-            loads = stages.pools.contacts.loads.numpy()
-            loads["impulse"] = 0.0
-            stages.pools.contacts.loads.assign(loads)
+            impulses = stages.pools.contacts.impulses.numpy()
+            impulses["impulse"] = 0.0
+            stages.pools.contacts.impulses.assign(impulses)
         start = contact_list(stages)["impulse"].astype(np.float64)
         self.apply(stages, self.free + self.problem.change(start))
         self.before = self.read(stages)
-        stages.pools.graph.settled.zero_()
+        stages.pools.graph.converged.zero_()
         stages.propagate_shock(0)
         self.after = self.read(stages)
         self.island = stages.pools.graph.island.numpy()
 
     def apply(self, stages, velocity):
         """Let the bodies have these velocities now, within the step."""
-        movers = stages.motions.movers.numpy()
-        movers["linear"], movers["angular"] = velocity[:, :3], velocity[:, 3:]
-        stages.motions.movers.assign(movers)
+        solver_bodies = stages.motions.solver_bodies.numpy()
+        solver_bodies["linear"], solver_bodies["angular"] = velocity[:, :3], velocity[:, 3:]
+        stages.motions.solver_bodies.assign(solver_bodies)
 
     def read(self, stages):
         return self.problem.velocity(stages), contact_list(stages)["impulse"].astype(np.float64)
@@ -136,10 +136,10 @@ def tower(weights, friction=0.6, top_first=False):
     return scene
 
 
-def joints(loads, count, top_first):
+def joints(impulses, count, top_first):
     """Normal impulse in each joint of a tower, from the ground up."""
     bodies = [0, *(range(count, 0, -1) if top_first else range(1, count + 1))]
-    return [loads[tuple(sorted(pair))] for pair in zip(bodies[:-1], bodies[1:], strict=True)]
+    return [impulses[tuple(sorted(pair))] for pair in zip(bodies[:-1], bodies[1:], strict=True)]
 
 
 def step_cold(device, scene, mode, **settings):
@@ -150,12 +150,12 @@ def step_cold(device, scene, mode, **settings):
     stages.accelerate(before_collisions=False)
     stages.solve_contacts()
     contacts = contact_list(stages)
-    loads = {}
+    impulses = {}
     for a, b, impulse in zip(contacts["body_a"], contacts["body_b"], contacts["impulse"], strict=True):
         pair = tuple(sorted((int(a), int(b))))
-        loads[pair] = loads.get(pair, 0.0) + float(impulse[0])
-    movers = stages.motions.movers.numpy()
-    return np.concatenate([movers["linear"], movers["angular"]], axis=1), loads
+        impulses[pair] = impulses.get(pair, 0.0) + float(impulse[0])
+    solver_bodies = stages.motions.solver_bodies.numpy()
+    return np.concatenate([solver_bodies["linear"], solver_bodies["angular"]], axis=1), impulses
 
 
 LISTED = pytest.mark.parametrize("top_first", [False, True], ids=["ground_up", "top_down"])
@@ -165,9 +165,9 @@ LISTED = pytest.mark.parametrize("top_first", [False, True], ids=["ground_up", "
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (1.0, 1000.0), (1000.0, 1.0), (1.0, 2.0, 50.0, 3.0)])
 def test_two_passes_carry_the_whole_weight_at_once(device, weights, top_first):
     """Cold, without a single sweep: every joint of a tower carries what is above it, and all is at rest."""
-    velocity, loads = step_cold(device, tower(weights, top_first=top_first), "two_pass")
+    velocity, impulses = step_cold(device, tower(weights, top_first=top_first), "two_pass")
     above = 9.81 * DT * np.cumsum(weights[::-1])[::-1]
-    np.testing.assert_allclose(joints(loads, len(weights), top_first), above, rtol=1e-3)
+    np.testing.assert_allclose(joints(impulses, len(weights), top_first), above, rtol=1e-3)
     np.testing.assert_allclose(velocity, 0.0, atol=2e-4)
 
 
@@ -175,8 +175,8 @@ def test_two_passes_carry_the_whole_weight_at_once(device, weights, top_first):
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (1.0, 1000.0), (1.0, 2.0, 50.0, 3.0)])
 def test_one_pass_carries_only_what_is_directly_above(device, weights, top_first):
     """The 2003 method: at rest too, but each joint carries its own body alone."""
-    velocity, loads = step_cold(device, tower(weights, top_first=top_first), "one_pass")
-    np.testing.assert_allclose(joints(loads, len(weights), top_first), 9.81 * DT * np.array(weights), rtol=1e-3)
+    velocity, impulses = step_cold(device, tower(weights, top_first=top_first), "one_pass")
+    np.testing.assert_allclose(joints(impulses, len(weights), top_first), 9.81 * DT * np.array(weights), rtol=1e-3)
     np.testing.assert_allclose(velocity, 0.0, atol=2e-4)
 
 
@@ -204,9 +204,9 @@ def test_one_pass_alone_leaves_the_lower_body_untouched(device, mode):
 
 def test_off_and_no_iterations_do_nothing(device):
     for settings in ({"mode": "off"}, {"mode": "two_pass", "shock_iterations": 0}):
-        velocity, loads = step_cold(device, tower((1.0, 1.0)), **settings)
+        velocity, impulses = step_cold(device, tower((1.0, 1.0)), **settings)
         assert velocity[1:, 2] == pytest.approx([-9.81 * DT] * 2, rel=1e-5)
-        assert sum(loads.values()) == 0.0
+        assert sum(impulses.values()) == 0.0
 
 
 def test_modes_differ_between_the_environments_of_a_batch(device):
@@ -267,7 +267,7 @@ def test_a_heap_that_it_does_not_help_is_left_alone(device, tmp_path):
     waits = []
     for _ in range(90):
         sim.step()
-        idle = state.idle_shocks.numpy()
+        idle = state.shock_ineffective_steps.numpy()
         assert idle[tower].max() <= 8
         waits.append(np.bincount(idle[heap]).argmax())
     assert "9 10 11 12 13 14 15 8" in " ".join(map(str, waits))
@@ -299,13 +299,13 @@ def test_a_heap_gets_a_sweep_more_for_each_way_down_twice(device):
     heap, plain = (Simulator(scene, settings=Settings(dt=1 / 120), device=device) for _ in range(2))
     for sim in (heap, plain):
         sim.step(100)
-        stages_of(sim).state.idle_shocks.fill_(9)
+        stages_of(sim).state.shock_ineffective_steps.fill_(9)
     heap.step()
     graph = stages_of(heap).pools.graph
-    tallest = int(graph.tallest.numpy()[0])
-    assert tallest > 1 and graph.settled.numpy()[0] == 0
+    max_depth = int(graph.max_depth.numpy()[0])
+    assert max_depth > 1 and graph.converged.numpy()[0] == 0
     plain.set("shock_propagation", "off")
-    plain.set("contact_iterations", plain.settings.contact_iterations + 2 * tallest)
+    plain.set("contact_iterations", plain.settings.contact_iterations + 2 * max_depth)
     plain.step()
     np.testing.assert_array_equal(heap.get("linear_velocity"), plain.get("linear_velocity"))
 

@@ -17,7 +17,7 @@ idle machine: 7.3 to 7.6 of them now, 9.5 with all kernels at once. Both grow al
 ONE_KERNEL = """
 import time
 import warp as wp
-from warp_rigid.kernels.common import capacity
+from warp_rigid.kernels.common import (capacity)
 wp.force_load("cpu", [wp.get_module(capacity.__name__)])
 print(time.process_time())
 """
@@ -26,8 +26,8 @@ ON_DEMAND = """
 import json, sys
 from tests.oracles import ground_scene
 from warp_rigid import Box, Simulator
-from warp_rigid.kernels.collide import overlap
-from warp_rigid.kernels.update import sleep
+from warp_rigid.kernels.collide import (overlap)
+from warp_rigid.kernels.update import (sleep)
 
 def loaded():
     return [bool(kernel.module.execs) for kernel in (overlap.deepest_overlap, sleep.fall_asleep)]

@@ -138,7 +138,7 @@ def test_killed_processes_leave_a_table_to_resume(tmp_path):
         "         on_progress=lambda *_: time.sleep(0.1))\n"
     )
     path = tmp_path / "t.parquet"
-    seen = 0
+    searched = 0
     for _ in range(2):
         command = [sys.executable, str(tmp_path / "script.py"), str(path)]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -147,14 +147,14 @@ def test_killed_processes_leave_a_table_to_resume(tmp_path):
         )
         until = time.monotonic() + 60.0
         while process.poll() is None and time.monotonic() < until:
-            if path.exists() and pyarrow.parquet.read_metadata(path).num_rows >= seen + 3:
+            if path.exists() and pyarrow.parquet.read_metadata(path).num_rows >= searched + 3:
                 break
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL, process.stderr.read().decode()
         table = read(path)
-        assert seen + 3 <= len(table) < 40 and not table.failed
-        seen = len(table)
+        assert searched + 3 <= len(table) < 40 and not table.failed
+        searched = len(table)
     axes = {"height": [0.1 + 0.01 * i for i in range(40)]}
     result = wr.sweep(ball, axes, duration=1.0, device="cpu", output=path, resume=True)
     assert values(result) == values(wr.sweep(ball, axes, duration=1.0, device="cpu"))

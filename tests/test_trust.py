@@ -171,23 +171,23 @@ def test_other_arguments_are_refused(device, arguments, field):
         Simulator(heap(1), device=device, **arguments)
 
 
-def arrays_within(thing, seen):
+def arrays_within(thing, searched):
     """All device arrays that an object holds, each once, and none that is a part of another."""
-    if id(thing) in seen:
+    if id(thing) in searched:
         return
-    seen[id(thing)] = thing
+    searched[id(thing)] = thing
     if isinstance(thing, wp.array):
         if not isinstance(thing._ref, wp.array):
             yield thing
     elif isinstance(thing, list | tuple):
         for part in thing:
-            yield from arrays_within(part, seen)
+            yield from arrays_within(part, searched)
     elif type(thing).__module__.split(".")[0] == "warp_rigid":
         for part in vars(thing).values():
-            yield from arrays_within(part, seen)
+            yield from arrays_within(part, searched)
     elif hasattr(thing, "_cls"):
         for name in thing._cls.vars:
-            yield from arrays_within(getattr(thing, name), seen)
+            yield from arrays_within(getattr(thing, name), searched)
 
 
 def test_the_memory_told_is_the_memory_held(device):

@@ -331,7 +331,7 @@ def test_files_without_bodies_are_refused_in_one_line(stage, tmp_path):
 def test_the_example_by_hand_runs(capsys, tmp_path):
     path = ROOT / "scenes" / "marble_run.usda"
     scene = wr.import_usd(path, strict=True)
-    assert [body.motion.name for body in scene.bodies].count("DYNAMIC") == 7
+    assert [body.motion.name for body in scene.bodies].count("Motion.DYNAMIC") == 7
     assert [type(body.shape).__name__ for body in scene.bodies].count("Mesh") == 1
     assert cli.main(["run", "marble_run.usda", "--frames", "2", "--device", "cpu", "-o", str(tmp_path / "a.usdc")]) == 0
     assert "12 bodies" in capsys.readouterr().out

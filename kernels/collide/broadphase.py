@@ -14,33 +14,23 @@ asleep are carried over from the last step's list as dormant pairs.
 
 import warp as wp
 
-from warp_rigid.kernels.schema import (
-    ROLE_ABSENT,
-    ROLE_ASLEEP,
-    ROLE_DRIVEN,
-    ROLE_FREE,
-    Bodies,
-    Cells,
-    Environments,
-    History,
-    Motions,
-    Pairs,
-)
+from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.schema import Bodies, Cells, Environments, History, Motions, Pairs
 
 wp.set_module_options({"enable_backward": False})
 
-ABSENT = wp.constant(ROLE_ABSENT)
-ASLEEP = wp.constant(ROLE_ASLEEP)
-FREE = wp.constant(ROLE_FREE)
+HASH_MULTIPLIER = wp.constant(wp.uint32(0x9E3779B9))
+"""2^32 divided by the golden ratio, odd (Fibonacci hashing)."""
+
 FURTHEST_CELL = wp.constant(1.0e9)
-DRIVEN_AND_ASLEEP = wp.constant(ROLE_DRIVEN | ROLE_ASLEEP)
+KINEMATIC_AND_ASLEEP = wp.constant(int(Role.KINEMATIC | Role.ASLEEP))
 
 
 @wp.func
 def may_meet(a: int, b: int):
     """Whether bodies of two roles can come into contact anew: one moves, and one of them gives way."""
     both = a | b
-    return a != ABSENT and b != ABSENT and ((both & FREE) != 0 or both == DRIVEN_AND_ASLEEP)
+    return a != Role.ABSENT and b != Role.ABSENT and ((both & Role.FREE) != 0 or both == KINEMATIC_AND_ASLEEP)
 
 
 @wp.func
@@ -54,18 +44,18 @@ def boxes_overlap(motions: Motions, i: int, j: int):
 
 
 @wp.func
-def are_apart(i: int, j: int, bodies: Bodies):
+def is_filtered(i: int, j: int, bodies: Bodies):
     """Whether bodies i and j of an environment, by their numbers in it, never touch by the user's wish."""
     found = bool(False)
-    for k in range(bodies.apart_start[i], bodies.apart_start[i + 1]):
-        found = found or bodies.apart[k] == j
+    for k in range(bodies.filtered_start[i], bodies.filtered_start[i + 1]):
+        found = found or bodies.filtered[k] == j
     return found
 
 
 @wp.func
-def visit_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodies, motions: Motions, pairs: Pairs):
+def add_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodies, motions: Motions, pairs: Pairs):
     """Count the pair if its boxes overlap, and write it in the second round. Returns the new count."""
-    if not boxes_overlap(motions, i, j) or are_apart(i - first, j - first, bodies):
+    if not boxes_overlap(motions, i, j) or is_filtered(i - first, j - first, bodies):
         return found
     if write == 1:
         slot = pairs.start[i] + found
@@ -76,14 +66,14 @@ def visit_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodie
 
 
 @wp.func
-def carry_dormant(i: int, found: int, write: int, motions: Motions, history: History, pairs: Pairs):
+def keep_dormant(i: int, found: int, write: int, motions: Motions, history: History, pairs: Pairs):
     """Keep the pairs of body i that touched in the last step and now sleep. Returns the new count."""
     total = int(found)
     for row in range(history.pair_start[i], history.pair_start[i + 1]):
         j = history.body_b[row]
         both = motions.role[i] | motions.role[j]
-        present = motions.role[i] != ABSENT and motions.role[j] != ABSENT
-        sleeping = present and (both & ASLEEP) != 0 and not may_meet(motions.role[i], motions.role[j])
+        present = motions.role[i] != Role.ABSENT and motions.role[j] != Role.ABSENT
+        sleeping = present and (both & Role.ASLEEP) != 0 and not may_meet(motions.role[i], motions.role[j])
         if sleeping and history.contact_start[row + 1] > history.contact_start[row]:
             if write == 1:
                 slot = pairs.start[i] + total
@@ -95,16 +85,16 @@ def carry_dormant(i: int, found: int, write: int, motions: Motions, history: His
 
 
 @wp.func
-def visit_wide(
+def visit_oversized(
     i: int, first: int, found: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs
 ):
     """Visit the pairs of body i with the wide bodies of its environment, each pair of wide ones once."""
     total = int(found)
-    for w in range(cells.large.shape[0]):
-        j = first + cells.large[w]
-        both_wide = bodies.wide[i] == 1
-        if i != j and not (both_wide and j < i) and may_meet(motions.role[i], motions.role[j]):
-            total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
+    for w in range(cells.oversized.shape[0]):
+        j = first + cells.oversized[w]
+        both_oversized = bodies.oversized[i] == 1
+        if i != j and not (both_oversized and j < i) and may_meet(motions.role[i], motions.role[j]):
+            total = add_pair(i, j, first, total, write, bodies, motions, pairs)
     return total
 
 
@@ -115,7 +105,7 @@ def visit_small(i: int, first: int, write: int, cells: Cells, bodies: Bodies, mo
     for s in range(cells.small.shape[0]):
         j = first + cells.small[s]
         if j > i and may_meet(motions.role[i], motions.role[j]):
-            total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
+            total = add_pair(i, j, first, total, write, bodies, motions, pairs)
     return total
 
 
@@ -138,10 +128,10 @@ def pairs_by_trying_all(
         found = int(0)
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
-                if bodies.wide[i] == 0:
+                if bodies.oversized[i] == 0:
                     found = visit_small(i, first, write, cells, bodies, motions, pairs)
-                found = visit_wide(i, first, found, write, cells, bodies, motions, pairs)
-            found = carry_dormant(i, found, write, motions, history, pairs)
+                found = visit_oversized(i, first, found, write, cells, bodies, motions, pairs)
+            found = keep_dormant(i, found, write, motions, history, pairs)
         if write == 0:
             pairs.count[i] = found
 
@@ -158,7 +148,7 @@ def bucket_of(env: int, x: int, y: int, z: int, buckets: int):
     mixed = wp.uint32(x) * wp.uint32(73856093)
     mixed = mixed ^ (wp.uint32(y) * wp.uint32(19349663))
     mixed = mixed ^ (wp.uint32(z) * wp.uint32(83492791))
-    mixed = (mixed ^ (mixed >> wp.uint32(15))) * wp.uint32(2654435769)
+    mixed = (mixed ^ (mixed >> wp.uint32(15))) * HASH_MULTIPLIER
     return env * buckets + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
 
 
@@ -212,7 +202,7 @@ def visit_cell(
             x = 0.5 * (motions.lower[j] + motions.upper[j])
             here = cell_along(x[0], width) == at[0] and cell_along(x[1], width) == at[1]
             if here and cell_along(x[2], width) == at[2]:
-                total = visit_pair(i, j, first, total, write, bodies, motions, pairs)
+                total = add_pair(i, j, first, total, write, bodies, motions, pairs)
     return total
 
 
@@ -270,9 +260,9 @@ def pairs_by_grid(
         found = int(0)
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
-                if bodies.wide[i] == 0:
+                if bodies.oversized[i] == 0:
                     found = visit_around(i, env, first, write, buckets, width, cells, bodies, motions, pairs)
-                found = visit_wide(i, first, found, write, cells, bodies, motions, pairs)
-            found = carry_dormant(i, found, write, motions, history, pairs)
+                found = visit_oversized(i, first, found, write, cells, bodies, motions, pairs)
+            found = keep_dormant(i, found, write, motions, history, pairs)
         if write == 0:
             pairs.count[i] = found

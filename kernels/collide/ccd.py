@@ -14,11 +14,12 @@ few rounds are enough, and what moves along a surface is not held up; elsewhere 
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import FAR, HEIGHTFIELD, signed_distance
+from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.narrowphase import NEAR, matters
-from warp_rigid.kernels.collide.samples import EDGE, RIM, gradient, slope
+from warp_rigid.kernels.collide.samples import gradient, slope
+from warp_rigid.kernels.enums import PartKind, Role, SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.update.predict import DRIVEN, FREE, UNBOUNDED, smaller_size
+from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -62,9 +63,9 @@ def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motio
     course.local_center = bodies.center_of_mass[b]
     course.radius = motions.radius[b]
     course.shape = bodies.shape[b]
-    if motions.role[b] == FREE or motions.role[b] == DRIVEN:
-        course.linear = share * motions.movers[b].linear
-        course.angular = share * motions.movers[b].angular
+    if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
+        course.linear = share * motions.solver_bodies[b].linear
+        course.angular = share * motions.solver_bodies[b].angular
     return course
 
 
@@ -84,7 +85,7 @@ def lead(shapes: Shapes, shape: int, x: wp.vec3, left: float, ball: float):
     The height over a heightfield holds for its own neighbourhood only, the way down to its highest place everywhere.
     """
     part = shapes.shapes[shape].part_start
-    if shapes.parts[part].kind != HEIGHTFIELD:
+    if shapes.parts[part].kind != PartKind.HEIGHTFIELD:
         return left
     size = shapes.parts[part].size
     dims = shapes.parts[part].grid_dims
@@ -284,7 +285,7 @@ def trace_sample(
 def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: float):
     """Time at which a sample, an edge or the centre of one body would first enter the other too deep, at most `end`."""
     earliest = float(end)
-    if own.radius > UNBOUNDED:
+    if own.radius > UNBOUNDED_EXTENT:
         return earliest
     tolerance = CLOSE_ENOUGH * size
     begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, tolerance, 0.0, end)
@@ -299,9 +300,9 @@ def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: fl
             at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
             if at < earliest:
                 for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-                    if shapes.samples[s].kind == EDGE and shapes.shapes[other.shape].convex == 1:
+                    if shapes.samples[s].kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
                         earliest = trace_segment(shapes, own, other, s, NEAR * size, at, earliest, size)
-                    elif shapes.samples[s].kind != RIM:
+                    elif shapes.samples[s].kind != SampleKind.RIM:
                         p = shapes.samples[s].point
                         ball = shapes.samples[s].radius
                         earliest = trace_sample(shapes, own, other, p, ball, NEAR * size, at, earliest, size)
@@ -320,17 +321,17 @@ def is_fast(a: Course, b: Course, dt: float, size: float):
 
 
 @wp.kernel
-def limit_way(dt: float, motions: Motions):
+def limit_travel(dt: float, motions: Motions):
     """One thread a body: it may move no further than other bodies were looked for."""
     b = wp.tid()
-    way = dt * wp.length(motions.movers[b].linear)
-    share = wp.min(1.0, motions.room[b] / wp.max(way, 1.0e-12))
-    motions.share[b] = share
-    motions.next_share[b] = share
+    way = dt * wp.length(motions.solver_bodies[b].linear)
+    share = wp.min(1.0, motions.max_travel[b] / wp.max(way, 1.0e-12))
+    motions.time_of_impact[b] = share
+    motions.next_time_of_impact[b] = share
 
 
 @wp.kernel
-def follow(
+def limit_motion(
     again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
     """The threads share the pairs: how much of the step's motion its two bodies may make.
@@ -340,8 +341,8 @@ def follow(
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        share_a = motions.share[a]
-        share_b = motions.share[b]
+        share_a = motions.time_of_impact[a]
+        share_b = motions.time_of_impact[b]
         if again == 0 or share_a < 1.0 or share_b < 1.0:
             size = smaller_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
@@ -356,12 +357,12 @@ def follow(
                     second = swapped
                     side += 1
                 if t < dt:
-                    wp.atomic_min(motions.next_share, a, share_a * t / dt)
-                    wp.atomic_min(motions.next_share, b, share_b * t / dt)
+                    wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
+                    wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
 
 
 @wp.kernel
-def settle(motions: Motions):
+def commit_time_of_impact(motions: Motions):
     """One thread a body: what the first round allows holds for the second."""
     b = wp.tid()
-    motions.share[b] = motions.next_share[b]
+    motions.time_of_impact[b] = motions.next_time_of_impact[b]

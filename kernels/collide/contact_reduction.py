@@ -16,7 +16,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.common.tangents import tangent_of
-from warp_rigid.kernels.common.team import bits_below, meet_in_warp, votes
+from warp_rigid.kernels.common.team import ballot, bits_below, sync_warp
 from warp_rigid.kernels.schema import EXTREME_DIRECTIONS, PATCH_SLOTS, PATCHES, Pairs
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 
@@ -36,7 +36,7 @@ tipped by three degrees."""
 UPRIGHT = wp.constant(200.0)
 """The same for bodies at rest, in every other direction."""
 
-STEADY = wp.constant(0.5)
+TRAVEL_WEIGHT = wp.constant(0.5)
 """The weight between, for each size that fits into the way that a pair goes in the step."""
 
 FURTHEST_RANKED = wp.constant(0.02)
@@ -52,7 +52,7 @@ AGAINST = wp.constant(-0.8)
 @wp.func
 def gap_weight(way: float, size: float):
     """How much a gap counts in every other direction, by how far the bodies of a pair go against each other."""
-    return wp.clamp(STEADY * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
+    return wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
 
 
 @wp.func
@@ -68,13 +68,13 @@ def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
             best = p
     if likeness < SAME_PATCH and count < MOST_PATCHES:
         best = count
-        meet_in_warp(lanes)
+        sync_warp(lanes)
         if lane == 0:
             pairs.patch_count[pair] = count + 1
             pairs.patch_normal[pair, count] = normal
         for k in range(lane, SLOTS, lanes):
             pairs.slot_key[pair, count * SLOTS + k] = -1
-        meet_in_warp(lanes)
+        sync_warp(lanes)
     return best
 
 
@@ -93,7 +93,7 @@ def extent(k: int, x: float, y: float):
 
 
 @wp.func
-def remember(
+def offer_sample(
     pair: int,
     key: int,
     point: wp.vec3,
@@ -143,7 +143,7 @@ def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
                         key = -1
             if slot % SLOTS == DIRECTIONS and pairs.slot_gap[pair, slot] > lowest - 0.1 * CONTACT_DISTANCE * size:
                 key = -1
-        hits = votes(wp.where(key >= 0, 1, 0), lanes)
+        hits = ballot(wp.where(key >= 0, 1, 0), lanes)
         if key >= 0:
             pairs.kept[pair, kept + bits_below(hits, lane)] = key
         kept += bits_below(hits, 32)

@@ -11,17 +11,11 @@ face that opposes it, as long as the sample has not really left that face sidewa
 import warp as wp
 
 from warp_rigid.kernels.collide.height_distance import heightfield_distance
+from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False})
 
-SPHERE = wp.constant(0)
-BOX = wp.constant(1)
-CAPSULE = wp.constant(2)
-CYLINDER = wp.constant(3)
-PLANE = wp.constant(4)
-GRID = wp.constant(5)
-HEIGHTFIELD = wp.constant(6)
 
 FAR = wp.constant(1.0e10)
 """Distance told where there is nothing to touch [m]."""
@@ -197,17 +191,17 @@ def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3)
     """Distance to one part, in the part's own frame."""
     kind = shapes.parts[part].kind
     size = shapes.parts[part].size
-    if kind == GRID:
+    if kind == PartKind.GRID:
         return grid_distance(shapes, part, p)
-    if kind == BOX:
+    if kind == PartKind.BOX:
         return box_distance(p, size, sample_normal)
-    if kind == PLANE:
+    if kind == PartKind.PLANE:
         return plane_distance(p, size)
-    if kind == SPHERE:
+    if kind == PartKind.SPHERE:
         return ball_distance(p, size[0])
-    if kind == CYLINDER:
+    if kind == PartKind.CYLINDER:
         return cylinder_distance(p, size, sample_normal)
-    if kind == CAPSULE:
+    if kind == PartKind.CAPSULE:
         return capsule_distance(p, size)
     return heightfield_distance(shapes, part, p)
 

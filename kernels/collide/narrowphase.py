@@ -17,16 +17,17 @@ them, in the order of the samples, and each lane keeps its own slots.
 import warp as wp
 
 from warp_rigid.kernels.collide.broadphase import may_meet
-from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, remember
-from warp_rigid.kernels.collide.distance import FAR, HEIGHTFIELD, PLANE, SPHERE, signed_distance
-from warp_rigid.kernels.collide.samples import EDGE, POINT, Search, gradient, place_sample
-from warp_rigid.kernels.common.team import lowest_bit, meet_in_warp, of_lane, votes
+from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
+from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
+from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
+from warp_rigid.kernels.enums import PartKind, Role, SampleKind
 from warp_rigid.kernels.schema import Bodies, Environments, History, Motions, Pairs, Shapes, State
-from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, DRIVEN, smaller_size
+from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-STILL = wp.constant(2.5e-4)
+REUSE_TRAVEL = wp.constant(2.5e-4)
 """Pairs that have moved less than this part of the smaller size, half the contact distance, keep their contacts."""
 
 TURNED_BACK = wp.constant(0.25)
@@ -126,7 +127,7 @@ def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions:
     up.
     """
     way = travel(a, b, dt, dt, state, motions)
-    if way > size and motions.role[a] != DRIVEN and motions.role[b] != DRIVEN:
+    if way > size and motions.role[a] != Role.KINEMATIC and motions.role[b] != Role.KINEMATIC:
         way = NEAR * size
     return CONTACT_DISTANCE * size + way
 
@@ -140,17 +141,17 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     grid that is small beside it.
     """
     if shapes.shapes[shape].convex == 0:
-        return kind != EDGE or edges == 1
+        return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
     own = shapes.parts[shapes.shapes[own_shape].part_start].kind
-    if own == HEIGHTFIELD:
+    if own == PartKind.HEIGHTFIELD:
         return True
-    by_center = other == SPHERE and shapes.shapes[own_shape].convex == 1
-    if kind == POINT:
-        return own == SPHERE or not by_center
-    if kind == EDGE:
-        return edges == 1 and other != PLANE and not by_center
-    return other == SPHERE and not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
+    by_center = other == PartKind.SPHERE and shapes.shapes[own_shape].convex == 1
+    if kind == SampleKind.POINT:
+        return own == PartKind.SPHERE or not by_center
+    if kind == SampleKind.EDGE:
+        return edges == 1 and other != PartKind.PLANE and not by_center
+    return other == PartKind.SPHERE and not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
 
 
 @wp.func
@@ -208,13 +209,13 @@ def touching(
 
 
 @wp.func
-def of_lane_touch(touch: Touch, lane: int, lanes: int):
+def broadcast_touch(touch: Touch, lane: int, lanes: int):
     """A lane's touching place, told to the whole team."""
     result = Touch()
     for i in range(3):
-        result.position[i] = of_lane(touch.position[i], lane, lanes)
-        result.normal[i] = of_lane(touch.normal[i], lane, lanes)
-    result.gap = of_lane(touch.gap, lane, lanes)
+        result.position[i] = broadcast(touch.position[i], lane, lanes)
+        result.normal[i] = broadcast(touch.normal[i], lane, lanes)
+    result.gap = broadcast(touch.gap, lane, lanes)
     return result
 
 
@@ -242,13 +243,13 @@ def try_cluster(
         if base + lane < end:
             touch = touching(base + lane, side, approach, dt, size, shapes, state, motions)
         closing |= touch.closing
-        hits = votes(wp.where(touch.gap < FAR, 1, 0), lanes)
+        hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
         while hits != wp.uint32(0):
             k = lowest_bit(hits)
             hits = hits & (hits - wp.uint32(1))
-            told = of_lane_touch(touch, k, lanes)
+            told = broadcast_touch(touch, k, lanes)
             key = 2 * (base + k) + side
-            remember(pair, key, told.position, told.normal, told.gap, approach.weight, size, lane, lanes, pairs)
+            offer_sample(pair, key, told.position, told.normal, told.gap, approach.weight, size, lane, lanes, pairs)
     return closing
 
 
@@ -340,7 +341,7 @@ def look_for_contacts(
     reach = contact_reach(a, b, size, dt, state, motions) + rise
     if lane == 0:
         pairs.patch_count[pair] = 0
-    meet_in_warp(lanes)
+    sync_warp(lanes)
     closing = int(0)
     side = int(0)
     while side < 2:
@@ -352,7 +353,7 @@ def look_for_contacts(
             near = int(0)
             if base + lane < end:
                 near = cluster_is_near(base + lane, approach, edges, shapes)
-            bits = votes(near, lanes)
+            bits = ballot(near, lanes)
             while bits != wp.uint32(0):
                 cluster = base + lowest_bit(bits)
                 bits = bits & (bits - wp.uint32(1))
@@ -360,10 +361,10 @@ def look_for_contacts(
                     cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs
                 )
         side += 1
-    meet_in_warp(lanes)
+    sync_warp(lanes)
     kept = int(keep_slots(pair, size, lane, lanes, pairs))
-    meet_in_warp(lanes)
-    if votes(closing, lanes) == wp.uint32(0):
+    sync_warp(lanes)
+    if ballot(closing, lanes) == wp.uint32(0):
         kept = 0
     if kept == 0 or contradictory(pair, pairs):
         kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
@@ -371,7 +372,7 @@ def look_for_contacts(
 
 
 @wp.func
-def hardly_moved(
+def has_barely_moved(
     last: int,
     approach: Approach,
     dt: float,
@@ -385,27 +386,27 @@ def hardly_moved(
 
     What did not touch then was further than the contact distance away, and cannot have come as near as half of it.
     """
-    moved = wp.length(approach.shift - history.seen_shift[last]) + travel(
+    moved = wp.length(approach.shift - history.searched_position[last]) + travel(
         approach.own, approach.other, dt, 0.0, state, motions
     )
     q = approach.turn
-    q0 = history.seen_turn[last]
+    q0 = history.searched_orientation[last]
     turned = 2.0 * wp.min(wp.length(q - q0), wp.length(q + q0))
     radius = motions.radius[approach.own] + wp.length(bodies.center_of_mass[approach.own])
-    return moved + turned * radius < STILL * size
+    return moved + turned * radius < REUSE_TRAVEL * size
 
 
 @wp.func
-def take_over(pair: int, last: int, edges: int, pairs: Pairs, history: History):
+def reuse_contacts(pair: int, last: int, edges: int, pairs: Pairs, history: History):
     """Keep the samples of the last step's contacts, and what is known of the look that found them."""
     start = history.contact_start[last]
     count = history.contact_start[last + 1] - start
     for k in range(count):
         pairs.kept[pair, k] = history.key[start + k]
     pairs.contact_count[pair] = count
-    pairs.seen[pair] = edges + 1
-    pairs.seen_turn[pair] = history.seen_turn[last]
-    pairs.seen_shift[pair] = history.seen_shift[last]
+    pairs.searched[pair] = edges + 1
+    pairs.searched_orientation[pair] = history.searched_orientation[last]
+    pairs.searched_position[pair] = history.searched_position[last]
 
 
 @wp.func
@@ -450,12 +451,12 @@ def keep_contacts(
         if (
             last >= 0
             and shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise == 0.0
-            and history.seen[last] == edges + 1
-            and hardly_moved(last, approach, dt, size, bodies, state, motions, history)
+            and history.searched[last] == edges + 1
+            and has_barely_moved(last, approach, dt, size, bodies, state, motions, history)
         ):
-            take_over(pair, last, edges, pairs, history)
+            reuse_contacts(pair, last, edges, pairs, history)
         else:
-            pairs.sought[wp.atomic_add(pairs.sought_count, 0, 1)] = pair
+            pairs.candidates[wp.atomic_add(pairs.candidate_count, 0, 1)] = pair
 
 
 @wp.kernel
@@ -473,8 +474,8 @@ def search_contacts(
     """The teams share the listed pairs: find the samples that represent a pair's contact."""
     bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     lane = wp.tid() % lanes
-    for k in range(wp.tid() / lanes, pairs.sought_count[0], teams):
-        pair = pairs.sought[k]
+    for k in range(wp.tid() / lanes, pairs.candidate_count[0], teams):
+        pair = pairs.candidates[k]
         a = pairs.body_a[pair]
         size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
         edges = envs.edge_samples[a / bodies_per_env]
@@ -482,6 +483,6 @@ def search_contacts(
         if lane == 0:
             approach = smaller_approach(pair, bodies, state, motions, pairs)
             pairs.contact_count[pair] = kept
-            pairs.seen[pair] = edges + 1
-            pairs.seen_turn[pair] = approach.turn
-            pairs.seen_shift[pair] = approach.shift
+            pairs.searched[pair] = edges + 1
+            pairs.searched_orientation[pair] = approach.turn
+            pairs.searched_position[pair] = approach.shift

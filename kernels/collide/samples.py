@@ -7,16 +7,12 @@ that the distance function, which is large, stands in one place: small code is f
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import BORDER, FAR, HEIGHTFIELD, PLANE, contact_distance, direction_or_up
+from warp_rigid.kernels.collide.distance import BORDER, FAR, contact_distance, direction_or_up
+from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-POINT = wp.constant(0)
-EDGE = wp.constant(1)
-RIM = wp.constant(2)
-FACE = wp.constant(3)
-CAP = wp.constant(4)
 
 OPPOSED = wp.constant(0.1)
 """A vertex or edge counts only if its normal's cosine with the contact normal is below this: their cones are wide."""
@@ -386,7 +382,7 @@ def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: 
     search.start = wp.quat_rotate(turn, shapes.samples[s].point) + shift
     search.query = search.start
     search.normal = wp.quat_rotate(turn, shapes.samples[s].normal)
-    if shapes.samples[s].kind == EDGE:
+    if shapes.samples[s].kind == SampleKind.EDGE:
         slide = wp.quat_rotate(turn, shapes.samples[s].slide)
         search.half = wp.length(slide)
         search.along = slide / search.half
@@ -395,7 +391,7 @@ def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: 
         if convex == 1:
             search.stage = EDGE_LOW
             search = look_at(search, search.left)
-    elif shapes.samples[s].kind == RIM:
+    elif shapes.samples[s].kind == SampleKind.RIM:
         search.along = search.normal
     elif shapes.samples[s].radius > 0.0:
         search.stage = BALL_CENTER
@@ -417,17 +413,17 @@ def bring_to_touch(
     radius = shapes.samples[s].radius
     convex = shapes.shapes[shape].convex
     size = shapes.shapes[shape].size
-    exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == HEIGHTFIELD, 1, convex)
-    flat = wp.where(weight > 0.0 and (kind == FACE or kind == CAP), 1, 0)
+    exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == PartKind.HEIGHTFIELD, 1, convex)
+    flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, turn, shift, convex, weight)
     while search.stage >= 0:
         d = contact_distance(shapes, shape, search.query, search.facing)
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
-        elif kind == EDGE:
+        elif kind == SampleKind.EDGE:
             search = edge_next(search, d, reach, radius, size, convex, weight)
-        elif kind == RIM:
+        elif kind == SampleKind.RIM:
             search = rim_next(search, d, radius, weight)
         else:
             search = point_next(search, d, size, flat, thin)
@@ -441,11 +437,11 @@ def opposed(cosine: float, kind: int, other: int):
     The points of a cap stand for it only while it lies nearly flat; else its rim does, without corners. What is below
     a plane touches it in any case: a plane has no far side.
     """
-    if kind == CAP:
+    if kind == SampleKind.CAP:
         return cosine < -0.95
-    if kind == FACE:
+    if kind == SampleKind.FACE:
         return cosine < -0.5
-    return cosine < OPPOSED or other == PLANE
+    return cosine < OPPOSED or other == PartKind.PLANE
 
 
 @wp.func

@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from warp_rigid.kernels.schema import ContactRecord, Contacts, LoadRecord, Motions, MoverRecord, PairRecord
+from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord, Motions, PairRecord, SolverBodyRecord
 
 wp.set_module_options({"enable_backward": False})
 
@@ -54,16 +54,16 @@ def pair_quad(records: wp.array(dtype=PairRecord), row: int, k: int) -> wp.vec4i
 
 contact_quad = reader(ContactRecord)
 put_contact_quad = writer(ContactRecord)
-load_quad = reader(LoadRecord)
-put_load_quad = writer(LoadRecord)
-mover_quad = reader(MoverRecord)
-put_mover_quad = writer(MoverRecord)
+impulse_quad = reader(ImpulseRecord)
+put_impulse_quad = writer(ImpulseRecord)
+solver_body_quad = reader(SolverBodyRecord)
+put_solver_body_quad = writer(SolverBodyRecord)
 
 IMPULSE = wp.constant(0)
-TWIST = wp.constant(1)
-AIMED = wp.constant(2)
+ANGULAR_IMPULSE = wp.constant(1)
+IMPACT_IMPULSE = wp.constant(2)
 START_IMPULSE = wp.constant(3)
-START_TWIST = wp.constant(4)
+START_ANGULAR_IMPULSE = wp.constant(4)
 VELOCITY = wp.constant(0)
 PUSH = wp.constant(4)
 START = wp.constant(6)
@@ -82,7 +82,7 @@ def contact_row(c: int, contacts: Contacts):
     row = ContactRecord()
     q = contact_quad(contacts.rows, c, 0)
     row.normal = first_three(q)
-    row.closing = q[3]
+    row.bias_velocity = q[3]
     q = contact_quad(contacts.rows, c, 1)
     row.tangent = first_three(q)
     row.friction = q[3]
@@ -114,7 +114,7 @@ def contact_row(c: int, contacts: Contacts):
 def put_contact_row(c: int, row: ContactRecord, contacts: Contacts):
     """Store what is fixed about a contact."""
     more = wp.abs(row.rolling_friction) + wp.abs(row.spinning_friction) + row.restitution + wp.length(row.surface)
-    put_contact_quad(contacts.rows, c, 0, row.normal, row.closing)
+    put_contact_quad(contacts.rows, c, 0, row.normal, row.bias_velocity)
     put_contact_quad(contacts.rows, c, 1, row.tangent, row.friction)
     put_contact_quad(contacts.rows, c, 2, row.arm_a, row.gap)
     put_contact_quad(contacts.rows, c, 3, row.arm_b, more)
@@ -130,21 +130,21 @@ def put_contact_row(c: int, row: ContactRecord, contacts: Contacts):
 
 
 @wp.func
-def carried(c: int, which: int, contacts: Contacts):
+def impulse_of(c: int, which: int, contacts: Contacts):
     """One of the vectors that a contact carries, such as IMPULSE."""
-    return first_three(load_quad(contacts.loads, c, which))
+    return first_three(impulse_quad(contacts.impulses, c, which))
 
 
 @wp.func
-def carry(c: int, which: int, value: wp.vec3, contacts: Contacts):
+def set_impulse(c: int, which: int, value: wp.vec3, contacts: Contacts):
     """Store one of the vectors that a contact carries."""
-    put_load_quad(contacts.loads, c, which, value, 0.0)
+    put_impulse_quad(contacts.impulses, c, which, value, 0.0)
 
 
 @wp.func
-def carry_with_target(c: int, impulse: wp.vec3, target: float, contacts: Contacts):
+def set_target_impulse(c: int, impulse: wp.vec3, target: float, contacts: Contacts):
     """Store an impact's or the push-out's impulse, and the velocity that it aims at."""
-    put_load_quad(contacts.loads, c, AIMED, impulse, target)
+    put_impulse_quad(contacts.impulses, c, IMPACT_IMPULSE, impulse, target)
 
 
 @wp.func
@@ -167,13 +167,13 @@ def entry_at(k: int, order: wp.array(dtype=PairRecord)):
 @wp.func
 def inverse_inertia_of(b: int, motions: Motions):
     """A body's inverse inertia tensor in the world."""
-    q = mover_quad(motions.movers, b, 2)
-    r = mover_quad(motions.movers, b, 3)
+    q = solver_body_quad(motions.solver_bodies, b, 2)
+    r = solver_body_quad(motions.solver_bodies, b, 3)
     return wp.mat33(q[0], q[1], q[2], q[1], q[3], r[0], q[2], r[0], r[1])
 
 
 @wp.func
 def store_velocity(b: int, which: int, linear: wp.vec3, angular: wp.vec3, motions: Motions):
     """Store one of a body's other velocities: PUSH, START or LOADED."""
-    put_mover_quad(motions.movers, b, which, linear, 0.0)
-    put_mover_quad(motions.movers, b, which + 1, angular, 0.0)
+    put_solver_body_quad(motions.solver_bodies, b, which, linear, 0.0)
+    put_solver_body_quad(motions.solver_bodies, b, which + 1, angular, 0.0)

@@ -76,13 +76,13 @@ def team_of(thread: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)):
     }
 #endif
 """)
-def _meet(env: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)): ...
+def _sync_team(env: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)): ...
 
 
 @wp.func
-def meet(team: Team):
+def sync_team(team: Team):
     """Let all lanes of a team arrive, and see what the others wrote, before any goes on."""
-    _meet(team.env, team.lanes, team.gate)
+    _sync_team(team.env, team.lanes, team.gate)
 
 
 @wp.func_native("""
@@ -127,7 +127,7 @@ def any_of_team(flag: int, team: Team):
     __syncwarp(lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u)));
 #endif
 """)
-def meet_in_warp(lanes: int):
+def sync_warp(lanes: int):
     """Let all lanes of a team within a warp arrive, and see what the others wrote, before any goes on."""
     ...
 
@@ -141,7 +141,7 @@ def meet_in_warp(lanes: int):
     return flag != 0 ? 1u : 0u;
 #endif
 """)
-def votes(flag: int, lanes: int) -> wp.uint32:
+def ballot(flag: int, lanes: int) -> wp.uint32:
     """One bit a lane: whether its flag is not zero. Teams within a warp only."""
     ...
 
@@ -179,6 +179,6 @@ def bits_below(bits: wp.uint32, place: int):
     return value;
 #endif
 """)
-def of_lane(value: float, lane: int, lanes: int) -> float:
+def broadcast(value: float, lane: int, lanes: int) -> float:
     """A lane's value, told to the whole team. Teams within a warp only."""
     ...

@@ -5,8 +5,16 @@ import warp as wp
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.narrowphase import BY_CENTER, approach_of, center_inside, touch_of
 from warp_rigid.kernels.collide.samples import place_sample
-from warp_rigid.kernels.common.packed import IMPULSE, TWIST, carried, carry, inverse_inertia_of, put_contact_row
+from warp_rigid.kernels.common.packed import (
+    ANGULAR_IMPULSE,
+    IMPULSE,
+    impulse_of,
+    inverse_inertia_of,
+    put_contact_row,
+    set_impulse,
+)
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
+from warp_rigid.kernels.enums import CombineRule
 from warp_rigid.kernels.schema import (
     Bodies,
     ContactRecord,
@@ -29,9 +37,6 @@ NARROWPHASE = wp.get_module("warp_rigid.kernels.collide.narrowphase")
 GONE = wp.constant(-1)
 """Identity of a contact taken over from the last step that is none any more: it carries nothing."""
 
-COMBINE_AVERAGE = wp.constant(1)
-COMBINE_MULTIPLY = wp.constant(2)
-COMBINE_MAX = wp.constant(3)
 
 TOUCHING = wp.constant(1.0e-4)
 """Gaps up to this part of the smaller body's size carry load as they are.
@@ -47,28 +52,28 @@ errors, and would otherwise keep closing for ever: a stack at rest is then seldo
 @wp.func
 def combine(x: float, y: float, rule: int):
     """Combine the coefficients of two bodies."""
-    if rule == COMBINE_AVERAGE:
+    if rule == CombineRule.AVERAGE:
         return 0.5 * (x + y)
-    if rule == COMBINE_MULTIPLY:
+    if rule == CombineRule.MULTIPLY:
         return x * y
-    if rule == COMBINE_MAX:
+    if rule == CombineRule.MAX:
         return wp.max(x, y)
     return wp.min(x, y)
 
 
 @wp.func
-def seen_along(arm: wp.vec3, d: wp.vec3, e: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
+def inverse_effective_mass(arm: wp.vec3, d: wp.vec3, e: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
     """Entry d . K e of the collision matrix K = 1/m + [r]^T I^-1 [r] of one body (Guendelman 2003, section 7)."""
     return inverse_mass * wp.dot(d, e) + wp.dot(wp.cross(arm, d), inverse_inertia * wp.cross(arm, e))
 
 
 @wp.func
-def tangential(arm: wp.vec3, u: wp.vec3, v: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
+def tangential_inverse_mass(arm: wp.vec3, u: wp.vec3, v: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
     """The tangential block of K: entries 11, 12, 22."""
     return wp.vec3(
-        seen_along(arm, u, u, inverse_mass, inverse_inertia),
-        seen_along(arm, u, v, inverse_mass, inverse_inertia),
-        seen_along(arm, v, v, inverse_mass, inverse_inertia),
+        inverse_effective_mass(arm, u, u, inverse_mass, inverse_inertia),
+        inverse_effective_mass(arm, u, v, inverse_mass, inverse_inertia),
+        inverse_effective_mass(arm, v, v, inverse_mass, inverse_inertia),
     )
 
 
@@ -91,15 +96,19 @@ def with_masses(row: ContactRecord, bodies: Bodies, motions: Motions):
     mass = bodies.inverse_mass[row.body_a]
     inertia = inverse_inertia_of(row.body_a, motions)
     r = row.arm_a
-    row.normal_a = seen_along(r, n, n, mass, inertia)
-    row.coupling_a = wp.vec2(seen_along(r, u, n, mass, inertia), seen_along(r, v, n, mass, inertia))
-    row.tangent_a = tangential(r, u, v, mass, inertia)
+    row.normal_a = inverse_effective_mass(r, n, n, mass, inertia)
+    row.coupling_a = wp.vec2(
+        inverse_effective_mass(r, u, n, mass, inertia), inverse_effective_mass(r, v, n, mass, inertia)
+    )
+    row.tangent_a = tangential_inverse_mass(r, u, v, mass, inertia)
     mass = bodies.inverse_mass[row.body_b]
     inertia = inverse_inertia_of(row.body_b, motions)
     r = row.arm_b
-    row.normal_b = seen_along(r, n, n, mass, inertia)
-    row.coupling_b = wp.vec2(seen_along(r, u, n, mass, inertia), seen_along(r, v, n, mass, inertia))
-    row.tangent_b = tangential(r, u, v, mass, inertia)
+    row.normal_b = inverse_effective_mass(r, n, n, mass, inertia)
+    row.coupling_b = wp.vec2(
+        inverse_effective_mass(r, u, n, mass, inertia), inverse_effective_mass(r, v, n, mass, inertia)
+    )
+    row.tangent_b = tangential_inverse_mass(r, u, v, mass, inertia)
     return row
 
 
@@ -123,7 +132,7 @@ def in_contact_frame(row: ContactRecord, world: wp.vec3):
 
 
 @wp.func
-def closing_speed(gap: float, size: float, dt: float):
+def bias_velocity_of(gap: float, size: float, dt: float):
     """Speed at which the bodies may still approach in the step."""
     return wp.where(gap > WIDER * TOUCHING * size, (gap - TOUCHING * size) / dt, 0.0)
 
@@ -132,14 +141,14 @@ def closing_speed(gap: float, size: float, dt: float):
 def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contacts: Contacts, history: History):
     """Start from the last step's impulses, turned into today's tangent plane, or from zero."""
     impulse = wp.vec3(0.0, 0.0, 0.0)
-    twist = wp.vec3(0.0, 0.0, 0.0)
+    angular_impulse = wp.vec3(0.0, 0.0, 0.0)
     if warm == 1 and contacts.key[c] != GONE:
         last = last_contact(pair, contacts.key[c], history)
         if last >= 0:
             impulse = in_contact_frame(row, history.impulse[last])
-            twist = in_contact_frame(row, history.twist[last])
-    carry(c, IMPULSE, wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2]), contacts)
-    carry(c, TWIST, twist, contacts)
+            angular_impulse = in_contact_frame(row, history.angular_impulse[last])
+    set_impulse(c, IMPULSE, wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2]), contacts)
+    set_impulse(c, ANGULAR_IMPULSE, angular_impulse, contacts)
 
 
 @wp.func
@@ -182,7 +191,7 @@ def build_contacts(
             touch = touch_again(key, row.body_a, row.body_b, shapes, bodies, state, motions)
             if touch.gap >= FAR:
                 touch.position = motions.center[row.body_a]
-                pairs.seen[pair] = 0
+                pairs.searched[pair] = 0
                 key = GONE
             contacts.key[c] = key
             contacts.position[c] = touch.position
@@ -191,43 +200,45 @@ def build_contacts(
             row.arm_a = touch.position - motions.center[row.body_a]
             row.arm_b = touch.position - motions.center[row.body_b]
             row.gap = touch.gap
-            row.closing = closing_speed(touch.gap, size, dt)
+            row.bias_velocity = bias_velocity_of(touch.gap, size, dt)
             put_contact_row(c, with_coefficients(with_masses(row, bodies, motions), rules, bodies), contacts)
             warm = envs.warm_starting[row.body_a / bodies_per_env]
             start_from_history(c, pairs.last[pair], row, warm, contacts, history)
 
 
 @wp.func
-def keep_contact(target: int, c: int, contacts: Contacts, history: History):
+def store_contact(target: int, c: int, contacts: Contacts, history: History):
     """Write a solved contact to a row of the history, its impulses in the world frame."""
     row = contacts.rows[c]
     history.key[target] = contacts.key[c]
-    history.impulse[target] = world_vector(row.normal, row.tangent, carried(c, IMPULSE, contacts))
-    history.twist[target] = world_vector(row.normal, row.tangent, carried(c, TWIST, contacts))
+    history.impulse[target] = world_vector(row.normal, row.tangent, impulse_of(c, IMPULSE, contacts))
+    history.angular_impulse[target] = world_vector(row.normal, row.tangent, impulse_of(c, ANGULAR_IMPULSE, contacts))
     history.position[target] = contacts.position[c]
     history.normal[target] = row.normal
     history.gap[target] = row.gap
 
 
 @wp.kernel
-def keep_pairs(threads: int, pairs: Pairs, history: History, graph: Graph):
+def store_pairs(threads: int, pairs: Pairs, history: History, graph: Graph):
     """Last stage, first half: the threads share the rows of the history and remember which pairs touched, and how."""
     for i in range(wp.tid(), wp.max(history.pair_start.shape[0], history.contact_start.shape[0]), threads):
         if i < history.pair_start.shape[0]:
             history.pair_start[i] = pairs.start[i]
         if i < pairs.start[pairs.start.shape[0] - 1]:
             history.body_b[i] = pairs.body_b[i]
-            history.seen[i] = pairs.seen[i]
-            history.seen_turn[i] = pairs.seen_turn[i]
-            history.seen_shift[i] = pairs.seen_shift[i]
-            graph.rested[i] = wp.where(pairs.contact_start[i + 1] > pairs.contact_start[i], graph.rests[i], -1)
+            history.searched[i] = pairs.searched[i]
+            history.searched_orientation[i] = pairs.searched_orientation[i]
+            history.searched_position[i] = pairs.searched_position[i]
+            graph.supports_before[i] = wp.where(
+                pairs.contact_start[i + 1] > pairs.contact_start[i], graph.supports[i], -1
+            )
             graph.colored[i] = graph.pair_color[i]
         if i < history.contact_start.shape[0]:
             history.contact_start[i] = pairs.contact_start[i]
 
 
 @wp.kernel
-def keep_impulses(threads: int, contacts: Contacts, pairs: Pairs, history: History):
+def store_impulses(threads: int, contacts: Contacts, pairs: Pairs, history: History):
     """Last stage, second half: the threads share the contacts and remember them."""
     for c in range(wp.tid(), pairs.contact_start[pairs.contact_start.shape[0] - 1], threads):
-        keep_contact(c, c, contacts, history)
+        store_contact(c, c, contacts, history)

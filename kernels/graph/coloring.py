@@ -10,8 +10,9 @@ finds all colours taken, as on a tray that carries many, is solved one after ano
 
 import warp as wp
 
-from warp_rigid.kernels.common.team import any_of_team, lowest_bit, meet, team_of
-from warp_rigid.kernels.graph.support import DYNAMIC, touches
+from warp_rigid.kernels.common.team import any_of_team, lowest_bit, sync_team, team_of
+from warp_rigid.kernels.enums import Motion
+from warp_rigid.kernels.graph.support import touches
 from warp_rigid.kernels.schema import COLORS, Bodies, Graph, Order, PairRecord, Pairs
 from warp_rigid.kernels.solve.gauss_seidel import IN_TURN
 
@@ -24,7 +25,7 @@ ALL_TAKEN = wp.constant(wp.uint32((1 << (COLORS - 1)) - 1))
 
 UNCOLORED = wp.constant(-1)
 
-GOLDEN = wp.constant(wp.uint32(2654435769))
+GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
 """2^32 divided by the golden ratio, odd: multiplying by it scrambles and keeps different what is different."""
 
 NO_BID = wp.constant(-2147483648)
@@ -41,8 +42,8 @@ def place_bid(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph)
     """Bid for a colour at both bodies, or give up where all colours of a body are taken."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    dynamic_a = bodies.motion[a] == DYNAMIC
-    dynamic_b = bodies.motion[b] == DYNAMIC
+    dynamic_a = bodies.motion[a] == Motion.DYNAMIC
+    dynamic_b = bodies.motion[b] == Motion.DYNAMIC
     if (dynamic_a and graph.colors[a] == ALL_TAKEN) or (dynamic_b and graph.colors[b] == ALL_TAKEN):
         graph.pair_color[pair] = IN_TURN
         return
@@ -58,8 +59,8 @@ def take_color(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     own = priority(pair - begin)
-    dynamic_a = bodies.motion[a] == DYNAMIC
-    dynamic_b = bodies.motion[b] == DYNAMIC
+    dynamic_a = bodies.motion[a] == Motion.DYNAMIC
+    dynamic_b = bodies.motion[b] == Motion.DYNAMIC
     if (dynamic_a and graph.bid[a] != own) or (dynamic_b and graph.bid[b] != own):
         return
     taken = wp.uint32(0)
@@ -98,15 +99,15 @@ def color_pairs(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
         graph.pair_color[pair] = UNCOLORED
     left = int(1)
     while left == 1:
-        meet(team)
+        sync_team(team)
         for pair in range(begin + team.lane, end, lanes):
             if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
                 place_bid(pair, begin, bodies, pairs, graph)
-        meet(team)
+        sync_team(team)
         for pair in range(begin + team.lane, end, lanes):
             if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
                 take_color(pair, begin, bodies, pairs, graph)
-        meet(team)
+        sync_team(team)
         for b in range(first + team.lane, first + bodies_per_env, lanes):
             graph.bid[b] = NO_BID
         left = int(0)
@@ -143,8 +144,8 @@ def write_in_order(pair: int, env: int, pairs: Pairs, graph: Graph, order: Order
     entry.end = pairs.contact_start[pair + 1]
     entry.upper_a = wp.where(graph.level[entry.body_a] < graph.level[entry.body_b], 0, 1)
     entry.upper_b = wp.where(graph.level[entry.body_b] < graph.level[entry.body_a], 0, 1)
-    wp.atomic_add(graph.stands, entry.body_a, entry.upper_a)
-    wp.atomic_add(graph.stands, entry.body_b, entry.upper_b)
+    wp.atomic_add(graph.support_count, entry.body_a, entry.upper_a)
+    wp.atomic_add(graph.support_count, entry.body_b, entry.upper_b)
     slot = wp.atomic_add(graph.tally, env, graph.pair_color[pair], 1)
     order.entries[slot] = entry
 
@@ -160,12 +161,12 @@ def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph, ord
     begin = pairs.start[env * bodies_per_env]
     end = pairs.start[(env + 1) * bodies_per_env]
     for b in range(env * bodies_per_env + team.lane, (env + 1) * bodies_per_env, lanes):
-        graph.stands[b] = 0
+        graph.support_count[b] = 0
     for color in range(team.lane, MOST_COLORS, lanes):
         graph.tally[env, color] = 0
     if team.lane == 0:
         graph.level_count[env] = 0
-    meet(team)
+    sync_team(team)
     in_turn = int(0)
     for pair in range(begin + team.lane, end, lanes):
         if touches(pair, pairs):
@@ -176,7 +177,7 @@ def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph, ord
     in_turn = any_of_team(in_turn, team)
     if team.lane == 0:
         add_colors(env, begin, graph, order)
-    meet(team)
+    sync_team(team)
     for pair in range(begin + team.lane, end, lanes):
         if touches(pair, pairs) and graph.pair_color[pair] != IN_TURN:
             write_in_order(pair, env, pairs, graph, order)

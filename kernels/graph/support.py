@@ -17,17 +17,17 @@ they follow from the touching pairs and from who rests on whom alone, so finding
 import warp as wp
 
 from warp_rigid.kernels.common.packed import contact_row
-from warp_rigid.kernels.common.team import Team, any_of_team, meet, team_of
-from warp_rigid.kernels.schema import MOTION_DYNAMIC, Bodies, Contacts, Graph, History, Motions, Pairs
-from warp_rigid.kernels.solve.gauss_seidel import Couple, slip_between, take_up
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.enums import Motion
+from warp_rigid.kernels.schema import Bodies, Contacts, Graph, History, Motions, Pairs
+from warp_rigid.kernels.solve.gauss_seidel import BodyPair, load_bodies, slip_between
 
 wp.set_module_options({"enable_backward": False})
 
-DYNAMIC = wp.constant(MOTION_DYNAMIC)
 A_ON_B = wp.constant(1)
 B_ON_A = wp.constant(2)
 UNKNOWN = wp.constant(-1)
-NOWHERE = wp.constant(1 << 30)
+UNSUPPORTED = wp.constant(1 << 30)
 
 MOST_PASSES = wp.constant(4)
 
@@ -44,19 +44,19 @@ def presses(pull: wp.vec3, n: wp.vec3, approach: float):
 
 
 @wp.func
-def supports_of(pair: int, couple: Couple, bodies: Bodies, motions: Motions, pairs: Pairs, contacts: Contacts):
+def supports_of(pair: int, body_pair: BodyPair, bodies: Bodies, motions: Motions, pairs: Pairs, contacts: Contacts):
     """Which of the two bodies rests on the other, as bits."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    rests = int(0)
+    supports = int(0)
     for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
         row = contact_row(c, contacts)
-        approach = -wp.dot(slip_between(row, couple), row.normal)
-        if bodies.motion[a] == DYNAMIC and presses(motions.acceleration[a], row.normal, approach):
-            rests = rests | A_ON_B
-        if bodies.motion[b] == DYNAMIC and presses(motions.acceleration[b], -row.normal, approach):
-            rests = rests | B_ON_A
-    return rests
+        approach = -wp.dot(slip_between(row, body_pair), row.normal)
+        if bodies.motion[a] == Motion.DYNAMIC and presses(motions.acceleration[a], row.normal, approach):
+            supports = supports | A_ON_B
+        if bodies.motion[b] == Motion.DYNAMIC and presses(motions.acceleration[b], -row.normal, approach):
+            supports = supports | B_ON_A
+    return supports
 
 
 @wp.func
@@ -66,9 +66,9 @@ def touches(pair: int, pairs: Pairs):
 
 
 @wp.func
-def stays(last: int, place: int, rests: int, graph: Graph):
+def is_unchanged(last: int, place: int, supports: int, graph: Graph):
     """Whether a touching pair touched in the last step too, at the same place of the list, and carried the same way."""
-    return last >= 0 and last == place and graph.rested[last] == rests
+    return last >= 0 and last == place and graph.supports_before[last] == supports
 
 
 @wp.kernel
@@ -89,18 +89,18 @@ def find_support(
     begin = pairs.start[first]
     if team.lane == 0:
         graph.touching[env] = 0
-    meet(team)
+    sync_team(team)
     count = int(0)
     changed = int(0)
     for pair in range(begin + team.lane, pairs.start[first + bodies_per_env], lanes):
-        rests = int(0)
+        supports = int(0)
         if touches(pair, pairs):
-            couple = take_up(pairs.body_a[pair], pairs.body_b[pair], 0.0, 0.0, motions)
-            rests = supports_of(pair, couple, bodies, motions, pairs, contacts)
+            body_pair = load_bodies(pairs.body_a[pair], pairs.body_b[pair], 0.0, 0.0, motions)
+            supports = supports_of(pair, body_pair, bodies, motions, pairs, contacts)
             count += 1
-            if not stays(pairs.last[pair], history.pair_start[first] + pair - begin, rests, graph):
+            if not is_unchanged(pairs.last[pair], history.pair_start[first] + pair - begin, supports, graph):
                 changed = 1
-        graph.rests[pair] = rests
+        graph.supports[pair] = supports
     wp.atomic_add(graph.touching, env, count)
     changed = any_of_team(changed, team)
     if team.lane == 0:
@@ -114,8 +114,8 @@ def upper_of(edge: int, pairs: Pairs, graph: Graph):
     """The body that rests on the other, -1 if it does not. Each pair has two edges, one for either direction."""
     pair = edge / 2
     if edge % 2 == 0:
-        return wp.where((graph.rests[pair] & A_ON_B) != 0, pairs.body_a[pair], -1)
-    return wp.where((graph.rests[pair] & B_ON_A) != 0, pairs.body_b[pair], -1)
+        return wp.where((graph.supports[pair] & A_ON_B) != 0, pairs.body_a[pair], -1)
+    return wp.where((graph.supports[pair] & B_ON_A) != 0, pairs.body_b[pair], -1)
 
 
 @wp.func
@@ -130,7 +130,7 @@ def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, pa
     for b in range(first, last, team.lanes):
         graph.waiting[b] = 0
         graph.highest[b] = 0
-    meet(team)
+    sync_team(team)
     for edge in range(first_edge, last_edge, team.lanes):
         upper = upper_of(edge, pairs, graph)
         if upper >= 0 and graph.level[upper] == UNKNOWN:
@@ -140,7 +140,7 @@ def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, pa
                 wp.atomic_max(graph.highest, cycle, graph.level[lower])
             elif graph.cycle[lower] != cycle:
                 graph.waiting[cycle] = 1
-    meet(team)
+    sync_team(team)
     got = int(0)
     for b in range(first, last, team.lanes):
         if graph.level[b] == UNKNOWN and graph.waiting[graph.cycle[b]] == 0:
@@ -206,17 +206,17 @@ def find_cycles(first_edge: int, last_edge: int, first: int, last: int, team: Te
     its label, are its component (Orzan 2004, colouring). What is in none that was found keeps its own name as label.
     """
     while spread_labels(first_edge, last_edge, first, last, team, pairs, graph) == 1:
-        meet(team)
+        sync_team(team)
     for b in range(first, last, team.lanes):
         if is_open(b, graph) and graph.cycle[b] == b:
             graph.within[b] = 1
-    meet(team)
+    sync_team(team)
     while spread_within(first_edge, last_edge, team, pairs, graph) == 1:
-        meet(team)
+        sync_team(team)
     for b in range(first, last, team.lanes):
         if is_open(b, graph):
             graph.cycle[b] = b
-    meet(team)
+    sync_team(team)
 
 
 @wp.kernel
@@ -231,7 +231,7 @@ def find_levels(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
     first_edge = 2 * pairs.start[env * bodies_per_env] + team.lane
     last_edge = 2 * pairs.start[last]
     for b in range(first, last, lanes):
-        graph.level[b] = wp.where(bodies.motion[b] == DYNAMIC, UNKNOWN, 0)
+        graph.level[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNKNOWN, 0)
         graph.cycle[b] = b
         graph.within[b] = 0
     left = int(1)
@@ -258,12 +258,12 @@ def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
         graph.island[b] = b
     changed = int(1)
     while changed == 1:
-        meet(team)
+        sync_team(team)
         changed = int(0)
         for pair in range(pairs.start[first] + team.lane, pairs.start[last], lanes):
             a = pairs.body_a[pair]
             b = pairs.body_b[pair]
-            if touches(pair, pairs) and bodies.motion[a] == DYNAMIC and bodies.motion[b] == DYNAMIC:
+            if touches(pair, pairs) and bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
                 lowest = wp.min(graph.island[a], graph.island[b])
                 if graph.island[a] != graph.island[b]:
                     changed = 1
@@ -271,14 +271,14 @@ def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
                     wp.atomic_min(graph.island, graph.island[b], lowest)
                     wp.atomic_min(graph.island, a, lowest)
                     wp.atomic_min(graph.island, b, lowest)
-        meet(team)
+        sync_team(team)
         for b in range(first + team.lane, last, lanes):
             graph.island[b] = graph.island[graph.island[b]]
         changed = any_of_team(changed, team)
 
 
 @wp.kernel
-def find_heights(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def find_depths(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
     """A team an environment: how few supports lead from a body to the ground, and the most of any body.
 
     In a heap this is far less than the level, which counts the longest way. Bodies that lie on nothing have none.
@@ -290,21 +290,21 @@ def find_heights(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
     first = env * bodies_per_env
     last = first + bodies_per_env
     for b in range(first + team.lane, last, lanes):
-        graph.height[b] = wp.where(bodies.motion[b] == DYNAMIC, NOWHERE, 0)
+        graph.depth[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNSUPPORTED, 0)
     if team.lane == 0:
-        graph.tallest[env] = 0
+        graph.max_depth[env] = 0
     changed = int(1)
     while changed == 1:
-        meet(team)
+        sync_team(team)
         changed = int(0)
         for _ in range(passes_of(team)):
             for edge in range(2 * pairs.start[first] + team.lane, 2 * pairs.start[last], lanes):
                 upper = upper_of(edge, pairs, graph)
                 lower = lower_of(edge, pairs)
-                if upper >= 0 and graph.height[lower] + 1 < graph.height[upper]:
-                    wp.atomic_min(graph.height, upper, graph.height[lower] + 1)
+                if upper >= 0 and graph.depth[lower] + 1 < graph.depth[upper]:
+                    wp.atomic_min(graph.depth, upper, graph.depth[lower] + 1)
                     changed = 1
         changed = any_of_team(changed, team)
     for b in range(first + team.lane, last, lanes):
-        if graph.height[b] < NOWHERE:
-            wp.atomic_max(graph.tallest, env, graph.height[b])
+        if graph.depth[b] < UNSUPPORTED:
+            wp.atomic_max(graph.max_depth, env, graph.depth[b])

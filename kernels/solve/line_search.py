@@ -12,39 +12,28 @@ dv = M^-1 J^T dl, both sums run over contacts: v0.M dv = sum dl.(J v0) and dv.M 
 import warp as wp
 
 from warp_rigid.kernels.common.packed import (
+    ANGULAR_IMPULSE,
     IMPULSE,
     START,
+    START_ANGULAR_IMPULSE,
     START_IMPULSE,
-    START_TWIST,
-    TWIST,
-    carried,
-    carry,
     contact_row,
     entry_at,
     first_three,
-    mover_quad,
+    impulse_of,
+    set_impulse,
+    solver_body_quad,
     store_velocity,
 )
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import meet, team_of
-from warp_rigid.kernels.schema import (
-    SHOCK_OFF,
-    SHOCK_TWO_PASS,
-    Contacts,
-    Environments,
-    Graph,
-    Motions,
-    Order,
-    PairRecord,
-    State,
-)
-from warp_rigid.kernels.solve.gauss_seidel import slip_between, take_up
-from warp_rigid.kernels.solve.shock import island_of, next_idle
+from warp_rigid.kernels.common.team import sync_team, team_of
+from warp_rigid.kernels.enums import ShockMode
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, PairRecord, State
+from warp_rigid.kernels.solve.gauss_seidel import load_bodies, slip_between
+from warp_rigid.kernels.solve.shock import island_of, next_ineffective_steps
 
 wp.set_module_options({"enable_backward": False})
 
-OFF = wp.constant(SHOCK_OFF)
-TWO_PASS = wp.constant(SHOCK_TWO_PASS)
 
 FINE = wp.constant(wp.float64(2.0**40))
 """Into so many parts the largest summand of an island is divided: 2^22 of them fit into 63 bits."""
@@ -53,11 +42,11 @@ FINE = wp.constant(wp.float64(2.0**40))
 @wp.func
 def searched(env: int, envs: Environments, graph: Graph):
     """Whether an environment's shock propagation is followed by a line search."""
-    return envs.shock_propagation[env] == TWO_PASS and graph.settled[env] == 0
+    return envs.shock_propagation[env] == ShockMode.TWO_PASS and graph.converged[env] == 0
 
 
 @wp.kernel
-def remember_start(
+def store_start(
     state: State,
     lanes: int,
     bodies_per_env: int,
@@ -70,16 +59,16 @@ def remember_start(
     """A team an environment: keep velocities and impulses as they are before the passes."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if graph.settled[env] == 1 or envs.shock_propagation[env] == OFF:
+    if graph.converged[env] == 1 or envs.shock_propagation[env] == ShockMode.OFF:
         return
     first = env * bodies_per_env
     for b in range(first + team.lane, first + bodies_per_env, lanes):
-        store_velocity(b, START, motions.movers[b].linear, motions.movers[b].angular, motions)
-        graph.idle[b] = state.idle_shocks[b]
+        store_velocity(b, START, motions.solver_bodies[b].linear, motions.solver_bodies[b].angular, motions)
+        graph.ineffective_steps[b] = state.shock_ineffective_steps[b]
     for k in range(order.color_start[env, 0] + team.lane, order.color_start[env, order.color_count[env]], lanes):
         for c in range(order.entries[k].begin, order.entries[k].end):
-            carry(c, START_IMPULSE, carried(c, IMPULSE, contacts), contacts)
-            carry(c, START_TWIST, carried(c, TWIST, contacts), contacts)
+            set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)
+            set_impulse(c, START_ANGULAR_IMPULSE, impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
 
 
 @wp.func
@@ -87,24 +76,24 @@ def pair_sums(entry: PairRecord, motions: Motions, contacts: Contacts):
     """A pair's part of both sums: -(v0.M dv + b.dl) and dv.M dv."""
     a = entry.body_a
     b = entry.body_b
-    now = take_up(a, b, 0.0, 0.0, motions)
+    now = load_bodies(a, b, 0.0, 0.0, motions)
     then = now
-    then.linear_a = first_three(mover_quad(motions.movers, a, START))
-    then.angular_a = first_three(mover_quad(motions.movers, a, START + 1))
-    then.linear_b = first_three(mover_quad(motions.movers, b, START))
-    then.angular_b = first_three(mover_quad(motions.movers, b, START + 1))
+    then.linear_a = first_three(solver_body_quad(motions.solver_bodies, a, START))
+    then.angular_a = first_three(solver_body_quad(motions.solver_bodies, a, START + 1))
+    then.linear_b = first_three(solver_body_quad(motions.solver_bodies, b, START))
+    then.angular_b = first_three(solver_body_quad(motions.solver_bodies, b, START + 1))
     sums = wp.vec2(0.0, 0.0)
     for c in range(entry.begin, entry.end):
         row = contact_row(c, contacts)
-        change = carried(c, IMPULSE, contacts) - carried(c, START_IMPULSE, contacts)
+        change = impulse_of(c, IMPULSE, contacts) - impulse_of(c, START_IMPULSE, contacts)
         impulse = world_vector(row.normal, row.tangent, change)
-        turn = carried(c, TWIST, contacts) - carried(c, START_TWIST, contacts)
-        twist = world_vector(row.normal, row.tangent, turn)
+        turn = impulse_of(c, ANGULAR_IMPULSE, contacts) - impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+        angular_impulse = world_vector(row.normal, row.tangent, turn)
         before = slip_between(row, then)
         spin_before = then.angular_a - then.angular_b
         spin = now.angular_a - now.angular_b
-        slope = wp.dot(impulse, before) + wp.dot(twist, spin_before) + change[0] * row.closing
-        gained = wp.dot(impulse, slip_between(row, now) - before) + wp.dot(twist, spin - spin_before)
+        slope = wp.dot(impulse, before) + wp.dot(angular_impulse, spin_before) + change[0] * row.bias_velocity
+        gained = wp.dot(impulse, slip_between(row, now) - before) + wp.dot(angular_impulse, spin - spin_before)
         sums += wp.vec2(-slope, gained)
     return sums
 
@@ -140,11 +129,13 @@ def sum_energy(
         graph.numerator[body] = wp.int64(0)
         graph.denominator[body] = wp.int64(0)
         graph.largest[body] = 1.0e-30
-        graph.swing[body] = 0.0
-    meet(team)
+        graph.max_velocity_change[body] = 0.0
+    sync_team(team)
     for body in range(first + team.lane, first + bodies_per_env, lanes):
-        mover = motions.movers[body]
-        wp.atomic_max(graph.swing, graph.island[body], wp.length(mover.linear - mover.start_linear))
+        solver_body = motions.solver_bodies[body]
+        wp.atomic_max(
+            graph.max_velocity_change, graph.island[body], wp.length(solver_body.linear - solver_body.start_linear)
+        )
     begin = order.color_start[env, 0]
     end = order.color_start[env, order.color_count[env]]
     for k in range(begin + team.lane, end, lanes):
@@ -153,7 +144,7 @@ def sum_energy(
         graph.pair_sums[k] = sums
         island = island_of(entry, motions, graph)
         wp.atomic_max(graph.largest, island, wp.max(wp.abs(sums[0]), wp.abs(sums[1])))
-    meet(team)
+    sync_team(team)
     last = int(-1)
     numerator = wp.int64(0)
     denominator = wp.int64(0)
@@ -200,15 +191,19 @@ def accept(
         island = graph.island[b]
         t = accepted_share(island, graph)
         if repetition == 0:
-            state.idle_shocks[b] = next_idle(graph.idle[island], graph.swing[island], t)
-        mover = motions.movers[b]
-        motions.movers[b].linear = mover.start_linear + t * (mover.linear - mover.start_linear)
-        motions.movers[b].angular = mover.start_angular + t * (mover.angular - mover.start_angular)
+            state.shock_ineffective_steps[b] = next_ineffective_steps(
+                graph.ineffective_steps[island], graph.max_velocity_change[island], t
+            )
+        solver_body = motions.solver_bodies[b]
+        motions.solver_bodies[b].linear = solver_body.start_linear + t * (solver_body.linear - solver_body.start_linear)
+        motions.solver_bodies[b].angular = solver_body.start_angular + t * (
+            solver_body.angular - solver_body.start_angular
+        )
     for k in range(order.color_start[env, 0] + team.lane, order.color_start[env, order.color_count[env]], lanes):
         entry = entry_at(k, order.entries)
         t = accepted_share(island_of(entry, motions, graph), graph)
         for c in range(entry.begin, entry.end):
-            start = carried(c, START_IMPULSE, contacts)
-            carry(c, IMPULSE, start + t * (carried(c, IMPULSE, contacts) - start), contacts)
-            turn = carried(c, START_TWIST, contacts)
-            carry(c, TWIST, turn + t * (carried(c, TWIST, contacts) - turn), contacts)
+            start = impulse_of(c, START_IMPULSE, contacts)
+            set_impulse(c, IMPULSE, start + t * (impulse_of(c, IMPULSE, contacts) - start), contacts)
+            turn = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+            set_impulse(c, ANGULAR_IMPULSE, turn + t * (impulse_of(c, ANGULAR_IMPULSE, contacts) - turn), contacts)

@@ -9,19 +9,19 @@ import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.common.packed import (
-    AIMED,
+    IMPACT_IMPULSE,
     PUSH,
-    carry_with_target,
     contact_row,
     entry_at,
     first_three,
-    load_quad,
-    mover_quad,
+    impulse_quad,
+    set_target_impulse,
+    solver_body_quad,
     store_velocity,
 )
-from warp_rigid.kernels.common.team import Team, any_of_team, meet, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import (
-    SHOCK_OFF,
     Bodies,
     ContactRecord,
     Contacts,
@@ -34,20 +34,19 @@ from warp_rigid.kernels.schema import (
     Shapes,
 )
 from warp_rigid.kernels.solve.gauss_seidel import (
-    Couple,
+    BodyPair,
     first_of_color,
+    load_bodies,
     slip_between,
     stride_of_color,
-    take_up,
     with_impulse,
 )
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False})
 
-OFF = wp.constant(SHOCK_OFF)
 
-LEVEL_ITERATIONS = wp.constant(6)
+PUSH_OUT_SWEEPS = wp.constant(6)
 """Most sweeps, and one more for each body on the shortest way down."""
 
 SLOP = wp.constant(1.0e-4)
@@ -64,7 +63,7 @@ FASTEST = wp.constant(2.0)
 
 
 @wp.func
-def turned(v: wp.vec3, spin: wp.vec3, dt: float):
+def rotate_by_spin(v: wp.vec3, spin: wp.vec3, dt: float):
     """A vector that goes with a spinning body, after the step."""
     angle = dt * wp.length(spin)
     if angle < 1.0e-6:
@@ -73,17 +72,17 @@ def turned(v: wp.vec3, spin: wp.vec3, dt: float):
 
 
 @wp.func
-def gap_after(row: ContactRecord, key: int, dt: float, couple: Couple):
+def gap_after(row: ContactRecord, key: int, dt: float, body_pair: BodyPair):
     """Gap of a contact after the step, with its turning, which the velocities do not see; its normal goes with a face.
 
     The sample is the first body's if the key is even, and the face the second's.
     """
-    way_a = dt * couple.linear_a + turned(row.arm_a, couple.angular_a, dt) - row.arm_a
-    way_b = dt * couple.linear_b + turned(row.arm_b, couple.angular_b, dt) - row.arm_b
-    spin = couple.angular_b
+    way_a = dt * body_pair.linear_a + rotate_by_spin(row.arm_a, body_pair.angular_a, dt) - row.arm_a
+    way_b = dt * body_pair.linear_b + rotate_by_spin(row.arm_b, body_pair.angular_b, dt) - row.arm_b
+    spin = body_pair.angular_b
     if key % 2 == 1:
-        spin = couple.angular_a
-    return row.gap + wp.dot(way_a - way_b + dt * row.surface, turned(row.normal, spin, dt))
+        spin = body_pair.angular_a
+    return row.gap + wp.dot(way_a - way_b + dt * row.surface, rotate_by_spin(row.normal, spin, dt))
 
 
 @wp.func
@@ -93,30 +92,30 @@ def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Mot
     a = contacts.rows[c].body_a
     b = contacts.rows[c].body_b
     size = smaller_size(a, b, shapes, bodies)
-    couple = take_up(a, b, 0.0, 0.0, motions)
-    overlap = wp.max(-gap_after(row, contacts.key[c], dt, couple) - SLOP * size, 0.0)
+    body_pair = load_bodies(a, b, 0.0, 0.0, motions)
+    overlap = wp.max(-gap_after(row, contacts.key[c], dt, body_pair) - SLOP * size, 0.0)
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
     return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
 
 
 @wp.func
-def push_contact(c: int, share_a: float, share_b: float, couple: Couple, contacts: Contacts):
+def push_contact(c: int, share_a: float, share_b: float, body_pair: BodyPair, contacts: Contacts):
     """One visit: bring the pseudo-velocity of separation to its target; aimed[0] is the pseudo-impulse."""
-    carries = load_quad(contacts.loads, c, AIMED)
+    carries = impulse_quad(contacts.impulses, c, IMPACT_IMPULSE)
     target = carries[3]
     if target <= 0.0:
-        return couple
+        return body_pair
     row = contact_row(c, contacts)
     k = share_a * row.normal_a + share_b * row.normal_b
     if k < 1.0e-12:
-        return couple
+        return body_pair
     old = carries[0]
-    missing = target - wp.dot(slip_between(row, couple), row.normal)
+    missing = target - wp.dot(slip_between(row, body_pair), row.normal)
     new = wp.max(old + quotient(missing, k), 0.0)
-    carry_with_target(c, wp.vec3(new, 0.0, 0.0), target, contacts)
-    couple = with_impulse(row, (new - old) * row.normal, couple)
-    couple.change = wp.max(couple.change, k * wp.abs(new - old))
-    return couple
+    set_target_impulse(c, wp.vec3(new, 0.0, 0.0), target, contacts)
+    body_pair = with_impulse(row, (new - old) * row.normal, body_pair)
+    body_pair.change = wp.max(body_pair.change, k * wp.abs(new - old))
+    return body_pair
 
 
 @wp.func
@@ -126,18 +125,18 @@ def push_pair(entry: PairRecord, freeze: int, motions: Motions, contacts: Contac
     b = entry.body_b
     share_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
     share_b = wp.where(freeze == 1, float(entry.upper_b), 1.0)
-    couple = take_up(a, b, share_a, share_b, motions)
-    couple.linear_a = first_three(mover_quad(motions.movers, a, PUSH))
-    couple.angular_a = first_three(mover_quad(motions.movers, a, PUSH + 1))
-    couple.linear_b = first_three(mover_quad(motions.movers, b, PUSH))
-    couple.angular_b = first_three(mover_quad(motions.movers, b, PUSH + 1))
+    body_pair = load_bodies(a, b, share_a, share_b, motions)
+    body_pair.linear_a = first_three(solver_body_quad(motions.solver_bodies, a, PUSH))
+    body_pair.angular_a = first_three(solver_body_quad(motions.solver_bodies, a, PUSH + 1))
+    body_pair.linear_b = first_three(solver_body_quad(motions.solver_bodies, b, PUSH))
+    body_pair.angular_b = first_three(solver_body_quad(motions.solver_bodies, b, PUSH + 1))
     for c in range(entry.begin, entry.end):
-        couple = push_contact(c, share_a, share_b, couple, contacts)
-    if couple.inverse_mass_a > 0.0:
-        store_velocity(a, PUSH, couple.linear_a, couple.angular_a, motions)
-    if couple.inverse_mass_b > 0.0:
-        store_velocity(b, PUSH, couple.linear_b, couple.angular_b, motions)
-    return wp.where(couple.change > ENOUGH, 1, 0)
+        body_pair = push_contact(c, share_a, share_b, body_pair, contacts)
+    if body_pair.inverse_mass_a > 0.0:
+        store_velocity(a, PUSH, body_pair.linear_a, body_pair.angular_a, motions)
+    if body_pair.inverse_mass_b > 0.0:
+        store_velocity(b, PUSH, body_pair.linear_b, body_pair.angular_b, motions)
+    return wp.where(body_pair.change > ENOUGH, 1, 0)
 
 
 @wp.kernel
@@ -162,7 +161,7 @@ def find_overlaps(
     found = int(0)
     for c in range(begin + team.lane, end, lanes):
         target = wanted_speed(c, dt, shapes, bodies, motions, contacts)
-        carry_with_target(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
+        set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
         if target > 0.0 and envs.contact_iterations[env] > 0:
             found = 1
     found = any_of_team(found, team)
@@ -181,7 +180,7 @@ def separate(freeze: int, most: int, team: Team, order: Order, motions: Motions,
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
                 changed |= push_pair(entry_at(k, order.entries), freeze, motions, contacts)
-            meet(team)
+            sync_team(team)
         changed = any_of_team(changed, team)
         left = changed * (left - 1)
     return changed
@@ -207,7 +206,7 @@ def push_apart(
     if graph.overlapping[env] == 0:
         return
     caught = int(1)
-    if envs.shock_propagation[env] != OFF:
-        caught = separate(1, LEVEL_ITERATIONS + graph.tallest[env], team, order, motions, contacts)
+    if envs.shock_propagation[env] != ShockMode.OFF:
+        caught = separate(1, PUSH_OUT_SWEEPS + graph.max_depth[env], team, order, motions, contacts)
     if caught == 1:
-        separate(0, LEVEL_ITERATIONS, team, order, motions, contacts)
+        separate(0, PUSH_OUT_SWEEPS, team, order, motions, contacts)

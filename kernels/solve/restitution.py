@@ -16,23 +16,30 @@ stays rest; an impact too weak to come back up the gap is left to the contact st
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.packed import AIMED, carry_with_target, contact_row, entry_at, first_three, load_quad
+from warp_rigid.kernels.common.packed import (
+    IMPACT_IMPULSE,
+    contact_row,
+    entry_at,
+    first_three,
+    impulse_quad,
+    set_target_impulse,
+)
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import any_of_team, meet, team_of
+from warp_rigid.kernels.common.team import any_of_team, sync_team, team_of
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import (
-    SETTLED,
-    Couple,
+    CONVERGED,
+    BodyPair,
     first_of_color,
     forget_visits,
     friction_impulse,
     is_done,
+    load_bodies,
     note_change,
-    put_down,
     slip_between,
     solved_turn,
+    store_bodies,
     stride_of_color,
-    take_up,
     with_impulse,
 )
 
@@ -51,11 +58,11 @@ NO_IMPACT = wp.constant(-1.0e10)
 @wp.func
 def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
     """Normal velocity that a contact approaching at `speed` aims at, or NO_IMPACT. `pull`: acceleration together."""
-    if speed < SLOWEST or row.closing > speed + dt * pull:
+    if speed < SLOWEST or row.bias_velocity > speed + dt * pull:
         return NO_IMPACT
     e = row.restitution
     if e == 0.0:
-        return -row.closing
+        return -row.bias_velocity
     lag = 0.5 * dt * pull * wp.min(speed / wp.max(dt * pull, 1.0e-9), 1.0)
     fall = 2.0 * pull * wp.max(row.gap, 0.0)
     squared = e * e * ((speed + lag) * (speed + lag) + fall) - fall
@@ -65,32 +72,32 @@ def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
 
 
 @wp.func
-def set_targets(begin: int, end: int, couple: Couple, relative_pull: wp.vec3, dt: float, contacts: Contacts):
+def set_targets(begin: int, end: int, body_pair: BodyPair, relative_pull: wp.vec3, dt: float, contacts: Contacts):
     """Give the pair's contacts their targets. Returns 1 if any collides."""
     colliding = int(0)
     for c in range(begin, end):
         row = contact_row(c, contacts)
-        speed = -wp.dot(slip_between(row, couple), row.normal)
+        speed = -wp.dot(slip_between(row, body_pair), row.normal)
         target = rebound(row, speed, wp.max(-wp.dot(relative_pull, row.normal), 0.0), dt)
-        carry_with_target(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
+        set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
         if target > NO_IMPACT:
             colliding = 1
     return colliding
 
 
 @wp.func
-def collide_contact(c: int, couple: Couple, contacts: Contacts):
+def collide_contact(c: int, body_pair: BodyPair, contacts: Contacts):
     """One visit inside a pair: bring the normal velocity to its target, the slip to zero within the cone."""
-    carries = load_quad(contacts.loads, c, AIMED)
+    carries = impulse_quad(contacts.impulses, c, IMPACT_IMPULSE)
     target = carries[3]
     if target <= NO_IMPACT:
-        return couple
+        return body_pair
     row = contact_row(c, contacts)
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
     old = first_three(carries)
-    slip = slip_between(row, couple)
+    slip = slip_between(row, body_pair)
     k_normal = row.normal_a + row.normal_b
     normal = wp.max(old[0] + quotient(target - wp.dot(slip, n), k_normal), 0.0)
     gained = normal - old[0]
@@ -98,15 +105,15 @@ def collide_contact(c: int, couple: Couple, contacts: Contacts):
     k = row.tangent_a + row.tangent_b
     before = wp.vec2(old[1], old[2])
     after = friction_impulse(before, sliding, k, row.friction * normal)
-    couple = with_impulse(row, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, couple)
-    carry_with_target(c, wp.vec3(normal, after[0], after[1]), target, contacts)
+    body_pair = with_impulse(row, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, body_pair)
+    set_target_impulse(c, wp.vec3(normal, after[0], after[1]), target, contacts)
     change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
-    couple.change = wp.max(couple.change, change)
-    return couple
+    body_pair.change = wp.max(body_pair.change, change)
+    return body_pair
 
 
 @wp.func
-def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, lag: wp.vec3, contacts: Contacts):
+def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair, lag: wp.vec3, contacts: Contacts):
     """Largest share in [0, 1] of the pair's impulse that gains no kinetic energy.
 
     With the share s the energy changes by s J.u + s^2 J.du / 2, u the time-centred relative velocities before (which
@@ -115,7 +122,7 @@ def energy_neutral_share(begin: int, end: int, before: Couple, after: Couple, la
     linear = float(0.0)
     quadratic = float(0.0)
     for c in range(begin, end):
-        carries = load_quad(contacts.loads, c, AIMED)
+        carries = impulse_quad(contacts.impulses, c, IMPACT_IMPULSE)
         if carries[3] > NO_IMPACT:
             row = contact_row(c, contacts)
             impulse = world_vector(row.normal, row.tangent, first_three(carries))
@@ -148,7 +155,7 @@ def collide_pair(
     end = entry.end
     a = entry.body_a
     b = entry.body_b
-    before = take_up(a, b, 1.0, 1.0, motions)
+    before = load_bodies(a, b, 1.0, 1.0, motions)
     relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
     if set_targets(begin, end, before, relative_pull, dt, contacts) == 0:
         return 0
@@ -158,13 +165,13 @@ def collide_pair(
         after.change = 0.0
         for c in range(begin, end):
             after = collide_contact(c, after, contacts)
-        left = wp.where(after.change > SETTLED, left - 1, 0)
+        left = wp.where(after.change > CONVERGED, left - 1, 0)
     keep = energy_neutral_share(begin, end, before, after, 0.5 * dt * relative_pull, contacts)
     after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
     after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
     after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
     after.angular_b = before.angular_b + keep * (after.angular_b - before.angular_b)
-    put_down(a, b, after, motions)
+    store_bodies(a, b, after, motions)
     order.entries[k].visited = turn - 1
     note_change(a, turn, motions, graph)
     note_change(b, turn, motions, graph)
@@ -188,7 +195,7 @@ def collide(
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
     forget_visits(env * bodies_per_env, (env + 1) * bodies_per_env, team, order, graph)
-    meet(team)
+    sync_team(team)
     turn = int(1)
     while left > 0:
         collided = int(0)
@@ -197,5 +204,5 @@ def collide(
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
                 collided |= collide_pair(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
-            meet(team)
+            sync_team(team)
         left = any_of_team(collided, team) * (left - 1)

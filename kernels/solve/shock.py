@@ -24,41 +24,31 @@ from warp_rigid.kernels.common.packed import (
     entry_at,
     first_three,
     inverse_inertia_of,
-    mover_quad,
+    solver_body_quad,
     store_velocity,
 )
-from warp_rigid.kernels.common.team import Team, any_of_team, meet, team_of
-from warp_rigid.kernels.schema import (
-    SHOCK_OFF,
-    SHOCK_TWO_PASS,
-    Contacts,
-    Environments,
-    Graph,
-    Motions,
-    Order,
-    PairRecord,
-)
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.enums import ShockMode
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, PairRecord
 from warp_rigid.kernels.solve.gauss_seidel import (
-    PATIENCE,
-    SETTLED,
-    Couple,
+    CONVERGED,
+    INEFFECTIVE_STEPS,
+    BodyPair,
     first_of_color,
     forget_visits,
     is_done,
+    load_bodies,
     note_change,
-    put_down,
+    solve_contact,
     solved_turn,
+    store_bodies,
     stride_of_color,
-    take_up,
-    visit_contact,
 )
 
 wp.set_module_options({"enable_backward": False})
 
-OFF = wp.constant(SHOCK_OFF)
-TWO_PASS = wp.constant(SHOCK_TWO_PASS)
 
-LEVEL_ITERATIONS = wp.constant(4)
+SHOCK_SWEEPS = wp.constant(4)
 """Most sweeps of a pass, and three for each body on the shortest way down. With two, a tower of thirty crossed layers
 of beams falls."""
 
@@ -76,83 +66,83 @@ USEFUL = wp.constant(0.1)
 NO_WAY = wp.constant(1.0e-3)
 """What changes velocities by less [m/s] tells nothing: the island is at rest."""
 
-LEFT_ALONE = wp.constant(2**30)
+SKIPPED = wp.constant(2**30)
 """Stands for a visit after all others."""
 
 
 @wp.func
 def island_of(entry: PairRecord, motions: Motions, graph: Graph):
     """The island of a touching pair."""
-    return graph.island[wp.where(motions.movers[entry.body_a].inverse_mass > 0.0, entry.body_a, entry.body_b)]
+    return graph.island[wp.where(motions.solver_bodies[entry.body_a].inverse_mass > 0.0, entry.body_a, entry.body_b)]
 
 
 @wp.func
-def is_left_alone(idle: int):
+def skips_shock(ineffective_steps: int):
     """Whether an island goes without shock propagation in this step, by how long that has been of no use to it."""
-    return idle > PATIENCE
+    return ineffective_steps > INEFFECTIVE_STEPS
 
 
 @wp.func
-def next_idle(idle: int, way: float, share: float):
+def next_ineffective_steps(ineffective_steps: int, way: float, share: float):
     """The same after this step, in which an island went a share of a way, its largest change of a velocity."""
-    if is_left_alone(idle):
-        return wp.where(idle < 2 * PATIENCE - 1, idle + 1, PATIENCE)
+    if skips_shock(ineffective_steps):
+        return wp.where(ineffective_steps < 2 * INEFFECTIVE_STEPS - 1, ineffective_steps + 1, INEFFECTIVE_STEPS)
     if way < NO_WAY:
-        return wp.where(idle == PATIENCE, idle + 1, idle)
-    return wp.where(share < USEFUL, idle + 1, 0)
+        return wp.where(ineffective_steps == INEFFECTIVE_STEPS, ineffective_steps + 1, ineffective_steps)
+    return wp.where(share < USEFUL, ineffective_steps + 1, 0)
 
 
 @wp.func
-def leave_alone(team: Team, order: Order, graph: Graph, motions: Motions):
+def skip_ineffective_islands(team: Team, order: Order, graph: Graph, motions: Motions):
     """Pass over the pairs of islands that go without shock propagation. Returns 1 if any pair remains to a lane."""
     remains = int(0)
     begin = order.color_start[team.env, 0]
     for k in range(begin + team.lane, order.color_start[team.env, order.color_count[team.env]], team.lanes):
-        if is_left_alone(graph.idle[island_of(entry_at(k, order.entries), motions, graph)]):
-            order.entries[k].visited = LEFT_ALONE
+        if skips_shock(graph.ineffective_steps[island_of(entry_at(k, order.entries), motions, graph)]):
+            order.entries[k].visited = SKIPPED
         else:
             remains = 1
     return remains
 
 
 @wp.func
-def under_load(entry: PairRecord, couple: Couple, motions: Motions):
+def under_load(entry: PairRecord, body_pair: BodyPair, motions: Motions):
     """Two bodies, the upper as it moves under its load, the lower as it was after the pass up."""
     a = entry.body_a
     b = entry.body_b
-    if couple.inverse_mass_a > 0.0:
-        couple.linear_a = first_three(mover_quad(motions.movers, a, LOADED))
-        couple.angular_a = first_three(mover_quad(motions.movers, a, LOADED + 1))
-    if couple.inverse_mass_b > 0.0:
-        couple.linear_b = first_three(mover_quad(motions.movers, b, LOADED))
-        couple.angular_b = first_three(mover_quad(motions.movers, b, LOADED + 1))
-    return couple
+    if body_pair.inverse_mass_a > 0.0:
+        body_pair.linear_a = first_three(solver_body_quad(motions.solver_bodies, a, LOADED))
+        body_pair.angular_a = first_three(solver_body_quad(motions.solver_bodies, a, LOADED + 1))
+    if body_pair.inverse_mass_b > 0.0:
+        body_pair.linear_b = first_three(solver_body_quad(motions.solver_bodies, b, LOADED))
+        body_pair.angular_b = first_three(solver_body_quad(motions.solver_bodies, b, LOADED + 1))
+    return body_pair
 
 
 @wp.func
-def put_down_loaded(entry: PairRecord, couple: Couple, motions: Motions):
+def store_loaded_bodies(entry: PairRecord, body_pair: BodyPair, motions: Motions):
     """Store the velocities of the upper bodies as those under their load."""
-    if couple.inverse_mass_a > 0.0:
-        store_velocity(entry.body_a, LOADED, couple.linear_a, couple.angular_a, motions)
-    if couple.inverse_mass_b > 0.0:
-        store_velocity(entry.body_b, LOADED, couple.linear_b, couple.angular_b, motions)
+    if body_pair.inverse_mass_a > 0.0:
+        store_velocity(entry.body_a, LOADED, body_pair.linear_a, body_pair.angular_a, motions)
+    if body_pair.inverse_mass_b > 0.0:
+        store_velocity(entry.body_b, LOADED, body_pair.linear_b, body_pair.angular_b, motions)
 
 
 @wp.func
-def add_load(b: int, couple: Couple, motions: Motions):
+def add_load(b: int, body_pair: BodyPair, motions: Motions):
     """Let a frozen body feel what it did not take."""
-    inverse_mass = mover_quad(motions.movers, b, VELOCITY)[3]
+    inverse_mass = solver_body_quad(motions.solver_bodies, b, VELOCITY)[3]
     if inverse_mass > 0.0:
-        linear = first_three(mover_quad(motions.movers, b, LOADED)) + inverse_mass * couple.held
-        angular = first_three(mover_quad(motions.movers, b, LOADED + 1))
-        store_velocity(b, LOADED, linear, angular + inverse_inertia_of(b, motions) * couple.held_turn, motions)
+        linear = first_three(solver_body_quad(motions.solver_bodies, b, LOADED)) + inverse_mass * body_pair.held
+        angular = first_three(solver_body_quad(motions.solver_bodies, b, LOADED + 1))
+        store_velocity(b, LOADED, linear, angular + inverse_inertia_of(b, motions) * body_pair.held_turn, motions)
 
 
 @wp.func
 def rounds_of(entry: PairRecord, graph: Graph):
     """How often a visit of a pair goes over its contacts, at most."""
-    several_a = entry.upper_a == 1 and graph.stands[entry.body_a] > 1
-    several_b = entry.upper_b == 1 and graph.stands[entry.body_b] > 1
+    several_a = entry.upper_a == 1 and graph.support_count[entry.body_a] > 1
+    several_b = entry.upper_b == 1 and graph.support_count[entry.body_b] > 1
     return wp.where(several_a or several_b, SHARED_ITERATIONS, PAIR_ITERATIONS)
 
 
@@ -166,26 +156,26 @@ def visit_frozen(
         return 0
     share_a = float(entry.upper_a)
     share_b = float(entry.upper_b)
-    couple = take_up(entry.body_a, entry.body_b, share_a, share_b, motions)
+    body_pair = load_bodies(entry.body_a, entry.body_b, share_a, share_b, motions)
     if down == 1:
-        couple = under_load(entry, couple, motions)
+        body_pair = under_load(entry, body_pair, motions)
     changed = int(0)
     left = rounds_of(entry, graph)
     while left > 0:
-        couple.change = 0.0
+        body_pair.change = 0.0
         for c in range(entry.begin, entry.end):
-            couple = visit_contact(c, share_a, share_b, couple, contacts)
-        left = wp.where(couple.change > SETTLED, left - 1, 0)
-        changed |= wp.where(couple.change > SETTLED, 1, 0)
+            body_pair = solve_contact(c, share_a, share_b, body_pair, contacts)
+        left = wp.where(body_pair.change > CONVERGED, left - 1, 0)
+        changed |= wp.where(body_pair.change > CONVERGED, 1, 0)
     if down == 1:
-        put_down_loaded(entry, couple, motions)
+        store_loaded_bodies(entry, body_pair, motions)
     else:
-        put_down(entry.body_a, entry.body_b, couple, motions)
+        store_bodies(entry.body_a, entry.body_b, body_pair, motions)
     if entry.upper_a == 0:
-        add_load(entry.body_a, couple, motions)
+        add_load(entry.body_a, body_pair, motions)
     if entry.upper_b == 0:
-        add_load(entry.body_b, couple, motions)
-    order.entries[k].visited = wp.where(couple.change > SETTLED, turn - 1, solved)
+        add_load(entry.body_b, body_pair, motions)
+    order.entries[k].visited = wp.where(body_pair.change > CONVERGED, turn - 1, solved)
     if changed == 1 and entry.upper_a + down > 0:
         note_change(entry.body_a, turn, motions, graph)
     if changed == 1 and entry.upper_b + down > 0:
@@ -208,10 +198,10 @@ def solve_levels(
     """One pass: iterate all levels together until no visit changes anything."""
     forget_visits(first, last, team, order, graph)
     remains = int(1)
-    if mode == TWO_PASS:
-        remains = leave_alone(team, order, graph, motions)
+    if mode == ShockMode.TWO_PASS:
+        remains = skip_ineffective_islands(team, order, graph, motions)
     turn = int(1)
-    left = any_of_team(remains, team) * (LEVEL_ITERATIONS + 3 * graph.tallest[team.env])
+    left = any_of_team(remains, team) * (SHOCK_SWEEPS + 3 * graph.max_depth[team.env])
     while left > 0:
         changed = int(0)
         for color in range(order.color_count[team.env]):
@@ -219,7 +209,7 @@ def solve_levels(
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
                 changed |= visit_frozen(k, turn, solved_turn(color, turn), down, order, graph, motions, contacts)
-            meet(team)
+            sync_team(team)
         left = any_of_team(changed, team) * (left - 1)
 
 
@@ -238,21 +228,21 @@ def propagate(
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     mode = envs.shock_propagation[env]
-    if mode == OFF or repetition >= envs.shock_iterations[env] or graph.settled[env] == 1:
+    if mode == ShockMode.OFF or repetition >= envs.shock_iterations[env] or graph.converged[env] == 1:
         return
     first = env * bodies_per_env
     last = first + bodies_per_env
     zero = wp.vec3(0.0, 0.0, 0.0)
     for b in range(first + team.lane, last, lanes):
         store_velocity(b, LOADED, zero, zero, motions)
-    for down in range(wp.where(mode == TWO_PASS, 2, 1)):
+    for down in range(wp.where(mode == ShockMode.TWO_PASS, 2, 1)):
         if down == 1:
             for b in range(first + team.lane, last, lanes):
-                mover = motions.movers[b]
-                linear = mover.linear + mover.loaded_linear
-                store_velocity(b, LOADED, linear, mover.angular + mover.loaded_angular, motions)
+                solver_body = motions.solver_bodies[b]
+                linear = solver_body.linear + solver_body.loaded_linear
+                store_velocity(b, LOADED, linear, solver_body.angular + solver_body.loaded_angular, motions)
         solve_levels(mode, down, first, last, team, order, graph, motions, contacts)
-    if mode == TWO_PASS:
+    if mode == ShockMode.TWO_PASS:
         for b in range(first + team.lane, last, lanes):
-            motions.movers[b].linear = motions.movers[b].loaded_linear
-            motions.movers[b].angular = motions.movers[b].loaded_angular
+            motions.solver_bodies[b].linear = motions.solver_bodies[b].loaded_linear
+            motions.solver_bodies[b].angular = motions.solver_bodies[b].loaded_angular

@@ -1,16 +1,16 @@
 """Ground that moves: height fields whose vertices go up and down harmonically.
 
 Each environment has its own copy of such a field in the pool of shapes, so that distances read today's heights without
-knowing of time. At the beginning of a step `raise_surfaces` writes the heights of now, from the environment's own
+knowing of time. At the beginning of a step `move_ground` writes the heights of now, from the environment's own
 count of steps, and how fast the vertices rise: the change of height over the step, so that what rests on the ground
-follows it exactly. `carry_contacts` then gives each contact the surface's velocity. Collisions see the velocity
+follows it exactly. `set_surface_velocity` then gives each contact the surface's velocity. Collisions see the velocity
 of the step before, which a resting body has: what rests does not bounce.
 """
 
 import warp as wp
 
+from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Contacts, Environments, Motions, Pairs, Shapes, State, Surfaces
-from warp_rigid.kernels.update.predict import DRIVEN, FIXED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -18,12 +18,12 @@ wp.set_module_options({"enable_backward": False})
 @wp.func
 def height_at(k: int, time: wp.float64, surfaces: Surfaces):
     """Height of vertex k at a time [m]."""
-    swing = wp.sin(wp.float64(surfaces.frequency[k]) * time + wp.float64(surfaces.phase[k]))
-    return wp.float64(surfaces.height[k]) + wp.float64(surfaces.amplitude[k]) * swing
+    max_velocity_change = wp.sin(wp.float64(surfaces.frequency[k]) * time + wp.float64(surfaces.phase[k]))
+    return wp.float64(surfaces.height[k]) + wp.float64(surfaces.amplitude[k]) * max_velocity_change
 
 
 @wp.kernel
-def raise_surfaces(dt: wp.float64, first: int, envs: Environments, surfaces: Surfaces, shapes: Shapes):
+def move_ground(dt: wp.float64, first: int, envs: Environments, surfaces: Surfaces, shapes: Shapes):
     """One thread a vertex: height, speed, and the sample there. `first`: the first vertex's node in the pool."""
     k = wp.tid()
     env = k / (surfaces.height.shape[0] / envs.step.shape[0])
@@ -49,8 +49,8 @@ def raise_surfaces(dt: wp.float64, first: int, envs: Environments, surfaces: Sur
 def drive_ground(bodies_per_env: int, shapes: Shapes, bodies: Bodies, envs: Environments, motions: Motions):
     """One thread a body: ground that moves is driven, though its body stands still. Nothing falls asleep on it."""
     b = wp.tid()
-    if shapes.shapes[bodies.shape[b]].rise > 0.0 and motions.role[b] == FIXED:
-        motions.role[b] = DRIVEN
+    if shapes.shapes[bodies.shape[b]].rise > 0.0 and motions.role[b] == Role.STATIC:
+        motions.role[b] = Role.KINEMATIC
         envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
 
 
@@ -84,7 +84,7 @@ def surface_velocity(
 
 
 @wp.kernel
-def carry_contacts(
+def set_surface_velocity(
     before: int,
     first: int,
     bodies_per_env: int,

@@ -2,18 +2,17 @@
 
 import warp as wp
 
-from warp_rigid.kernels.schema import MOTION_DYNAMIC, MOTION_STATIC, Bodies, Environments, Motions, State
-from warp_rigid.kernels.update.predict import ABSENT, DRIVEN, FREE, is_finite
+from warp_rigid.kernels.enums import Motion, Role
+from warp_rigid.kernels.schema import Bodies, Environments, Motions, State
+from warp_rigid.kernels.update.predict import is_finite
 
 wp.set_module_options({"enable_backward": False})
 
-DYNAMIC = wp.constant(MOTION_DYNAMIC)
-STATIC = wp.constant(MOTION_STATIC)
 
 MOST_PARTS = wp.constant(1024)
 """Most parts in which the rotation of a step is done."""
 
-STEADY = wp.constant(wp.float64(1.0e-3))
+ENERGY_TOLERANCE = wp.constant(wp.float64(1.0e-3))
 """Part by which the energy may change in the rotation of a step."""
 
 mat33d = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
@@ -32,13 +31,13 @@ def rotate_by(turn: wp.quatd, rotation: wp.vec3d):
 
 
 @wp.func
-def precise(q: wp.quat, rest: wp.vec4):
+def precise(q: wp.quat, remainder: wp.vec4):
     """A stored orientation with what its rounding left over."""
     return wp.quatd(
-        wp.float64(q[0]) + wp.float64(rest[0]),
-        wp.float64(q[1]) + wp.float64(rest[1]),
-        wp.float64(q[2]) + wp.float64(rest[2]),
-        wp.float64(q[3]) + wp.float64(rest[3]),
+        wp.float64(q[0]) + wp.float64(remainder[0]),
+        wp.float64(q[1]) + wp.float64(remainder[1]),
+        wp.float64(q[2]) + wp.float64(remainder[2]),
+        wp.float64(q[3]) + wp.float64(remainder[3]),
     )
 
 
@@ -89,26 +88,26 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
     while parts <= MOST_PARTS:
         after = free_turn(turn, momentum, inverse, dt, parts)
         spin_after = spin_of(after, momentum, inverse)
-        if wp.abs(wp.dot(momentum, spin_after) - energy) <= STEADY * energy:
+        if wp.abs(wp.dot(momentum, spin_after) - energy) <= ENERGY_TOLERANCE * energy:
             return after, spin_after
         parts *= 4
     return rotate_by(turn, dt * spin), spin
 
 
 @wp.kernel
-def watch(bodies_per_env: int, motions: Motions, envs: Environments):
+def find_non_finite(bodies_per_env: int, motions: Motions, envs: Environments):
     """One thread a body: note it if its velocity or pose is not finite; the environment's first such body counts.
 
     What was not finite before the step comes before what it has touched in it: ranks fall with the body's number.
     """
     b = wp.tid()
     env = b / bodies_per_env
-    if motions.role[b] == ABSENT:
+    if motions.role[b] == Role.ABSENT:
         return
     rank = (env + 1) * bodies_per_env - b
-    if motions.sound[b] == 0:
+    if motions.is_finite[b] == 0:
         wp.atomic_max(envs.broken, env, bodies_per_env + rank)
-    elif not (is_finite(motions.movers[b].linear) and is_finite(motions.movers[b].angular)):
+    elif not (is_finite(motions.solver_bodies[b].linear) and is_finite(motions.solver_bodies[b].angular)):
         wp.atomic_max(envs.broken, env, rank)
 
 
@@ -133,7 +132,7 @@ def keep_inside(
     """One thread a body: note it if its centre has left the bounds, and switch it off if that is wanted."""
     b = wp.tid()
     env = b / bodies_per_env
-    if bodies.motion[b] == STATIC or motions.role[b] == ABSENT:
+    if bodies.motion[b] == Motion.STATIC or motions.role[b] == Role.ABSENT:
         return
     center = state.position[b] + wp.quat_rotate(state.orientation[b], bodies.center_of_mass[b])
     if not is_inside(center, lower, upper):
@@ -173,7 +172,9 @@ def without_rest(v: wp.vec3, a: wp.vec3, time: float):
 
 
 @wp.kernel
-def move(dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs: Environments, state: State):
+def integrate_positions(
+    dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs: Environments, state: State
+):
     """One thread a body: position and orientation follow the velocity and the push-out; angular momentum is kept.
 
     The rotation is done in float64, and what rounding leaves over is kept for the next step: it would otherwise be what
@@ -182,29 +183,31 @@ def move(dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs:
     would pass into another one.
     """
     b = wp.tid()
-    moves = motions.role[b] == FREE or motions.role[b] == DRIVEN
+    moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
     halted = envs.failed[b / bodies_per_env] == 1 or envs.broken[b / bodies_per_env] > 0
-    if bodies.motion[b] == STATIC or halted or not moves:
+    if bodies.motion[b] == Motion.STATIC or halted or not moves:
         return
-    step = wp.float64(dt * motions.next_share[b])
-    turn = precise(state.orientation[b], state.turn_rest[b])
-    spin = wp.vec3d(motions.movers[b].angular) + wp.vec3d(state.spin_rest[b])
-    push_turn = step * wp.vec3d(motions.movers[b].push_angular)
+    step = wp.float64(dt * motions.next_time_of_impact[b])
+    turn = precise(state.orientation[b], state.orientation_remainder[b])
+    spin = wp.vec3d(motions.solver_bodies[b].angular) + wp.vec3d(state.angular_velocity_remainder[b])
+    push_turn = step * wp.vec3d(motions.solver_bodies[b].push_angular)
     kept = rotate_by(turn, step * spin)
-    if bodies.motion[b] == DYNAMIC:
+    if bodies.motion[b] == Motion.DYNAMIC:
         kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
     push = rotate_by(wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0)), push_turn)
     after = wp.normalize(push * kept)
     spin = wp.quat_rotate(push, spin)
     state.angular_velocity[b] = wp.vec3(spin)
-    state.spin_rest[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
-    travel = step * wp.vec3d(motions.movers[b].linear + motions.movers[b].push_linear)
-    stopped = dt * (1.0 - motions.next_share[b])
-    state.linear_velocity[b] = without_rest(motions.movers[b].linear, motions.acceleration[b], stopped)
+    state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
+    travel = step * wp.vec3d(motions.solver_bodies[b].linear + motions.solver_bodies[b].push_linear)
+    stopped = dt * (1.0 - motions.next_time_of_impact[b])
+    state.linear_velocity[b] = without_rest(motions.solver_bodies[b].linear, motions.acceleration[b], stopped)
     center = wp.vec3d(bodies.center_of_mass[b])
-    swing = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
-    state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - swing)
+    max_velocity_change = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
+    state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - max_velocity_change)
     rounded = wp.quat(wp.float32(after[0]), wp.float32(after[1]), wp.float32(after[2]), wp.float32(after[3]))
     state.orientation[b] = rounded
-    rest = after - precise(rounded, wp.vec4(0.0, 0.0, 0.0, 0.0))
-    state.turn_rest[b] = wp.vec4(wp.float32(rest[0]), wp.float32(rest[1]), wp.float32(rest[2]), wp.float32(rest[3]))
+    remainder = after - precise(rounded, wp.vec4(0.0, 0.0, 0.0, 0.0))
+    state.orientation_remainder[b] = wp.vec4(
+        wp.float32(remainder[0]), wp.float32(remainder[1]), wp.float32(remainder[2]), wp.float32(remainder[3])
+    )

@@ -2,36 +2,24 @@
 
 import warp as wp
 
+from warp_rigid.kernels.enums import FieldKind, Motion, Role
 from warp_rigid.kernels.schema import (
-    MOTION_DYNAMIC,
-    ROLE_ABSENT,
-    ROLE_ASLEEP,
-    ROLE_DRIVEN,
-    ROLE_FIXED,
-    ROLE_FREE,
     Bodies,
     Environments,
     FieldForces,
     Motions,
-    MoverRecord,
-    Rest,
     Shapes,
+    SleepState,
+    SolverBodyRecord,
     State,
 )
 
 wp.set_module_options({"enable_backward": False})
 
-DYNAMIC = wp.constant(MOTION_DYNAMIC)
-ABSENT = wp.constant(ROLE_ABSENT)
-FIXED = wp.constant(ROLE_FIXED)
-ASLEEP = wp.constant(ROLE_ASLEEP)
-DRIVEN = wp.constant(ROLE_DRIVEN)
-FREE = wp.constant(ROLE_FREE)
-POINT_FIELD = wp.constant(1)
 CONTACT_DISTANCE = wp.constant(5.0e-4)
 """Samples closer than this part of the smaller body's size count as touching."""
 
-UNBOUNDED = wp.constant(1.0e9)
+UNBOUNDED_EXTENT = wp.constant(1.0e9)
 """Half-extent from which a shape counts as without bound [m]."""
 
 
@@ -46,7 +34,7 @@ def field_acceleration(fields: FieldForces, field_count: int, x: wp.vec3):
     """Acceleration at x by all force fields [m/s^2]; the point field after Newton: strength / distance^2."""
     a = wp.vec3(0.0, 0.0, 0.0)
     for f in range(field_count):
-        if fields.kind[f] == POINT_FIELD:
+        if fields.kind[f] == FieldKind.POINT:
             to_center = fields.vector[f] - x
             distance = wp.max(wp.length(to_center), 1.0e-6)
             a += fields.strength[f] / (distance * distance * distance) * to_center
@@ -67,14 +55,14 @@ def extent_along_axes(turn: wp.quat, half: wp.vec3):
 
 
 @wp.func
-def role_of(b: int, bodies: Bodies, state: State, rest: Rest):
+def role_of(b: int, bodies: Bodies, state: State, sleep_state: SleepState):
     """The part that a body takes in this step."""
     if state.active[b] == 0:
-        return ABSENT
-    if bodies.motion[b] == DYNAMIC:
-        return wp.where(rest.asleep[b] == 1, ASLEEP, FREE)
+        return Role.ABSENT
+    if bodies.motion[b] == Motion.DYNAMIC:
+        return wp.where(sleep_state.asleep[b] == 1, Role.ASLEEP, Role.FREE)
     moving = wp.length_sq(state.linear_velocity[b]) + wp.length_sq(state.angular_velocity[b]) > 0.0
-    return wp.where(moving, DRIVEN, FIXED)
+    return wp.where(moving, Role.KINEMATIC, Role.STATIC)
 
 
 @wp.func
@@ -95,31 +83,31 @@ def derive_motion(
     field_count: int,
     bodies: Bodies,
     state: State,
-    rest: Rest,
+    sleep_state: SleepState,
     envs: Environments,
     fields: FieldForces,
     motions: Motions,
 ):
     """Role, centre of mass, world inertia and external accelerations of each body."""
     b = wp.tid()
-    motions.role[b] = role_of(b, bodies, state, rest)
-    motions.sound[b] = wp.where(body_is_finite(b, state), 1, 0)
-    if motions.role[b] == FREE or motions.role[b] == DRIVEN:
+    motions.role[b] = role_of(b, bodies, state, sleep_state)
+    motions.is_finite[b] = wp.where(body_is_finite(b, state), 1, 0)
+    if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
         envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
     r = wp.quat_to_matrix(turn)
     inverse = r * bodies.inverse_inertia[b] * wp.transpose(r)
-    mover = MoverRecord()
-    mover.linear = state.linear_velocity[b]
-    mover.inverse_mass = bodies.inverse_mass[b]
-    mover.angular = state.angular_velocity[b]
-    mover.inverse_inertia_xx = wp.vec4(inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 1])
-    mover.inverse_inertia_yz = wp.vec3(inverse[1, 2], inverse[2, 2], 0.0)
-    motions.movers[b] = mover
+    solver_body = SolverBodyRecord()
+    solver_body.linear = state.linear_velocity[b]
+    solver_body.inverse_mass = bodies.inverse_mass[b]
+    solver_body.angular = state.angular_velocity[b]
+    solver_body.inverse_inertia_xx = wp.vec4(inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 1])
+    solver_body.inverse_inertia_yz = wp.vec3(inverse[1, 2], inverse[2, 2], 0.0)
+    motions.solver_bodies[b] = solver_body
     acceleration = wp.vec3(0.0, 0.0, 0.0)
-    if bodies.motion[b] == DYNAMIC:
+    if bodies.motion[b] == Motion.DYNAMIC:
         acceleration = envs.gravity[b / bodies_per_env] + field_acceleration(fields, field_count, center)
     motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
     motions.spin_acceleration[b] = inverse * state.torque[b]
@@ -135,11 +123,11 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
     shape = bodies.shape[b]
     half = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower)
     middle = 0.5 * (shapes.shapes[shape].upper + shapes.shapes[shape].lower)
-    if wp.max(half) > UNBOUNDED:
-        motions.lower[b] = wp.vec3(-2.0 * UNBOUNDED, -2.0 * UNBOUNDED, -2.0 * UNBOUNDED)
-        motions.upper[b] = wp.vec3(2.0 * UNBOUNDED, 2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
-        motions.radius[b] = 2.0 * UNBOUNDED
-        motions.room[b] = 2.0 * UNBOUNDED
+    if wp.max(half) > UNBOUNDED_EXTENT:
+        motions.lower[b] = wp.vec3(-2.0 * UNBOUNDED_EXTENT, -2.0 * UNBOUNDED_EXTENT, -2.0 * UNBOUNDED_EXTENT)
+        motions.upper[b] = wp.vec3(2.0 * UNBOUNDED_EXTENT, 2.0 * UNBOUNDED_EXTENT, 2.0 * UNBOUNDED_EXTENT)
+        motions.radius[b] = 2.0 * UNBOUNDED_EXTENT
+        motions.max_travel[b] = 2.0 * UNBOUNDED_EXTENT
         return
     turn = state.orientation[b]
     radius = wp.length(half) + wp.length(middle - bodies.center_of_mass[b])
@@ -152,18 +140,18 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
     motions.lower[b] = wp.min(at, at + travel) - extent
     motions.upper[b] = wp.max(at, at + travel) + extent
     way = wp.length(travel)
-    motions.room[b] = wp.max(0.5 * shapes.shapes[shape].size, 1.01 * way)
+    motions.max_travel[b] = wp.max(0.5 * shapes.shapes[shape].size, 1.01 * way)
     if way > 0.5 * shapes.shapes[shape].size:
-        around = wp.vec3(motions.room[b], motions.room[b], motions.room[b])
+        around = wp.vec3(motions.max_travel[b], motions.max_travel[b], motions.max_travel[b])
         motions.lower[b] = at - around - extent
         motions.upper[b] = at + around + extent
 
 
 @wp.kernel
-def accelerate(dt: float, when: int, bodies_per_env: int, envs: Environments, motions: Motions):
+def integrate_velocities(dt: float, when: int, bodies_per_env: int, envs: Environments, motions: Motions):
     """Velocity update: add a step's acceleration where the environment's stage order is `when`."""
     b = wp.tid()
-    if envs.collision_first[b / bodies_per_env] != when or motions.role[b] != FREE:
+    if envs.collision_first[b / bodies_per_env] != when or motions.role[b] != Role.FREE:
         return
-    motions.movers[b].linear = motions.movers[b].linear + dt * motions.acceleration[b]
-    motions.movers[b].angular = motions.movers[b].angular + dt * motions.spin_acceleration[b]
+    motions.solver_bodies[b].linear = motions.solver_bodies[b].linear + dt * motions.acceleration[b]
+    motions.solver_bodies[b].angular = motions.solver_bodies[b].angular + dt * motions.spin_acceleration[b]

@@ -13,9 +13,9 @@ the narrow phase and the solver, so that the blow is felt in the same step.
 import warp as wp
 
 from warp_rigid.kernels.collide.broadphase import may_meet
-from warp_rigid.kernels.constraints.contact import keep_contact
+from warp_rigid.kernels.constraints.contact import store_contact
+from warp_rigid.kernels.enums import Motion, Role
 from warp_rigid.kernels.schema import (
-    MOTION_DYNAMIC,
     Bodies,
     Contacts,
     Environments,
@@ -23,28 +23,26 @@ from warp_rigid.kernels.schema import (
     History,
     Motions,
     Pairs,
-    Rest,
     Shapes,
+    SleepState,
     State,
 )
-from warp_rigid.kernels.update.predict import ABSENT, ASLEEP, DRIVEN, FIXED, FREE
 
 wp.set_module_options({"enable_backward": False})
 
-DYNAMIC = wp.constant(MOTION_DYNAMIC)
 
-SLOW = wp.constant(0.1)
+SLEEP_SPEED = wp.constant(0.1)
 """Speed below which a body may be at rest, in its size a second; its surface turns no faster either."""
 
-STILL = wp.constant(0.02)
+SLEEP_TRAVEL = wp.constant(0.02)
 """Half-width of the box within which a body at rest stays, as a part of its size."""
 
-PATIENCE = wp.constant(0.5)
+SLEEP_DELAY = wp.constant(0.5)
 """How long a body must have kept still to fall asleep [s]."""
 
 
 @wp.func
-def turned(q: wp.quat, r: wp.quat):
+def angle_between(q: wp.quat, r: wp.quat):
     """Angle between two orientations, small ones [rad]."""
     d = wp.quat_inverse(q) * r
     return 2.0 * wp.length(wp.vec3(d[0], d[1], d[2]))
@@ -57,170 +55,178 @@ def differ(v: wp.vec3, w: wp.vec3):
 
 
 @wp.func
-def pose_differs(b: int, state: State, rest: Rest):
+def pose_differs(b: int, state: State, sleep_state: SleepState):
     """Whether a body is elsewhere than the pose that was kept."""
     q = state.orientation[b]
-    r = rest.orientation[b]
+    r = sleep_state.orientation[b]
     turn = q[0] != r[0] or q[1] != r[1] or q[2] != r[2] or q[3] != r[3]
-    return turn or differ(state.position[b], rest.position[b])
+    return turn or differ(state.position[b], sleep_state.position[b])
 
 
 @wp.func
-def has_changed(b: int, state: State, motions: Motions, rest: Rest):
+def has_changed(b: int, state: State, motions: Motions, sleep_state: SleepState):
     """Whether a sleeping or fixed body is not as it was left."""
-    moved = pose_differs(b, state, rest)
-    if motions.role[b] != ASLEEP:
-        return moved or motions.role[b] == DRIVEN
-    pushed = differ(state.force[b], rest.force[b]) or differ(state.torque[b], rest.torque[b])
+    moved = pose_differs(b, state, sleep_state)
+    if motions.role[b] != Role.ASLEEP:
+        return moved or motions.role[b] == Role.KINEMATIC
+    pushed = differ(state.force[b], sleep_state.force[b]) or differ(state.torque[b], sleep_state.torque[b])
     zero = wp.vec3(0.0, 0.0, 0.0)
     return moved or pushed or differ(state.linear_velocity[b], zero) or differ(state.angular_velocity[b], zero)
 
 
 @wp.kernel
-def notice(bodies_per_env: int, state: State, motions: Motions, rest: Rest, envs: Environments):
+def find_changed(bodies_per_env: int, state: State, motions: Motions, sleep_state: SleepState, envs: Environments):
     """One thread a body: what was changed since the last step. A fixed body that was moved counts as driven.
 
     Only where bodies may sleep: elsewhere it must not matter that they do in other environments.
     """
     b = wp.tid()
     role = motions.role[b]
-    if role == ABSENT or role == FREE or envs.sleeping[b / bodies_per_env] == 0:
+    if role == Role.ABSENT or role == Role.FREE or envs.sleeping[b / bodies_per_env] == 0:
         return
-    if has_changed(b, state, motions, rest):
-        rest.disturbed[b] = 1
+    if has_changed(b, state, motions, sleep_state):
+        sleep_state.disturbed[b] = 1
         envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
-        if role == FIXED:
-            motions.role[b] = DRIVEN
+        if role == Role.STATIC:
+            motions.role[b] = Role.KINEMATIC
 
 
 @wp.kernel
-def spread(history: History, rest: Rest):
+def wake_neighbors(history: History, sleep_state: SleepState):
     """One thread a body: name the islands that wake because of it or of what it lay on."""
     a = wp.tid()
-    if rest.disturbed[a] == 1 and rest.asleep[a] == 1:
-        rest.wake[rest.island[a]] = 1
+    if sleep_state.disturbed[a] == 1 and sleep_state.asleep[a] == 1:
+        sleep_state.wake[sleep_state.island[a]] = 1
     for row in range(history.pair_start[a], history.pair_start[a + 1]):
         if history.contact_start[row + 1] > history.contact_start[row]:
             b = history.body_b[row]
-            if rest.disturbed[a] == 1 and rest.asleep[b] == 1:
-                rest.wake[rest.island[b]] = 1
-            if rest.disturbed[b] == 1 and rest.asleep[a] == 1:
-                rest.wake[rest.island[a]] = 1
+            if sleep_state.disturbed[a] == 1 and sleep_state.asleep[b] == 1:
+                sleep_state.wake[sleep_state.island[b]] = 1
+            if sleep_state.disturbed[b] == 1 and sleep_state.asleep[a] == 1:
+                sleep_state.wake[sleep_state.island[a]] = 1
 
 
 @wp.kernel
-def touch(pairs: Pairs, rest: Rest):
+def wake_touched(pairs: Pairs, sleep_state: SleepState):
     """One thread a pair: name the islands that wake because something that moves touches them."""
     pair = wp.tid()
     if pair >= pairs.start[pairs.start.shape[0] - 1] or pairs.contact_count[pair] == 0:
         return
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    if rest.asleep[a] == 1:
-        rest.wake[rest.island[a]] = 1
-    if rest.asleep[b] == 1:
-        rest.wake[rest.island[b]] = 1
+    if sleep_state.asleep[a] == 1:
+        sleep_state.wake[sleep_state.island[a]] = 1
+    if sleep_state.asleep[b] == 1:
+        sleep_state.wake[sleep_state.island[b]] = 1
 
 
 @wp.kernel
-def wake(bodies_per_env: int, motions: Motions, rest: Rest, envs: Environments):
+def wake_islands(bodies_per_env: int, motions: Motions, sleep_state: SleepState, envs: Environments):
     """One thread a body: wake the islands that were named."""
     b = wp.tid()
-    if rest.asleep[b] == 1 and rest.wake[rest.island[b]] == 1:
+    if sleep_state.asleep[b] == 1 and sleep_state.wake[sleep_state.island[b]] == 1:
         envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
-        rest.asleep[b] = 0
-        rest.still[b] = 0
-        if motions.role[b] == ASLEEP:
-            motions.role[b] = FREE
+        sleep_state.asleep[b] = 0
+        sleep_state.still_steps[b] = 0
+        if motions.role[b] == Role.ASLEEP:
+            motions.role[b] = Role.FREE
 
 
 @wp.func
-def keep_pose(b: int, state: State, rest: Rest):
+def keep_pose(b: int, state: State, sleep_state: SleepState):
     """Measure motion from the present pose."""
-    rest.position[b] = state.position[b]
-    rest.orientation[b] = state.orientation[b]
+    sleep_state.position[b] = state.position[b]
+    sleep_state.orientation[b] = state.orientation[b]
 
 
 @wp.kernel
-def watch_stillness(shapes: Shapes, bodies: Bodies, state: State, motions: Motions, rest: Rest):
+def track_motion(shapes: Shapes, bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState):
     """One thread a body, after it has moved: count the steps for which it has kept still."""
     b = wp.tid()
     role = motions.role[b]
-    rest.wake[b] = 0
-    rest.restless[b] = 0
-    rest.grounded[b] = 0
-    rest.disturbed[b] = wp.where(role != ABSENT and state.active[b] == 0, 1, 0)
-    if role == ASLEEP:
+    sleep_state.wake[b] = 0
+    sleep_state.keeps_awake[b] = 0
+    sleep_state.supported[b] = 0
+    sleep_state.disturbed[b] = wp.where(role != Role.ABSENT and state.active[b] == 0, 1, 0)
+    if role == Role.ASLEEP:
         return
-    if role != FREE:
-        keep_pose(b, state, rest)
+    if role != Role.FREE:
+        keep_pose(b, state, sleep_state)
         return
     size = shapes.shapes[bodies.shape[b]].size
     reach = motions.radius[b]
     speed = wp.max(wp.length(state.linear_velocity[b]), reach * wp.length(state.angular_velocity[b]))
-    way = wp.length(state.position[b] - rest.position[b]) + reach * turned(rest.orientation[b], state.orientation[b])
-    rest.still[b] = rest.still[b] + 1
-    if speed > SLOW * size or way > STILL * size:
-        rest.still[b] = 0
-        keep_pose(b, state, rest)
+    way = wp.length(state.position[b] - sleep_state.position[b]) + reach * angle_between(
+        sleep_state.orientation[b], state.orientation[b]
+    )
+    sleep_state.still_steps[b] = sleep_state.still_steps[b] + 1
+    if speed > SLEEP_SPEED * size or way > SLEEP_TRAVEL * size:
+        sleep_state.still_steps[b] = 0
+        keep_pose(b, state, sleep_state)
 
 
 @wp.kernel
-def ask_bodies(
-    dt: float, bodies_per_env: int, envs: Environments, motions: Motions, graph: Graph, state: State, rest: Rest
+def test_bodies_for_sleep(
+    dt: float,
+    bodies_per_env: int,
+    envs: Environments,
+    motions: Motions,
+    graph: Graph,
+    state: State,
+    sleep_state: SleepState,
 ):
     """One thread a body: an island with a body that is not ready stays awake."""
     b = wp.tid()
     env = b / bodies_per_env
-    if motions.role[b] != FREE:
+    if motions.role[b] != Role.FREE:
         return
-    rest.still[b] = rest.still[b] * envs.sleeping[env]
-    ready = dt * float(rest.still[b]) >= PATIENCE and envs.failed[env] == 0
+    sleep_state.still_steps[b] = sleep_state.still_steps[b] * envs.sleeping[env]
+    ready = dt * float(sleep_state.still_steps[b]) >= SLEEP_DELAY and envs.failed[env] == 0
     if not ready or state.active[b] == 0:
-        rest.restless[graph.island[b]] = 1
+        sleep_state.keeps_awake[graph.island[b]] = 1
 
 
 @wp.kernel
-def ask_ground(pairs: Pairs, motions: Motions, bodies: Bodies, graph: Graph, rest: Rest):
+def test_support_for_sleep(pairs: Pairs, motions: Motions, bodies: Bodies, graph: Graph, sleep_state: SleepState):
     """One thread a pair: whether an island lies on something fixed, or on something that moves."""
     pair = wp.tid()
     if pairs.contact_start[pair + 1] == pairs.contact_start[pair]:
         return
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    if bodies.motion[a] == DYNAMIC and bodies.motion[b] == DYNAMIC:
+    if bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
         return
-    upper = wp.where(bodies.motion[a] == DYNAMIC, a, b)
-    if motions.role[a] == DRIVEN or motions.role[b] == DRIVEN:
-        rest.restless[graph.island[upper]] = 1
+    upper = wp.where(bodies.motion[a] == Motion.DYNAMIC, a, b)
+    if motions.role[a] == Role.KINEMATIC or motions.role[b] == Role.KINEMATIC:
+        sleep_state.keeps_awake[graph.island[upper]] = 1
     else:
-        rest.grounded[graph.island[upper]] = 1
+        sleep_state.supported[graph.island[upper]] = 1
 
 
 @wp.kernel
-def fall_asleep(motions: Motions, graph: Graph, state: State, rest: Rest):
+def update_sleep(motions: Motions, graph: Graph, state: State, sleep_state: SleepState):
     """One thread a body: islands that are ready fall asleep, in the pose and under the forces that they have."""
     b = wp.tid()
-    if motions.role[b] == ASLEEP:
-        graph.level[b] = rest.level[b]
-    if motions.role[b] != FREE:
+    if motions.role[b] == Role.ASLEEP:
+        graph.level[b] = sleep_state.level[b]
+    if motions.role[b] != Role.FREE:
         return
     island = graph.island[b]
-    if rest.restless[island] == 1 or rest.grounded[island] == 0:
+    if sleep_state.keeps_awake[island] == 1 or sleep_state.supported[island] == 0:
         return
-    rest.asleep[b] = 1
-    rest.island[b] = island
-    rest.level[b] = graph.level[b]
-    rest.force[b] = state.force[b]
-    rest.torque[b] = state.torque[b]
-    keep_pose(b, state, rest)
+    sleep_state.asleep[b] = 1
+    sleep_state.island[b] = island
+    sleep_state.level[b] = graph.level[b]
+    sleep_state.force[b] = state.force[b]
+    sleep_state.torque[b] = state.torque[b]
+    keep_pose(b, state, sleep_state)
     state.linear_velocity[b] = wp.vec3(0.0, 0.0, 0.0)
     state.angular_velocity[b] = wp.vec3(0.0, 0.0, 0.0)
-    state.spin_rest[b] = wp.vec3(0.0, 0.0, 0.0)
+    state.angular_velocity_remainder[b] = wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.func
-def row_asleep(pair: int, motions: Motions, pairs: Pairs):
+def history_row_if_asleep(pair: int, motions: Motions, pairs: Pairs):
     """Row in the history of a pair that has slept through this step, -1 of any other."""
     if pairs.dormant[pair] == 0 or may_meet(motions.role[pairs.body_a[pair]], motions.role[pairs.body_b[pair]]):
         return -1
@@ -228,15 +234,15 @@ def row_asleep(pair: int, motions: Motions, pairs: Pairs):
 
 
 @wp.kernel
-def count_kept(threads: int, history: History, motions: Motions, pairs: Pairs):
+def count_history(threads: int, history: History, motions: Motions, pairs: Pairs):
     """The threads share the pairs: what the history knows of a pair that has slept, it keeps, its contacts too."""
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
-        row = row_asleep(pair, motions, pairs)
+        row = history_row_if_asleep(pair, motions, pairs)
         if row >= 0:
             pairs.contact_count[pair] = history.contact_start[row + 1] - history.contact_start[row]
-            pairs.seen[pair] = history.seen[row]
-            pairs.seen_turn[pair] = history.seen_turn[row]
-            pairs.seen_shift[pair] = history.seen_shift[row]
+            pairs.searched[pair] = history.searched[row]
+            pairs.searched_orientation[pair] = history.searched_orientation[row]
+            pairs.searched_position[pair] = history.searched_position[row]
 
 
 @wp.func
@@ -244,30 +250,30 @@ def copy_contact(row: int, target: int, source: History, history: History):
     """Copy a row of a history to a row of another."""
     history.key[target] = source.key[row]
     history.impulse[target] = source.impulse[row]
-    history.twist[target] = source.twist[row]
+    history.angular_impulse[target] = source.angular_impulse[row]
     history.position[target] = source.position[row]
     history.normal[target] = source.normal[row]
     history.gap[target] = source.gap[row]
 
 
 @wp.kernel
-def carry(threads: int, pairs: Pairs, contacts: Contacts, history: History, motions: Motions, kept: History):
+def merge_history(threads: int, pairs: Pairs, contacts: Contacts, history: History, motions: Motions, kept: History):
     """The threads share the pairs: this step's contacts, and those of pairs that slept, to their rows.
 
     If all do not fit, `kept` has no rows, and the step is repeated with larger pools.
     """
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         first = kept.contact_start[pair]
-        row = row_asleep(pair, motions, pairs)
+        row = history_row_if_asleep(pair, motions, pairs)
         for k in range(kept.contact_start[pair + 1] - first):
             if row >= 0:
                 copy_contact(history.contact_start[row] + k, first + k, history, kept)
             else:
-                keep_contact(first + k, pairs.contact_start[pair] + k, contacts, kept)
+                store_contact(first + k, pairs.contact_start[pair] + k, contacts, kept)
 
 
 @wp.kernel
-def put_back(threads: int, kept: History, history: History):
+def replace_history(threads: int, kept: History, history: History):
     """The threads share the contacts: what was kept becomes the history."""
     for c in range(wp.tid(), kept.contact_start[kept.contact_start.shape[0] - 1], threads):
         copy_contact(c, c, kept, history)

@@ -88,7 +88,7 @@ def try_sweep(case: tuple[dict, dict, dict, str], folder: Path) -> None:
 
 
 @functools.cache
-def sound() -> bytes:
+def is_finite() -> bytes:
     """The table of a small sweep."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.parquet"
@@ -101,8 +101,8 @@ def sound() -> bytes:
 def tables(draw: Any) -> bytes:
     """Bytes changed at random, or a right file with other columns or with something else told beside them."""
     if draw(st.booleans()):
-        return draw(damaged(sound()))
-    table = pyarrow.parquet.read_table(io.BytesIO(sound()))
+        return draw(damaged(is_finite()))
+    table = pyarrow.parquet.read_table(io.BytesIO(is_finite()))
     about = json.loads(table.schema.metadata[METADATA])
     if draw(st.booleans()):
         change(draw, about)
@@ -128,7 +128,7 @@ def try_table(case: tuple[bytes, str], folder: Path) -> None:
     content, use = case
     path, other = folder / "a.parquet", folder / "b.parquet"
     path.write_bytes(content)
-    other.write_bytes(sound())
+    other.write_bytes(is_finite())
     if use == "merge":
         merge([other, path]).to_parquet(folder / "all.parquet")
     elif use == "resume":

@@ -183,7 +183,7 @@ FAR_TOO_MUCH = st.one_of(
 
 
 @functools.cache
-def sound(suffix: str) -> bytes:
+def is_finite(suffix: str) -> bytes:
     """A file that this package wrote."""
     scene = wr.Scene()
     scene.add_static(wr.Plane())
@@ -200,7 +200,7 @@ def sound(suffix: str) -> bytes:
 @st.composite
 def damaged_files(draw: Any) -> tuple[str, bytes]:
     suffix = draw(st.sampled_from([".usda", ".usda", ".usdc", ".usdz", ".usd"]))
-    return suffix, draw(damaged(sound(".usdc" if suffix == ".usd" else suffix)))
+    return suffix, draw(damaged(is_finite(".usdc" if suffix == ".usd" else suffix)))
 
 
 def try_file(case: tuple[str, bytes, str], folder: Path) -> None:

@@ -10,21 +10,21 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step import Stages
 
 STAGES = (
-    "raise_surfaces",
+    "move_ground",
     "predict",
-    "wake_changed",
+    "wake_changed_islands",
     "find_pairs",
     "find_contacts",
     "build_graph",
     "accelerate",
-    "carry_contacts",
+    "set_surface_velocity",
     "collide",
     "solve_contacts",
     "propagate_shock",
     "push_out",
     "follow",
     "move",
-    "fall_asleep",
+    "update_sleep",
     "remember",
 )
 """Methods of `Stages` that are told apart; one that another calls counts for itself only."""

@@ -88,14 +88,14 @@ class Shards:
         ranges: list[Range],
         model: Model,
         state: Any,
-        rest: Any,
+        sleep_state: Any,
         envs: Any,
         room: dict[str, int] | None,
         limit: MemoryLimit,
         other_bytes: int,
     ) -> None:
         """Make the shards; `record` must follow."""
-        self._shards = [Shard(*some, model, state, rest, envs) for some in ranges]
+        self._shards = [Shard(*some, model, state, sleep_state, envs) for some in ranges]
         self._envs, self._limit, self._other_bytes, self._growth_told = envs, limit, other_bytes, False
         self._threads, self._attempt = usable_cores(), 0
         self.steps, self.room, self.most_wanted = 0, room, np.zeros(2, np.int64)
@@ -165,7 +165,7 @@ class Shards:
                 return np.concatenate(deepest)
             self._grow(tally.short)
 
-    def make_room(self, shard: Shard, wanted: dict[str, int]) -> None:
+    def ensure_capacity(self, shard: Shard, wanted: dict[str, int]) -> None:
         """Enlarge the pools of a shard that are smaller than what is wanted of them."""
         short = {name: n for name, n in wanted.items() if n > shard.pools.sizes[name]}
         if short:

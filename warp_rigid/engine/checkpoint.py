@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
 
 KIND = "checkpoint"
-VERSION = 4  # raise whenever older files could no longer be read
+VERSION = 5  # raise whenever older files could no longer be read
 
-FROM_SCENE = ("shape", "motion", "wide", "center_of_mass", "apart_start", "apart")
+FROM_SCENE = ("shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scene."""
 
 log = logging.getLogger("warp_rigid")
@@ -126,7 +126,7 @@ def _whole(sim: "Simulator") -> dict[str, wp.array]:
     owners = [
         (schema.Bodies, sim._model.bodies, [n for n in schema.field_names(schema.Bodies) if n not in FROM_SCENE]),
         (schema.State, sim._state, schema.field_names(schema.State)),
-        (schema.Rest, sim._rest, [n for n in schema.field_names(schema.Rest) if n != "island"]),
+        (schema.SleepState, sim._sleep_state, [n for n in schema.field_names(schema.SleepState) if n != "island"]),
         (schema.Environments, sim._envs, schema.field_names(schema.Environments)),
     ]
     return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
@@ -135,8 +135,8 @@ def _whole(sim: "Simulator") -> dict[str, wp.array]:
 def _stored(sim: "Simulator") -> dict[str, np.ndarray]:
     """All arrays that a checkpoint holds, numbered as if all environments were one shard."""
     stored = {name: array.numpy() for name, array in _whole(sim).items()}
-    island = sim._rest.island.numpy() + _first_bodies(sim)
-    stored["Rest.island"] = np.where(stored["Rest.asleep"] == 1, island, 0).astype(np.int32)
+    island = sim._sleep_state.island.numpy() + _first_bodies(sim)
+    stored["SleepState.island"] = np.where(stored["SleepState.asleep"] == 1, island, 0).astype(np.int32)
     stored |= {f"History.{name}": rows for name, rows in _history(sim).items()}
     levels = [shard.pools.levels for shard in sim._shards]
     return stored | {name: np.concatenate([some[name].numpy() for some in levels]) for name in levels[0]}
@@ -198,7 +198,11 @@ def _check_neighbours(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
     env_of_pair = np.repeat(env, np.diff(rows["History.pair_start"]))
     for name, bodies, envs in (
         ("History.body_b", rows["History.body_b"], env_of_pair),
-        ("Rest.island", rows["Rest.island"][rows["Rest.asleep"] == 1], env[rows["Rest.asleep"] == 1]),
+        (
+            "SleepState.island",
+            rows["SleepState.island"][rows["SleepState.asleep"] == 1],
+            env[rows["SleepState.asleep"] == 1],
+        ),
     ):
         if (bodies // sim.num_bodies != envs).any():
             raise ValueError(f"{name} must be bodies of the same environment")
@@ -223,7 +227,7 @@ def _upload(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
     """Write all arrays, each shard's part of the contacts to its own pools."""
     parts = [_part_of_history(shard, rows) for shard in sim._shards]
     for shard, part in zip(sim._shards, parts, strict=True):
-        sim._shards.make_room(shard, {"pairs": len(part["body_b"]), "contacts": len(part["key"])})
+        sim._shards.ensure_capacity(shard, {"pairs": len(part["body_b"]), "contacts": len(part["key"])})
     for shard, part in zip(sim._shards, parts, strict=True):
         for name, values in part.items():
             _fill(getattr(shard.pools.history, name), values)
@@ -233,8 +237,8 @@ def _upload(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
         levels["Graph.level_count"].assign(rows["Graph.level_count"][shard.first : shard.end])
     for name, array in _whole(sim).items():
         array.assign(rows[name])
-    island = np.where(rows["Rest.asleep"] == 1, rows["Rest.island"] - _first_bodies(sim), 0)
-    sim._rest.island.assign(island.astype(np.int32))
+    island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - _first_bodies(sim), 0)
+    sim._sleep_state.island.assign(island.astype(np.int32))
 
 
 def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -26,7 +26,7 @@ def pool_bytes(sizes: dict[str, int]) -> int:
 def body_bytes(scene: Scene, num_envs: int) -> int:
     """Bytes of all that is sized with bodies and environments: parameters, state and its copies, settings."""
     sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
-    structs = (schema.Bodies, *[schema.State] * 3, *[schema.Rest] * 2, schema.Motions, schema.Environments)
+    structs = (schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments)
     return sum(schema.byte_size(struct, sizes) for struct in structs)
 
 

@@ -53,7 +53,7 @@ class Model:
     field_count: int
     combine_rules: wp.vec2i
     small: wp.array
-    wide: wp.array
+    oversized: wp.array
     grid_radius: float
     bodies_of_shape: list[list[int]]
 
@@ -77,7 +77,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
     shapes, shape_of_body = _unique_shapes(scene.bodies)
     pooled, place, step = with_copies(shapes, num_envs)
     pool, surfaces, surface_vertices = _pool_shapes(pooled, _exact_reach(scene.bodies), device)
-    small, wide, grid_radius = _split_by_size(scene.bodies)
+    small, oversized, grid_radius = _split_by_size(scene.bodies)
     fields = schema.allocate(schema.FieldForces, {"fields": len(scene.force_fields)}, device)
     if scene.force_fields:
         _upload_fields(fields, scene.force_fields)
@@ -88,14 +88,14 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
         surfaces=surfaces,
         surface_vertices=surface_vertices,
         surface_node=pool.grid_value.shape[0] - surface_vertices,
-        bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], wide, num_envs, device),
+        bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], oversized, num_envs, device),
         fields=fields,
         field_count=len(scene.force_fields),
         combine_rules=wp.vec2i(
             COMBINE_RULES.index(scene.friction_combine), COMBINE_RULES.index(scene.restitution_combine)
         ),
         small=wp.array(np.array(small, np.int32), dtype=int, device=device),
-        wide=wp.array(np.array(wide, np.int32), dtype=int, device=device),
+        oversized=wp.array(np.array(oversized, np.int32), dtype=int, device=device),
         grid_radius=grid_radius,
         bodies_of_shape=[[b for b, s in enumerate(shape_of_body) if s == k] for k in range(len(shapes))],
     )
@@ -167,10 +167,10 @@ def _extent(shape: Shape) -> np.ndarray:
 def body_sizes(scene: Scene, num_envs: int) -> dict[str, int]:
     """How long the arrays of Bodies are."""
     count = len(scene.bodies)
-    return {"bodies": num_envs * count, "env_bodies": count, "apart": 2 * len(scene.filtered_pairs)}
+    return {"bodies": num_envs * count, "env_bodies": count, "filtered": 2 * len(scene.filtered_pairs)}
 
 
-def _apart(scene: Scene) -> list[list[int]]:
+def _filtered(scene: Scene) -> list[list[int]]:
     """For each body of an environment those that it never touches."""
     others: list[list[int]] = [[] for _ in scene.bodies]
     for a, b in sorted(scene.filtered_pairs):
@@ -190,18 +190,18 @@ def _upload_fields(fields: Any, force_fields: list) -> None:
 
 
 def _upload_bodies(
-    scene: Scene, shape_of_body: np.ndarray, step: np.ndarray, wide: list[int], num_envs: int, device: Any
+    scene: Scene, shape_of_body: np.ndarray, step: np.ndarray, oversized: list[int], num_envs: int, device: Any
 ) -> Any:
     """Write one environment's rows and repeat them; each environment's shape lies `step` further than the last's."""
     bodies = scene.bodies
-    apart = _apart(scene)
+    filtered = _filtered(scene)
     rows = schema.allocate(schema.Bodies, body_sizes(scene, num_envs), device)
-    rows.apart_start.assign(_starts([len(others) for others in apart]))
+    rows.filtered_start.assign(_starts([len(others) for others in filtered]))
     if scene.filtered_pairs:
-        rows.apart.assign(np.concatenate(apart).astype(np.int32))
+        rows.filtered.assign(np.concatenate(filtered).astype(np.int32))
     host: dict[str, np.ndarray] = {
         "motion": np.array([int(body.motion) for body in bodies], np.int32),
-        "wide": np.isin(np.arange(len(bodies)), wide).astype(np.int32),
+        "oversized": np.isin(np.arange(len(bodies)), oversized).astype(np.int32),
         "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
     }
     for name in ("friction", "restitution", "rolling_friction", "spinning_friction"):

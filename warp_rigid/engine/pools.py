@@ -107,7 +107,7 @@ class Pools:
         return pools
 
 
-def expected_room(num_envs: int, dynamic: int) -> tuple[int, int]:
+def expected_capacity(num_envs: int, dynamic: int) -> tuple[int, int]:
     """Pairs and contacts to begin with: six pairs for each of `dynamic` bodies an environment, six contacts a pair."""
     pairs = min(num_envs * max(8, 6 * dynamic), LARGEST)
     return pairs, min(6 * pairs, LARGEST)

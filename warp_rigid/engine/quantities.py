@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
 
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
-REST_OF = {"orientation": "turn_rest", "angular_velocity": "spin_rest"}
+REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "angular_velocity_remainder"}
 """Where the device keeps what rounding left over of a quantity."""
 
 COEFFICIENTS = ("friction", "restitution", "rolling_friction", "spinning_friction")
@@ -52,7 +52,7 @@ def read(sim: "Simulator", name: str) -> np.ndarray:
         level = sim._shards.gather(lambda shard: shard.pools.graph.level.numpy())
         return level.reshape(sim.num_envs, sim.num_bodies)
     if name == "asleep":
-        return _rows(sim, sim._rest.asleep).astype(bool)
+        return _rows(sim, sim._sleep_state.asleep).astype(bool)
     if name == "active":
         return _rows(sim, sim._state.active).astype(bool)
     if name in DERIVED:
@@ -86,9 +86,9 @@ def write(sim: "Simulator", name: str, value: Any, envs: Any, bodies: Any) -> No
 def wake(sim: "Simulator", chosen: np.ndarray, bodies: np.ndarray) -> None:
     """Wake the islands of bodies that were changed, and those that lie on them."""
     if sim._shards.sleeping:
-        _assign_rows(sim, sim._rest.disturbed, 1, chosen, bodies)
+        _assign_rows(sim, sim._sleep_state.disturbed, 1, chosen, bodies)
         for shard, _ in sim._shards.of(chosen):
-            shard.stages.wake_disturbed()
+            shard.stages.wake_disturbed_islands()
 
 
 def live_array(sim: "Simulator", name: str) -> wp.array:
@@ -157,9 +157,9 @@ def _write_setting(sim: "Simulator", name: str, value: Any, chosen: np.ndarray) 
 def _count_anew(sim: "Simulator", chosen: np.ndarray) -> None:
     """Forget how long bodies have kept still: the device counted only if others in the batch slept."""
     everyone = np.arange(sim.num_bodies)
-    _assign_rows(sim, sim._rest.still, 0, chosen, everyone)
+    _assign_rows(sim, sim._sleep_state.still_steps, 0, chosen, everyone)
     for name in ("position", "orientation"):
-        _assign_rows(sim, getattr(sim._rest, name), read(sim, name)[chosen], chosen, everyone)
+        _assign_rows(sim, getattr(sim._sleep_state, name), read(sim, name)[chosen], chosen, everyone)
 
 
 def renew_stages(sim: "Simulator") -> None:
@@ -191,8 +191,8 @@ def _write_rows(sim: "Simulator", name: str, value: Any, chosen: np.ndarray, bod
             raise ValueError("orientation: must be quaternions (x, y, z, w) of length > 0")
         new = new / length
     _assign_rows(sim, getattr(owner, name), new, chosen, bodies)
-    if name in REST_OF:
-        _assign_rows(sim, getattr(sim._state, REST_OF[name]), 0.0, chosen, bodies)
+    if name in REMAINDER_OF:
+        _assign_rows(sim, getattr(sim._state, REMAINDER_OF[name]), 0.0, chosen, bodies)
 
 
 def _assign_rows(sim: "Simulator", array: wp.array, values: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
@@ -229,13 +229,13 @@ def forget_history(sim: "Simulator", chosen: np.ndarray) -> None:
         history = shard.pools.history
         pairs = history.pair_start.numpy()
         start = history.contact_start.numpy()[pairs]
-        keys, seen = history.key.numpy(), history.seen.numpy()
+        keys, searched = history.key.numpy(), history.searched.numpy()
         for env in own:
             first, last = env * sim.num_bodies, (env + 1) * sim.num_bodies
             keys[start[first] : start[last]] = -1
-            seen[pairs[first] : pairs[last]] = 0
+            searched[pairs[first] : pairs[last]] = 0
         history.key.assign(keys)
-        history.seen.assign(seen)
+        history.searched.assign(searched)
 
 
 def apply_impulse(sim: "Simulator", impulse: Any, point: Any, body: int, envs: Any) -> None:
@@ -378,4 +378,6 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REST_OF.values(), "active", "idle_shocks"} == set(schema.field_names(schema.State))
+assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "shock_ineffective_steps"} == set(
+    schema.field_names(schema.State)
+)

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import number_in, one_of, shown, whole_in
+from warp_rigid.kernels.enums import ShockMode
 
-SHOCK_MODES = ("off", "one_pass", "two_pass")
+SHOCK_MODES = tuple(mode.name.lower() for mode in ShockMode)
 MOST_ITERATIONS = 10_000
 
 

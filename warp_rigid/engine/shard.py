@@ -46,18 +46,18 @@ class Shard:
     seconds = 0.0
 
     def __init__(
-        self, first: int, end: int, sizes: dict[str, int], model: Model, state: Any, rest: Any, envs: Any
+        self, first: int, end: int, sizes: dict[str, int], model: Model, state: Any, sleep_state: Any, envs: Any
     ) -> None:
         """Make the arrays; `record` must follow."""
         self.first, self.end = first, end
         self.num_envs, self.num_bodies = end - first, len(model.scene.bodies)
         self._model = model.part(first, end)
         self._state = schema.part(state, "bodies", self.first_body, self.end_body)
-        self._rest = schema.part(rest, "bodies", self.first_body, self.end_body)
+        self._sleep_state = schema.part(sleep_state, "bodies", self.first_body, self.end_body)
         self._envs = schema.part(envs, "envs", first, end)
         self._device: Any = envs.step.device
         self._saved_state = schema.allocate(schema.State, sizes, self._device)
-        self._saved_rest = schema.allocate(schema.Rest, sizes, self._device)
+        self._saved_sleep_state = schema.allocate(schema.SleepState, sizes, self._device)
         self._saved_envs = [(array, wp.clone(array)) for array in (getattr(self._envs, name) for name in WATCHED)]
         self._saved_in: int | None = None
         self.pools = Pools.allocate(sizes, self._device)
@@ -78,7 +78,7 @@ class Shard:
         One shard at a time, while no other is at work. Whatever interrupts it leaves the shard as it was.
         """
         pools = pools or self.pools
-        stages = Stages(self._model, self._state, self._rest, self._envs, pools, dt, repetitions, sleeping)
+        stages = Stages(self._model, self._state, self._sleep_state, self._envs, pools, dt, repetitions, sleeping)
         kept = self._kept_arrays(pools, sleeping)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
             for array, saved in kept:
@@ -133,7 +133,7 @@ class Shard:
     def _kept_arrays(self, pools: Pools, sleeping: bool) -> list[tuple[wp.array, wp.array]]:
         """What a step changes for the next one or for a reader, and the copies that undo it."""
         structs = [(schema.State, self._state, self._saved_state)]
-        structs += [(schema.Rest, self._rest, self._saved_rest)] if sleeping else []
+        structs += [(schema.SleepState, self._sleep_state, self._saved_sleep_state)] if sleeping else []
         structs += [(schema.History, pools.history, schema.allocate(schema.History, pools.sizes, self._device))]
         both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in schema.field_names(struct)]
         return both + self._saved_envs + [(some, wp.clone(some)) for some in pools.levels.values()]

@@ -81,7 +81,7 @@ class Simulator:
         self.on_overflow = one_of("on_overflow", on_overflow, ("grow", "raise"))
         self.on_nonfinite = one_of("on_nonfinite", on_nonfinite, ("quarantine", "raise"))
         self._memory_limit = MemoryLimit(self.device, memory_limit)
-        room = self._first_room(capacity or {})
+        room = self._initial_capacity(capacity or {})
         ranges = plan(scene, self.num_envs, room, self.device)
         other_bytes = body_bytes(scene, self.num_envs) + shape_bytes(scene)
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
@@ -92,13 +92,13 @@ class Simulator:
         self._model = build_model(scene, num_envs, self.device)
         self._state = initial_state(scene, num_envs, self.device)
         self._start = initial_state(scene, num_envs, self.device)
-        self._rest = schema.allocate(schema.Rest, {"bodies": num_envs * self.num_bodies}, self.device)
+        self._sleep_state = schema.allocate(schema.SleepState, {"bodies": num_envs * self.num_bodies}, self.device)
         self._envs = initial_environments(scene, self.settings, num_envs, self.device)
         self._shards = Shards(
             ranges,
             self._model,
             self._state,
-            self._rest,
+            self._sleep_state,
             self._envs,
             room if on_overflow == "raise" else None,
             self._memory_limit,
@@ -165,10 +165,10 @@ class Simulator:
             start = getattr(self._start, name).numpy().reshape(rows.shape)
             rows[chosen] = start[chosen]
             getattr(self._state, name).assign(rows.reshape(getattr(self._state, name).numpy().shape))
-        for name in schema.field_names(schema.Rest):
-            values = getattr(self._rest, name).numpy()
+        for name in schema.field_names(schema.SleepState):
+            values = getattr(self._sleep_state, name).numpy()
             values.reshape(self.num_envs, self.num_bodies, -1)[chosen] = 0
-            getattr(self._rest, name).assign(values)
+            getattr(self._sleep_state, name).assign(values)
         for name in WATCHED:
             values = getattr(self._envs, name).numpy()
             values[chosen] = 0
@@ -242,12 +242,12 @@ class Simulator:
         """Width of the cells in which bodies look for each other [m]; environments of few bodies try all pairs."""
         return self._model.grid_radius
 
-    def _first_room(self, given: Mapping[str, int]) -> dict[str, int]:
+    def _initial_capacity(self, given: Mapping[str, int]) -> dict[str, int]:
         """Room for six pairs a dynamic body and six contacts a pair, unless told otherwise."""
         for name in given:
             one_of("capacity", name, pools.NAMES)
         dynamic = sum(body.mass > 0.0 for body in self.scene.bodies)
-        estimate, _ = pools.expected_room(self.num_envs, dynamic)
+        estimate, _ = pools.expected_capacity(self.num_envs, dynamic)
         pairs = whole_in("capacity pairs", given.get("pairs", estimate), 1, pools.LARGEST)
         contacts = whole_in("capacity contacts", given.get("contacts", min(6 * pairs, pools.LARGEST)), 1, pools.LARGEST)
         return {"pairs": pairs, "contacts": contacts}

@@ -134,7 +134,7 @@ class Stages:
         self,
         model: Model,
         state: Any,
-        rest: Any,
+        sleep_state: Any,
         envs: Any,
         pools: Pools,
         dt: float,
@@ -142,7 +142,7 @@ class Stages:
         sleeping: bool,
     ) -> None:
         """Record the step; `load_kernels` has been called for `STEP`."""
-        self.model, self.state, self.rest, self.envs, self.pools = model, state, rest, envs, pools
+        self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
         self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
         device: Any = pools.wanted.device
         self.device = device
@@ -164,39 +164,39 @@ class Stages:
 
     def step(self) -> None:
         """One step of the method (Guendelman et al. 2003, section 4), with each stage's remedies."""
-        self.raise_surfaces()
+        self.move_ground()
         self.predict(self.dt)
         if self.sleeping:
-            self.wake_changed()
+            self.wake_changed_islands()
         self.find_pairs()
         self.find_contacts()
         self.build_graph()
-        self.accelerate(before_collisions=True)
-        self.carry_contacts(before_step=True)
-        self.collide()
-        self.accelerate(before_collisions=False)
-        self.carry_contacts(before_step=False)
+        self.integrate_velocities(before_collisions=True)
+        self.set_surface_velocity(before_step=True)
+        self.solve_impacts()
+        self.integrate_velocities(before_collisions=False)
+        self.set_surface_velocity(before_step=False)
         self.solve_contacts()
         self.push_out()
-        self.follow()
-        self.move()
+        self.detect_continuous_collisions()
+        self.integrate_positions()
         if self.sleeping:
-            self.fall_asleep()
-        self.remember()
+            self.update_sleep()
+        self.store_history()
 
-    def raise_surfaces(self) -> None:
+    def move_ground(self) -> None:
         """Bring ground that moves to where it is now."""
         count = self.model.surface_vertices
         if count:
             wp.launch(
-                ground_motion.raise_surfaces,
+                ground_motion.move_ground,
                 dim=count,
                 inputs=[self.dt, self.model.surface_node, self.envs, self.model.surfaces],
                 outputs=[self.model.shapes],
                 device=self.device,
             )
 
-    def carry_contacts(self, before_step: bool) -> None:
+    def set_surface_velocity(self, before_step: bool) -> None:
         """Tell the contacts how fast ground moves, before this step or over it."""
         if self.model.surface_vertices:
             model, records = self.model, self.pools.contacts
@@ -209,7 +209,7 @@ class Stages:
                 self.state,
             ]
             wp.launch(
-                ground_motion.carry_contacts,
+                ground_motion.set_surface_velocity,
                 dim=records.key.shape[0],
                 inputs=[*inputs, self.envs, model.surfaces, self.pools.pairs],
                 outputs=[records],
@@ -225,7 +225,7 @@ class Stages:
                 self.model.field_count,
                 self.model.bodies,
                 self.state,
-                self.rest,
+                self.sleep_state,
                 self.envs,
                 self.model.fields,
             ],
@@ -255,22 +255,22 @@ class Stages:
         pairs.contact_count.zero_()
         self._search_contacts(woken=0)
         if self.sleeping:
-            self._per_pair(sleep.touch, [pairs], [self.rest])
-            self._per_body(sleep.wake, [self.num_bodies], [self.motions, self.rest, self.envs])
+            self._per_pair(sleep.wake_touched, [pairs], [self.sleep_state])
+            self._per_body(sleep.wake_islands, [self.num_bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, records.key.shape[0])
         inputs = [self.dt, self.model.combine_rules, *bodies_of_pair, pairs, self.pools.history]
         self._share_pairs(contact.build_contacts, BUILD_LANES, inputs, [records])
 
-    def wake_changed(self) -> None:
+    def wake_changed_islands(self) -> None:
         """Wake the islands that were changed from outside, or whose support was."""
-        self._per_body(sleep.notice, [self.num_bodies, self.state], [self.motions, self.rest, self.envs])
-        self.wake_disturbed()
+        self._per_body(sleep.find_changed, [self.num_bodies, self.state], [self.motions, self.sleep_state, self.envs])
+        self.wake_disturbed_islands()
 
-    def wake_disturbed(self) -> None:
+    def wake_disturbed_islands(self) -> None:
         """Wake the islands of the bodies that are marked as disturbed, and those that lie on them."""
-        self._per_body(sleep.spread, [self.pools.history], [self.rest])
-        self._per_body(sleep.wake, [self.num_bodies], [self.motions, self.rest, self.envs])
+        self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
+        self._per_body(sleep.wake_islands, [self.num_bodies], [self.motions, self.sleep_state, self.envs])
 
     def build_graph(self) -> None:
         """Who rests on whom, levels, islands, and the order of solving."""
@@ -280,20 +280,20 @@ class Stages:
         touching = [self.motions, pairs, self.pools.contacts, self.pools.history]
         self._per_team(lanes, support.find_support, [*own, *touching], [graph])
         self._per_team(lanes, support.find_levels, [*own, pairs], [graph])
-        self._per_team(lanes, support.find_heights, [*own, pairs], [graph])
+        self._per_team(lanes, support.find_depths, [*own, pairs], [graph])
         self._per_team(lanes, support.find_islands, [*own, pairs], [graph])
         self._per_team(lanes, coloring.color_pairs, [*own, pairs], [graph])
         self._per_team(lanes, coloring.group_pairs, [lanes, self.num_bodies, pairs], [graph, self.pools.order])
 
-    def accelerate(self, before_collisions: bool) -> None:
+    def integrate_velocities(self, before_collisions: bool) -> None:
         """Velocity update, in the environments whose stage order has it here."""
         self._per_body(
-            predict.accelerate,
+            predict.integrate_velocities,
             [self.dt, 0 if before_collisions else 1, self.num_bodies, self.envs],
             [self.motions],
         )
 
-    def collide(self) -> None:
+    def solve_impacts(self) -> None:
         """Impacts with restitution."""
         self._color_by_color(restitution.collide, [self.dt])
 
@@ -311,7 +311,7 @@ class Stages:
 
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
-        self._color_by_color(line_search.remember_start, [self.state])
+        self._color_by_color(line_search.store_start, [self.state])
         self._color_by_color(shock.propagate, [repetition])
         self._color_by_color(line_search.sum_energy)
         self._color_by_color(line_search.accept, [repetition], [self.state])
@@ -327,18 +327,20 @@ class Stages:
         )
         self._color_by_color(push_out.push_apart)
 
-    def follow(self) -> None:
+    def detect_continuous_collisions(self) -> None:
         """Find how far fast bodies can move before they would pass into others."""
-        self._per_body(ccd.limit_way, [self.dt], [self.motions])
-        self._follow(ccd.follow, [0])
-        self._per_body(ccd.settle, [], [self.motions])
-        self._follow(ccd.follow, [1])
+        self._per_body(ccd.limit_travel, [self.dt], [self.motions])
+        self._limit_motion(ccd.limit_motion, [0])
+        self._per_body(ccd.commit_time_of_impact, [], [self.motions])
+        self._limit_motion(ccd.limit_motion, [1])
 
-    def move(self) -> None:
+    def integrate_positions(self) -> None:
         """Position update, after a look for non-finite states, and a look for bodies out of bounds after it."""
         scene, bodies = self.model.scene, self.model.bodies
-        self._per_body(integrate.watch, [self.num_bodies, self.motions], [self.envs])
-        self._per_body(integrate.move, [self.dt, self.num_bodies, bodies, self.motions, self.envs], [self.state])
+        self._per_body(integrate.find_non_finite, [self.num_bodies, self.motions], [self.envs])
+        self._per_body(
+            integrate.integrate_positions, [self.dt, self.num_bodies, bodies, self.motions, self.envs], [self.state]
+        )
         if scene.bounds is not None:
             lower, upper = (wp.vec3(corner) for corner in scene.bounds)
             remove = int(scene.out_of_bounds == "remove")
@@ -349,32 +351,34 @@ class Stages:
             )
         self._per_env(integrate.close_step, [self.num_bodies], [self.envs])
 
-    def fall_asleep(self) -> None:
+    def update_sleep(self) -> None:
         """Put the islands to sleep that have kept still for long enough."""
         graph, bodies, pairs = self.pools.graph, self.model.bodies, self.pools.pairs
-        self._per_body(sleep.watch_stillness, [self.model.shapes, bodies, self.state, self.motions], [self.rest])
+        self._per_body(sleep.track_motion, [self.model.shapes, bodies, self.state, self.motions], [self.sleep_state])
         self._per_body(
-            sleep.ask_bodies, [self.dt, self.num_bodies, self.envs, self.motions, graph, self.state], [self.rest]
+            sleep.test_bodies_for_sleep,
+            [self.dt, self.num_bodies, self.envs, self.motions, graph, self.state],
+            [self.sleep_state],
         )
-        self._per_pair(sleep.ask_ground, [pairs, self.motions, bodies, graph], [self.rest])
-        self._per_body(sleep.fall_asleep, [self.motions, graph], [self.state, self.rest])
+        self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
+        self._per_body(sleep.update_sleep, [self.motions, graph], [self.state, self.sleep_state])
 
-    def remember(self) -> None:
+    def store_history(self) -> None:
         """Keep this step's contacts for the next one's warm start, and those on which sleepers lie."""
         pairs, records, history = self.pools.pairs, self.pools.contacts, self.pools.history
         rows = max(history.pair_start.shape[0], history.contact_start.shape[0])
         if self.sleeping:
-            self._shared(sleep.count_kept, self.pools.sizes["pairs"], [], [history, self.motions], [pairs])
+            self._shared(sleep.count_history, self.pools.sizes["pairs"], [], [history, self.motions], [pairs])
             self._sum(pairs.contact_count, self.kept.contact_start, CONTACTS, records.key.shape[0])
             self._shared(
-                sleep.carry, self.pools.sizes["pairs"], [], [pairs, records, history, self.motions], [self.kept]
+                sleep.merge_history, self.pools.sizes["pairs"], [], [pairs, records, history, self.motions], [self.kept]
             )
-        self._shared(contact.keep_pairs, rows, [], [pairs], [history, self.pools.graph])
+        self._shared(contact.store_pairs, rows, [], [pairs], [history, self.pools.graph])
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
-            self._shared(sleep.put_back, self.pools.sizes["contacts"], [], [self.kept], [history])
+            self._shared(sleep.replace_history, self.pools.sizes["contacts"], [], [self.kept], [history])
         else:
-            self._shared(contact.keep_impulses, self.pools.sizes["contacts"], [], [records, pairs], [history])
+            self._shared(contact.store_impulses, self.pools.sizes["contacts"], [], [records, pairs], [history])
         wp.launch(capacity.close_turn, dim=1, outputs=[self.pools.turn, self.pools.wanted], device=self.device)
 
     def deepest_overlap(self, deepest: Any) -> None:
@@ -383,7 +387,7 @@ class Stages:
         It is no part of the recorded step: `load_kernels` must have been called for `OVERLAP`.
         """
         deepest.zero_()
-        self.raise_surfaces()
+        self.move_ground()
         self.predict(0.0)
         self.find_pairs()
         self._per_pair(
@@ -437,7 +441,7 @@ class Stages:
             device=self.device,
         )
 
-    def _follow(self, kernel: Any, before: list) -> None:
+    def _limit_motion(self, kernel: Any, before: list) -> None:
         """One round over the pairs of the swept detection."""
         inputs = [self.dt, self.model.shapes, self.model.bodies, self.state]
         self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions, self.pools.pairs])
@@ -446,7 +450,7 @@ class Stages:
         """One round of the narrow phase: the pairs at hand, or the dormant ones that have just woken."""
         pairs = self.pools.pairs
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
-        pairs.sought_count.zero_()
+        pairs.candidate_count.zero_()
         inputs = [self.dt, *bodies_of_pair, self.pools.history]
         self._shared(narrowphase.keep_contacts, self.pools.sizes["pairs"], [woken], inputs, [pairs])
         inputs = [self.dt, *bodies_of_pair]
@@ -471,9 +475,9 @@ class Stages:
         small = self.model.small.shape[0]
         self.buckets = 1 << math.ceil(math.log2(BUCKETS_A_BODY * small)) if small > TRY_ALL_UP_TO else 0
         points = self.num_envs * small if self.buckets else 0
-        sizes = {"small": 0, "large": 0, "points": points, "buckets": self.num_envs * self.buckets}
+        sizes = {"small": 0, "oversized": 0, "points": points, "buckets": self.num_envs * self.buckets}
         cells = schema.allocate(schema.Cells, {**sizes, "envs": self.num_envs}, self.device)
-        cells.small, cells.large = self.model.small, self.model.wide
+        cells.small, cells.oversized = self.model.small, self.model.oversized
         return cells
 
     def _fill_cells(self) -> None:

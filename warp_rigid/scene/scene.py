@@ -6,12 +6,12 @@ value is checked when it is given, so that a mistake is reported at the line tha
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
+from warp_rigid.kernels.enums import CombineRule, Motion
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield
@@ -23,22 +23,11 @@ __all__ = ["COMBINE_RULES", "Body", "Motion", "Scene"]
 
 Vector = Sequence[float] | np.ndarray
 
-COMBINE_RULES = ("min", "average", "multiply", "max")
+COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)
 
 OUT_OF_BOUNDS = ("report", "remove")
 
 _SMALLEST = float(np.finfo(np.float32).tiny)
-
-
-class Motion(IntEnum):
-    """How a body moves."""
-
-    STATIC = 0
-    """Never moves."""
-    KINEMATIC = 1
-    """Moves with its own velocity; nothing pushes it."""
-    DYNAMIC = 2
-    """Moves by forces and contacts."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import warp as wp
 
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.engine.memory import body_bytes, device_memory, pool_bytes
-from warp_rigid.engine.pools import Pools, expected_room
+from warp_rigid.engine.pools import Pools, expected_capacity
 from warp_rigid.scene.scene import Motion, Scene
 
 __all__ = ["bytes_an_environment", "memory_at_hand", "most_environments"]
@@ -23,7 +23,7 @@ MOST_ON_GPU = 16384
 
 def bytes_an_environment(scene: Scene) -> int:
     """Device memory that each further environment of a simulator takes at first [bytes]."""
-    pairs, contacts = expected_room(1, sum(body.motion == Motion.DYNAMIC for body in scene.bodies))
+    pairs, contacts = expected_capacity(1, sum(body.motion == Motion.DYNAMIC for body in scene.bodies))
     return body_bytes(scene, 1) + pool_bytes(Pools.sizes_for(1, len(scene.bodies), pairs, contacts))
 
 

@@ -2,27 +2,15 @@
 
 import hashlib
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
 
+from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
 
 IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
-
-
-class PartKind(IntEnum):
-    """Which signed distance function a part has."""
-
-    SPHERE = 0
-    BOX = 1
-    CAPSULE = 2
-    CYLINDER = 3
-    PLANE = 4
-    GRID = 5
-    HEIGHTFIELD = 6
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,31 +1,16 @@
 """Surface samples of shapes, and their grouping into tight clusters."""
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
+from warp_rigid.kernels.enums import SampleKind
 from warp_rigid.scene.shapes import topology
 
 CLUSTER_LIMIT = 32
 FEATURE_DEGREES = 30.0
 COLUMNS = ("point", "normal", "slide", "radius", "kind", "rank")
 VERTEX, OTHER = 0, 1  # ranks: inside a cluster, vertices come first
-
-
-class SampleKind(IntEnum):
-    """What a surface sample stands for."""
-
-    POINT = 0
-    """A vertex, or the centre of a ball."""
-    EDGE = 1
-    """A segment of an edge; its lowest point is looked for along it."""
-    RIM = 2
-    """A circle; its lowest point is looked for around it."""
-    FACE = 3
-    """A point inside a face: only something hollow can touch there and nowhere else."""
-    CAP = 4
-    """A point on the rim of a cylinder's cap, for the cap lying flat; the RIM serves when it is tilted."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,75 @@
+"""Enumerations that the host and the kernels share. Warp kernels use their members as integer constants."""
+
+from enum import IntEnum, IntFlag
+
+
+class Motion(IntEnum):
+    """How a body moves."""
+
+    STATIC = 0
+    """Never moves."""
+    KINEMATIC = 1
+    """Moves with its own velocity; contacts do not change it."""
+    DYNAMIC = 2
+    """Moves by forces and contacts."""
+
+
+class Role(IntFlag):
+    """Part of a body in the current step."""
+
+    ABSENT = 0
+    STATIC = 1
+    ASLEEP = 2
+    KINEMATIC = 4
+    FREE = 8
+
+
+class PartKind(IntEnum):
+    """Which signed distance function a part of a shape has."""
+
+    SPHERE = 0
+    BOX = 1
+    CAPSULE = 2
+    CYLINDER = 3
+    PLANE = 4
+    GRID = 5
+    HEIGHTFIELD = 6
+
+
+class SampleKind(IntEnum):
+    """What a surface sample represents."""
+
+    POINT = 0
+    """A vertex, or the centre of a ball."""
+    EDGE = 1
+    """A segment of an edge; the contact point is searched along it."""
+    RIM = 2
+    """A circle; the contact point is searched around it."""
+    FACE = 3
+    """A point inside a face, for contacts with nonconvex shapes."""
+    CAP = 4
+    """A point on the rim of a cylinder's cap, for a cap that lies flat; RIM is used where it is tilted."""
+
+
+class FieldKind(IntEnum):
+    """Force fields."""
+
+    UNIFORM = 0
+    POINT = 1
+
+
+class ShockMode(IntEnum):
+    """Shock propagation modes."""
+
+    OFF = 0
+    ONE_PASS = 1
+    TWO_PASS = 2
+
+
+class CombineRule(IntEnum):
+    """How the coefficients of two bodies combine."""
+
+    MIN = 0
+    AVERAGE = 1
+    MULTIPLY = 2
+    MAX = 3
