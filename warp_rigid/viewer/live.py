@@ -71,8 +71,8 @@ class LiveViewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        """Where the page is; the address contains the token that opens it."""
+        return self.server.url
 
     def run(self) -> None:
         """Step and show until `stop`; the simulation waits while no page is open."""
