@@ -39,8 +39,6 @@ def start_server(host: str, port: int) -> CheckedServer:
     """
     with contextlib.redirect_stdout(io.StringIO()):
         server = CheckedServer(host, port)
-    # A page can ask for a tunnel even when it shows no button for it.
-    server.request_share_url = lambda verbose=True: None
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(46, 110, 190))
     server.gui.main_panel.dock_right()
     return server

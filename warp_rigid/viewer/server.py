@@ -13,6 +13,7 @@ from websockets import Headers
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
+from warp_rigid.viewer.controls import accept_checked_messages
 from warp_rigid.viewer.guard import Guard
 
 __all__ = ["CheckedServer", "check_address"]
@@ -53,6 +54,7 @@ class CheckedServer(viser.ViserServer):
         if not checks.installed:
             self.stop()
             raise RuntimeError(f"viser {viser.__version__}: its connections cannot be checked; viser 1.1.1 works")
+        accept_checked_messages(self)
 
     @property
     def url(self) -> str:
