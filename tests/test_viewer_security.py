@@ -481,7 +481,7 @@ def test_all_interfaces_need_the_token_and_an_own_address(film):
 
 @pytest.mark.parametrize("port", ["99999999", "65536", "0", "-1"])
 def test_port_out_of_range_is_one_line_that_names_the_range(port):
-    command = [sys.executable, "-m", "warp_rigid.cli", "view", "seesaw", "--device", "cpu", "--port", port]
+    command = [sys.executable, "-m", "warp_rigid.commands.cli", "view", "seesaw", "--device", "cpu", "--port", port]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert done.stderr == f"warp-rigid: port: must be in [1, 65535], got {port}\n" and done.stdout == ""
