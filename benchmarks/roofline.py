@@ -355,10 +355,10 @@ def part(record: Any, *only: str) -> int:
     return sum(wp.types.type_size_in_bytes(fields[name].dtype) for name in only or fields)
 
 
-VELOCITY = part(schema.SolverBodyRecord, "linear", "inverse_mass", "angular", "row_end_1")
-MASS = part(schema.SolverBodyRecord, "inverse_inertia_xx", "inverse_inertia_yz", "row_end_3")
-IMPULSE = part(schema.ImpulseRecord, "impulse", "row_end_0", "angular_impulse", "row_end_1")
-CONTACT, LOAD, ENTRY = part(schema.ContactRecord), part(schema.ImpulseRecord), part(schema.PairRecord)
+VELOCITY = part(schema.SolverBodyRecord, "linear", "inverse_mass", "angular")
+MASS = part(schema.SolverBodyRecord, "inverse_inertia_xx", "inverse_inertia_yz")
+IMPULSE = part(schema.ImpulseRecord, "impulse", "angular_impulse")
+CONTACT, LOAD, ENTRY = part(schema.ContactRecord), part(schema.ImpulseRecord), part(schema.OrderRecord)
 
 
 def work_of(stage: str, c: Counts) -> Work:

@@ -64,7 +64,8 @@ def contact_list(stages):
     fields = table(contacts, ("key", "position"), count)
     for records in (contacts.rows.numpy()[:count], contacts.impulses.numpy()[:count]):
         fields |= {name: records[name].copy() for name in records.dtype.names}
-    return fields
+    pairs, pair = stages.pools.pairs, contacts.pair.numpy()[:count]
+    return fields | {name: getattr(pairs, name).numpy()[pair] for name in ("body_a", "body_b")}
 
 
 def rotation_matrix(quaternion):

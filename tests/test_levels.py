@@ -29,7 +29,7 @@ A_ON_B, B_ON_A = 1, 2
 
 
 class HandMadeGraph:
-    """Touching pairs and support relations of several environments, put straight into the arrays.
+    """Active constraints and support relations of several environments, put straight into the arrays.
 
     Args:
         motions: kind of motion of each body of an environment.
@@ -46,40 +46,41 @@ class HandMadeGraph:
         sizes = {
             "envs": self.count,
             "bodies": self.count * self.per_env,
-            "env_bodies": self.per_env,
             "filtered": 0,
-            "pairs": max(1, len(rows)),
-            "contacts": 1,
+            "constraints": max(1, len(rows)),
         }
         self.bodies = declare.allocate(schema.Bodies, sizes, device)
-        self.pairs = declare.allocate(schema.Pairs, sizes, device)
+        self.envs = declare.allocate(schema.Environments, sizes, device)
+        self.constraints = declare.allocate(schema.Constraints, sizes, device)
         self.graph = declare.allocate(schema.Graph, sizes, device)
         self.order = declare.allocate(schema.Order, sizes, device)
         self.bodies.motion.assign(np.tile(np.array(motions, np.int32), self.count))
         a, b, supports, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
-        first = np.bincount(a, minlength=sizes["bodies"] + 1)
-        self.pairs.start.assign(np.concatenate([[0], np.cumsum(first)])[:-1].astype(np.int32))
-        self.pairs.body_a.assign(a)
-        self.pairs.body_b.assign(b)
-        self.pairs.contact_start.assign(np.concatenate([[0], np.cumsum(touches)]).astype(np.int32))
+        count = [0, *(len(constraints) for constraints in envs)]
+        self.envs.first_body.assign(self.per_env * np.arange(self.count + 1, dtype=np.int32))
+        self.constraints.start.assign(np.cumsum(count).astype(np.int32))
+        self.constraints.body_a.assign(a)
+        self.constraints.body_b.assign(b)
+        self.constraints.row_count.assign(touches)
+        self.constraints.first_row.assign(np.arange(len(rows), dtype=np.int32))
         self.graph.supports.assign(supports * touches)
 
     def launch(self, kernel, *arrays, before=()):
         """One team an environment; on the GPU it has more lanes than a small environment has bodies."""
         lanes = 32 if wp.get_device(self.device).is_cuda else 1
-        inputs = [*before, lanes, self.per_env, *arrays]
+        inputs = [*before, lanes, self.envs, *arrays]
         wp.launch(kernel, self.count * lanes, inputs=inputs, block_dim=team.block_of(lanes), device=self.device)
 
     def solve(self):
         """Levels and islands, (envs, bodies) each."""
-        self.launch(support.find_levels, self.bodies, self.pairs, self.graph)
-        self.launch(support.find_islands, self.bodies, self.pairs, self.graph)
+        self.launch(support.find_levels, self.bodies, self.constraints, self.graph)
+        self.launch(support.find_islands, self.bodies, self.constraints, self.graph)
         shape = (self.count, self.per_env)
         return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)
 
     def heights(self):
         """Heights (envs, bodies), 2^30 where a body lies on nothing, and the greatest of each environment."""
-        self.launch(support.find_depths, self.bodies, self.pairs, self.graph)
+        self.launch(support.find_depths, self.bodies, self.constraints, self.graph)
         return self.graph.depth.numpy().reshape(self.count, self.per_env), self.graph.max_depth.numpy()
 
 

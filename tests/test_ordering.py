@@ -12,15 +12,23 @@ from warp_rigid.scene.scene import Motion
 
 def ordered(made):
     """Groups of each environment, as (colour, pairs) by the arrays, after both ordering kernels."""
-    made.launch(coloring.color_pairs, made.bodies, made.pairs, made.graph)
-    made.launch(coloring.group_pairs, made.pairs, made.graph, made.order)
-    return read_groups(made.order)
+    made.launch(coloring.color_constraints, made.bodies, made.constraints, made.graph)
+    made.launch(coloring.group_constraints, made.constraints, made.graph, made.order)
+    return read_groups(made.order, made.constraints)
 
 
-def read_groups(order):
-    """For each environment its list of (colour, list of pairs), in the order of solving."""
+def slots_by_row(constraints):
+    """The active constraint that begins with a row."""
+    end = int(constraints.start.numpy()[-1])
+    active = np.flatnonzero(constraints.row_count.numpy()[:end])
+    return dict(zip(constraints.first_row.numpy()[active].tolist(), active.tolist(), strict=True))
+
+
+def read_groups(order, constraints):
+    """For each environment its list of (colour, list of constraints), in the order of solving."""
     start, count = order.color_start.numpy(), order.color_count.numpy()
-    sequence = order.entries.numpy()["pair"]
+    slots = slots_by_row(constraints)
+    sequence = np.array([slots.get(row, -1) for row in order.entries.numpy()["begin"].tolist()])
     envs = []
     for env, colors in enumerate(count):
         assert start[env, colors] == start[env, -1]
@@ -44,24 +52,27 @@ def check_groups(groups, touching, body_a, body_b, dynamic):
         assert len(busy) == len(set(busy))
 
 
-def check_entries(order, body_a, body_b, level):
+def check_entries(order, constraints, level):
     """A body of a pair is upper unless the other is in a higher level."""
     entries, start = order.entries.numpy(), order.color_start.numpy()
+    body_a, body_b, slots = constraints.body_a.numpy(), constraints.body_b.numpy(), slots_by_row(constraints)
     for begin, end in zip(start[:, 0], start[:, -1], strict=True):
         for entry in entries[begin:end]:
-            a, b = level[body_a[entry["pair"]]], level[body_b[entry["pair"]]]
+            slot = slots[entry["begin"]]
+            assert (entry["body_a"], entry["body_b"]) == (body_a[slot], body_b[slot])
+            a, b = level[body_a[slot]], level[body_b[slot]]
             assert (entry["upper_a"], entry["upper_b"]) == (a >= b, b >= a)
 
 
 def check_all(made, envs):
     """`check_groups` for every environment, and the levels; returns the largest number of colours."""
-    start = made.pairs.start.numpy()
-    body_a, body_b = made.pairs.body_a.numpy(), made.pairs.body_b.numpy()
-    touch = np.diff(made.pairs.contact_start.numpy()) > 0
+    start = made.constraints.start.numpy()
+    body_a, body_b = made.constraints.body_a.numpy(), made.constraints.body_b.numpy()
+    touch = made.constraints.row_count.numpy() > 0
     dynamic = made.bodies.motion.numpy() == int(Motion.DYNAMIC)
     level, highest = made.graph.level.numpy(), made.graph.level_count.numpy()
     for env, groups in enumerate(envs):
-        rows = np.arange(start[env * made.per_env], start[(env + 1) * made.per_env])
+        rows = np.arange(start[env], start[env + 1])
         touching = rows[touch[rows]]
         check_groups(groups, touching.tolist(), body_a, body_b, dynamic)
         assert highest[env] == max([0, *level[body_a[touching]], *level[body_b[touching]]])
@@ -123,8 +134,8 @@ def test_groups_of_a_real_pile(device):
     find_contacts(stages)
     stages.build_graph()
     pools = stages.pools
-    envs = read_groups(pools.order)
-    check_entries(pools.order, pools.pairs.body_a.numpy(), pools.pairs.body_b.numpy(), pools.graph.level.numpy())
+    envs = read_groups(pools.order, pools.constraints)
+    check_entries(pools.order, pools.constraints, pools.graph.level.numpy())
     start = pools.pairs.start.numpy()
     touch = np.diff(pools.pairs.contact_start.numpy()) > 0
     body_a, body_b = pools.pairs.body_a.numpy(), pools.pairs.body_b.numpy()

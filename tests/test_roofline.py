@@ -35,7 +35,7 @@ def test_records_have_the_size_of_their_arrays_elements(device):
     for record in (
         schema.ContactRecord,
         schema.ImpulseRecord,
-        schema.PairRecord,
+        schema.OrderRecord,
         schema.SolverBodyRecord,
         schema.SampleRecord,
     ):
