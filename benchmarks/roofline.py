@@ -476,9 +476,9 @@ def markdown(found: Found) -> str:
     lines += [
         f"## {found.scene.rpartition(':')[0]} × {c.envs}",
         "",
-        f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched anew "
+        f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched again "
         f"({c.clusters:,} clusters, {c.samples:,} samples, {c.near + c.close:,} distances); {c.touching:,} touch, in "
-        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} sweeps a contact, "
+        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} sweeps per contact, "
         f"{c.unsettled / max(c.contacts, 1):.0%} of the contacts need shock propagation. The simulator's arrays fill "
         f"{found.working_set / 1e6:,.0f} MB; sweeps visit {visits / 1e9:.3g} G contacts/s.",
         "",
@@ -502,8 +502,8 @@ def _short(number: float) -> str:
 
 def page(scenes: list[Found]) -> str:
     """The page of all tables."""
-    note = "Written by `python -m benchmarks.roofline --write docs/roofline_table.md`; [what it means](roofline.md).\n"
-    return "\n".join(["# Roofline: all figures\n", note, *map(markdown, scenes)])
+    note = "Written by `python -m benchmarks.roofline --write docs/roofline_table.md`; [explanation](roofline.md).\n"
+    return "\n".join(["# Roofline: all results\n", note, *map(markdown, scenes)])
 
 
 def main(arguments: list[str] | None = None) -> None:
