@@ -18,6 +18,8 @@ import warp as wp
 
 import warp_rigid as wr
 from warp_rigid.commands.terminal import start_warp
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation import report
 
 BAR = 1e-4
@@ -26,19 +28,10 @@ BAR = 1e-4
 LOOK = 15
 """Steps between two comparisons."""
 
-CUBE = wr.Box((0.1, 0.1, 0.1))
-
-
-def level(friction: float = 0.5, restitution: float = 0.0) -> wr.Scene:
-    """Level ground."""
-    scene = wr.Scene()
-    scene.add_static(wr.Plane(), friction=friction, restitution=restitution)
-    return scene
-
 
 def thrown() -> wr.Scene:
     """Boxes of three different edges, thrown and tumbling; one spins about its middle axis, which is unstable."""
-    scene = level()
+    scene = level_scene()
     for k, spin in enumerate(((3, -5, 7), (0.01, 8, 0.01), (0, 0, 20))):
         scene.add_body(wr.Box((0.05, 0.1, 0.2)), position=(0, k, 2), linear_velocity=(2, 1, 3), angular_velocity=spin)
     return scene
@@ -46,36 +39,33 @@ def thrown() -> wr.Scene:
 
 def sliding() -> wr.Scene:
     """Boxes turned by different angles that slide to rest."""
-    scene = level(friction=0.4)
+    scene = level_scene(friction=0.4)
     for k in range(6):
         half = np.radians(5 * k)
         turn = (0, 0, np.sin(half), np.cos(half))
-        scene.add_body(CUBE, position=(0, k, 0.1), orientation=turn, linear_velocity=(1 + 0.2 * k, 0, 0))
+        scene.add_body(stacks.CUBE, position=(0, k, 0.1), orientation=turn, linear_velocity=(1 + 0.2 * k, 0, 0))
     return scene
 
 
 def stack() -> wr.Scene:
     """Five boxes, each turned a little against the one below."""
-    scene = level()
-    for k in range(5):
-        turn = (0, 0, np.sin(0.1 * k), np.cos(0.1 * k))
-        scene.add_body(CUBE, position=(0, 0, 0.1 + 0.2 * k), orientation=turn)
+    scene = level_scene()
+    stacks.add_stack(scene, 5, twist=0.2)
     return scene
 
 
 def slope() -> wr.Scene:
     """Boxes on a slope of 25 degrees: two slide, one creeps off the limit of friction, one sticks just below it."""
     tilt = np.radians(25)
-    scene = wr.Scene(gravity=(9.81 * np.sin(tilt), 0, -9.81 * np.cos(tilt)))
-    scene.add_static(wr.Plane(), friction=0.5)
+    scene = level_scene(gravity=(9.81 * np.sin(tilt), 0, -9.81 * np.cos(tilt)))
     for k, friction in enumerate((0.1, 0.3, 0.45, 0.48)):
-        scene.add_body(CUBE, position=(0, k, 0.1), friction=friction)
+        scene.add_body(stacks.CUBE, position=(0, k, 0.1), friction=friction)
     return scene
 
 
 def rolling() -> wr.Scene:
     """Balls and a cylinder that begin by sliding and then roll; some roll to a stop."""
-    scene = level(friction=0.3)
+    scene = level_scene(friction=0.3)
     for k, resistance in enumerate((0.0, 0.001, 0.005)):
         scene.add_body(wr.Sphere(0.1), position=(0, k, 0.1), linear_velocity=(2, 0, 0), rolling_friction=resistance)
     on_its_side = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
@@ -85,7 +75,7 @@ def rolling() -> wr.Scene:
 
 def bouncing() -> wr.Scene:
     """Balls of different restitution, thrown, that bounce."""
-    scene = level(restitution=1.0)
+    scene = level_scene(restitution=1.0)
     for k in range(5):
         scene.add_body(
             wr.Sphere(0.1),

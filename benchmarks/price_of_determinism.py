@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 import warp_rigid as wr
-from warp_rigid.bench.scenes import Case
+from warp_rigid.bench.cases import BenchmarkCase
 from warp_rigid.commands.terminal import start_warp
 from warp_rigid.engine.step import TRY_ALL_UP_TO
 
@@ -290,7 +290,7 @@ def prices(envs: int, per_env: int, device: Any) -> list[Price]:
 
 def step_seconds(envs: int, device: Any, steps: int = 40) -> float:
     """Time of a whole step of stacks of ten boxes."""
-    sim = wr.Simulator(Case("stack", 10).build(), num_envs=envs, device=device)
+    sim = wr.Simulator(BenchmarkCase("stack", 10).build(), num_envs=envs, device=device)
     clock = time.process_time if sim.device.is_cpu else time.perf_counter
     sim.step(steps)
     begin = clock()

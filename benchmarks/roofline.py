@@ -19,8 +19,8 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import Settings, Simulator
+from warp_rigid.bench.cases import BenchmarkCase, find_case
 from warp_rigid.bench.measure import FPS, STAGE_STEPS, commit
-from warp_rigid.bench.scenes import Case, find_case
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
@@ -228,7 +228,7 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
     return Found(text, named, commit(), counts, work, stage_times(sim, steps), sim.memory, limits)
 
 
-def _settled(case: Case, envs: int, device: Any, settle: int) -> Simulator:
+def _settled(case: BenchmarkCase, envs: int, device: Any, settle: int) -> Simulator:
     with shared_by(usable_cores()):  # one core, so one shard
         sim = Simulator(case.build(), envs, Settings(dt=1.0 / (FPS * SUBSTEPS)), device=device)
     case.scatter(sim)

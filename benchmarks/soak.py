@@ -18,6 +18,9 @@ import numpy as np
 
 import warp_rigid as wr
 from warp_rigid.commands.terminal import start_warp
+from warp_rigid.scenes.builders import grounds, piles, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
+from warp_rigid.scenes.demo import indices
 
 WARM = 0.1
 """The first part of the rounds fills caches and pools; flatness is measured after it."""
@@ -83,21 +86,15 @@ def half_width(count: int) -> float:
 
 def pile(count: int) -> wr.Scene:
     """Boxes and balls that fall into a bin, and beside it a tower that nothing touches."""
-    scene = wr.Scene()
-    scene.add_static(wr.Plane(), friction=0.5, name="ground")
+    scene = grounds.level_scene(friction=0.5, name="ground")
     side = half_width(count)
-    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        half = (0.05, side + 0.1, 1.5) if x else (side + 0.1, 0.05, 1.5)
-        scene.add_static(wr.Box(half), position=(x * (side + 0.05), y * (side + 0.05), 1.5), name="wall")
-    for k in range(3):
-        scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(-5, 0, 0.1 + 0.2 * k), name="resting")
-    row = int(2.0 * side / PITCH)
-    for k in range(count):
-        shape = wr.Sphere(0.09) if k % 5 == 0 else wr.Box((0.1, 0.08, 0.06 + 0.01 * (k % 5)))
-        x, y, layer = k % row, k // row % row, k // row**2
-        place = (PITCH * (x - 0.5 * (row - 1)), PITCH * (y - 0.5 * (row - 1)), 0.3 + 0.25 * layer)
-        turn = (0.0, 0.0, np.sin(0.3 * k), np.cos(0.3 * k))
-        scene.add_body(shape, position=place, orientation=turn, rolling_friction=0.005, name="loose")
+    grounds.add_bin(scene, side, 3.0, 0.1, sides=((1, 0), (-1, 0), (0, 1), (0, -1)), names="wall")
+    stacks.add_stack(scene, 3, x=-5.0, names="resting")
+    shapes = [wr.Sphere(0.09) if k % 5 == 0 else wr.Box((0.1, 0.08, 0.06 + 0.01 * (k % 5))) for k in range(count)]
+    positions = piles.lattice(count, int(2.0 * side / PITCH), PITCH, 0.3, rise=0.25)
+    angles = 0.3 * np.arange(count)
+    turns = np.stack([0.0 * angles, 0.0 * angles, np.sin(angles), np.cos(angles)], axis=1)
+    add_bodies(scene, shapes, positions, turns, names="loose", rolling_friction=0.005)
     return scene
 
 
@@ -153,8 +150,7 @@ class _Watch:
 
     def __init__(self, sim: wr.Simulator, asked: int, every: int) -> None:
         self.sim, self.asked, self.every = sim, asked, every
-        names = np.array([body.name for body in sim.scene.bodies])
-        self.resting, self.loose = np.flatnonzero(names == "resting"), np.flatnonzero(names == "loose")
+        self.resting, self.loose = (np.array(indices(sim.scene, prefix)) for prefix in ("resting_", "loose_"))
         self.inside = half_width(len(self.loose))
         # On the CPU what other processes take does not count.
         self.clock = time.process_time if sim.device.is_cpu else time.perf_counter

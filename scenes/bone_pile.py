@@ -12,8 +12,9 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Mesh, Plane, tessellation
-from warp_rigid.scenes.builders import assortment, meshes
+from warp_rigid.scene.shapes import Mesh, tessellation
+from warp_rigid.scenes.builders import assortment, grounds, meshes, piles
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -31,7 +32,7 @@ SLOPE = math.radians(55.0)
 OPENING = 0.45
 """Radius of the funnel's lower opening [m]: a femur goes through in any direction."""
 SHELL = 0.05
-WALL_HALF = 0.05
+WALL_THICKNESS = 0.1
 KINDS = ("cranium", "pelvis", "femur")
 
 
@@ -44,21 +45,14 @@ def build(bones: int = 20, seed: int = 0) -> Scene:
     """
     bones = whole_in("bones", bones, 1, 2000)
     position, orientation = starts(bones, seed)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="floor", **SURFACE)
-    for i, (center, half_extents) in enumerate(_walls(bones)):
-        scene.add_static(Box(half_extents), position=center, name=f"wall_{i}", **SURFACE)
+    scene = grounds.level_scene(name="floor", **SURFACE)
+    grounds.add_bin(scene, _plot_half(bones), _wall_height(bones), WALL_THICKNESS, names="wall", **SURFACE)
     scene.add_static(_funnel(bones), position=(0, 0, _opening_height(bones)), name="funnel", **SURFACE)
     shapes = {"cranium": meshes.cranium(), "pelvis": meshes.pelvis(), "femur": meshes.femur()}
-    for i, kind in enumerate(_kinds(bones, seed)):
-        scene.add_body(
-            shapes[kind],
-            position=position[i],
-            orientation=orientation[i],
-            density=DENSITY,
-            name=f"bone_{i}_{kind}",
-            **SURFACE,
-        )
+    kinds = _kinds(bones, seed)
+    names = [f"bone_{i}_{kind}" for i, kind in enumerate(kinds)]
+    drawn = [shapes[kind] for kind in kinds]
+    add_bodies(scene, drawn, position, orientation, names=names, density=DENSITY, **SURFACE)
     return scene
 
 
@@ -72,12 +66,8 @@ def _kinds(bones, seed):
 def starts(bones: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Where the bones start: centres of mass (bones, 3) [m] and unit quaternions (bones, 4)."""
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 5))
-    side = _side(bones)
-    i = np.arange(bones)
-    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
-    half = 0.5 * (side - 1) * PITCH
-    corner = np.array([-half, -half, _opening_height(bones) + _funnel_rise(bones) + 0.6 * PITCH])
-    position = corner + PITCH * cell + rng.uniform(-JITTER, JITTER, (bones, 3))
+    lowest = _opening_height(bones) + _funnel_rise(bones) + 0.6 * PITCH
+    position = piles.lattice(bones, _side(bones), PITCH, lowest) + rng.uniform(-JITTER, JITTER, (bones, 3))
     return position, assortment.random_orientations(bones, rng)
 
 
@@ -119,16 +109,6 @@ def _funnel(bones):
     return Mesh(*tessellation.wheel(np.array(section), 48), sdf_resolution=128)
 
 
-def _walls(bones):
-    """Centre and half extents of the four walls."""
-    inner, thickness, half_height = _plot_half(bones), WALL_HALF, 0.5 * _wall_height(bones)
-    away, length = inner + thickness, inner + 2.0 * thickness
-    along_y, along_x = (thickness, length, half_height), (length, thickness, half_height)
-    return [((sign * away, 0, half_height), along_y) for sign in (-1, 1)] + [
-        ((0, sign * away, half_height), along_x) for sign in (-1, 1)
-    ]
-
-
 class BonesOutcome:
     """Whether all bones went through the funnel into the plot, none inside another."""
 
@@ -159,7 +139,7 @@ class BonesOutcome:
 
 def vary(sim, bones, seed, **_):
     """Start environment e where the scene of seed + e does; the order of the kinds is that of the first."""
-    start_apart(sim, "bone_", lambda env: starts(bones, seed + env))
+    start_apart(sim, indices(sim.scene, "bone_"), lambda env: starts(bones, seed + env))
 
 
 DEMO = Demo(

@@ -4,7 +4,9 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     OFF_2003,
     ONE_PASS_2003,
@@ -16,7 +18,7 @@ from warp_rigid.scenes.demo import (
     rest_verdict,
 )
 
-HALF = 0.1
+HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
 GAP_GROWTH = 0.01
 LAUNCH_TIME = 5.0
@@ -33,19 +35,12 @@ def build(height: int = 10) -> Scene:
         height: boxes in the stack, 1 to 50.
     """
     height = whole_in("height", height, 1, 50)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
-    scene.add_static(
-        Box((0.5, 0.5, 0.5 * PLATFORM_TOP)),
-        position=(0, 0, 0.5 * PLATFORM_TOP),
-        friction=0.5,
-        name="platform",
-    )
+    scene = grounds.level_scene(friction=0.5, name="ground")
+    grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
     # Each gap is larger than the one below it, so that the boxes land one after another.
-    z = PLATFORM_TOP - HALF
-    for i in range(height):
-        z += 2.0 * HALF + GAP_GROWTH * (i + 1)
-        scene.add_body(Box((HALF,) * 3), position=(0, 0, z), friction=0.5, name=f"box_{i}")
+    rises = [2.0 * HALF + GAP_GROWTH * (i + 1) for i in range(height)]
+    heights = np.cumsum([PLATFORM_TOP - HALF, *rises])[1:]
+    add_bodies(scene, stacks.CUBE, [(0, 0, z) for z in heights], names="box", friction=0.5)
     _add_projectile(scene, PLATFORM_TOP + 1.2 * HALF * height)
     return scene
 
@@ -53,7 +48,7 @@ def build(height: int = 10) -> Scene:
 def _add_projectile(scene, top):
     """A larger box on a shelf whose top has the height `top` [m]."""
     half = PROJECTILE_HALF
-    scene.add_static(Box((0.3, 0.3, 0.5 * top)), position=(SHELF_X, 0, 0.5 * top), friction=0.5, name="shelf")
+    grounds.add_platform(scene, 0.3, 0.3, top, x=SHELF_X, friction=0.5, name="shelf")
     scene.add_body(Box((half,) * 3), position=(SHELF_X, 0, top + half), friction=0.5, name="projectile")
 
 

@@ -4,9 +4,8 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
-from warp_rigid.scenes.builders import meshes
-from warp_rigid.scenes.builders.piles import inner_half, starts, walls
+from warp_rigid.scenes.builders import grounds, meshes, piles
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -14,6 +13,7 @@ from warp_rigid.scenes.demo import (
     indices,
     overlap_verdict,
     rest_verdict,
+    start_apart,
     turn,
 )
 
@@ -25,22 +25,12 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
         bodies: bunnies, 1 to 4096.
         seed: of jitter and rotations.
     """
-    position, orientation = starts(whole_in("bodies", bodies, 1, 4096), seed)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="floor")
-    for i, (center, half_extents) in enumerate(walls(bodies)):
-        scene.add_static(Box(half_extents), position=center, friction=0.5, name=f"wall_{i}")
+    position, orientation = piles.starts(whole_in("bodies", bodies, 1, 4096), seed)
+    scene = grounds.level_scene(friction=0.5, name="floor")
+    piles.add_pile_bin(scene, bodies, names="wall", friction=0.5)
     bunny = meshes.bunny()
     place = position - turn(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))
-    for i in range(bodies):
-        scene.add_body(
-            bunny,
-            position=place[i],
-            orientation=orientation[i],
-            density=1000.0,
-            friction=0.5,
-            name=f"bunny_{i}",
-        )
+    add_bodies(scene, bunny, place, orientation, names="bunny", density=1000.0, friction=0.5)
     return scene
 
 
@@ -50,7 +40,7 @@ class PileOutcome:
     def __init__(self, scene):
         """Find the bunnies."""
         self.bunnies = indices(scene, "bunny_")
-        self.inner = inner_half(len(self.bunnies))
+        self.inner = piles.inner_half(len(self.bunnies))
 
     def observe(self, sim):
         """Nothing: the end tells."""
@@ -71,10 +61,7 @@ class PileOutcome:
 
 def vary(sim, bodies, seed, **_):
     """Start environment e as the scene of seed + e does."""
-    bunnies = indices(sim.scene, "bunny_")
-    position, orientation = zip(*(starts(bodies, seed + env) for env in range(sim.num_envs)), strict=True)
-    sim.set("position", np.array(position), bodies=bunnies)
-    sim.set("orientation", np.array(orientation), bodies=bunnies)
+    start_apart(sim, indices(sim.scene, "bunny_"), lambda env: piles.starts(bodies, seed + env))
 
 
 DEMO = Demo(

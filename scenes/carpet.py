@@ -7,7 +7,8 @@ import numpy as np
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
-from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders import assortment, piles
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import Demo, Verdict, indices, overlap_verdict, start_apart
 
 EXTENT = 30.0
@@ -35,8 +36,8 @@ def build(bodies: int = 16, amplitude: float = 0.5, seed: int = 0) -> Scene:
     wave = Heightfield(np.zeros_like(x), (EXTENT, EXTENT), HarmonicMotion(amplitude, FREQUENCY, phase))
     scene = Scene()
     scene.add_kinematic(wave, name="carpet", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
     return scene
 
 
@@ -45,10 +46,7 @@ def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.nda
     amplitude = number_in("amplitude", amplitude, 0.0, 1.0)
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 8))
     side = min(int(np.ceil(bodies**0.5)), 10)
-    i = np.arange(bodies)
-    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
-    half = 0.5 * (side - 1) * PITCH
-    position = PITCH * cell + [-half, -half, amplitude + 1.25 * RADIUS + 0.2]
+    position = piles.lattice(bodies, side, PITCH, amplitude + 1.25 * RADIUS + 0.2)
     return position + rng.uniform(-0.1, 0.1, (bodies, 3)), assortment.random_orientations(bodies, rng)
 
 
@@ -93,7 +91,7 @@ class CarpetOutcome:
 
 def vary(sim, bodies, amplitude, seed, **_):
     """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env, amplitude))
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env, amplitude))
 
 
 DEMO = Demo(

@@ -97,12 +97,18 @@ class Demo:
         return {name: parameter.default for name, parameter in known.items()}
 
 
-def start_apart(sim: Any, prefix: str, starts: Callable[[int], tuple[np.ndarray, ...]]) -> None:
-    """Give each environment its own start: `starts(env)` tells position, orientation and, if it likes, velocity."""
-    own = indices(sim.scene, prefix)
+def start_apart(sim: Any, bodies: list[int], starts: Callable[[int], tuple[np.ndarray, ...]]) -> None:
+    """Give each environment a different start.
+
+    Args:
+        sim: the simulator.
+        bodies: indices of the bodies that are set.
+        starts: returns for an environment's index the positions [m], the orientations and, optionally, the linear
+            velocities [m/s] of these bodies.
+    """
     columns = zip(*(starts(env) for env in range(sim.num_envs)), strict=True)
     for name, values in zip(("position", "orientation", "linear_velocity"), columns, strict=False):
-        sim.set(name, np.array(values), bodies=own)
+        sim.set(name, np.array(values), bodies=bodies)
 
 
 def indices(scene: Scene, prefix: str) -> list[int]:

@@ -6,7 +6,8 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, below, clearance, indices
 
 HALF = 0.05
@@ -30,7 +31,7 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     tilt = (0.0, math.sin(0.5 * slope), 0.0, math.cos(0.5 * slope))
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=GROUND), name="ground")
+    grounds.add_ground(scene, GROUND, name="ground")
     scene.add_static(
         Box(PLATFORM_HALF),
         position=-PLATFORM_HALF[2] * normal,

@@ -4,10 +4,10 @@ import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, indices
 
-HALF = 0.1
+HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
 
 
@@ -20,33 +20,10 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     """
     height = whole_in("height", height, 2, 50)
     offset = number_in("offset", offset, 0.0, 0.45)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
-    scene.add_static(
-        Box((0.5, 0.5, 0.5 * PLATFORM_TOP)),
-        position=(0, 0, 0.5 * PLATFORM_TOP),
-        friction=0.5,
-        name="platform",
-    )
-    for i in range(height):
-        x = 2.0 * HALF * offset * i
-        z = PLATFORM_TOP + HALF + i * 2.0 * HALF
-        scene.add_body(Box((HALF,) * 3), position=(x, 0, z), friction=0.5, name=f"box_{i}")
+    scene = grounds.level_scene(friction=0.5, name="ground")
+    grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
+    stacks.add_stack(scene, height, bottom=PLATFORM_TOP, lean=2.0 * HALF * offset, names="box", friction=0.5)
     return scene
-
-
-def statics_says_falls(scene: Scene) -> bool:
-    """Whether the boxes above some box, or all, have their centre of mass beyond its edge."""
-    boxes = [scene.bodies[i] for i in indices(scene, "box_")]
-    x = np.array([body.position[0] for body in boxes])
-    mass = np.array([body.mass for body in boxes])
-    # What lies above joint i must balance over the overlap of box i - 1 (the platform: all) and i.
-    for i in range(len(boxes)):
-        center = np.average(x[i:], weights=mass[i:])
-        right = x[i] + HALF if i == 0 else min(x[i], x[i - 1]) + HALF
-        if center > right + 1e-9:
-            return True
-    return False
 
 
 class TowerOutcome:
@@ -56,7 +33,7 @@ class TowerOutcome:
         """Ask statics."""
         self.boxes = indices(scene, "box_")
         self.start = np.array([scene.bodies[i].position for i in self.boxes])
-        self.falls = statics_says_falls(scene)
+        self.falls = stacks.leaning_tower_falls(self.start[:, 0], HALF)
 
     def observe(self, sim):
         """Nothing: the end tells."""

@@ -9,6 +9,7 @@ from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     Demo,
     Verdict,
@@ -43,15 +44,8 @@ def build(bodies: int = 40, seed: int = 0) -> Scene:
     scene.add_force_field(PointField(center=(0, 0, 0), strength=STRENGTH))
     corners, faces = tessellation.geodesic(FACETS)
     scene.add_static(Mesh(PLANET_RADIUS * corners, faces, RESOLUTION), name="planet", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(
-            shape,
-            position=position[i],
-            orientation=orientation[i],
-            linear_velocity=velocity[i],
-            name=f"body_{i}",
-            **SURFACE,
-        )
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, linear_velocities=velocity, names="body", **SURFACE)
     return scene
 
 
@@ -107,7 +101,7 @@ class PlanetOutcome:
 
 def vary(sim, bodies, seed, **_):
     """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(

@@ -6,7 +6,8 @@ import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, below, clearance, indices
 
 BASE_HALF = (1.0, 0.25, 0.5)
@@ -26,22 +27,13 @@ def build(blocks: int = 7, drop: float = 2.0) -> Scene:
     """
     blocks = whole_in("blocks", blocks, 1, 20)
     drop = number_in("drop", drop, 0.1, 5.0)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
-    scene.add_static(Box(BASE_HALF), position=(0, 0, BASE_HALF[2]), friction=0.5, name="base")
+    scene = grounds.level_scene(friction=0.5, name="ground")
+    grounds.add_platform(scene, BASE_HALF[0], BASE_HALF[1], 2.0 * BASE_HALF[2], friction=0.5, name="base")
     z = 2.0 * BASE_HALF[2]
     scene.add_body(Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank")
     z += 2.0 * PLANK_HALF[2]
     left = PLANK_X - PLANK_HALF[0] + 1.5 * SMALL_HALF
-    for i in range(blocks):
-        height = z + SMALL_HALF + i * 2.0 * SMALL_HALF
-        scene.add_body(
-            Box((SMALL_HALF,) * 3),
-            position=(left, 0, height),
-            mass=1.0,
-            restitution=0.3,
-            name=f"small_{i}",
-        )
+    stacks.add_stack(scene, blocks, Box((SMALL_HALF,) * 3), x=left, bottom=z, names="small", mass=1.0, restitution=0.3)
     right = PLANK_X + PLANK_HALF[0] - LARGE_HALF
     scene.add_body(Box((LARGE_HALF,) * 3), position=(right, 0, z + drop + LARGE_HALF), mass=100.0, name="large")
     return scene

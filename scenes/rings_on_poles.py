@@ -11,8 +11,9 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Cylinder, Plane
-from warp_rigid.scenes.builders import assortment, meshes
+from warp_rigid.scene.shapes import Cylinder
+from warp_rigid.scenes.builders import assortment, grounds, meshes
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -51,14 +52,12 @@ def build(rings: int = 12, poles: int = 4, seed: int = 0) -> Scene:
     rings = whole_in("rings", rings, 1, 2000)
     side = _side(poles)
     position, orientation = starts(rings, side, seed)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="ground", **SURFACE)
+    scene = grounds.level_scene(name="ground", **SURFACE)
     pole = Cylinder(POLE_RADIUS, POLE_HALF_HEIGHT)
     for i, place in enumerate(_pole_places(side)):
         scene.add_static(pole, position=(*place, POLE_HALF_HEIGHT), name=f"pole_{i}", **SURFACE)
     ring = meshes.torus(RING_MAJOR, RING_MINOR)
-    for i in range(rings):
-        scene.add_body(ring, position=position[i], orientation=orientation[i], mass=MASS, name=f"ring_{i}", **SURFACE)
+    add_bodies(scene, ring, position, orientation, names="ring", mass=MASS, **SURFACE)
     return scene
 
 
@@ -147,7 +146,7 @@ class RingsOutcome:
 
 def vary(sim, rings, poles, seed, **_):
     """Start environment e as the scene of seed + e does."""
-    start_apart(sim, "ring_", lambda env: starts(rings, _side(poles), seed + env))
+    start_apart(sim, indices(sim.scene, "ring_"), lambda env: starts(rings, _side(poles), seed + env))
 
 
 DEMO = Demo(

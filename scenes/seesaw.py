@@ -6,7 +6,8 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices, turn
 
 PIVOT_HEIGHT = 0.35
@@ -31,8 +32,7 @@ def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
     """
     large_mass = number_in("large_mass", large_mass, above=0.0)
     small_mass = number_in("small_mass", small_mass, above=0.0)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
+    scene = grounds.level_scene(friction=0.5, name="ground")
     # A cube on its edge: the plank has no place of its own to swing back to, as it has on a cylinder.
     side = math.sqrt(0.5) * PIVOT_HEIGHT
     scene.add_static(

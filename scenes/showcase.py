@@ -8,7 +8,8 @@ import numpy as np
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
-from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders import assortment, piles
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     Demo,
     Verdict,
@@ -39,19 +40,15 @@ def build(bodies: int = 100, seed: int = 0) -> Scene:
     scene = Scene()
     half = slab_half(bodies)
     scene.add_static(Box((half, half, SLAB_HALF_HEIGHT)), position=(0, 0, -SLAB_HALF_HEIGHT), name="slab", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
     return scene
 
 
 def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Where the bodies of an environment start: positions (bodies, 3) [m] and unit quaternions (bodies, 4)."""
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 1))
-    side = _side(bodies)
-    i = np.arange(bodies)
-    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
-    corner = np.array([-0.5 * (side - 1) * PITCH, -0.5 * (side - 1) * PITCH, LOWEST])
-    position = corner + PITCH * cell + rng.uniform(-JITTER, JITTER, (bodies, 3))
+    position = piles.lattice(bodies, _side(bodies), PITCH, LOWEST) + rng.uniform(-JITTER, JITTER, (bodies, 3))
     return position, assortment.random_orientations(bodies, rng)
 
 
@@ -93,7 +90,7 @@ class RainOutcome:
 
 def vary(sim, bodies, seed, **_):
     """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(

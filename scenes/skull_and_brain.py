@@ -8,8 +8,8 @@ import numpy as np
 
 from warp_rigid.files import mesh_files
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Mesh, Plane
-from warp_rigid.scenes.builders import meshes
+from warp_rigid.scene.shapes import Box, Mesh
+from warp_rigid.scenes.builders import grounds, meshes
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -45,9 +45,8 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
     lower = meshes.skull_like(SKULL_SIZE) if skull is None else _own("skull", skull, SKULL_SIZE)
     upper = meshes.brain_like(BRAIN_SIZE) if brain is None else _own("brain", brain, BRAIN_SIZE)
     names = ("skull" if skull is None else "skull_own", "brain" if brain is None else "brain_own")
-    scene = Scene()
     surface: dict[str, Any] = {"friction": 0.5, "restitution": 0.3}
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="ground", **surface)
+    scene = grounds.level_scene(name="ground", **surface)
     _add_dish(scene, surface)
     z = PLATFORM_TOP + SKULL_DROP
     for name, mesh, x in zip(names, (lower, upper), (0.0, 0.02), strict=True):
@@ -66,12 +65,7 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
 
 def _add_dish(scene, surface):
     """The platform and four sides that rise from it, too steep for friction to hold a body."""
-    scene.add_static(
-        Box((PLATFORM_HALF, PLATFORM_HALF, 0.5 * PLATFORM_TOP)),
-        position=(0, 0, 0.5 * PLATFORM_TOP),
-        name="platform",
-        **surface,
-    )
+    grounds.add_platform(scene, PLATFORM_HALF, PLATFORM_HALF, PLATFORM_TOP, name="platform", **surface)
     width = PLATFORM_HALF + SIDE * math.cos(SLOPE)
     out = PLATFORM_HALF + 0.5 * SIDE * math.cos(SLOPE) + THIN * math.sin(SLOPE)
     up = PLATFORM_TOP + 0.5 * SIDE * math.sin(SLOPE) - THIN * math.cos(SLOPE)

@@ -8,6 +8,7 @@ from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import Demo, Verdict, below, indices, overlap_verdict, start_apart
 
 EXTENT = 20.0
@@ -30,8 +31,8 @@ def build(bodies: int = 16, seed: int = 0) -> Scene:
     position, orientation = starts(bodies, seed)
     scene = Scene()
     scene.add_static(Heightfield(_heights(seed), (EXTENT, EXTENT)), name="terrain", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
     return scene
 
 
@@ -99,7 +100,7 @@ class SlideOutcome:
 
 def vary(sim, bodies, seed, **_):
     """Start environment e where the scene of seed + e does; shapes and terrain stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(

@@ -10,7 +10,7 @@ import warp as wp
 from benchmarks import roofline
 from tests.oracles import ground_scene, stages_of
 from warp_rigid import Simulator
-from warp_rigid.bench.scenes import Case
+from warp_rigid.bench.cases import BenchmarkCase
 from warp_rigid.kernels import schema
 from warp_rigid.scene.shapes import Box
 
@@ -54,7 +54,7 @@ def test_the_floor_is_the_slowest_of_three():
 
 def test_work_of_a_stack_at_rest(device):
     """Two towers of three cubes: what touches, what rests, and what is looked for is known."""
-    sim = Simulator(Case("stack", 3).build(), 2, device=device)
+    sim = Simulator(BenchmarkCase("stack", 3).build(), 2, device=device)
     sim.step(400)
     before = sim.get("position")
     found = roofline.count(sim)
@@ -64,7 +64,7 @@ def test_work_of_a_stack_at_rest(device):
     assert found.contacts <= found.sweeps <= 10 * found.contacts
     assert np.array_equal(sim.get("position"), before)
     # What was counted is the coming step: it comes as if nobody had looked.
-    other = Simulator(Case("stack", 3).build(), 2, device=device)
+    other = Simulator(BenchmarkCase("stack", 3).build(), 2, device=device)
     other.step(401), sim.step(1)
     assert np.array_equal(sim.get("position"), other.get("position"))
 

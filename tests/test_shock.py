@@ -13,7 +13,7 @@ from tests.oracles import (
     rotate_about,
     stages_of,
 )
-from warp_rigid.bench.scenes import find_case, moving
+from warp_rigid.bench.cases import find_case, moving
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.shapes import Box, Sphere

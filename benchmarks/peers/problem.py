@@ -16,7 +16,7 @@ NOT_INSTALLED = 3
 COACD_THRESHOLD = 0.05
 
 
-class Problem:
+class PeerProblem:
     """Bodies of one shape above the ground plane z = 0, in several environments.
 
     Attributes:
@@ -73,7 +73,7 @@ class Problem:
             return [(file[f"v{i}"], file[f"f{i}"]) for i in range(len(file.files) // 2)]
 
 
-def timed(problem: Problem, advance: Callable[[int], None]) -> dict[str, float]:
+def timed(problem: PeerProblem, advance: Callable[[int], None]) -> dict[str, float]:
     """Settle, then time the frames.
 
     Args:
@@ -103,10 +103,10 @@ def as_obj(parts: list[tuple[np.ndarray, np.ndarray]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(run: Callable[[Problem], None]) -> None:
+def main(run: Callable[[PeerProblem], None]) -> None:
     """Run a program on the problem of the command line; a missing engine has a status of its own."""
     try:
-        run(Problem(sys.argv[1]))
+        run(PeerProblem(sys.argv[1]))
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed", file=sys.stderr)
         sys.exit(NOT_INSTALLED)

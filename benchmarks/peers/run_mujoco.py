@@ -1,9 +1,9 @@
 """MuJoCo on one core of the CPU."""
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step one environment after another."""
     import mujoco
     import mujoco_model

@@ -1,12 +1,12 @@
 """MuJoCo Warp on the device of the problem; a frame is one graph where the device has graphs."""
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 PER_BODY = {"box": 12, "octree of distances": 120}
 """Contacts and candidate pairs for which there is room, by collider; what overflows is a fault."""
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step all worlds together."""
     import mujoco_warp
     import numpy as np

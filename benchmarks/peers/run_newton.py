@@ -3,7 +3,7 @@
 Meshes collide by distance grids on CUDA, by queries of the triangles on the CPU, which has no such grids.
 """
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 ITERATIONS, GAP, RESOLUTION = 12, 0.01, 64
 """Of its own examples: sweeps, distance at which contacts are made [m], cells along the longest side."""
@@ -12,7 +12,7 @@ EXPLICIT_UP_TO = 64
 """Up to so many bodies its list of all pairs is quicker than its sweep."""
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step all worlds together."""
     import newton
     import numpy as np
@@ -81,7 +81,7 @@ def run(problem: Problem) -> None:
         write(told, poses[..., :3], poses[..., 3:], speeds[..., :3])
 
 
-def _model(newton, wp, problem: Problem, mesh):
+def _model(newton, wp, problem: PeerProblem, mesh):
     """One world an environment, the ground in all of them."""
     whole = newton.ModelBuilder()
     _configure(whole, problem)
@@ -107,7 +107,7 @@ def _model(newton, wp, problem: Problem, mesh):
     return whole
 
 
-def _configure(builder, problem: Problem) -> None:
+def _configure(builder, problem: PeerProblem) -> None:
     config = builder.default_shape_cfg
     config.density, config.mu, config.restitution, config.gap = (
         problem.density,

@@ -3,10 +3,10 @@
 import tempfile
 from pathlib import Path
 
-from problem import Problem, as_obj, main, timed, write
+from problem import PeerProblem, as_obj, main, timed, write
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step one client an environment."""
     import numpy as np
     import pybullet
@@ -40,7 +40,7 @@ def run(problem: Problem) -> None:
     write(told, places, turned, np.array(speeds))
 
 
-def _world(pybullet, problem: Problem, path: Path, env: int) -> tuple[int, list[int]]:
+def _world(pybullet, problem: PeerProblem, path: Path, env: int) -> tuple[int, list[int]]:
     """Client and its bodies; nothing sleeps, nothing is damped."""
     client = pybullet.connect(pybullet.DIRECT)
     own = {"physicsClientId": client}

@@ -2,10 +2,10 @@
 
 from importlib.metadata import version
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step one world an environment."""
     import numpy as np
     import rapier3d
@@ -36,13 +36,13 @@ def run(problem: Problem) -> None:
     write(told, *(np.array(values) for values in read))
 
 
-def _shapes(rapier3d, problem: Problem) -> list:
+def _shapes(rapier3d, problem: PeerProblem) -> list:
     if problem.vertices is None:
         return [rapier3d.SharedShape.cuboid(*problem.half_extents.tolist())]
     return [rapier3d.SharedShape.convex_hull(part.astype("float32")) for part, _ in problem.convex_parts()]
 
 
-def _world(rapier3d, problem: Problem, shapes: list, env: int) -> tuple:
+def _world(rapier3d, problem: PeerProblem, shapes: list, env: int) -> tuple:
     """World and the bodies' handles; nothing sleeps."""
     world = rapier3d.PhysicsWorld(gravity=tuple(problem.gravity))
     world.set_num_threads(1)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.bench.scenes import Case, moving
+from warp_rigid.bench.cases import BenchmarkCase, moving
 from warp_rigid.bench.stage_times import stage_times
 from warp_rigid.diagnostics.machine import versions
 from warp_rigid.engine.cores import usable_cores
@@ -43,7 +43,7 @@ class Conditions:
     sleeping: bool = False
 
 
-def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, Any], Simulator]:
+def measure(case: BenchmarkCase, conditions: Conditions, device: Any) -> tuple[dict[str, Any], Simulator]:
     """Run a case and measure it.
 
     Times are of the clock: `seconds` of the timed frames, with nothing between them, and `processor_seconds` of all
@@ -82,7 +82,7 @@ def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, 
     return told, sim
 
 
-def rates(case: Case, conditions: Conditions, seconds: float, processor_seconds: float) -> dict[str, float]:
+def rates(case: BenchmarkCase, conditions: Conditions, seconds: float, processor_seconds: float) -> dict[str, float]:
     """Frames, steps and steps of bodies a second over all environments, and frames a second of a processor."""
     frames = conditions.envs * conditions.frames
     return {
@@ -107,7 +107,7 @@ def work(sim: Simulator) -> dict[str, Any]:
     }
 
 
-def quality(case: Case, sim: Simulator, position: np.ndarray, velocity: np.ndarray) -> dict[str, Any]:
+def quality(case: BenchmarkCase, sim: Simulator, position: np.ndarray, velocity: np.ndarray) -> dict[str, Any]:
     """The same figures for every engine, from final states alone; lengths in metres.
 
     Args:
@@ -129,8 +129,8 @@ def quality(case: Case, sim: Simulator, position: np.ndarray, velocity: np.ndarr
         "max_speed": float(np.linalg.norm(velocity, axis=-1).max()) if whole else None,
         "escaped": case.escaped(position),
     }
-    if case.name == "stack" and whole:
-        error = case.height_error(position.astype(np.float64))
+    error = case.height_error(position.astype(np.float64))
+    if error is not None and whole:
         told["height_error"] = float(np.abs(error).max())
         told["top_height_error"] = float(error[:, -1].mean())
         told["drift"] = float(case.drift(position).max())

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid.bench.cases import BenchmarkCase, moving
 from warp_rigid.bench.measure import FPS, Conditions, quality, rates
-from warp_rigid.bench.scenes import Case, moving
 from warp_rigid.checks import one_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
@@ -52,7 +52,7 @@ def choose_peers(names: str | None, pythons: list[str] | None) -> dict[str, str]
     return chosen
 
 
-def run_peer(name: str, python: str, case: Case, conditions: Conditions, sim: Simulator) -> dict[str, Any]:
+def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions, sim: Simulator) -> dict[str, Any]:
     """Run one engine on the start that the simulator had.
 
     Args:
@@ -83,7 +83,7 @@ def run_peer(name: str, python: str, case: Case, conditions: Conditions, sim: Si
             return _read_result(case, conditions, sim, {key: found[key] for key in found.files})
 
 
-def write_problem(path: Path, case: Case, conditions: Conditions, sim: Simulator) -> None:
+def write_problem(path: Path, case: BenchmarkCase, conditions: Conditions, sim: Simulator) -> None:
     """Write a case as plain arrays: starts, the bodies' common shape, mass and inertia, and all that stands still."""
     scene = case.build()
     body = scene.bodies[moving(scene)[0]]
@@ -134,7 +134,9 @@ def _fixed(scene: Scene) -> list[dict[str, Any]]:
     return fixed
 
 
-def _read_result(case: Case, conditions: Conditions, sim: Simulator, found: Mapping[str, Any]) -> dict[str, Any]:
+def _read_result(
+    case: BenchmarkCase, conditions: Conditions, sim: Simulator, found: Mapping[str, Any]
+) -> dict[str, Any]:
     """The engine's figures; the simulator takes over its final state and measures the overlap."""
     told = json.loads(str(found["told"]))
     rows = moving(sim.scene)
@@ -151,9 +153,9 @@ def _read_result(case: Case, conditions: Conditions, sim: Simulator, found: Mapp
     }
 
 
-def _fault(name: str, case: Case, conditions: Conditions, text: str) -> dict[str, Any]:
+def _fault(name: str, case: BenchmarkCase, conditions: Conditions, text: str) -> dict[str, Any]:
     return {**_head(case, conditions), "engine": name, "fault": text}
 
 
-def _head(case: Case, conditions: Conditions) -> dict[str, Any]:
+def _head(case: BenchmarkCase, conditions: Conditions) -> dict[str, Any]:
     return {"scene": case.name, "bodies": case.bodies, **vars(conditions)}

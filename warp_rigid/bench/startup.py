@@ -52,7 +52,7 @@ def _main(case: str, device: str) -> None:
 
     wp.config.log_level = wp.LOG_WARNING
     from warp_rigid import Settings, Simulator
-    from warp_rigid.bench.scenes import find_case
+    from warp_rigid.bench.cases import find_case
 
     sim = Simulator(find_case(case).build(), settings=Settings(), device=device)
     sim.step(4)

@@ -77,7 +77,7 @@ class Miss:
 
 
 @dataclass(frozen=True)
-class Check:
+class ReferenceCheck:
     """A quantity that has a reference.
 
     Attributes:
@@ -117,7 +117,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Case:
+class ValidationCase:
     """One case of the validation.
 
     Attributes:
@@ -134,7 +134,7 @@ class Case:
     id: str
     title: str
     source: str
-    checks: tuple[Check, ...]
+    checks: tuple[ReferenceCheck, ...]
     experiments: tuple[Experiment, ...] = ()
     compute: Callable[[str], Any] | None = None
     on_device: bool = True
@@ -158,7 +158,7 @@ def each(measure: Callable[[Trace], Values]) -> Measure:
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """A check's result on a device; arrays have one entry for each variant.
 
     Attributes:
@@ -172,8 +172,8 @@ class Finding:
         fault: why there is no value, "" if there is one.
     """
 
-    case: Case
-    check: Check
+    case: ValidationCase
+    check: ReferenceCheck
     device: str
     labels: tuple[str, ...]
     value: np.ndarray
@@ -212,7 +212,7 @@ class Finding:
         return miss.reason if miss else ""
 
 
-def judge(case: Case, device: str) -> tuple[Any, list[Finding]]:
+def judge(case: ValidationCase, device: str) -> tuple[Any, list[CheckResult]]:
     """Run a case on a device; its subject (None if that failed), and a finding for each check."""
     try:
         subject = case.subject(device)
@@ -220,10 +220,12 @@ def judge(case: Case, device: str) -> tuple[Any, list[Finding]]:
     except Exception as error:  # one broken case must not cost the others their results
         fault = f"{type(error).__name__}: {' '.join(str(error).split())}"
         nothing = np.full(1, np.nan)
-        return None, [Finding(case, check, device, ("",), nothing, nothing, nothing, fault) for check in case.checks]
+        return None, [
+            CheckResult(case, check, device, ("",), nothing, nothing, nothing, fault) for check in case.checks
+        ]
 
 
-def _find(case: Case, check: Check, device: str, subject: Any) -> Finding:
+def _find(case: ValidationCase, check: ReferenceCheck, device: str, subject: Any) -> CheckResult:
     """Measure and compare."""
     value = np.atleast_1d(np.asarray(check.measure(subject), np.float64))
     given = check.reference(subject) if callable(check.reference) else check.reference
@@ -231,4 +233,4 @@ def _find(case: Case, check: Check, device: str, subject: Any) -> Finding:
     labels = tuple(check.labels) or tuple(label for trace in subject for label in trace.labels)
     if len(labels) != len(value):
         raise ValueError(f"{case.id} {check.quantity}: {len(value)} values for {len(labels)} labels")
-    return Finding(case, check, device, labels, value, reference, check.tolerance.error(value, reference))
+    return CheckResult(case, check, device, labels, value, reference, check.tolerance.error(value, reference))

@@ -2,22 +2,12 @@
 
 import numpy as np
 
-from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Plane
 from warp_rigid.validation.experiment import Start, Trace
 
 G = 9.81
-GROUND = Plane(normal=(0.0, 0.0, 1.0), offset=0.0)
 NO_GRAVITY = (0.0, 0.0, 0.0)
 RESTING = 1e-3
 """Below this speed a body counts as stopped [m/s]."""
-
-
-def level_ground(gravity=(0.0, 0.0, -G), **material) -> Scene:
-    """A scene with nothing but level ground, which is body 0."""
-    scene = Scene(gravity=gravity)
-    scene.add_static(GROUND, **material)
-    return scene
 
 
 def downhill(degrees: float, gravity: float = G) -> tuple[float, float, float]:

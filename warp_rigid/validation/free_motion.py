@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.validation.case import Case, Check, Curve, Miss, absolute, at_most, each, relative
+from warp_rigid.validation.case import Curve, Miss, ReferenceCheck, ValidationCase, absolute, at_most, each, relative
 from warp_rigid.validation.common import NO_GRAVITY, G, random_turns, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
@@ -19,7 +19,7 @@ BRICK = Box((np.sqrt(2.0), 1.0, FLAT))
 """Moments of inertia as 1 : 2 : 3."""
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; shorter if quick."""
     return [
         symmetric_top("plate, I 1 : 1 : 2", PLATE),
@@ -79,16 +79,18 @@ def symmetric_top(name, shape):
         return np.abs(np.polyfit(trace.time, azimuth, 1)[0])
 
     tilt = np.degrees(np.arctan2(side * spin[0], axial * spin[2]))
-    return Case(
+    return ValidationCase(
         "V10",
         f"torque-free symmetric top, {name}, spin (1, 0, 10) rad/s",
         f"{EULER}; Landau and Lifshitz, Mechanics, sections 33 to 36",
         (
-            Check("precession in space", "rad/s", each(precession), np.linalg.norm(total) / side, relative(1e-3)),
-            Check(
+            ReferenceCheck(
+                "precession in space", "rad/s", each(precession), np.linalg.norm(total) / side, relative(1e-3)
+            ),
+            ReferenceCheck(
                 "precession in the body", "rad/s", each(body_rate), abs(axial - side) / side * spin[2], relative(1e-3)
             ),
-            Check("angle farthest from its start", "deg", each(farthest_angle), tilt, relative(1e-3)),
+            ReferenceCheck("angle farthest from its start", "deg", each(farthest_angle), tilt, relative(1e-3)),
         ),
         (spinning(shape, np.tile(spin, (4, 1)), turns, duration=10.0, variants=("upright", "turned", "2nd", "3rd")),),
     )
@@ -140,20 +142,20 @@ def flip(duration):
 
     ten = round(10.0 / DT) + 1
     names = tuple(f"spin {' '.join(f'{w:g}' for w in spin)} rad/s" for spin in spins)
-    return Case(
+    return ValidationCase(
         "V11",
         "Dzhanibekov's flip, I 1 : 2 : 3",
         "elliptic integral of Euler's equations",
         (
-            Check("time between flips", "s", each(mean), exact, relative(2e-3)),
-            Check(
+            ReferenceCheck("time between flips", "s", each(mean), exact, relative(2e-3)),
+            ReferenceCheck(
                 "energy error over 10 s",
                 "",
                 each(lambda t: np.abs(t.kinetic_energy[:ten] / t.kinetic_energy[0] - 1).max(axis=0)),
                 0.0,
                 at_most(2e-4),
             ),
-            Check(
+            ReferenceCheck(
                 "error of |L| over 10 s",
                 "",
                 each(lambda t: np.abs(size(t)[:ten] / size(t)[0] - 1).max(axis=0)),
@@ -180,13 +182,13 @@ def stable_axes(duration):
 
     names = "long axis", "short axis"
     middle = spin * np.array([1e-3, 1.0, 2e-3])
-    return Case(
+    return ValidationCase(
         "V12",
         f"axes of an ellipsoid 2 x 1 x 0.5, 180 degrees/s, {duration:g} s",
         "stability of Euler's equations; rigid-ipc",
         (
-            Check("wander of the axis", "deg", lambda s: wander(s[0]), 0.0, at_most(0.5), names),
-            Check(
+            ReferenceCheck("wander of the axis", "deg", lambda s: wander(s[0]), 0.0, at_most(0.5), names),
+            ReferenceCheck(
                 "time between flips about the middle axis",
                 "s",
                 lambda s: np.diff(flips(s[1])[0])[:1],
@@ -217,13 +219,13 @@ def momentum_kept():
         unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
         return np.linalg.norm(unit - unit[0], axis=-1).max(axis=0)
 
-    return Case(
+    return ValidationCase(
         "V12",
         "angular momentum of tumbling bodies over 10 000 steps",
         "conservation",
         (
-            Check("error of |L|", "", each(change), 0.0, absolute(1e-5)),
-            Check("turn of L", "rad", each(turn), 0.0, at_most(5e-5)),
+            ReferenceCheck("error of |L|", "", each(change), 0.0, absolute(1e-5)),
+            ReferenceCheck("turn of L", "rad", each(turn), 0.0, at_most(5e-5)),
         ),
         (
             spinning(
@@ -265,16 +267,16 @@ def free_fall():
 
     coarse = tuple(f"{name}, dt 1/{rate}" for rate in rates[:2] for name in ("fall", "throw"))
     fine = tuple(f"{name}, dt 1/{rates[2]}" for name in ("fall", "throw"))
-    return Case(
+    return ValidationCase(
         "V14",
         "free fall and throw, 1 s",
         "the sum of symplectic Euler steps",
         (
-            Check(
+            ReferenceCheck(
                 "height", "m", lambda s: each(height)(s[:2]), lambda s: each(discrete)(s[:2]), absolute(1e-5), coarse
             ),
-            Check("distance from its place", "m", lambda s: each(off)(s[:2]), 0.0, at_most(1e-5), coarse),
-            Check(
+            ReferenceCheck("distance from its place", "m", lambda s: each(off)(s[:2]), 0.0, at_most(1e-5), coarse),
+            ReferenceCheck(
                 "distance from its place",
                 "m",
                 lambda s: off(s[2]),

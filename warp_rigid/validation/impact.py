@@ -4,13 +4,13 @@ import numpy as np
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
-from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, absolute, at_most, each, relative
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import OUTCOME, Curve, ReferenceCheck, ValidationCase, absolute, at_most, each, relative
 from warp_rigid.validation.common import (
     NO_GRAVITY,
     RESTING,
     G,
     largest_rise,
-    level_ground,
     per_env,
     random_turns,
     turn_about,
@@ -22,7 +22,7 @@ RATES = (60, 240, 1000)
 """Steps a second at which the bounces are measured."""
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; shorter and fewer if quick."""
     listed = [
         bounce_heights(),
@@ -43,7 +43,7 @@ def dropped_ball(restitution, duration, rate):
     """Experiment: a ball of 0.05 m that falls by a metre; one environment for each restitution."""
 
     def scene():
-        made = level_ground()
+        made = level_scene()
         made.add_body(Sphere(0.05), position=(0, 0, 1.05))
         return made
 
@@ -90,15 +90,15 @@ def bounce_heights():
     experiments = tuple(dropped_ball(restitution, 2.3, rate) for rate in RATES)
     exact = restitution**2
     third = tuple(f"e 0.8, dt 1/{rate}" for rate in RATES)
-    return Case(
+    return ValidationCase(
         "V17",
         "bounces of a ball dropped from 1 m",
         NEWTON,
         (
-            Check("first peak", "m", each(lambda t: peak(t, 1)), np.tile(exact, 3), relative(0.01)),
-            Check("second peak", "m", each(lambda t: peak(t, 2)), np.tile(exact**2, 3), relative(0.01)),
-            Check("third peak", "m", lambda s: [peak(t, 3)[1] for t in s], 0.8**6, relative(0.01), third),
-            Check("greatest height", "m", each(lambda t: height(t).max(axis=0)), 1.0, at_most(1e-4)),
+            ReferenceCheck("first peak", "m", each(lambda t: peak(t, 1)), np.tile(exact, 3), relative(0.01)),
+            ReferenceCheck("second peak", "m", each(lambda t: peak(t, 2)), np.tile(exact**2, 3), relative(0.01)),
+            ReferenceCheck("third peak", "m", lambda s: [peak(t, 3)[1] for t in s], 0.8**6, relative(0.01), third),
+            ReferenceCheck("greatest height", "m", each(lambda t: height(t).max(axis=0)), 1.0, at_most(1e-4)),
         ),
         experiments,
         curve=Curve("height", "m", height, exact_height),
@@ -120,12 +120,12 @@ def bounce_times():
     def errors(s):
         return np.array([np.abs(contact_times(t) - exact).max() for t in s])
 
-    return Case(
+    return ValidationCase(
         "V17",
         "times of the second to fourth contact, e 0.8",
         NEWTON,
         (
-            Check(
+            ReferenceCheck(
                 "contact time at dt 1/1000",
                 "s",
                 lambda s: contact_times(s[-1]),
@@ -133,7 +133,7 @@ def bounce_times():
                 relative(5e-3),
                 ("second", "third", "fourth"),
             ),
-            Check(
+            ReferenceCheck(
                 "error over that at twice the step",
                 "",
                 lambda s: errors(s)[1:4] / errors(s)[:3],
@@ -154,14 +154,14 @@ def bounce_end(restitution):
     def last(t):
         return [t.time[np.flatnonzero(np.abs(up) > 1e-3)[-1]] for up in climb(t).T]
 
-    return Case(
+    return ValidationCase(
         "V17",
         "end of the bouncing, dt 1/1000",
         NEWTON,
         (
-            Check("time of the last motion", "s", each(last), total, relative(0.02)),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-50:].max(axis=0)), 0.0, at_most(1e-3)),
-            Check("height at the end", "m", each(lambda t: height(t)[-1]), 0.0, absolute(1e-4)),
+            ReferenceCheck("time of the last motion", "s", each(last), total, relative(0.02)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-50:].max(axis=0)), 0.0, at_most(1e-3)),
+            ReferenceCheck("height at the end", "m", each(lambda t: height(t)[-1]), 0.0, absolute(1e-4)),
         ),
         (dropped_ball(e, 1.1 * total.max(), 1000),),
     )
@@ -180,13 +180,15 @@ def head_on():
 
     place = np.zeros((len(cells), 2, 3))
     place[:, 0, 0], place[:, 1, 0] = -apart, apart
-    return Case(
+    return ValidationCase(
         "V17",
         "head-on collision of two spheres at +-1 m/s",
         "Chrono's CorNormal; e = speed after over speed before",
         (
-            Check("speed after", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), restitution, absolute(1e-3)),
-            Check("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0]), 0.0, absolute(1e-6)),
+            ReferenceCheck(
+                "speed after", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), restitution, absolute(1e-3)
+            ),
+            ReferenceCheck("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0]), 0.0, absolute(1e-6)),
         ),
         (
             Experiment(
@@ -250,16 +252,16 @@ def row_checks(exact):
         return np.einsum("eb,eb->e", t.mass, t.linear_velocity[0, :, :, 0])
 
     return (
-        Check("speed of the last ball", "m/s", each(lambda t: along(t)[:, -1]), exact[:, -1], absolute(1e-3)),
-        Check(
+        ReferenceCheck("speed of the last ball", "m/s", each(lambda t: along(t)[:, -1]), exact[:, -1], absolute(1e-3)),
+        ReferenceCheck(
             "energy above that of successive impacts",
             "J",
             each(lambda t: kinetic(t, along(t)) - kinetic(t, exact)),
             0.0,
             at_most(1e-3),
         ),
-        Check("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0] - start(t)), 0.0, absolute(1e-5)),
-        Check(
+        ReferenceCheck("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0] - start(t)), 0.0, absolute(1e-5)),
+        ReferenceCheck(
             "speed across", "m/s", each(lambda t: np.abs(t.linear_velocity[..., 1:]).max((0, 2, 3))), 0, at_most(1e-6)
         ),
     )
@@ -267,7 +269,7 @@ def row_checks(exact):
 
 def every_ball(exact, chosen, experiment):
     """All balls of the chosen rows."""
-    return Check(
+    return ReferenceCheck(
         "largest error of a ball's speed",
         "m/s",
         lambda s: np.abs(s[0].linear_velocity[-1, chosen, :, 0] - exact[chosen]).max(axis=1),
@@ -288,7 +290,7 @@ def cradle():
     experiment, exact = row_of_balls([1.0] * 5, rows)
     # Elastic rows and touching ones have one answer; with gaps and losses the order of later impacts decides.
     sure = [row for row, (_, e, gap) in enumerate(rows) if e in (0.0, 1.0) or gap == 0.0]
-    return Case(
+    return ValidationCase(
         "V18",
         "cradle of five balls",
         "successive impacts of two balls at a time",
@@ -301,7 +303,7 @@ def chain():
     """Masses 1, 1/2, 1/4, 1/8."""
     rows = [((1, 0, 0, 0), e, gap) for gap in GAPS for e in (1.0, 0.9)]
     experiment, exact = row_of_balls([1.0, 0.5, 0.25, 0.125], rows)
-    return Case(
+    return ValidationCase(
         "V18",
         "chain of four balls, each half as heavy as the one before",
         "successive impacts of two balls at a time",
@@ -332,7 +334,7 @@ def superball():
     exact = np.array([superball_after(*row) for row in rows])
 
     def scene():
-        made = level_ground(gravity=NO_GRAVITY)
+        made = level_scene(gravity=NO_GRAVITY)
         made.add_body(Sphere(0.1), position=(0, 0, 0.1))
         return made
 
@@ -348,23 +350,25 @@ def superball():
     def slides(t):
         return np.abs(t.linear_velocity[-1, :, 1, 0] - 0.1 * t.angular_velocity[-1, :, 1, 1]) > 1e-5
 
-    return Case(
+    return ValidationCase(
         "V19",
         "oblique impact of a spinning sphere on a plane",
         "Garwin's superball, closed form",
         (
-            Check(
+            ReferenceCheck(
                 "normal velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), exact[:, 0], relative(1e-4)
             ),
-            Check(
+            ReferenceCheck(
                 "tangential velocity",
                 "m/s",
                 each(lambda t: t.linear_velocity[-1, :, 1, 0]),
                 exact[:, 1],
                 relative(1e-4),
             ),
-            Check("spin", "rad/s", each(lambda t: t.angular_velocity[-1, :, 1, 1]), exact[:, 2], relative(1e-4)),
-            Check("still slides", "", each(slides), [0, 1, 0, 1, 0], OUTCOME),
+            ReferenceCheck(
+                "spin", "rad/s", each(lambda t: t.angular_velocity[-1, :, 1, 1]), exact[:, 2], relative(1e-4)
+            ),
+            ReferenceCheck("still slides", "", each(slides), [0, 1, 0, 1, 0], OUTCOME),
         ),
         (Experiment(scene, DT, names, starts),),
     )
@@ -379,7 +383,7 @@ def eccentric():
     impulse = (1 + restitution) / (1 + arm**2 / inertia)
 
     def scene():
-        made = level_ground(gravity=NO_GRAVITY, friction=0.0, restitution=restitution)
+        made = level_scene(gravity=NO_GRAVITY, friction=0.0, restitution=restitution)
         made.add_body(
             rod,
             mass=1.0,
@@ -391,13 +395,15 @@ def eccentric():
         )
         return made
 
-    return Case(
+    return ValidationCase(
         "V20",
         "eccentric impact of a thin rod at 30 degrees, e 0.5",
         "Newton's law of impact at the tip, closed form",
         (
-            Check("velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), impulse - 1, relative(1e-3)),
-            Check(
+            ReferenceCheck(
+                "velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), impulse - 1, relative(1e-3)
+            ),
+            ReferenceCheck(
                 "spin",
                 "rad/s",
                 each(lambda t: np.abs(t.angular_velocity[-1, :, 1, 1])),
@@ -438,20 +444,20 @@ def random_impacts(count):
     def scale(t):
         return (t.mass * np.linalg.norm(t.linear_velocity[0], axis=2)).sum(axis=1)
 
-    return Case(
+    return ValidationCase(
         "V62",
         "impacts of three boxes thrown at random, every restitution and friction",
         "energy and momentum",
         (
-            Check(
+            ReferenceCheck(
                 "energy gained, of that at the start",
                 "",
                 each(lambda t: largest_rise(t.kinetic_energy) / t.kinetic_energy[0]),
                 0.0,
                 at_most(1e-4),
             ),
-            Check("momentum gained, of all", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
-            Check(
+            ReferenceCheck("momentum gained, of all", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
+            ReferenceCheck(
                 "share of the throws that met", "", lambda s: (lost(s[0]) > 1e-3).mean(), 1.0, absolute(0.2), ("all",)
             ),
         ),
@@ -464,7 +470,7 @@ def gas(duration):
     """216 elastic balls fall, hit the ground and one another, and keep their energy."""
 
     def scene():
-        made = level_ground(friction=0.0, restitution=1.0)
+        made = level_scene(friction=0.0, restitution=1.0)
         jitter = 1e-3 * np.random.default_rng(1).uniform(-1, 1, (6, 6, 6, 3))
         for cell in np.ndindex(6, 6, 6):
             place = 0.21 * np.array(cell) + jitter[cell] + [0, 0, 1.101]
@@ -484,7 +490,7 @@ def drop_of_49():
     """49 elastic balls fall by 5 m, again and again."""
 
     def scene():
-        made = level_ground(friction=0.0, restitution=1.0)
+        made = level_scene(friction=0.0, restitution=1.0)
         for x, y in np.ndindex(7, 7):
             place = (0.3 * x, 0.3 * y, 5.0)
             made.add_body(Sphere(0.1), mass=10.0, position=place, friction=0.0, restitution=1.0)
@@ -505,19 +511,19 @@ def elastic(title, source, scene, duration, limit):
     def off(t):
         return t.energy / t.energy[0] - 1.0
 
-    return Case(
+    return ValidationCase(
         "V21",
         title,
         source,
         (
-            Check(
+            ReferenceCheck(
                 "energy error, root mean square",
                 "",
                 each(lambda t: np.sqrt((off(t) ** 2).mean(axis=0))),
                 0,
                 at_most(limit),
             ),
-            Check("energy gained", "", each(lambda t: off(t).max(axis=0)), 0.0, at_most(limit)),
+            ReferenceCheck("energy gained", "", each(lambda t: off(t).max(axis=0)), 0.0, at_most(limit)),
         ),
         (Experiment(scene, duration, dt=1e-3, every=10),),
         curve=Curve("energy over that at the start", "", lambda t: t.energy / t.energy[0]),

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from warp_rigid.validation.case import Case, Finding
+from warp_rigid.validation.case import CheckResult, ValidationCase
 
 FAILED = 1
 """Exit status where a check failed or could not be done."""
@@ -22,12 +22,12 @@ WIDTHS = (46, 18, 18, 13, 13, 7)
 COLORS = {"PASS": "green", "MISS": "yellow", "FAIL": "bold red", "ERROR": "bold red"}
 
 
-def exit_status(findings: Sequence[Finding]) -> int:
+def exit_status(findings: Sequence[CheckResult]) -> int:
     """0 if every check passed or is a known miss that is no worse than known, else 1."""
     return FAILED if any(finding.verdict in ("FAIL", "ERROR") for finding in findings) else 0
 
 
-def print_table(findings: Sequence[Finding], out: Console) -> None:
+def print_table(findings: Sequence[CheckResult], out: Console) -> None:
     """One line a check, with the variant that is worst; a heading for each case, and what to say about misses."""
     with_device = len({finding.device for finding in findings}) > 1
     _grid(out, COLUMNS)
@@ -52,7 +52,7 @@ def _grid(out: Console, cells: Sequence[str]) -> None:
     out.print(line, highlight=False)
 
 
-def markdown(findings: Sequence[Finding]) -> str:
+def markdown(findings: Sequence[CheckResult]) -> str:
     """The same as a Markdown table; each case names the source of its references."""
     with_device = len({finding.device for finding in findings}) > 1
     columns = ("case", *COLUMNS)
@@ -70,7 +70,7 @@ def markdown(findings: Sequence[Finding]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def row(finding: Finding, with_device: bool) -> list[str]:
+def row(finding: CheckResult, with_device: bool) -> list[str]:
     """A check's cells, in the order of COLUMNS."""
     worst, check = finding.worst, finding.check
     place = finding.labels[worst]
@@ -107,7 +107,7 @@ def _error(value: float, kind: str, unit: str) -> str:
     return f"{100 * value:.3g} %" if kind == "relative" else f"{value:.3g}{unit}"
 
 
-def summary(findings: Sequence[Finding]) -> str:
+def summary(findings: Sequence[CheckResult]) -> str:
     """How many checks there are of each verdict, in a line."""
     counts = {verdict: sum(f.verdict == verdict for f in findings) for verdict in COLORS}
     names = {"PASS": "passed", "MISS": "known misses", "FAIL": "failed", "ERROR": "not measured"}
@@ -136,7 +136,7 @@ def agreement(checks: Sequence[dict[str, Any]]) -> list[str]:
     return lines if shared else []
 
 
-def as_json(findings: Sequence[Finding], devices: Sequence[str]) -> dict[str, Any]:
+def as_json(findings: Sequence[CheckResult], devices: Sequence[str]) -> dict[str, Any]:
     """Everything, as one JSON object; numbers that are not finite become null."""
     return {
         "devices": list(devices),
@@ -146,8 +146,8 @@ def as_json(findings: Sequence[Finding], devices: Sequence[str]) -> dict[str, An
     }
 
 
-def _record(finding: Finding) -> dict[str, Any]:
-    case: Case = finding.case
+def _record(finding: CheckResult) -> dict[str, Any]:
+    case: ValidationCase = finding.case
     rows = zip(finding.labels, finding.value, finding.reference, finding.error, strict=True)
     return {
         "case": case.id,

@@ -3,14 +3,14 @@
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
-from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, at_most, each, relative
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import OUTCOME, Curve, ReferenceCheck, ValidationCase, at_most, each, relative
 from warp_rigid.validation.common import (
     RESTING,
     G,
     at_time,
     downhill,
     first_time,
-    level_ground,
     per_env,
     turn_about,
 )
@@ -19,7 +19,7 @@ from warp_rigid.validation.experiment import Experiment, Start
 COULOMB = "Coulomb's law, closed form"
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """Cases of rolling and spinning; shorter if quick."""
     return [
         slide_to_roll(),
@@ -37,7 +37,7 @@ def ball(radius=0.1, **options):
     """Experiment: a ball on level ground; options as for Experiment."""
 
     def scene():
-        made = level_ground()
+        made = level_scene()
         made.add_body(Sphere(radius), position=(0, 0, radius))
         return made
 
@@ -80,20 +80,22 @@ def slide_to_roll():
     """A ball that slides until its lowest point stands still; it then coasts for ever."""
     v0, mu = 5.0, 0.2
     time = 2 * v0 / (7 * mu * G)
-    return Case(
+    return ValidationCase(
         "V24",
         "ball that slides until it rolls, v0 5 m/s, mu 0.2",
         COULOMB,
         (
-            Check("time until it rolls", "s", each(rolling_time), time, relative(5e-3)),
-            Check(
+            ReferenceCheck("time until it rolls", "s", each(rolling_time), time, relative(5e-3)),
+            ReferenceCheck(
                 "way until it rolls",
                 "m",
                 each(lambda t: at_time(t, forward(t), rolling_time(t))),
                 v0 * time - 0.5 * mu * G * time**2,
                 relative(5e-3),
             ),
-            Check("speed 1 s later", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), 5 * v0 / 7, relative(5e-3)),
+            ReferenceCheck(
+                "speed 1 s later", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), 5 * v0 / 7, relative(5e-3)
+            ),
         ),
         (
             over_masses(
@@ -110,14 +112,14 @@ def backspin():
     """A ball whose spin takes all of its speed: it stops dead."""
     v0, mu = 2.0, 0.2
     time = v0 / (mu * G)
-    return Case(
+    return ValidationCase(
         "V24",
         "ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops dead",
         COULOMB,
         (
-            Check("time to stop", "s", each(stop_time), time, relative(5e-3)),
-            Check("way to stop", "m", each(lambda t: forward(t)[-1]), 0.5 * v0 * time, relative(5e-3)),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+            ReferenceCheck("time to stop", "s", each(stop_time), time, relative(5e-3)),
+            ReferenceCheck("way to stop", "m", each(lambda t: forward(t)[-1]), 0.5 * v0 * time, relative(5e-3)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
         ),
         (
             over_masses(
@@ -139,7 +141,7 @@ def rolling_race():
         needed = np.tan(slope) * inertia / (1 + inertia)
 
         def scene(shape=shape):
-            made = level_ground()
+            made = level_scene()
             made.add_body(shape, position=(0, 0, 0.1), orientation=turn_about((1, 0, 0), 90))
             return made
 
@@ -148,11 +150,11 @@ def rolling_race():
         experiments.append(Experiment(scene, 1.0, variants, starts, every=4))
         slipping = G * (np.sin(slope) - shares * needed * np.cos(slope))
         ways.append(0.5 * np.where(shares < 1.0, slipping, G * np.sin(slope) / (1 + inertia)))
-    return Case(
+    return ValidationCase(
         "V25",
         "rolling race down 30 degrees",
         "a = g sin / (1 + k), or g (sin - mu cos) where it slips",
-        (Check("way after 1 s", "m", each(lambda t: forward(t)[-1]), np.concatenate(ways), relative(0.01)),),
+        (ReferenceCheck("way after 1 s", "m", each(lambda t: forward(t)[-1]), np.concatenate(ways), relative(0.01)),),
         tuple(experiments),
         curve=Curve("way", "m", forward),
     )
@@ -161,12 +163,12 @@ def rolling_race():
 def authors_rolling():
     """The 2003 authors' sphere on inclines of k 4.5 degrees, which never slips."""
     degrees = 4.5 * np.arange(1, 11)
-    return Case(
+    return ValidationCase(
         "V25",
         "sphere without slip on ten inclines from 4.5 to 45 degrees",
         "PhysBAM sphere on an incline: (5/14) g t^2 sin^2",
         (
-            Check(
+            ReferenceCheck(
                 "height lost in 1 s",
                 "m",
                 each(lambda t: forward(t)[-1] * np.sin(np.radians(degrees))),
@@ -190,16 +192,16 @@ def rolling_friction():
     """Torque = c N slows a rolling ball by c g / (R (1 + 2/5)), whatever its mass."""
     radius, c = 0.5, 0.01
     slowing = c * G / (1.4 * radius)
-    return Case(
+    return ValidationCase(
         "V29",
         "rolling friction, R 0.5 m, c 0.01 m, from 1 m/s, over five powers of ten of mass",
         "torque = c N, closed form",
         (
-            Check("time to stop", "s", each(stop_time), 1 / slowing, relative(0.02)),
-            Check(
+            ReferenceCheck("time to stop", "s", each(stop_time), 1 / slowing, relative(0.02)),
+            ReferenceCheck(
                 "way to stop", "m", each(lambda t: at_time(t, forward(t), stop_time(t))), 0.5 / slowing, relative(0.02)
             ),
-            Check(
+            ReferenceCheck(
                 "way after the stop",
                 "m",
                 each(lambda t: np.abs(forward(t)[-1] - at_time(t, forward(t), stop_time(t)))),
@@ -225,11 +227,11 @@ def rolling_friction_holds():
     """Below tan = c / R a ball does not start to roll, above it does."""
     shares = np.array([0.5, 0.9, 1.1, 2.0])
     slopes = [downhill(np.degrees(np.arctan(share * 0.01 / 0.5))) for share in shares]
-    return Case(
+    return ValidationCase(
         "V29",
         "rolling friction on a slope, R 0.5 m, c 0.01 m",
         "starts above tan = c / R",
-        (Check("rolls", "", each(lambda t: forward(t)[-1] > 1e-3), shares > 1.0, OUTCOME),),
+        (ReferenceCheck("rolls", "", each(lambda t: forward(t)[-1] > 1e-3), shares > 1.0, OUTCOME),),
         (
             ball(
                 0.5,
@@ -246,13 +248,13 @@ def spinning_friction():
     """Torque = c N slows a ball that spins on the spot by c N / I = 5 c g / (2 R^2), whatever its mass."""
     radius, c, spin = 0.5, 0.01, 10.0
     time = spin / (c * G / (0.4 * radius**2))
-    return Case(
+    return ValidationCase(
         "V30",
         "spinning friction, R 0.5 m, c 0.01 m, from 10 rad/s, over five powers of ten of mass",
         "torque = c N, closed form",
         (
-            Check("time to stop", "s", each(stop_time), time, relative(0.02)),
-            Check("drift", "m", each(lambda t: t.displacement[-1]), 0.0, at_most(1e-4)),
+            ReferenceCheck("time to stop", "s", each(stop_time), time, relative(0.02)),
+            ReferenceCheck("drift", "m", each(lambda t: t.displacement[-1]), 0.0, at_most(1e-4)),
         ),
         (
             over_masses(
@@ -275,7 +277,7 @@ def force_direction(duration):
     box_rate = (force - mu * (mass + balls) * G) / (mass + 2 / 7 * balls)
 
     def scene():
-        made = level_ground(friction=mu)
+        made = level_scene(friction=mu)
         made.add_body(Box((10, 10, 0.5)), position=(0, 0, 0.5), mass=mass, friction=0.8)
         for x in range(-4, 5, 2):
             for y in range(-4, 5, 2):
@@ -290,19 +292,19 @@ def force_direction(duration):
         rolling = trace.linear_velocity[:, :, 2] - 2 / 7 * exact
         return ((box**2).sum(axis=-1) + (rolling**2).sum(axis=-1)).mean(axis=0)
 
-    return Case(
+    return ValidationCase(
         "V33",
         "box with 25 balls dragged in four directions by 1.09 of its friction",
         "SimBenchmark rolling; a = (F - mu N) / (M + 2 m n / 7)",
         (
-            Check(
+            ReferenceCheck(
                 "acceleration of the box",
                 "m/s^2",
                 each(lambda t: np.einsum("ei,ei->e", t.linear_velocity[-1, :, 1], heading) / t.time[-1]),
                 box_rate,
                 relative(0.01),
             ),
-            Check("mean squared error of the speeds", "m^2/s^2", each(deviation), 0.0, at_most(1e-4)),
+            ReferenceCheck("mean squared error of the speeds", "m^2/s^2", each(deviation), 0.0, at_most(1e-4)),
         ),
         (
             Experiment(

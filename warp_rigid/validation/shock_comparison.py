@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.scene.shapes import Box
-from warp_rigid.validation.common import level_ground
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation.experiment import DT, Experiment, Trace
-from warp_rigid.validation.stacks import HALF, leaning, piles, pyramid_scene, stack_scene
+from warp_rigid.validation.towers import HALF, falling_piles, leaning, pyramid_scene, stack_scene
 
 SCHEMES: dict[str, dict[str, Any]] = {
     "two_pass (default)": {},
@@ -68,13 +68,11 @@ def structures(quick: bool) -> list[Structure]:
         return float(trace.displacement[-1].max())
 
     def three():
-        scene = level_ground()
-        for k in range(4):
-            mass = 8000.0 if k == 3 else 8.0
-            scene.add_body(Box((HALF,) * 3), position=(0, 0, HALF * (2 * k + 1)), mass=mass)
+        scene = level_scene()
+        stacks.add_stack(scene, 4, masses=[8.0, 8.0, 8.0, 8000.0])
         return scene
 
-    pile = piles(2.0 * duration, count).experiments[0]
+    pile = falling_piles(2.0 * duration, count).experiments[0]
     one_pile = replace(pile, variants=("",), starts=(replace(pile.starts[0], value=pile.starts[0].value[:1]),))
     return [
         Structure("10 high", Experiment(lambda: stack_scene(10), duration), displaced, "m", 1e-4),

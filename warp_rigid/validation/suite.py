@@ -11,20 +11,20 @@ from warp_rigid.validation import (
     mass_and_distance,
     nonconvex,
     rolling,
-    stacks,
+    towers,
 )
-from warp_rigid.validation.case import Case, Finding, judge
+from warp_rigid.validation.case import CheckResult, ValidationCase, judge
 
-SECTIONS = (mass_and_distance, free_motion, impact, friction, rolling, stacks, nonconvex, many_bodies)
+SECTIONS = (mass_and_distance, free_motion, impact, friction, rolling, towers, nonconvex, many_bodies)
 CPU = "cpu"
 
 
-def all_cases(quick: bool = False) -> list[Case]:
+def all_cases(quick: bool = False) -> list[ValidationCase]:
     """Every case; with `quick` those that take a second or two each, at sizes that keep them so."""
     return [case for section in SECTIONS for case in section.cases(quick)]
 
 
-def choose(cases: Sequence[Case], names: Sequence[str]) -> list[Case]:
+def choose(cases: Sequence[ValidationCase], names: Sequence[str]) -> list[ValidationCase]:
     """The cases of some families, such as V10 or V22.
 
     Raises:
@@ -38,10 +38,10 @@ def choose(cases: Sequence[Case], names: Sequence[str]) -> list[Case]:
 
 
 def run_suite(
-    cases: Sequence[Case],
+    cases: Sequence[ValidationCase],
     devices: Sequence[str],
-    on_case: Callable[[Case, str, Any, list[Finding]], None] | None = None,
-) -> list[Finding]:
+    on_case: Callable[[ValidationCase, str, Any, list[CheckResult]], None] | None = None,
+) -> list[CheckResult]:
     """Run cases on devices, each case on all of them in turn.
 
     Args:

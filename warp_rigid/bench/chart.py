@@ -11,7 +11,7 @@ SMALL = 0.02
 """Stages below this part of a step are drawn as one."""
 
 
-def save_picture(rows: Sequence[dict[str, Any]], path: str) -> None:
+def save_chart(rows: Sequence[dict[str, Any]], path: str) -> None:
     """Draw rows of `measure` and `run_peer` as a PNG."""
     from matplotlib.figure import Figure
 

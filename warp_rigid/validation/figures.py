@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_rigid.validation.case import Case, Finding
+from warp_rigid.validation.case import CheckResult, ValidationCase
 from warp_rigid.validation.experiment import Trace
 from warp_rigid.validation.report import COLORS
 
@@ -18,7 +18,7 @@ INK = {"PASS": "tab:green", "MISS": "tab:orange", "FAIL": "tab:red", "ERROR": "t
 assert set(INK) == set(COLORS)
 
 
-def save_case(case: Case, device: str, traces: tuple[Trace, ...], folder: Path) -> Path:
+def save_case(case: ValidationCase, device: str, traces: tuple[Trace, ...], folder: Path) -> Path:
     """Draw a case's curve for its variants; returns the PNG's path."""
     from matplotlib.figure import Figure
 
@@ -43,7 +43,7 @@ def save_case(case: Case, device: str, traces: tuple[Trace, ...], folder: Path) 
     return path
 
 
-def save_overview(findings: Sequence[Finding], folder: Path) -> Path:
+def save_overview(findings: Sequence[CheckResult], folder: Path) -> Path:
     """Draw the worst error of every check as a part of its tolerance; returns the PNG's path."""
     from matplotlib.figure import Figure
 
