@@ -19,11 +19,11 @@ from warp_rigid.scenes.demo import (
 
 
 def build(bodies: int = 8, seed: int = 1000) -> Scene:
-    """Bunnies of 0.2 m at jittered lattice points above the floor of an open box, turned at random.
+    """Bunnies of 0.2 m at jittered lattice points above the floor of an open box, with random orientations.
 
     Args:
-        bodies: bunnies, 1 to 4096.
-        seed: of jitter and rotations.
+        bodies: number of bunnies, 1 to 4096.
+        seed: of jitter and orientations.
     """
     position, orientation = piles.starts(whole_in("bodies", bodies, 1, 4096), seed)
     scene = grounds.level_scene(friction=0.5, name="floor")
@@ -35,7 +35,7 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
 
 
 class PileOutcome:
-    """Whether all bunnies came to rest in the box, none inside another."""
+    """Whether all bunnies came to rest in the box and none overlaps another."""
 
     def __init__(self, scene):
         """Find the bunnies."""
@@ -43,24 +43,24 @@ class PileOutcome:
         self.inner = piles.inner_half(len(self.bunnies))
 
     def observe(self, sim):
-        """Nothing: the end tells."""
+        """Measure nothing: only the final state is judged."""
 
     def verdicts(self, sim):
-        """Bunnies that left the box, overlap and speed at the end."""
+        """Bunnies outside the box, overlap and speed at the end."""
         position = sim.get("center_of_mass")[:, self.bunnies]
-        # A body that is not a number has left too: the comparison must be true for it.
+        # A position that is NaN counts as outside.
         inside = (np.abs(position[..., :2]).max(axis=-1) < self.inner) & (position[..., 2] > 0.0)
         left = (~inside).sum(axis=1)
         sound = {"default": True}
         return [
-            Verdict("escaped", left, "none outside the box", left == 0, sound),
+            Verdict("escaped", left, "no bunny outside the box", left == 0, sound),
             overlap_verdict(sim, 2e-3, sound),
             rest_verdict(sim, self.bunnies, sound),
         ]
 
 
 def vary(sim, bodies, seed, **_):
-    """Start environment e as the scene of seed + e does."""
+    """Give environment e the starts of the scene with seed + e."""
     start_apart(sim, indices(sim.scene, "bunny_"), lambda env: piles.starts(bodies, seed + env))
 
 

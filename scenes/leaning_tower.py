@@ -1,4 +1,4 @@
-"""Boxes stacked with an offset, each as far sideways from the one below: does the tower fall?"""
+"""A tower of boxes, each offset sideways from the one below by the same distance, which may topple."""
 
 import numpy as np
 
@@ -15,8 +15,8 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     """Leaning tower of cubes of 0.2 m and 8 kg on a fixed platform.
 
     Args:
-        height: boxes, 2 to 50.
-        offset: sideways step from box to box over their width, 0 to 0.45.
+        height: number of boxes, 2 to 50.
+        offset: offset from box to box along x, as a fraction of their width, 0 to 0.45.
     """
     height = whole_in("height", height, 2, 50)
     offset = number_in("offset", offset, 0.0, 0.45)
@@ -27,19 +27,19 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
 
 
 class TowerOutcome:
-    """Whether the tower does what statics says."""
+    """Whether the tower stands or topples as statics demands."""
 
     def __init__(self, scene):
-        """Ask statics."""
+        """Compute from statics whether the tower topples."""
         self.boxes = indices(scene, "box_")
         self.start = np.array([scene.bodies[i].position for i in self.boxes])
         self.falls = stacks.leaning_tower_falls(self.start[:, 0], HALF)
 
     def observe(self, sim):
-        """Nothing: the end tells."""
+        """Measure nothing: only the final state is judged."""
 
     def verdicts(self, sim):
-        """Height of the top box above the platform, against statics."""
+        """Height of the top box above the platform, compared with the prediction of statics."""
         position = sim.get("position")[:, self.boxes].astype(np.float64)
         top = position[:, -1, 2] - PLATFORM_TOP
         moved = np.linalg.norm(position - self.start, axis=-1).max(axis=1)
@@ -47,9 +47,9 @@ class TowerOutcome:
             limit = 0.5 * (self.start[-1, 2] - PLATFORM_TOP)
             text, passed = f"falls: top box below {limit:.2f} m", top < limit
         else:
-            text, passed = "stands: no box moved 2 cm", moved < 0.02
-        # One pass never lets the lower joints feel the load above: its tower stands regardless.
-        # From cold starts, few iterations may drop even a tower that balances.
+            text, passed = "stands: no box moves by 2 cm", moved < 0.02
+        # One pass does not transmit the load to the lower joints, so its tower stands in either case.
+        # Without warm starting, few iterations may let even a balanced tower collapse.
         expected = {"default": True, "one_pass": not self.falls}
         if self.falls:
             expected |= {"off": True, "two_pass": True}
@@ -58,7 +58,7 @@ class TowerOutcome:
 
 DEMO = Demo(
     name="leaning_tower",
-    summary="a tower of boxes that leans too far must fall; one pass of 2003 holds it up",
+    summary="a tower of boxes that leans too far must topple; the one-pass method of 2003 keeps it standing",
     build=build,
     outcome=TowerOutcome,
     duration=4.0,
@@ -68,8 +68,8 @@ DEMO = Demo(
         "one_pass": ONE_PASS_2003,
         "two_pass": {"shock_propagation": "two_pass", "warm_starting": False},
     },
-    # One pass holds up what must fall only where every step starts from zero impulses, as in 2003. Without shock
-    # propagation ten boxes need remembered impulses and more iterations than the default for their joints to hold.
+    # One pass keeps the tower standing only without warm starting, as in 2003. Without shock propagation ten boxes
+    # need warm starting and more iterations than the default for their contacts to hold.
     goes_with={
         "shock_propagation": {"one_pass": {"warm_starting": False}, "off": {"contact_iterations": 40}},
     },

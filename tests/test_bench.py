@@ -32,8 +32,8 @@ def run(problem):
         import an_engine_that_is_missing
     gravity = np.array(problem.gravity)
     velocity = np.broadcast_to(gravity * time, problem.position.shape)
-    told = {"engine": "mujoco", "version": "1", "device": "cpu", "collider": "none", **seconds}
-    write(told, problem.position + 0.5 * gravity * time**2, problem.orientation, velocity)
+    figures = {"engine": "mujoco", "version": "1", "device": "cpu", "collider": "none", **seconds}
+    write(figures, problem.position + 0.5 * gravity * time**2, problem.orientation, velocity)
 
 main(run)
 '''

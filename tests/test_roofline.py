@@ -31,6 +31,12 @@ def test_rows_have_the_size_that_allocation_gives_them(struct):
         assert roofline.row(struct, symbol) == schema.byte_size(struct, grown) - schema.byte_size(struct, sizes)
 
 
+def test_an_array_that_a_layout_lacks_is_an_error():
+    """Names that had been renamed elsewhere counted as 0 bytes."""
+    with pytest.raises(KeyError, match="no_such_array"):
+        roofline.row(schema.Motions, "bodies", "center", "no_such_array")
+
+
 def test_records_have_the_size_of_their_arrays_elements(device):
     for record in (
         schema.ContactRecord,

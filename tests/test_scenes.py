@@ -12,7 +12,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Heightfield, Plane
-from warp_rigid.scenes import bunny_pile, rings_on_poles
+from warp_rigid.scenes import rings_on_poles
 from warp_rigid.scenes.builders import meshes, piles
 
 NAMES = [
@@ -229,7 +229,7 @@ def test_bunnies_and_walls_are_placed_by_their_centres():
 
 
 def test_seeds_differ():
-    first, second = piles.starts(8, 1), bunny_pile.starts(8, 2)
+    first, second = piles.starts(8, 1), piles.starts(8, 2)
     assert np.abs(first[0] - second[0]).max() > 1e-3
     assert np.abs(first[1] - second[1]).max() > 1e-3
 

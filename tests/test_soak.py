@@ -55,7 +55,7 @@ def test_what_goes_wrong_is_told(device, monkeypatch):
 def test_time_that_is_over_ends_it():
     lines = []
     found = soak(10**6, count=2, device="cpu", every=10, minutes=1e-3, on_found=lines.append)
-    assert 10 <= found.steps < 10**6 and found.asked == 10**6
+    assert 10 <= found.steps < 10**6 and found.requested == 10**6
     assert lines == [found]
 
 

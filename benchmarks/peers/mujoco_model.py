@@ -5,11 +5,11 @@ import numpy as np
 from problem import PeerProblem, as_obj
 
 TIME_CONSTANT = 0.02
-"""MuJoCo's own default of solref [s]; a step may be at most half of it."""
+"""MuJoCo's default of solref [s]; a step may be at most half of it."""
 
 
 def build(problem: PeerProblem) -> tuple[mujoco.MjModel, str]:
-    """Model with its default solver, and the collider's name; meshes collide by MuJoCo's own distance field."""
+    """Model with its default solver, and the collider's name; meshes collide by MuJoCo's distance field."""
     assets, named, geometry, collider = {}, "", "", "box"
     if problem.vertices is None:
         geometry = f'<geom type="box" size="{_list(problem.half_extents)}"/>'

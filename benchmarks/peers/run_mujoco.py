@@ -18,7 +18,7 @@ def run(problem: PeerProblem) -> None:
         for world in worlds:
             mujoco.mj_step(model, world, nstep=frames * problem.substeps)
 
-    told = {
+    figures = {
         "engine": "mujoco",
         "version": mujoco.__version__,
         "collider": collider,
@@ -27,7 +27,7 @@ def run(problem: PeerProblem) -> None:
         "contacts": int(sum(world.ncon for world in worlds)),
     }
     positions, velocities = np.array([w.qpos for w in worlds]), np.array([w.qvel for w in worlds])
-    write(told, *mujoco_model.final(positions, velocities, problem))
+    write(figures, *mujoco_model.final(positions, velocities, problem))
 
 
 if __name__ == "__main__":

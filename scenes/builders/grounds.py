@@ -63,7 +63,7 @@ def add_bin(
     sides: tuple[tuple[int, int], ...] = SIDES,
     **surface: Any,
 ) -> list[int]:
-    """Add upright walls around a square; the bin has no floor of its own.
+    """Add upright walls around a square; the bin has no floor.
 
     Args:
         scene: the scene.

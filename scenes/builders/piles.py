@@ -37,11 +37,11 @@ def lattice(count: int, side: int, pitch: float, lowest: float, rise: float | No
 
 
 def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Random starts above the floor of the bin of `add_pile_bin`: jittered lattice points, random orientations.
+    """Random starts above the floor of the bin of `add_pile_bin`: jittered lattice points and random orientations.
 
     Args:
         bodies: number of bodies, 1 to 1e6.
-        seed: of jitter and rotations, 0 to 2^32 - 1; give each environment of a batch a different one.
+        seed: of jitter and orientations, 0 to 2^32 - 1; use a different one for each environment of a batch.
 
     Returns:
         Centres of mass (bodies, 3) [m] and unit quaternions (bodies, 4), (x, y, z, w).
