@@ -55,7 +55,7 @@ def stack() -> wr.Scene:
 
 
 def slope() -> wr.Scene:
-    """Boxes on a slope of 25 degrees: two slide, one slips just below and one sticks just above the limit of friction."""
+    """Boxes on a slope of 25 degrees: two slide, one just slips and one just sticks."""
     tilt = np.radians(25)
     scene = level_scene(gravity=(9.81 * np.sin(tilt), 0, -9.81 * np.cos(tilt)))
     for k, friction in enumerate((0.1, 0.3, 0.45, 0.48)):

@@ -1,8 +1,8 @@
 """Soak test: a pile from which bodies are removed and to which they return.
 
-`python -m benchmarks.soak --steps 1000000` reports whether memory stays constant, whether resting bodies drift, whether bodies escape, whether identical
-environments stay identical, and whether steps become slower. It prints a JSON line after every twentieth of the steps,
-so that an interrupted run has reported its results so far. On a GPU:
+`python -m benchmarks.soak --steps 1000000` reports whether memory stays constant, whether resting bodies drift, whether
+bodies escape, whether identical environments stay identical, and whether steps become slower. It prints a JSON line
+after every twentieth of the steps, so that an interrupted run has reported its results so far. On a GPU:
 `--device cuda:0 --envs 4096 --steps 100000 --minutes 8`.
 """
 

@@ -70,5 +70,5 @@ def load(name: str, **parameters) -> Scene:
     for parameter in parameters:
         if parameter not in demo.parameters:
             known = ", ".join(demo.parameters)
-            raise ValueError(f"{parameter}: not a parameter of {name}; its parameters are {known}")
+            raise ValueError(f"{parameter}: no parameter of {name}, which has {known}")
     return demo.build(**parameters)

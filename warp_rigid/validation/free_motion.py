@@ -1,4 +1,4 @@
-"""Section B: bodies that nothing touches."""
+"""Section B: motion of free bodies."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
 EULER = "Euler's equations, closed form"
 FLAT = 1e-3
-"""Half the thickness of plates that stand for ideal ones [m]."""
+"""Half the thickness of plates that approximate ideal ones [m]."""
 PLATE = Box((1.0, 1.0, FLAT))
 """Moments of inertia as 1 : 1 : 2."""
 ROD = Box((1.0, 1.0, np.sqrt(3.0)))
@@ -32,12 +32,12 @@ def cases(quick: bool) -> list[ValidationCase]:
 
 
 def moments(shape) -> np.ndarray:
-    """Principal moments over the mass, along the shape's own axes, (3,) [m^2]."""
+    """Principal moments over the mass, along the shape's axes, (3,) [m^2]."""
     return np.diag(np.asarray(shape.inertia, np.float64)) / shape.volume
 
 
 def spinning(shape, spins, turns=None, **options) -> Experiment:
-    """Experiment: a free body in environments that differ in spin (n, 3), in its own frame, and orientation (n, 4)."""
+    """Experiment: a free body in environments that differ in spin (n, 3) in the body frame and orientation (n, 4)."""
     spins = np.asarray(spins, np.float64)
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(spins), 1)) if turns is None else np.asarray(turns)
     axis, w = turns[:, :3], turns[:, 3:]
@@ -53,7 +53,7 @@ def spinning(shape, spins, turns=None, **options) -> Experiment:
 
 
 def symmetric_top(name, shape):
-    """The symmetry axis goes round the angular momentum at L / I1, at a constant angle to it."""
+    """The symmetry axis precesses about the angular momentum at L / I1, at a constant angle."""
     side, _, axial = moments(shape)
     spin = np.array([1.0, 0.0, 10.0])
     turns = np.concatenate([[[0, 0, 0, 1]], random_turns(np.random.default_rng(1), 3)])
@@ -90,7 +90,9 @@ def symmetric_top(name, shape):
             ReferenceCheck(
                 "precession in the body", "rad/s", each(body_rate), abs(axial - side) / side * spin[2], relative(1e-3)
             ),
-            ReferenceCheck("angle farthest from its start", "deg", each(farthest_angle), tilt, relative(1e-3)),
+            ReferenceCheck(
+                "angle with the largest deviation from the start", "deg", each(farthest_angle), tilt, relative(1e-3)
+            ),
         ),
         (spinning(shape, np.tile(spin, (4, 1)), turns, duration=10.0, variants=("upright", "turned", "2nd", "3rd")),),
     )
@@ -169,8 +171,8 @@ def flip(duration):
 
 
 def stable_axes(duration):
-    """Spins about the largest and the least axis of an ellipsoid's inertia stay, one about the middle axis flips."""
-    # A box has moments in the same proportion as the ellipsoid with its half extents as semi-axes.
+    """Spin about the axes of largest and smallest inertia is stable; spin about the middle axis flips."""
+    # The moments of a box are in the same proportion as those of the ellipsoid with its half extents as semi-axes.
     ellipsoid = Box((2.0, 1.0, 0.5))
     spin = np.radians(180.0)
     axes = np.array([0, 2])
@@ -187,7 +189,7 @@ def stable_axes(duration):
         f"axes of an ellipsoid 2 x 1 x 0.5, 180 degrees/s, {duration:g} s",
         "stability of Euler's equations; rigid-ipc",
         (
-            ReferenceCheck("wander of the axis", "deg", lambda s: wander(s[0]), 0.0, at_most(0.5), names),
+            ReferenceCheck("deviation of the axis", "deg", lambda s: wander(s[0]), 0.0, at_most(0.5), names),
             ReferenceCheck(
                 "time between flips about the middle axis",
                 "s",
@@ -225,7 +227,7 @@ def momentum_kept():
         "conservation",
         (
             ReferenceCheck("error of |L|", "", each(change), 0.0, absolute(1e-5)),
-            ReferenceCheck("turn of L", "rad", each(turn), 0.0, at_most(5e-5)),
+            ReferenceCheck("rotation of L", "rad", each(turn), 0.0, at_most(5e-5)),
         ),
         (
             spinning(
@@ -241,7 +243,7 @@ def momentum_kept():
 
 
 def free_fall():
-    """Symplectic Euler falls by g dt^2 n (n + 1) / 2, which is what is demanded; the rest of the motion is uniform."""
+    """Symplectic Euler must fall by g dt^2 n (n + 1) / 2; the other components of the motion are uniform."""
     rates = (60, 240, 1000)
     velocity = np.array([[0.0, 0.0, 0.0], [3.0, -2.0, 4.0]])
 
@@ -275,15 +277,15 @@ def free_fall():
             ReferenceCheck(
                 "height", "m", lambda s: each(height)(s[:2]), lambda s: each(discrete)(s[:2]), absolute(1e-5), coarse
             ),
-            ReferenceCheck("distance from its place", "m", lambda s: each(off)(s[:2]), 0.0, at_most(1e-5), coarse),
+            ReferenceCheck("position error", "m", lambda s: each(off)(s[:2]), 0.0, at_most(1e-5), coarse),
             ReferenceCheck(
-                "distance from its place",
+                "position error",
                 "m",
                 lambda s: off(s[2]),
                 0.0,
                 at_most(1e-5),
                 fine,
-                Miss("a thousand sums in float32, each rounded to 2e-7 m/s or m, add up", 6e-5),
+                Miss("rounding of a thousand sums in float32, each to 2e-7 m/s or m", 6e-5),
             ),
         ),
         tuple(experiment(rate) for rate in rates),

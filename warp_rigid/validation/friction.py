@@ -48,7 +48,7 @@ def cases(quick: bool) -> list[ValidationCase]:
 
 
 def block_on_incline(block, degrees, friction, start=None, restitution=0.0, gravity=G, mesh=False, **options):
-    """Experiment: a block on inclines that fall along x, one environment for each entry of the lists.
+    """Experiment: a block on inclines that descend along x, one environment for each entry of the lists.
 
     Args:
         block: its shape.
@@ -109,10 +109,10 @@ def directions(degrees) -> np.ndarray:
 
 
 def along(trace, which=0):
-    """Distance gone downhill (0) or away from the incline (1), (records, envs) [m]."""
+    """Displacement downhill (0) or away from the incline (1), (records, envs) [m]."""
     moved = trace.position[:, :, 1] - trace.position[0, :, 1]
     turn = trace.turns[0, :, 0]
-    # The incline is body 0: a turned mesh, or level ground under tilted gravity.
+    # The incline is body 0: a tilted mesh, or level ground under tilted gravity.
     axis = turn[:, :, 0] if which == 0 else turn[:, :, 2]
     return np.einsum("nei,ei->ne", moved, axis)
 
@@ -134,7 +134,7 @@ def inclines(make):
 
 
 def sticks(duration):
-    """At rest at e = 0 and at e = 1: the order of the stages must not turn gravity into bounces."""
+    """A block at rest with e = 0 and e = 1; the order of the stages must not cause bounces by gravity."""
 
     def make(block, mesh, restitution):
         return block_on_incline(
@@ -182,36 +182,36 @@ def slides():
         "V22",
         "block that slides down an incline from rest, 30 degrees, mu 0.3",
         COULOMB,
-        (ReferenceCheck("way after 1 s", "m", each(lambda t: along(t)[-1]), distance, relative(5e-3)),),
+        (ReferenceCheck("distance after 1 s", "m", each(lambda t: along(t)[-1]), distance, relative(5e-3)),),
         inclines(lambda block, mesh: block_on_incline(block, 30.0, 0.3, mesh=mesh, duration=1.0, every=4)),
         curve=Curve("way", "m", along, lambda t: distance * t.time[:, None] ** 2),
     )
 
 
 def stop_time(trace):
-    """When the block stops, (envs,) [s]."""
+    """Time at which the block stops, (envs,) [s]."""
     return first_time(trace, (speed(trace) < RESTING) & (trace.time > 0.0)[:, None])
 
 
 def moved_after_stop(trace):
-    """How far the block moves once it has stopped, (envs,) [m]."""
+    """Displacement of the block after it has stopped, (envs,) [m]."""
     way, stopped = along(trace), stop_time(trace)
     return np.abs(way[-1] - at_time(trace, way, stopped))
 
 
 def stopping_checks(time, distance, limit):
-    """Time and distance of a stop, and rest ever after."""
+    """Checks of time and distance of a stop, and of rest after it."""
     return (
         ReferenceCheck("time to stop", "s", each(stop_time), time, relative(limit)),
         ReferenceCheck(
-            "way to stop", "m", each(lambda t: at_time(t, along(t), stop_time(t))), distance, relative(limit)
+            "distance to stop", "m", each(lambda t: at_time(t, along(t), stop_time(t))), distance, relative(limit)
         ),
-        ReferenceCheck("way after the stop", "m", each(moved_after_stop), 0.0, at_most(1e-4)),
+        ReferenceCheck("motion after the stop", "m", each(moved_after_stop), 0.0, at_most(1e-4)),
     )
 
 
 def stops():
-    """A block that is thrown downhill stops, and stays."""
+    """A block with an initial speed downhill stops and stays at rest."""
     degrees, friction, start = np.array([20.0, 10.0]), np.array([0.5, 0.3]), np.array([2.0, 1.0])
     time = start / -pull(degrees, friction)
     every = np.tile(time, 3)
@@ -231,7 +231,7 @@ def stops():
 
 
 def authors_incline():
-    """The two blocks of the 2003 authors' own accuracy test, g = 9.8, e = 1."""
+    """The two blocks of the accuracy test by the authors of the 2003 method, g = 9.8, e = 1."""
     slowing = -pull(20.0, 0.5, 9.8)
     options = {"restitution": 1.0, "gravity": 9.8}
     first = block_on_incline(SMALL, 20.0, 0.5, 1.25, duration=3.0, label="block 1", **options)
@@ -246,7 +246,7 @@ def authors_incline():
                 "time to stop", "s", lambda s: stop_time(s[0]), 1.25 / slowing, relative(0.01), ("block 1",)
             ),
             ReferenceCheck(
-                "way to stop",
+                "distance to stop",
                 "m",
                 lambda s: at_time(s[0], along(s[0]), stop_time(s[0])),
                 1.25**2 / (2 * slowing),
@@ -254,9 +254,9 @@ def authors_incline():
                 ("block 1",),
             ),
             ReferenceCheck(
-                "way after the stop", "m", lambda s: moved_after_stop(s[0]), 0.0, at_most(1e-4), ("block 1",)
+                "motion after the stop", "m", lambda s: moved_after_stop(s[0]), 0.0, at_most(1e-4), ("block 1",)
             ),
-            ReferenceCheck("way after 2 s", "m", lambda s: along(s[1])[-1], slid, relative(0.01), ("block 2",)),
+            ReferenceCheck("distance after 2 s", "m", lambda s: along(s[1])[-1], slid, relative(0.01), ("block 2",)),
         ),
         (first, second),
         curve=Curve("way", "m", along),
@@ -264,7 +264,7 @@ def authors_incline():
 
 
 def incline_grid():
-    """All slopes against all frictions in one batch, and two degrees on either side of each friction angle."""
+    """All combinations of slope and friction in one batch, and two degrees on either side of each friction angle."""
     frictions = (0.1, 0.3, 0.5, 0.7, 1.0)
     cells = [(mu, degrees) for mu in frictions for degrees in (3, 10, 20, 30, 40)]
     cells += [(mu, np.degrees(np.arctan(mu)) + side) for mu in frictions for side in (-2, 2)]
@@ -275,12 +275,12 @@ def incline_grid():
     labels = np.array(experiment.variants)
     return ValidationCase(
         "V22",
-        "grid of 25 slopes and frictions, and 2 degrees off each friction angle",
+        "grid of 25 slopes and frictions, and 2 degrees from each friction angle",
         COULOMB,
         (
             ReferenceCheck("slides", "", each(lambda t: along(t)[-1] > 1e-4), sliding, OUTCOME),
             ReferenceCheck(
-                "way after 1 s",
+                "distance after 1 s",
                 "m",
                 lambda s: along(s[0])[-1, sliding],
                 way[sliding],
@@ -294,7 +294,7 @@ def incline_grid():
     )
 
 
-HALVED = "the first step already brakes: v0 dt / 2 is lost, 1.4 % here, and half of it at dt 1/480"
+HALVED = "friction acts during all of the first step: the distance is v0 dt / 2 short, 1.4 % here, 0.7 % at dt 1/480"
 
 
 def stopping_distance():
@@ -323,7 +323,7 @@ def stopping_distance():
 
     def check(pick, tolerance, miss=None):
         return ReferenceCheck(
-            "way to stop",
+            "distance to stop",
             "m",
             lambda s: np.array([s[run].position[-1, env, 1, 0] for run, env in pick]),
             exact[[env for _, env in pick]],
@@ -348,10 +348,10 @@ def stopping_distance():
 
 
 def painleve():
-    """A rod whose tip drags over the ground towards Painleve's paradox, where Coulomb's law has no rigid solution.
+    """A rod whose tip drags over the ground into Painleve's paradox, where Coulomb's law has no rigid solution.
 
-    Whatever an engine does then, it must stay finite and gain no energy. The paradox begins at
-    mu = (1 + 3 cos^2) / (3 sin cos), which is 4/3 at the least, for a slope of 63.4 degrees.
+    An engine must then stay finite and gain no energy. The paradox begins at
+    mu = (1 + 3 cos^2) / (3 sin cos), which has its minimum 4/3 at a slope of 63.4 degrees.
     """
     angle, friction = np.radians(63.4), np.array([1.0, 1.5, 2.0])
     rod = Capsule(0.01, 0.49)
@@ -359,7 +359,7 @@ def painleve():
 
     def scene():
         made = level_scene()
-        # The rod leans forward over its dragging tip, as a chalk that is pushed over a board.
+        # The rod leans forward over its dragging tip, as chalk pushed over a board.
         turn = turn_about((0, 1, 0), -(90 - np.degrees(angle)))
         made.add_body(
             rod, mass=1.0, position=(-tip[0], 0, tip[2] + 0.01), orientation=turn, linear_velocity=(1.0, 0, 0)
@@ -374,10 +374,10 @@ def painleve():
     return ValidationCase(
         "V32",
         "rod whose tip drags at 1 m/s, 63.4 degrees: Painleve's paradox from mu 4/3 on",
-        "Coulomb's law: energy is never gained, and friction never reverses the slip at once",
+        "Coulomb's law: no gain of energy, no reversal of the slip within a step",
         (
             ReferenceCheck(
-                "energy gained, of that at the start",
+                "energy gained, relative to the start",
                 "",
                 each(lambda t: largest_rise(t.work_free_energy) / t.kinetic_energy[0]),
                 0.0,

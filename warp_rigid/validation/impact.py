@@ -19,7 +19,7 @@ from warp_rigid.validation.experiment import DT, Experiment, Start
 
 NEWTON = "Newton's law of impact, closed form"
 RATES = (60, 240, 1000)
-"""Steps a second at which the bounces are measured."""
+"""Steps per second at which the bounces are measured."""
 
 
 def cases(quick: bool) -> list[ValidationCase]:
@@ -40,7 +40,7 @@ def cases(quick: bool) -> list[ValidationCase]:
 
 
 def dropped_ball(restitution, duration, rate):
-    """Experiment: a ball of 0.05 m that falls by a metre; one environment for each restitution."""
+    """Experiment: a ball of radius 0.05 m that falls by 1 m; one environment for each restitution."""
 
     def scene():
         made = level_scene()
@@ -62,7 +62,7 @@ def climb(trace):
 
 
 def exact_height(trace):
-    """Height of a ball that bounces without end, (records, envs) [m]."""
+    """Exact height of a bouncing ball, (records, envs) [m]."""
     restitution = trace.experiment.starts[0].value[:, 0]
     speed = np.full(len(restitution), np.sqrt(2 * G))
     since = trace.time[:, None] - speed / G
@@ -76,7 +76,7 @@ def exact_height(trace):
 
 
 def peak(trace, number):
-    """Height of the peak after so many bounces, (envs,) [m]; NaN where there is none."""
+    """Height of the peak after `number` bounces, (envs,) [m]; NaN if there is none."""
     found = []
     for high, up in zip(height(trace).T, climb(trace).T, strict=True):
         turn = np.flatnonzero((up[:-1] > 0.0) & (up[1:] <= 0.0))
@@ -85,7 +85,7 @@ def peak(trace, number):
 
 
 def bounce_heights():
-    """The impact is centred in time, so that no height is lost at any step."""
+    """The impact is centred in time, so that no height is lost at any step size."""
     restitution = np.array([1.0, 0.8, 0.5])
     experiments = tuple(dropped_ball(restitution, 2.3, rate) for rate in RATES)
     exact = restitution**2
@@ -112,7 +112,7 @@ def contact_times(trace):
 
 
 def bounce_times():
-    """First order in the step: the error at least halves with it, but for what rounding to whole steps adds."""
+    """First order in the time step: the error halves with it, except for the rounding to whole steps."""
     rates = (60, 120, 240, 480, 1000)
     first = np.sqrt(2 / G)
     exact = first * (1 + 2 * np.cumsum([0.8, 0.64, 0.512]))
@@ -134,7 +134,7 @@ def bounce_times():
                 ("second", "third", "fourth"),
             ),
             ReferenceCheck(
-                "error over that at twice the step",
+                "error relative to that at twice the step",
                 "",
                 lambda s: errors(s)[1:4] / errors(s)[:3],
                 0.6,
@@ -147,7 +147,7 @@ def bounce_times():
 
 
 def bounce_end(restitution):
-    """Infinitely many bounces end in a finite time, in rest."""
+    """Infinitely many bounces end at rest after a finite time."""
     e = np.array(restitution)
     total = np.sqrt(2 / G) * (1 + e) / (1 - e)
 
@@ -168,7 +168,7 @@ def bounce_end(restitution):
 
 
 def head_on():
-    """Two spheres meet; some steps end just short of the contact."""
+    """Two spheres collide; in some environments a step ends just before the contact."""
     cells = [(e, apart) for apart in (1.2, 0.8512, 0.7, 0.9) for e in (0.0, 0.25, 0.5, 0.75, 1.0)]
     restitution, apart = np.array(cells).T
 
@@ -203,7 +203,7 @@ def head_on():
 
 
 def successive_impacts(masses, velocities, restitution):
-    """Velocities after a row of balls has hit one another, two at a time, until none approach any more."""
+    """Velocities of a row of balls after impacts of two balls at a time, until no two approach."""
     m, v = np.asarray(masses, np.float64), np.array(velocities, np.float64)
     while (closing := v[:-1] - v[1:]).max() > 1e-12:
         if restitution == 0.0 and closing.max() < 1e-9:
@@ -216,7 +216,7 @@ def successive_impacts(masses, velocities, restitution):
 
 
 def row_of_balls(masses, rows):
-    """Experiment and exact velocities of rows of balls; `rows` holds (velocities, restitution, gap)."""
+    """Experiment and exact velocities of rows of balls; `rows` contains (velocities, restitution, gap)."""
     count = len(masses)
 
     def scene():
@@ -240,7 +240,7 @@ def row_of_balls(masses, rows):
 
 
 def row_checks(exact):
-    """The balls leave as after successive impacts; where e < 1 and a gap delays them, only the last must."""
+    """The balls leave as after successive impacts; with e < 1 and gaps this holds for the last ball only."""
 
     def along(t):
         return t.linear_velocity[-1, :, :, 0]
@@ -254,7 +254,7 @@ def row_checks(exact):
     return (
         ReferenceCheck("speed of the last ball", "m/s", each(lambda t: along(t)[:, -1]), exact[:, -1], absolute(1e-3)),
         ReferenceCheck(
-            "energy above that of successive impacts",
+            "energy in excess of successive impacts",
             "J",
             each(lambda t: kinetic(t, along(t)) - kinetic(t, exact)),
             0.0,
@@ -268,7 +268,7 @@ def row_checks(exact):
 
 
 def every_ball(exact, chosen, experiment):
-    """All balls of the chosen rows."""
+    """Check of all balls of the chosen rows."""
     return ReferenceCheck(
         "largest error of a ball's speed",
         "m/s",
@@ -288,7 +288,7 @@ def cradle():
     rows = [(before, 1.0, gap) for gap in GAPS for before in CRADLE]
     rows += [(CRADLE[0], e, gap) for gap in GAPS for e in (0.9, 0.0)]
     experiment, exact = row_of_balls([1.0] * 5, rows)
-    # Elastic rows and touching ones have one answer; with gaps and losses the order of later impacts decides.
+    # Elastic rows and touching rows have a unique result; with gaps and losses it depends on the order of impacts.
     sure = [row for row, (_, e, gap) in enumerate(rows) if e in (0.0, 1.0) or gap == 0.0]
     return ValidationCase(
         "V18",
@@ -321,7 +321,7 @@ def superball_after(tangential, spin, normal, restitution, friction, radius=0.1)
 
 
 def superball():
-    """A spinning sphere hits a plane: it sticks, it slips, and the border between the two."""
+    """A spinning sphere hits a plane: sticking, slipping, and the limit between the two."""
     border = 2 / 7 * 2.0 / (1.8 * 3.0)
     rows = [
         (2, 0, -3, 0.8, 0.30),
@@ -416,7 +416,7 @@ def eccentric():
 
 
 def random_impacts(count):
-    """Boxes thrown at each other at random, with every restitution and friction: no impact gains energy."""
+    """Random impacts of boxes with all restitutions and frictions; no impact may gain energy."""
     draw = np.random.default_rng(0)
 
     def scene():
@@ -450,13 +450,13 @@ def random_impacts(count):
         "energy and momentum",
         (
             ReferenceCheck(
-                "energy gained, of that at the start",
+                "energy gained, relative to the start",
                 "",
                 each(lambda t: largest_rise(t.kinetic_energy) / t.kinetic_energy[0]),
                 0.0,
                 at_most(1e-4),
             ),
-            ReferenceCheck("momentum gained, of all", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
+            ReferenceCheck("relative gain of momentum", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
             ReferenceCheck(
                 "share of the throws that met", "", lambda s: (lost(s[0]) > 1e-3).mean(), 1.0, absolute(0.2), ("all",)
             ),
@@ -467,7 +467,7 @@ def random_impacts(count):
 
 
 def gas(duration):
-    """216 elastic balls fall, hit the ground and one another, and keep their energy."""
+    """216 elastic balls hit the ground and one another, and conserve their energy."""
 
     def scene():
         made = level_scene(friction=0.0, restitution=1.0)
@@ -487,7 +487,7 @@ def gas(duration):
 
 
 def drop_of_49():
-    """49 elastic balls fall by 5 m, again and again."""
+    """49 elastic balls bounce from a height of 5 m."""
 
     def scene():
         made = level_scene(friction=0.0, restitution=1.0)
@@ -506,7 +506,7 @@ def drop_of_49():
 
 
 def elastic(title, source, scene, duration, limit):
-    """Energy of elastic balls against that at the start."""
+    """Checks of the energy of elastic balls relative to the start."""
 
     def off(t):
         return t.energy / t.energy[0] - 1.0

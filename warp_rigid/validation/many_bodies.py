@@ -1,4 +1,4 @@
-"""Section G: granular heaps, whose order and trend are known."""
+"""Section G: granular piles, for which order and trend are known."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def cases(quick: bool) -> list[ValidationCase]:
 
 
 def heap(base=6):
-    """Square pyramids of balls: without friction nothing is left of one, and the more there is the higher they stay."""
+    """Square pyramids of balls collapse without friction; more friction preserves more of the height."""
     radius = 0.05
     friction = np.array([0.0, 0.1, 0.2, 0.6, 0.6])
     rolling = np.array([0.0, 0.0, 0.0, 0.0, 1e-2])
@@ -38,7 +38,7 @@ def heap(base=6):
         (
             ReferenceCheck("height kept without friction", "", lambda s: kept(s[0])[:1], 0.0, at_most(0.05), names[:1]),
             ReferenceCheck(
-                "height kept over that with less friction",
+                "increase of the kept height over less friction",
                 "",
                 lambda s: np.diff(kept(s[0])),
                 0.0,

@@ -92,8 +92,8 @@ def polyhedra():
             ReferenceCheck(
                 "volume", "m^3", lambda s: [m.volume for m in s], [table[n][1] for n in names], relative(1e-6), names
             ),
-            ReferenceCheck("centre of mass, off", "m", center_error, 0.0, at_most(1e-6), names),
-            ReferenceCheck("inertia, off, of the largest entry", "", inertia_error, 0.0, at_most(1e-6), names),
+            ReferenceCheck("error of the centre of mass", "m", center_error, 0.0, at_most(1e-6), names),
+            ReferenceCheck("inertia error relative to the largest entry", "", inertia_error, 0.0, at_most(1e-6), names),
         ),
         compute=compute,
         on_device=False,
@@ -101,7 +101,7 @@ def polyhedra():
 
 
 def torus_of_triangles(major, minor, around, across) -> tuple[float, float, float]:
-    """Volume, Ix and Iz of a torus whose section is a regular polygon and whose rings are polygons too.
+    """Volume, Ix and Iz of a torus whose section is a regular polygon and whose rings are polygons.
 
     Each sector between two sections is cut by lines parallel to their chord, and its moments are those of the
     isosceles triangles that a strip of the section sweeps.
@@ -116,7 +116,7 @@ def torus_of_triangles(major, minor, around, across) -> tuple[float, float, floa
 
 
 def torus():
-    """A mesh has the values of its polyhedron, and these tend to the smooth solid's at second order."""
+    """A mesh has the values of its polyhedron, which converge to those of the smooth solid at second order."""
     major, minor = 1.0, 0.3
     volume = 2 * np.pi**2 * major * minor**2
     smooth = np.array([volume, volume * (4 * major**2 + 5 * minor**2) / 8, volume * (major**2 + 0.75 * minor**2)])
@@ -155,14 +155,14 @@ def torus():
 
 
 def grid_on(device, mesh: Mesh, cells: int) -> Grid:
-    """A mesh's distance grid, computed on a device and not read from the cache."""
+    """A mesh's distance grid, computed on a device without the cache."""
     origin, spacing, shape = distance_grid.grid_layout(mesh.vertices, cells)
     values = distance_grid.bake(mesh.vertices, mesh.faces, origin, spacing, shape, True, wp.get_device(device))
     return Grid(tuple(origin.tolist()), spacing, frozen_array(values, np.float32))
 
 
 def points_near(distance, half, width, count) -> np.ndarray:
-    """Random points within `width` of a surface that lies in a box of some half extents, (count, 3)."""
+    """Random points within `width` of a surface inside a box with the given half extents, (count, 3)."""
     draw = np.random.default_rng(4)
     found = np.zeros((0, 3))
     while len(found) < count:
@@ -172,7 +172,7 @@ def points_near(distance, half, width, count) -> np.ndarray:
 
 
 def sphere_distance(cells, count, frequency):
-    """Distances and normals of a ball of triangles, against those of the sphere."""
+    """Distances and normals of a triangulated ball, compared with those of the sphere."""
     radius = 0.5
 
     def distance(points):
@@ -208,7 +208,7 @@ def sphere_distance(cells, count, frequency):
             at_most(1.0),
             ("64 cells",),
             Miss(
-                "a trilinear gradient is that of the cell's middle: h / (2 r) off in each of two directions, 1.27 deg",
+                "a trilinear gradient is that at the cell's centre: an error of h / (2 r) in two directions, 1.27 deg",
                 1.4,
             ),
         ),
@@ -221,7 +221,7 @@ def sphere_distance(cells, count, frequency):
     return ValidationCase(
         "V05",
         "distance grid of a sphere, R 0.5",
-        "bound of trilinear interpolation, h^2 / (4 r), and the mesh's own sag",
+        "bound of trilinear interpolation, h^2 / (4 r), and the mesh's sag",
         tuple(checks),
         compute=compute,
     )
@@ -258,14 +258,16 @@ def box_distance(cells, count):
             ),
             ReferenceCheck("largest error outside", "cells", lambda s: s[:, 1], 0.0, at_most(0.3), names),
             ReferenceCheck("largest error inside", "cells", lambda s: s[:, 2], 0.0, at_most(0.4), names),
-            ReferenceCheck("depth of the centre, off (V06)", "cells", lambda s: s[:, 3], 0.0, absolute(1.0), names),
+            ReferenceCheck(
+                "error of the depth at the centre (V06)", "cells", lambda s: s[:, 3], 0.0, absolute(1.0), names
+            ),
         ),
         compute=compute,
     )
 
 
 def eikonal(count):
-    """The gradient has unit length but where creases of the distance field cross a cell."""
+    """The gradient has unit length except where creases of the distance field cross a cell."""
     smooth = {
         "cube": lambda: Mesh(*solids.cube()),
         "torus": lambda: meshes.torus(segments=128),
@@ -300,7 +302,7 @@ def eikonal(count):
             miss,
         )
 
-    crease = "where two faces are equally near, the cell holds a crease and its mean gradient is shorter"
+    crease = "a cell with points equidistant from two faces contains a crease, where the mean gradient is shorter"
     return ValidationCase(
         "V06",
         "gradient of distance grids",
@@ -311,7 +313,7 @@ def eikonal(count):
 
 
 def signs(count):
-    """Points in a box twice the mesh: inside or not, by the winding number in float64."""
+    """Sign of the distance of points in a box twice as large as the mesh, against the winding number in float64."""
     sharp = {
         "spike": solids.spike(),
         "wedge": solids.wedge(),
@@ -344,7 +346,7 @@ def signs(count):
 
 
 def coverage(count):
-    """No place of a surface is farther from a sample than the stated spacing."""
+    """No point of a surface is farther from a sample than the stated spacing."""
     made = {
         "cube": lambda: Mesh(*solids.cube()),
         "L prism": lambda: Mesh(*solids.l_prism()),
@@ -378,7 +380,7 @@ def coverage(count):
         "the stated spacing, a sixteenth of the longest side",
         (
             ReferenceCheck(
-                "farthest place from a sample, over the spacing",
+                "largest distance of a surface point from a sample, over the spacing",
                 "",
                 lambda s: [farthest(mesh) for mesh in s],
                 1.0,

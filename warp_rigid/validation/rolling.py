@@ -50,17 +50,17 @@ def slip_speed(trace, radius):
 
 
 def rolling_time(trace):
-    """When the ball of 0.1 m starts to roll, (envs,) [s]."""
+    """Time at which the ball of 0.1 m starts to roll, (envs,) [s]."""
     return first_time(trace, slip_speed(trace, 0.1) < 1e-4)
 
 
 def stop_time(trace):
-    """When the ball neither rolls nor spins any more, (envs,) [s]."""
+    """Time at which the ball neither rolls nor spins any more, (envs,) [s]."""
     return first_time(trace, (trace.speed < RESTING) & (trace.time > 0.0)[:, None])
 
 
 def forward(trace):
-    """Way of the ball along x, (records, envs) [m]."""
+    """Position of the ball along x, (records, envs) [m]."""
     return trace.position[:, :, 1, 0]
 
 
@@ -68,7 +68,7 @@ MASSES = (0.01, 1.0, 1000.0)
 
 
 def over_masses(*starts, **options):
-    """A ball in environments that differ in its mass alone, by five powers of ten."""
+    """A ball in environments that differ only in its mass, by five powers of ten."""
     return ball(
         variants=tuple(f"{mass:g} kg" for mass in MASSES),
         starts=(Start("mass", np.array(MASSES)[:, None], bodies=[1]), *starts),
@@ -77,7 +77,7 @@ def over_masses(*starts, **options):
 
 
 def slide_to_roll():
-    """A ball that slides until its lowest point stands still; it then coasts for ever."""
+    """A ball that slides until its lowest point is at rest, and then rolls without loss."""
     v0, mu = 5.0, 0.2
     time = 2 * v0 / (7 * mu * G)
     return ValidationCase(
@@ -87,7 +87,7 @@ def slide_to_roll():
         (
             ReferenceCheck("time until it rolls", "s", each(rolling_time), time, relative(5e-3)),
             ReferenceCheck(
-                "way until it rolls",
+                "distance until it rolls",
                 "m",
                 each(lambda t: at_time(t, forward(t), rolling_time(t))),
                 v0 * time - 0.5 * mu * G * time**2,
@@ -109,16 +109,16 @@ def slide_to_roll():
 
 
 def backspin():
-    """A ball whose spin takes all of its speed: it stops dead."""
+    """A ball with backspin that removes all of its speed."""
     v0, mu = 2.0, 0.2
     time = v0 / (mu * G)
     return ValidationCase(
         "V24",
-        "ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops dead",
+        "ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops",
         COULOMB,
         (
             ReferenceCheck("time to stop", "s", each(stop_time), time, relative(5e-3)),
-            ReferenceCheck("way to stop", "m", each(lambda t: forward(t)[-1]), 0.5 * v0 * time, relative(5e-3)),
+            ReferenceCheck("distance to stop", "m", each(lambda t: forward(t)[-1]), 0.5 * v0 * time, relative(5e-3)),
             ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
         ),
         (
@@ -134,7 +134,7 @@ def backspin():
 
 
 def rolling_race():
-    """Down 30 degrees: rolling above the friction that it needs, slipping below."""
+    """A slope of 30 degrees: bodies roll with enough friction, and slip with less."""
     slope, shares = np.radians(30.0), np.array([0.8, 1.25, 3.0])
     experiments, ways = [], []
     for name, shape, inertia in (("sphere", Sphere(0.1), 0.4), ("cylinder", Cylinder(0.1, 0.3), 0.5)):
@@ -154,14 +154,18 @@ def rolling_race():
         "V25",
         "rolling race down 30 degrees",
         "a = g sin / (1 + k), or g (sin - mu cos) where it slips",
-        (ReferenceCheck("way after 1 s", "m", each(lambda t: forward(t)[-1]), np.concatenate(ways), relative(0.01)),),
+        (
+            ReferenceCheck(
+                "distance after 1 s", "m", each(lambda t: forward(t)[-1]), np.concatenate(ways), relative(0.01)
+            ),
+        ),
         tuple(experiments),
         curve=Curve("way", "m", forward),
     )
 
 
 def authors_rolling():
-    """The 2003 authors' sphere on inclines of k 4.5 degrees, which never slips."""
+    """The sphere of the authors of the 2003 method on inclines of k 4.5 degrees, which never slips."""
     degrees = 4.5 * np.arange(1, 11)
     return ValidationCase(
         "V25",
@@ -199,10 +203,14 @@ def rolling_friction():
         (
             ReferenceCheck("time to stop", "s", each(stop_time), 1 / slowing, relative(0.02)),
             ReferenceCheck(
-                "way to stop", "m", each(lambda t: at_time(t, forward(t), stop_time(t))), 0.5 / slowing, relative(0.02)
+                "distance to stop",
+                "m",
+                each(lambda t: at_time(t, forward(t), stop_time(t))),
+                0.5 / slowing,
+                relative(0.02),
             ),
             ReferenceCheck(
-                "way after the stop",
+                "motion after the stop",
                 "m",
                 each(lambda t: np.abs(forward(t)[-1] - at_time(t, forward(t), stop_time(t)))),
                 0.0,
@@ -224,13 +232,13 @@ def rolling_friction():
 
 
 def rolling_friction_holds():
-    """Below tan = c / R a ball does not start to roll, above it does."""
+    """A ball starts to roll above tan = c / R and stays at rest below."""
     shares = np.array([0.5, 0.9, 1.1, 2.0])
     slopes = [downhill(np.degrees(np.arctan(share * 0.01 / 0.5))) for share in shares]
     return ValidationCase(
         "V29",
         "rolling friction on a slope, R 0.5 m, c 0.01 m",
-        "starts above tan = c / R",
+        "rolls above tan = c / R",
         (ReferenceCheck("rolls", "", each(lambda t: forward(t)[-1] > 1e-3), shares > 1.0, OUTCOME),),
         (
             ball(
@@ -245,7 +253,7 @@ def rolling_friction_holds():
 
 
 def spinning_friction():
-    """Torque = c N slows a ball that spins on the spot by c N / I = 5 c g / (2 R^2), whatever its mass."""
+    """Torque = c N slows a ball that spins in place by c N / I = 5 c g / (2 R^2), whatever its mass."""
     radius, c, spin = 0.5, 0.01, 10.0
     time = spin / (c * G / (0.4 * radius**2))
     return ValidationCase(
@@ -271,7 +279,7 @@ def spinning_friction():
 
 
 def force_direction(duration):
-    """A force that exceeds friction by 9 % drags a box with 25 balls on it: a 5 % error of the cone is 50 % here."""
+    """A force 9 % above friction drags a box with 25 balls on it; a 5 % error of the friction cone becomes 50 %."""
     mass, balls, mu, force = 10.0, 25, 0.4, 150.0
     angles = np.array([0.0, 30.0, 45.0, 60.0])
     box_rate = (force - mu * (mass + balls) * G) / (mass + 2 / 7 * balls)

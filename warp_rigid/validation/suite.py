@@ -1,4 +1,4 @@
-"""The suite: all cases in the order of their sections, chosen by name, and run on devices."""
+"""The suite: all cases in the order of their sections, their selection by name, and runs on devices."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -20,7 +20,7 @@ CPU = "cpu"
 
 
 def all_cases(quick: bool = False) -> list[ValidationCase]:
-    """Every case; with `quick` those that take a second or two each, at sizes that keep them so."""
+    """All cases; with `quick` only those that take one or two seconds at reduced sizes."""
     return [case for section in SECTIONS for case in section.cases(quick)]
 
 
@@ -28,7 +28,7 @@ def choose(cases: Sequence[ValidationCase], names: Sequence[str]) -> list[Valida
     """The cases of some families, such as V10 or V22.
 
     Raises:
-        ValueError: there is no such family.
+        ValueError: There is no such family.
     """
     known = list(dict.fromkeys(case.id for case in cases))
     for name in names:
@@ -42,12 +42,12 @@ def run_suite(
     devices: Sequence[str],
     on_case: Callable[[ValidationCase, str, Any, list[CheckResult]], None] | None = None,
 ) -> list[CheckResult]:
-    """Run cases on devices, each case on all of them in turn.
+    """Run cases on devices, one case after another on all devices.
 
     Args:
-        cases: what to run.
-        devices: names of Warp devices. Cases that no device takes part in run once.
-        on_case: told of each case when it is done, with its subject (None if it could not be had) and findings.
+        cases: cases to run.
+        devices: names of Warp devices. Cases that use no device run once.
+        on_case: called after each case with the case, the device, its subject (None if it failed) and its results.
     """
     findings = []
     for case in cases:

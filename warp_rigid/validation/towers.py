@@ -1,4 +1,4 @@
-"""Section E: stacks, towers, pyramids and what their weight does, with and without shock propagation."""
+"""Section E: stacks, towers, pyramids and piles, with and without shock propagation."""
 
 from typing import Any
 
@@ -27,9 +27,9 @@ from warp_rigid.validation.experiment import Experiment, Start, Trace
 STATICS = "statics, closed form"
 MODES = ("two_pass", "one_pass", "off")
 HALF = 0.1
-"""Half the width of most boxes [m]; they weigh 8 kg."""
+"""Half the width of most boxes [m], whose mass is 8 kg."""
 OWN = 1e-4
-"""What a stack may move [m]."""
+"""Permitted displacement of a stack [m]."""
 
 
 def cases(quick: bool) -> list[ValidationCase]:
@@ -64,18 +64,18 @@ def pyramid_scene(rows: int) -> Scene:
 
 
 def drift(trace: Trace) -> np.ndarray:
-    """Largest way of a body across, at any time, (envs,) [m]."""
+    """Largest horizontal displacement of a body at any time, (envs,) [m]."""
     moved = (trace.position - trace.position[0])[:, :, trace.dynamic, :2]
     return np.linalg.norm(moved, axis=-1).max(axis=(0, 2))
 
 
 def sink(trace: Trace) -> np.ndarray:
-    """Largest way of a body down, at any time, (envs,) [m]."""
+    """Largest downward displacement of a body at any time, (envs,) [m]."""
     return (trace.position[0] - trace.position)[:, :, trace.dynamic, 2].max(axis=(0, 2))
 
 
 def rise(trace: Trace) -> np.ndarray:
-    """Largest way of a body up, at any time, (envs,) [m]."""
+    """Largest upward displacement of a body at any time, (envs,) [m]."""
     return (trace.position - trace.position[0])[:, :, trace.dynamic, 2].max(axis=(0, 2))
 
 
@@ -128,7 +128,7 @@ def heavy_on_light(duration):
 
 
 def heavy_dropped_on_light(duration):
-    """A cube of 1 m falls by 0.1 m, one of 10 m and a thousand times its mass onto it."""
+    """A cube of 1 m falls by 0.1 m, and a cube of 10 m with 1000 times its mass falls on it."""
 
     def scene():
         made = level_scene()
@@ -150,7 +150,7 @@ def heavy_dropped_on_light(duration):
 
 
 def column(counts, duration):
-    """Unit cubes at two restitutions: the ground carries their weight, and nothing moves."""
+    """Unit cubes with two restitutions: the ground supports their weight, and nothing moves."""
 
     def experiment(count):
         return Experiment(
@@ -195,7 +195,7 @@ def tall_stack(count, duration):
 
 
 def spheres(duration):
-    """Five spheres of 1 m on top of one another: an unstable balance, kept by symmetry."""
+    """Five spheres of radius 1 m on top of one another: an unstable equilibrium that symmetry preserves."""
 
     def scene():
         made = level_scene()
@@ -220,11 +220,11 @@ WAYS: dict[str, dict[str, Any]] = {
     "off": {"shock_propagation": "off"},
     "one_pass, cold": {"shock_propagation": "one_pass", "warm_starting": False},
 }
-"""Settings under which towers are compared: the default, and those of 2003."""
+"""Settings under which towers are compared: the default, and those of the 2003 method."""
 
 
 def way_starts(names) -> tuple[Start, ...]:
-    """Settings of a list of ways, by environment."""
+    """Settings of a list of keys of WAYS, by environment."""
     ways = [WAYS[name] for name in names]
     return (
         Start("shock_propagation", [way.get("shock_propagation", "two_pass") for way in ways]),
@@ -233,7 +233,7 @@ def way_starts(names) -> tuple[Start, ...]:
 
 
 def leaning(offsets, ways, duration, **options) -> Experiment:
-    """Experiment: towers of ten cubes of 0.2 m, each environment with its offset over the width and its settings."""
+    """Experiment: towers of ten cubes of 0.2 m; environments differ in relative offset and settings."""
     place = np.array([stacks.column(10, lean=2 * HALF * offset) for offset in offsets])
     return Experiment(
         lambda: stack_scene(10),
@@ -245,8 +245,8 @@ def leaning(offsets, ways, duration, **options) -> Experiment:
 
 
 def leaning_towers(duration):
-    """The first flaw of the 2003 method: one pass holds up what must fall."""
-    # One pass from cold starts holds everything up; the others must follow statics.
+    """The first flaw of the 2003 method: one pass keeps towers standing that must topple."""
+    # One pass without warm starting keeps every tower standing; the other settings must follow statics.
     ways = ("default", "two_pass, cold", "off")
     cells = [(offset, way) for offset in (0.05, 0.08, 0.15, 0.2) for way in ways] + [(0.15, "one_pass, cold")]
     offsets, names = zip(*cells, strict=True)
@@ -263,7 +263,7 @@ def leaning_towers(duration):
     return ValidationCase(
         "V61",
         "leaning towers of ten cubes",
-        "the centre of mass of all that is above a joint lies over it, or not",
+        "statics: whether the centre of mass above each joint lies over the joint",
         (
             ReferenceCheck(
                 "falls",
@@ -274,7 +274,7 @@ def leaning_towers(duration):
                 [experiment.variants[k] for k in sure],
             ),
             ReferenceCheck(
-                "falls with one pass (flaw of 2003: it must not, though statics says so)",
+                "falls with one pass (flaw of the 2003 method: it stands, against statics)",
                 "",
                 lambda s: fell(s[0])[-1:],
                 0,
@@ -282,7 +282,7 @@ def leaning_towers(duration):
                 (experiment.variants[-1],),
             ),
             ReferenceCheck(
-                "displacement of those that stand",
+                "displacement of standing towers",
                 "m",
                 lambda s: s[0].displacement[:, standing].max(axis=0),
                 0.0,
@@ -296,7 +296,7 @@ def leaning_towers(duration):
 
 
 def pyramid(rows, duration):
-    """It keeps its place, at rest, and no energy comes from nowhere."""
+    """A pyramid stays in place, at rest, without a gain of energy."""
     count = rows * (rows + 1) // 2
     return ValidationCase(
         "V43",
@@ -306,7 +306,7 @@ def pyramid(rows, duration):
             ReferenceCheck("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(OWN)),
             ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
             ReferenceCheck(
-                "energy gained, of that of a fall", "", each(gained(lambda t: t.energy)), 0.0, at_most(1e-6)
+                "energy gained, relative to a fall", "", each(gained(lambda t: t.energy)), 0.0, at_most(1e-6)
             ),
             ReferenceCheck("force on the ground", "N", each(load_on_ground), count * 8.0 * G, relative(1e-3)),
         ),
@@ -316,14 +316,14 @@ def pyramid(rows, duration):
 
 
 SWEEPS = (
-    "ten warm-started sweeps stop short of their fixed point while a structure comes apart; "
-    "a tower gains less than 1e-7 of its energy with 160, and nothing from cold starts"
+    "ten warm-started sweeps do not converge while a structure falls; "
+    "with 160 sweeps a tower gains less than 1e-7 of its energy, without warm starting nothing"
 )
-LIFTED = "push-out lifts bodies that a step has driven into each other, which counts as energy here"
+LIFTED = "push-out lifts overlapping bodies, which counts as an energy gain here"
 
 
 def gained(series):
-    """Measure: how far an energy climbs above its least value so far, over what a fall to the ground sets free."""
+    """Measure: largest increase of an energy above its running minimum, relative to the energy of a fall to z = 0."""
 
     def measure(trace):
         scale = (trace.mass * G * np.abs(trace.center[0, :, :, 2])).sum(axis=1)
@@ -333,18 +333,18 @@ def gained(series):
 
 
 def energy_checks(warm, cold, names):
-    """Energy gained by impulses, from cold and warm starts, and with what push-out adds; all over that of a fall.
+    """Energy gained by impulses without and with warm starting, and with push-out, relative to a fall.
 
     Args:
         warm: environments with the default settings.
-        cold: environments where every step starts from zero impulses.
+        cold: environments without warm starting.
         names: labels of all environments.
     """
 
     def check(quantity, series, rows, limit, miss=None):
         measure = gained(series)
         return ReferenceCheck(
-            f"energy gained {quantity}, of that of a fall",
+            f"energy gained {quantity}, relative to a fall",
             "",
             lambda s: measure(s[0])[rows],
             0.0,
@@ -354,14 +354,14 @@ def energy_checks(warm, cold, names):
         )
 
     return (
-        check("by impulses from cold starts", lambda t: t.work_free_energy, cold, 1e-6),
+        check("by impulses without warm starting", lambda t: t.work_free_energy, cold, 1e-6),
         check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, Miss(SWEEPS, 1e-3, always=False)),
         check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, Miss(LIFTED, 1e-3, always=False)),
     )
 
 
 def falling_towers(duration):
-    """Shock propagation at work in structures that fall: impulses only ever take energy away."""
+    """Shock propagation in falling structures: impulses must not add energy."""
     offsets = [offset for offset in (0.15, 0.25, 0.4) for _ in range(2)]
     experiment = leaning(offsets, ["default", "two_pass, cold"] * 3, duration)
     return ValidationCase(
@@ -384,7 +384,7 @@ def pile_scene(count: int) -> Scene:
 
 
 def falling_piles(duration, count):
-    """Piles that fall together, and come to rest; each start from other orientations."""
+    """Bodies that fall into a pile and come to rest; environments differ in orientations."""
     starts = (
         Start("orientation", random_turns(np.random.default_rng(7), 4, count), bodies=list(range(5, 5 + count))),
         *way_starts(["default", "default", "default", "two_pass, cold"]),
@@ -404,7 +404,7 @@ def falling_piles(duration, count):
                 0.0,
                 at_most(0.01),
                 names[:3],
-                Miss("some piles creep for seconds, at millimetres a second, before they rest", 0.1, always=False),
+                Miss("some piles creep at a few mm/s for seconds before they rest", 0.1, always=False),
             ),
             ReferenceCheck(
                 "deepest overlap at the end",
@@ -414,7 +414,7 @@ def falling_piles(duration, count):
                 at_most(5e-4),
                 names[:3],
                 Miss(
-                    "two boxes can slide into each other where their edges cross, unseen by any sample (V63)",
+                    "crossing edges of two boxes can interpenetrate without contact at any sample (V63)",
                     3e-3,
                     always=False,
                 ),
@@ -440,7 +440,7 @@ def card_house(levels, duration):
         "V39",
         f"card house of {levels} storeys, 65 degrees, thickness 0.02 of the length",
         "rigid-ipc and box3d: no card drops by 5 % of its height in 2 s",
-        (ReferenceCheck("largest drop, of the height", "", each(dropped), 0.0, at_most(0.05)),),
+        (ReferenceCheck("largest drop relative to the height", "", each(dropped), 0.0, at_most(0.05)),),
         (Experiment(scene, duration, every=4),),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
@@ -457,14 +457,14 @@ def beams(duration):
     return ValidationCase(
         "V45",
         "tower of thirty crossed layers of two beams, 10 s",
-        "box3d: it stands",
+        "box3d: the tower stands",
         (ReferenceCheck("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(0.01)),),
         (Experiment(scene, duration, every=24),),
     )
 
 
 def balls_that_spread(duration):
-    """A cube of 216 frictionless balls collapses: overlaps stay small."""
+    """A cube of 216 frictionless balls collapses; overlaps must stay small."""
 
     def scene():
         made = level_scene(friction=0.0)
