@@ -82,8 +82,8 @@ def add_bin(
     walls = []
     for i, (x, y) in enumerate(sides):
         half = (half_thickness, length, half_height) if x else (length, half_thickness, half_height)
-        named = {} if names is None else {"name": f"{names}_{i}"}
-        walls.append(scene.add_static(Box(half), position=(x * away, y * away, half_height), **named, **surface))
+        name = None if names is None else f"{names}_{i}"
+        walls.append(scene.add_static(Box(half), position=(x * away, y * away, half_height), name=name, **surface))
     return walls
 
 

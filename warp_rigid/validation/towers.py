@@ -376,7 +376,7 @@ def falling_towers(duration):
 
 def pile_scene(count: int) -> Scene:
     """Boxes and spheres above level ground between four walls, clear of one another."""
-    surface = {"friction": 0.6, "rolling_friction": 2e-3, "spinning_friction": 2e-3}
+    surface: dict[str, Any] = {"friction": 0.6, "rolling_friction": 2e-3, "spinning_friction": 2e-3}
     scene = level_scene(**surface)
     grounds.add_plane_bin(scene, 0.35, **surface)
     piles.add_mixed_layers(scene, np.random.default_rng(8), count, **surface)
