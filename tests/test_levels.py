@@ -13,7 +13,6 @@ from tests.oracles import (
     opened,
     pair_list,
     random_pile,
-    rotate_about,
     stages_of,
 )
 from warp_rigid.engine.settings import Settings
@@ -24,6 +23,8 @@ from warp_rigid.kernels.graph import support
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 
 A_ON_B, B_ON_A = 1, 2
 
@@ -206,8 +207,7 @@ def support_of(scene, device):
 
 def test_a_tower_rests_downwards(device):
     scene = Scene()
-    for k in (3, 1, 0, 2):
-        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k))
+    add_bodies(scene, stacks.CUBE, stacks.column(4)[[3, 1, 0, 2]])
     scene.add_static(GROUND)
     edges, level = support_of(scene, device)
     assert edges == {(2, 4), (1, 2), (3, 1), (0, 3)}
@@ -263,9 +263,7 @@ def test_a_tilted_tower_still_rests_on_its_base(device):
     """On an incline the weight is not along the normals; the order is the same."""
     scene = Scene(gravity=(9.81 * np.sin(np.radians(30)), 0, -9.81 * np.cos(np.radians(30))))
     scene.add_static(GROUND)
-    for k in range(3):
-        turn = rotate_about((0, 0, 1), 20 * k)
-        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k), orientation=turn)
+    stacks.add_stack(scene, 3, twist=np.radians(20))
     edges, level = support_of(scene, device)
     assert edges == {(1, 0), (2, 1), (3, 2)}
     assert level == [0, 1, 2, 3]
