@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Mesh, Plane, tessellation
@@ -78,7 +79,7 @@ def starts(bones: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     half = 0.5 * (side - 1) * PITCH
     corner = np.array([-half, -half, _opening_height(bones) + _funnel_rise(bones) + 0.6 * PITCH])
     position = corner + PITCH * cell + rng.uniform(-JITTER, JITTER, (bones, 3))
-    return position, assortment.random_orientations(bones, rng)
+    return position, rotations.random(rng, bones)
 
 
 def _side(bones):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_rigid.checks import whole_in
+from warp_rigid.rotations import rotate
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.builders import meshes
@@ -14,7 +15,6 @@ from warp_rigid.scenes.demo import (
     indices,
     overlap_verdict,
     rest_verdict,
-    turn,
 )
 
 
@@ -31,7 +31,7 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
     for i, (center, half_extents) in enumerate(walls(bodies)):
         scene.add_static(Box(half_extents), position=center, friction=0.5, name=f"wall_{i}")
     bunny = meshes.bunny()
-    place = position - turn(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))
+    place = position - rotate(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))
     for i in range(bodies):
         scene.add_body(
             bunny,

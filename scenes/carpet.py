@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
@@ -49,7 +50,7 @@ def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.nda
     cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
     half = 0.5 * (side - 1) * PITCH
     position = PITCH * cell + [-half, -half, amplitude + 1.25 * RADIUS + 0.2]
-    return position + rng.uniform(-0.1, 0.1, (bodies, 3)), assortment.random_orientations(bodies, rng)
+    return position + rng.uniform(-0.1, 0.1, (bodies, 3)), rotations.random(rng, bodies)
 
 
 class CarpetOutcome:

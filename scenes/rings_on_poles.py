@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import whole_in
+from warp_rigid.rotations import rotate
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Cylinder, Plane
 from warp_rigid.scenes.builders import assortment, meshes
@@ -20,7 +21,6 @@ from warp_rigid.scenes.demo import (
     indices,
     overlap_verdict,
     start_apart,
-    turn,
 )
 
 MASS = 10.0
@@ -106,7 +106,7 @@ def threaded(position, orientation, feet) -> np.ndarray:
         orientation: (envs, rings, 4).
         feet: (poles, 2) where the poles stand [m].
     """
-    axis = turn(orientation, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
+    axis = rotate(orientation, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
     slant = np.where(np.abs(axis[..., 2]) > 1e-6, axis[..., 2], 1e-6)
     side = position[:, :, None, :2] - feet
     rise = np.einsum("erpk,erk->erp", side, axis[..., :2]) / slant[..., None]

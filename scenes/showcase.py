@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
@@ -52,7 +53,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
     corner = np.array([-0.5 * (side - 1) * PITCH, -0.5 * (side - 1) * PITCH, LOWEST])
     position = corner + PITCH * cell + rng.uniform(-JITTER, JITTER, (bodies, 3))
-    return position, assortment.random_orientations(bodies, rng)
+    return position, rotations.random(rng, bodies)
 
 
 def slab_half(bodies: int) -> float:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
@@ -13,8 +12,6 @@ from warp_rigid.render.appearance import (
     drawn_surfaces,
     environment_offsets,
     environment_spacing,
-    rotate,
-    rotation_matrices,
 )
 from warp_rigid.runs.recording import record
 from warp_rigid.scene.scene import Motion
@@ -57,13 +54,6 @@ def test_empty_and_degenerate_triangles():
     assert corner_normals(np.zeros((0, 3)), np.zeros((0, 3), int)).shape == (0, 3, 3)
     normals = corner_normals(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1.0)
-
-
-def test_rotation_agrees_with_scipy():
-    rotation = Rotation.random(50, random_state=3)
-    vector = np.random.default_rng(4).normal(size=(50, 3))
-    np.testing.assert_allclose(rotation_matrices(rotation.as_quat()), rotation.as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(rotate(rotation.as_quat(), vector), rotation.apply(vector), atol=1e-12)
 
 
 def test_signs_become_continuous_and_nothing_else_changes():

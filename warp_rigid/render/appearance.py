@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from warp_rigid.rotations import rotate
 from warp_rigid.runs.recording import Frame, Recording, Surface, is_moving
 from warp_rigid.scene.scene import Motion
 
@@ -23,8 +24,6 @@ __all__ = [
     "environment_spacing",
     "frame_colors",
     "level_colors",
-    "rotate",
-    "rotation_matrices",
     "speed_colors",
     "told_colors",
 ]
@@ -188,22 +187,6 @@ def continuous_signs(orientation) -> np.ndarray:
     flips = np.where(dots < 0.0, -1.0, 1.0)
     signs = np.concatenate([np.ones_like(orientation[:1, ..., :1]), np.cumprod(flips, axis=0)])
     return (orientation * signs).astype(orientation.dtype)
-
-
-def rotation_matrices(orientation) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), in their precision."""
-    x, y, z, w = np.moveaxis(np.asarray(orientation), -1, 0)
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def rotate(orientation, vector) -> np.ndarray:
-    """Rotate vectors (..., 3) by unit quaternions (..., 4), broadcasting."""
-    return np.einsum("...ij,...j->...i", rotation_matrices(orientation), np.asarray(vector))
 
 
 def bound_corners(vertices) -> np.ndarray:

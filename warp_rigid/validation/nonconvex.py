@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation import solids
 from warp_rigid.validation.case import AT_LEAST, OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
-from warp_rigid.validation.common import NO_GRAVITY, level_ground, random_turns, turn_about
+from warp_rigid.validation.common import NO_GRAVITY, level_ground, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
@@ -240,7 +241,7 @@ def random_overlaps(count, miss=None):
 
     starts = (
         Start("position", away[:, None], bodies=[1]),
-        Start("orientation", random_turns(draw, count, 2)),
+        Start("orientation", rotations.random(draw, count, 2)),
     )
 
     def parted(s):

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.scene.shapes import Box, Plane, Sphere
 from warp_rigid.validation.case import AT_LEAST, OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
-from warp_rigid.validation.common import G, largest_rise, level_ground, random_turns, turn_about
+from warp_rigid.validation.common import G, largest_rise, level_ground, turn_about
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
 STATICS = "statics, closed form"
@@ -391,7 +392,7 @@ def pile_scene(count, draw):
 def piles(duration, count):
     """Piles that fall together, and come to rest; each start from other orientations."""
     starts = (
-        Start("orientation", random_turns(np.random.default_rng(7), 4, count), bodies=list(range(5, 5 + count))),
+        Start("orientation", rotations.random(np.random.default_rng(7), 4, count), bodies=list(range(5, 5 + count))),
         *way_starts(["default", "default", "default", "two_pass, cold"]),
     )
     names = ("pile 1", "pile 2", "pile 3", "pile 4, cold")
