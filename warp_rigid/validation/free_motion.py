@@ -41,8 +41,7 @@ def spinning(shape, spins, turns=None, **options) -> Experiment:
     """Experiment: a free body in environments that differ in spin (n, 3), in its own frame, and orientation (n, 4)."""
     spins = np.asarray(spins, np.float64)
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(spins), 1)) if turns is None else np.asarray(turns)
-    axis, w = turns[:, :3], turns[:, 3:]
-    world = spins + 2.0 * np.cross(axis, np.cross(axis, spins) + w * spins)
+    world = rotations.rotate(turns, spins)
 
     def scene():
         made = Scene(gravity=NO_GRAVITY)

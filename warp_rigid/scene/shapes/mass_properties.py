@@ -88,7 +88,7 @@ def polyhedron(vertices: np.ndarray, faces: np.ndarray) -> MassProperties:
         solid = triangles.mass_properties((vertices - middle)[np.asarray(faces)])
     if solid.volume == 0.0:
         return MassProperties(0.0, middle, np.zeros((3, 3)))
-    return MassProperties(float(solid.volume), middle + solid.center_mass, solid.inertia)
+    return MassProperties(float(solid.volume), middle + solid.center_mass, np.asarray(solid.inertia))
 
 
 def combine(pieces) -> MassProperties:
