@@ -44,7 +44,7 @@ COLORINGS = ("body", "environment", "level", "speed", "asleep")
 fast it moves, or whether it sleeps."""
 
 UNSUPPORTED_COLOR = "#8a8f96"
-LEVEL_COUNT = 7
+LEVEL_COUNT = 5
 """Number of levels of the contact graph after which their colours repeat."""
 TOP_SPEED = 2.0
 """Speed of the last colour [m/s]."""
