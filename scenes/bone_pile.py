@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
@@ -68,7 +69,7 @@ def starts(bones: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 5))
     lowest = _opening_height(bones) + _funnel_rise(bones) + 0.6 * PITCH
     position = piles.lattice(bones, _side(bones), PITCH, lowest) + rng.uniform(-JITTER, JITTER, (bones, 3))
-    return position, assortment.random_orientations(bones, rng)
+    return position, rotations.random(rng, bones)
 
 
 def _side(bones):

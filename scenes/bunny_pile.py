@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_rigid.checks import whole_in
+from warp_rigid.rotations import rotate
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.builders import grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
@@ -14,7 +15,6 @@ from warp_rigid.scenes.demo import (
     overlap_verdict,
     rest_verdict,
     start_apart,
-    turn,
 )
 
 
@@ -29,7 +29,7 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
     scene = grounds.level_scene(friction=0.5, name="floor")
     piles.add_pile_bin(scene, bodies, names="wall", friction=0.5)
     bunny = meshes.bunny()
-    place = position - turn(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))
+    place = position - rotate(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))
     add_bodies(scene, bunny, place, orientation, names="bunny", density=1000.0, friction=0.5)
     return scene
 

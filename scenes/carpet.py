@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
@@ -48,7 +49,7 @@ def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.nda
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 8))
     side = min(int(np.ceil(bodies**0.5)), 10)
     position = piles.lattice(bodies, side, PITCH, amplitude + 1.25 * RADIUS + 0.2)
-    return position + rng.uniform(-0.1, 0.1, (bodies, 3)), assortment.random_orientations(bodies, rng)
+    return position + rng.uniform(-0.1, 0.1, (bodies, 3)), rotations.random(rng, bodies)
 
 
 class CarpetOutcome:

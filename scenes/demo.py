@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes.sampling import SampleKind
 
@@ -116,13 +117,6 @@ def indices(scene: Scene, prefix: str) -> list[int]:
     return [i for i, body in enumerate(scene.bodies) if body.name.startswith(prefix)]
 
 
-def turn(orientation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Rotate vectors (..., 3) by unit quaternions (..., 4), (x, y, z, w)."""
-    axis, w = orientation[..., :3], orientation[..., 3:]
-    cross = np.cross(axis, vectors)
-    return vectors + 2.0 * (w * cross + np.cross(axis, cross))
-
-
 def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     """Smallest signed distance between the surfaces of two bodies, (envs,) [m]; negative inside.
 
@@ -139,9 +133,9 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
         ball = np.tile(np.where(samples.kind == SampleKind.RIM, 0.0, samples.radius), 2)
         if not len(points):
             continue
-        world = turn(orientation[:, a, None], points[None]) + position[:, a, None]
-        back = orientation[:, b, None] * [-1.0, -1.0, -1.0, 1.0]
-        local = turn(back, world - position[:, b, None])
+        world = rotate(orientation[:, a, None], points[None]) + position[:, a, None]
+        back = inverse(orientation[:, b, None])
+        local = rotate(back, world - position[:, b, None])
         distance, _ = target.signed_distance(local.reshape(-1, 3))
         smallest = np.minimum(smallest, (distance.reshape(world.shape[:2]) - ball).min(axis=1))
     return smallest

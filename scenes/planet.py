@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Scene
@@ -57,7 +58,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 2))
     shells = -(-bodies // 60)
     position = np.concatenate([_shell(min(60, bodies - 60 * k), NEAREST + SPREAD * k, rng) for k in range(shells)])
-    return position, assortment.random_orientations(bodies, rng), rng.normal(scale=KICK, size=(bodies, 3))
+    return position, rotations.random(rng, bodies), rng.normal(scale=KICK, size=(bodies, 3))
 
 
 def _shell(count, radius, rng):

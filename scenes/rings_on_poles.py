@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import whole_in
+from warp_rigid.rotations import rotate
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Cylinder
 from warp_rigid.scenes.builders import assortment, grounds, meshes
@@ -21,7 +22,6 @@ from warp_rigid.scenes.demo import (
     indices,
     overlap_verdict,
     start_apart,
-    turn,
 )
 
 MASS = 10.0
@@ -105,7 +105,7 @@ def threaded(position, orientation, feet) -> np.ndarray:
         orientation: (envs, rings, 4).
         feet: (poles, 2) positions of the poles [m].
     """
-    axis = turn(orientation, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
+    axis = rotate(orientation, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
     slant = np.where(np.abs(axis[..., 2]) > 1e-6, axis[..., 2], 1e-6)
     side = position[:, :, None, :2] - feet
     rise = np.einsum("erpk,erk->erp", side, axis[..., :2]) / slant[..., None]

@@ -5,10 +5,11 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in
+from warp_rigid.rotations import rotate
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices, turn
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices
 
 PIVOT_HEIGHT = 0.35
 PLANK_HALF = (1.2, 0.25, 0.04)
@@ -77,7 +78,7 @@ class SeesawOutcome:
     def observe(self, sim):
         """Record the largest tilts; tilt to the left counts only after the plank has tipped right."""
         orientation = sim.get("orientation")[:, self.plank].astype(np.float64)
-        along = turn(orientation, np.broadcast_to([1.0, 0.0, 0.0], (len(orientation), 3)))
+        along = rotate(orientation, np.broadcast_to([1.0, 0.0, 0.0], (len(orientation), 3)))
         tilt = np.degrees(np.arcsin(np.clip(-along[:, 2], -1.0, 1.0)))
         if self.right is None:
             self.right = np.zeros(len(tilt))

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
@@ -49,7 +50,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Starts of the bodies: positions (bodies, 3) [m] and unit quaternions (bodies, 4)."""
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 1))
     position = piles.lattice(bodies, _side(bodies), PITCH, LOWEST) + rng.uniform(-JITTER, JITTER, (bodies, 3))
-    return position, assortment.random_orientations(bodies, rng)
+    return position, rotations.random(rng, bodies)
 
 
 def slab_half(bodies: int) -> float:

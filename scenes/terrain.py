@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
@@ -56,7 +57,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     distance, angle = 0.6 * PITCH * np.sqrt(i % 60 + 4.0), np.pi * (3.0 - 5.0**0.5) * i + rng.uniform(0.0, 2.0 * np.pi)
     height = STEEPNESS * distance**2 + 5 * HILLS + RADIUS + 0.6 + PITCH * (i // 60)
     position = np.stack([distance * np.cos(angle), distance * np.sin(angle), height], axis=1)
-    return position, assortment.random_orientations(bodies, rng)
+    return position, rotations.random(rng, bodies)
 
 
 class SlideOutcome:

@@ -1,8 +1,7 @@
-"""Normals, quaternions and layout against their definitions."""
+"""Normals, quaternion signs, colours and layout against their definitions."""
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
@@ -13,8 +12,8 @@ from warp_rigid.render.appearance import (
     drawn_surfaces,
     environment_offsets,
     environment_spacing,
-    rotate,
-    rotation_matrices,
+    level_colors,
+    speed_colors,
 )
 from warp_rigid.runs.recording import record
 from warp_rigid.scene.scene import Motion
@@ -59,13 +58,6 @@ def test_empty_and_degenerate_triangles():
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1.0)
 
 
-def test_rotation_agrees_with_scipy():
-    rotation = Rotation.random(50, random_state=3)
-    vector = np.random.default_rng(4).normal(size=(50, 3))
-    np.testing.assert_allclose(rotation_matrices(rotation.as_quat()), rotation.as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(rotate(rotation.as_quat(), vector), rotation.apply(vector), atol=1e-12)
-
-
 def test_signs_become_continuous_and_nothing_else_changes():
     rng = np.random.default_rng(0)
     angle = np.cumsum(rng.uniform(0, 1.5, size=(100, 4)), axis=0)
@@ -81,6 +73,24 @@ def test_kinds_of_motion_differ_in_colour():
     colors = body_colors([Motion.STATIC, Motion.DYNAMIC, Motion.KINEMATIC, Motion.DYNAMIC])
     assert len(np.unique(colors, axis=0)) == 4
     assert colors.min() >= 0.0 and colors.max() <= 1.0
+
+
+def lightness(colors):
+    """CIE L* of linear RGB, for colours brighter than 1 % of white."""
+    return 116.0 * np.cbrt(colors @ [0.2126, 0.7152, 0.0722]) - 16.0
+
+
+def test_levels_differ_and_repeat():
+    colors = level_colors([[0, 1, 2], [3, 4, 5]]).reshape(-1, 3)
+    assert np.linalg.norm(colors[:, None] - colors[None] + np.eye(6)[..., None], axis=-1).min() > 0.1
+    assert (np.diff(lightness(colors[1:])) > 10.0).all()
+    np.testing.assert_array_equal(level_colors([6, 15]), level_colors([1, 5]))
+
+
+def test_faster_is_lighter():
+    colors = speed_colors(np.linspace(0.0, 2.0, 21))
+    assert (np.diff(lightness(colors)) > 0.0).all()
+    np.testing.assert_array_equal(speed_colors([2.0, np.inf, np.nan]), colors[[-1, -1, 0]])
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 6, 16, 100])

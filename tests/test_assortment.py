@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warp_rigid.scenes.builders import assortment, meshes
+from warp_rigid.scenes.builders import meshes
 from warp_rigid.scenes.builders.assortment import CONVEX_KINDS, convex_solid, convex_solids
 
 
@@ -44,15 +44,6 @@ def test_bad_numbers_are_refused(arguments, message):
 def test_an_unknown_kind_is_refused():
     with pytest.raises(ValueError, match="^kind: must be one of cube, sphere, .* got 'cone'$"):
         convex_solid("cone", 0.1)
-
-
-def test_orientations_are_uniform():
-    """The mean of x x^T over uniform directions x is a third of the identity."""
-    q = assortment.random_orientations(20000, np.random.default_rng(1))
-    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0)
-    x, y, z, w = q.T
-    up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
-    np.testing.assert_allclose(up.T @ up / len(up), np.eye(3) / 3.0, atol=0.01)
 
 
 @pytest.mark.parametrize(

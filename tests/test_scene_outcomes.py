@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from tests.scene_oracles import StillSimulator, about, rotation
+from tests.scene_oracles import StillSimulator, about
 from warp_rigid import scenes
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from warp_rigid.scenes import box_stack, leaning_tower, skull_and_brain
-from warp_rigid.scenes.demo import clearance, turn
+from warp_rigid.scenes.demo import clearance
 
 
 def by_name(verdicts):
@@ -41,15 +41,6 @@ def test_verdicts_before_the_first_frame_and_after(name):
 
 
 # ---------------------------------------------------------------- helpers
-
-
-def test_turn_matches_the_rotation_matrix():
-    rng = np.random.default_rng(1)
-    quaternions = rng.normal(size=(20, 4))
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    vectors = rng.normal(size=(20, 3))
-    expected = [rotation(q) @ v for q, v in zip(quaternions, vectors, strict=True)]
-    np.testing.assert_allclose(turn(quaternions, vectors), expected, atol=1e-12)
 
 
 CLEARANCES = [

@@ -14,6 +14,7 @@ from tests.geometry_oracles import (
     points_around,
     random_rotation,
 )
+from warp_rigid import rotations
 from warp_rigid.scene.shapes import (
     Box,
     Capsule,
@@ -25,7 +26,6 @@ from warp_rigid.scene.shapes import (
     Plane,
     Sphere,
 )
-from warp_rigid.scene.shapes.base import quaternion_matrix, quaternion_product
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
@@ -209,23 +209,12 @@ def test_nested_compounds_are_flattened_at_the_right_places():
     shapes = [Capsule(0.1, 0.3), Sphere(0.2), Box((0.1, 0.2, 0.3))]
     nearest = np.min(
         [
-            shape.signed_distance((points - part.position) @ quaternion_matrix(part.orientation))[0]
+            shape.signed_distance((points - part.position) @ rotations.matrix(part.orientation))[0]
             for part, shape in zip(parts, shapes, strict=True)
         ],
         axis=0,
     )
     np.testing.assert_allclose(outer.signed_distance(points)[0], nearest, atol=1e-12)
-
-
-def test_quaternion_product_turns_in_the_stated_order():
-    generator = np.random.default_rng(9)
-    (first, first_matrix), (second, second_matrix) = (random_rotation(generator) for _ in range(2))
-    np.testing.assert_allclose(quaternion_matrix(first), first_matrix, atol=1e-12)
-    np.testing.assert_allclose(
-        quaternion_matrix(quaternion_product(first, second)),
-        first_matrix @ second_matrix,
-        atol=1e-12,
-    )
 
 
 def test_parts_carry_the_kernels_sizes():

@@ -7,7 +7,7 @@ import trimesh
 import warp_rigid as wr
 from warp_rigid.render.appearance import corner_normals
 from warp_rigid.render.film import DrawnMesh
-from warp_rigid.scenes.demo import turn
+from warp_rigid.rotations import rotate
 from warp_rigid.viewer.instances import creased
 from warp_rigid.viewer.overlays import box_lines
 from warp_rigid.viewer.picking import trace
@@ -53,7 +53,7 @@ def first_hit(corners, origin, direction):
 def test_traced_points_are_those_of_the_triangles(name):
     shape = SHAPES[name]
     vertices, faces = shape.surface()
-    corners = (turn(TURNED, np.asarray(vertices)) + PLACE)[faces]
+    corners = (rotate(TURNED, np.asarray(vertices)) + PLACE)[faces]
     near, expected = 0, 0
     for origin, direction in zip(*rays(40, 3.0), strict=True):
         first = first_hit(corners, origin, direction)

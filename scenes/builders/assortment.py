@@ -12,7 +12,7 @@ from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scene.shapes.primitives import Box, Sphere
 from warp_rigid.scenes.builders import meshes
 
-__all__ = ["CONVEX_KINDS", "convex_solid", "convex_solids", "random_orientations"]
+__all__ = ["CONVEX_KINDS", "convex_solid", "convex_solids"]
 
 MOST_SEEDS = 2**32 - 1
 SIZES = (0.75, 1.0, 1.25)
@@ -75,9 +75,3 @@ def convex_solids(count: int, seed: int, radius: float) -> list[Shape]:
     kinds = rng.integers(len(CONVEX_KINDS), size=count)
     sizes = rng.integers(len(SIZES), size=count)
     return [convex_solid(CONVEX_KINDS[kind], radius * SIZES[size]) for kind, size in zip(kinds, sizes, strict=True)]
-
-
-def random_orientations(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Uniformly distributed unit quaternions (count, 4), (x, y, z, w)."""
-    quaternions = rng.normal(size=(count, 4))
-    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)

@@ -80,24 +80,24 @@ def ring(
 
 
 def tetrahedron(radius: float = 0.1, sdf_resolution: int = 64) -> Mesh:
-    """Regular tetrahedron; `radius` is the distance of the corners from the centre [m]."""
+    """Regular tetrahedron; `radius` is the distance from the centre to the corners [m]."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=np.float64)
     return _platonic(corners, tessellation.hull_triangles(corners), radius, sdf_resolution)
 
 
 def octahedron(radius: float = 0.1, sdf_resolution: int = 64) -> Mesh:
-    """Regular octahedron; `radius` is the distance of the corners from the centre [m]."""
+    """Regular octahedron; `radius` is the distance from the centre to the corners [m]."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
     return _platonic(corners, tessellation.hull_triangles(corners), radius, sdf_resolution)
 
 
 def icosahedron(radius: float = 0.1, sdf_resolution: int = 64) -> Mesh:
-    """Regular icosahedron; `radius` is the distance of the corners from the centre [m]."""
+    """Regular icosahedron; `radius` is the distance from the centre to the corners [m]."""
     return _platonic(*tessellation.icosahedron(), radius, sdf_resolution)
 
 
 def dodecahedron(radius: float = 0.1, sdf_resolution: int = 64) -> Mesh:
-    """Regular dodecahedron of 36 triangles; `radius` is the distance of the corners [m]."""
+    """Regular dodecahedron of 36 triangles; `radius` is the distance from the centre to the corners [m]."""
     return _platonic(*tessellation.dodecahedron(), radius, sdf_resolution)
 
 
@@ -146,6 +146,5 @@ def _platonic(corners, faces, radius, sdf_resolution) -> Mesh:
 def _centered(vertices, faces, size, sdf_resolution) -> Mesh:
     """Scale to a longest side and move the centre of mass of the solid to the origin."""
     vertices = vertices * (number_in("size", size, above=0) / np.ptp(vertices, axis=0).max())
-    apexes, fans = topology.cap_boundaries(vertices, faces)
-    solid = mass_properties.polyhedron(np.concatenate([vertices, apexes]), np.concatenate([faces, fans]))
+    solid = mass_properties.polyhedron(*topology.close_boundaries(vertices, faces))
     return Mesh(vertices - solid.center_of_mass, faces, sdf_resolution)

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scenes.builders import grounds
-from warp_rigid.scenes.builders.assortment import MOST_SEEDS, random_orientations
+from warp_rigid.scenes.builders.assortment import MOST_SEEDS
 from warp_rigid.scenes.builders.bodies import add_bodies
 
 PITCH = 0.38
@@ -101,7 +102,7 @@ def add_mixed_column(scene: Scene, generator: np.random.Generator, count: int, *
         size = generator.uniform(0.05, 0.12)
         shapes.append(Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.4, 3)))
         positions.append((*generator.uniform(-0.2, 0.2, 2), 0.15 + 0.09 * k))
-        orientations.append(random_orientations(1, generator)[0])
+        orientations.append(rotations.random(generator, 1)[0])
     return add_bodies(scene, shapes, positions, orientations, **coefficients)
 
 

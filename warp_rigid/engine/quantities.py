@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warp_rigid import rotations
 from warp_rigid.checks import shown
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
@@ -330,13 +331,7 @@ def _counts_of_shard(shard: Shard) -> np.ndarray:
 
 def _rotations(sim: "Simulator") -> np.ndarray:
     """Rotation matrices of all bodies in float64, (envs, bodies, 3, 3)."""
-    x, y, z, w = np.moveaxis(read(sim, "orientation").astype(np.float64), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return rotations.matrix(read(sim, "orientation").astype(np.float64))
 
 
 def _inertia(sim: "Simulator") -> np.ndarray:

@@ -4,9 +4,11 @@ The USD writer and the picture maker share this, so that both show the same thin
 """
 
 import math
+from functools import cache
 
 import numpy as np
 
+from warp_rigid.rotations import rotate
 from warp_rigid.runs.recording import Frame, Recording, Surface, is_moving
 from warp_rigid.scene.scene import Motion
 
@@ -23,8 +25,6 @@ __all__ = [
     "environment_spacing",
     "frame_colors",
     "level_colors",
-    "rotate",
-    "rotation_matrices",
     "speed_colors",
     "told_colors",
 ]
@@ -43,10 +43,10 @@ COLORINGS = ("body", "environment", "level", "speed", "asleep")
 """What the colour of a dynamic body can tell: which one it is, its environment, its level in the contact graph, how
 fast it moves, or whether it sleeps."""
 
-LEVEL_COLORS = ("#8a8f96", "#440154", "#3b528b", "#21918c", "#5ec962", "#fde725", "#f89540", "#cc4778")
-"""Of bodies that rest on nothing, then of levels 1, 2, ...; further levels begin anew at 1."""
-SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR = "#2b5c8a", "#e8e3d3", "#c23b22"
-QUICK = 2.0
+UNSUPPORTED_COLOR = "#8a8f96"
+LEVEL_COUNT = 5
+"""Number of levels of the contact graph after which their colours repeat."""
+TOP_SPEED = 2.0
 """Speed of the last colour [m/s]."""
 
 CREASE_ANGLE = math.radians(40.0)
@@ -58,8 +58,25 @@ SPACING = 1.35
 
 def linear_color(code: str) -> np.ndarray:
     """A screen colour "#rrggbb" as linear light, which USD and the shading expect, (3,)."""
-    value = np.array([int(code[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    return linear_light(np.array([int(code[i : i + 2], 16) for i in (1, 3, 5)]))
+
+
+def linear_light(screen: np.ndarray) -> np.ndarray:
+    """Screen colours (sRGB), 0 to 255, as linear light."""
+    value = screen / 255.0
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+@cache
+def color_map(count: int) -> np.ndarray:
+    """`count` equally spaced colours of the map viridis, (count, 3) float32 in linear light.
+
+    The darkest fifth of the map is left out, because shading would not be visible on it.
+    """
+    from trimesh.visual import interpolate
+
+    values = np.append(0.0, np.linspace(0.2, 1.0, count))  # the first value makes the map's range 0 to 1
+    return linear_light(interpolate(values, "viridis")[1:, :3]).astype(np.float32)
 
 
 def body_colors(motion) -> np.ndarray:
@@ -81,17 +98,18 @@ def environment_colors(env) -> np.ndarray:
 
 def level_colors(level) -> np.ndarray:
     """A colour for each level of the contact graph, (...) -> (..., 3) float32 in linear light."""
-    palette = np.array([linear_color(code) for code in LEVEL_COLORS])
     level = np.asarray(level)
-    cycle = (np.maximum(level, 1) - 1) % (len(palette) - 1) + 1
-    return palette[np.where(level > 0, cycle, 0)].astype(np.float32)
+    supported = color_map(LEVEL_COUNT)[(level - 1) % LEVEL_COUNT]
+    return np.where((level > 0)[..., None], supported, linear_color(UNSUPPORTED_COLOR).astype(np.float32))
 
 
 def speed_colors(speed) -> np.ndarray:
-    """From blue at rest to red at QUICK and beyond, (...) [m/s] -> (..., 3) float32 in linear light."""
-    ends = np.array([linear_color(code) for code in (SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR)])
-    part = np.clip(np.asarray(speed) / QUICK, 0.0, 1.0)
-    return np.stack([np.interp(part, (0.0, 0.5, 1.0), ends[:, k]) for k in range(3)], axis=-1).astype(np.float32)
+    """A colour for each speed, the last for TOP_SPEED and above, (...) [m/s] -> (..., 3) float32 in linear light.
+
+    A speed that is not a number has the colour of rest.
+    """
+    part = np.clip(np.nan_to_num(speed) / TOP_SPEED, 0.0, 1.0)
+    return color_map(256)[np.rint(255.0 * part).astype(int)]
 
 
 def told_colors(coloring: str, plain, dynamic, told) -> np.ndarray:
@@ -188,22 +206,6 @@ def continuous_signs(orientation) -> np.ndarray:
     flips = np.where(dots < 0.0, -1.0, 1.0)
     signs = np.concatenate([np.ones_like(orientation[:1, ..., :1]), np.cumprod(flips, axis=0)])
     return (orientation * signs).astype(orientation.dtype)
-
-
-def rotation_matrices(orientation) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), in their precision."""
-    x, y, z, w = np.moveaxis(np.asarray(orientation), -1, 0)
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def rotate(orientation, vector) -> np.ndarray:
-    """Rotate vectors (..., 3) by unit quaternions (..., 4), broadcasting."""
-    return np.einsum("...ij,...j->...i", rotation_matrices(orientation), np.asarray(vector))
 
 
 def bound_corners(vertices) -> np.ndarray:

@@ -8,9 +8,10 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.files.atomic import whole_file
-from warp_rigid.render.appearance import bound_corners, rotate
+from warp_rigid.render.appearance import bound_corners
 from warp_rigid.render.film import Film
 from warp_rigid.render.raycast import Camera, RayCaster
+from warp_rigid.rotations import rotate
 
 __all__ = ["fit_camera", "points_to_see", "save_contact_sheet", "save_film", "save_picture"]
 

@@ -8,8 +8,9 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine.cores import spread, usable_cores
-from warp_rigid.render.appearance import bound_corners, corner_normals, rotate
+from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.render.film import Film
+from warp_rigid.rotations import rotate
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.render.appearance import bound_corners, frame_colors, rotate
+from warp_rigid.render.appearance import bound_corners, frame_colors
+from warp_rigid.rotations import matrix_rows, rotate
 from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
@@ -178,12 +179,7 @@ def _reach(position: np.ndarray, orientation: np.ndarray, corners: np.ndarray) -
     Column by column: this runs for every instance in every frame.
     """
     center, half = (corners[-1] + corners[0]) / 2.0, (corners[-1] - corners[0]) / 2.0
-    x, y, z, w = np.ascontiguousarray(orientation.T)
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-    )
+    rows = matrix_rows(np.ascontiguousarray(orientation.T).T)
     box = np.empty((2, 3), dtype=np.float32)
     for axis, row in enumerate(rows):
         middle = position[:, axis] + sum(factor * c for factor, c in zip(row, center, strict=True) if c != 0.0)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.render.appearance import frame_colors, rotate
+from warp_rigid.render.appearance import frame_colors
+from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Body, Motion, Scene
@@ -57,7 +58,7 @@ class Bodies:
         self._orientation = frame.orientation[self._row].copy()
         self._colors = frame_colors(self._color, self._film, self._row, frame)
         # USD gives a body's velocities in its own frame, in degrees.
-        back = self._orientation * np.array([-1.0, -1.0, -1.0, 1.0])
+        back = inverse(self._orientation)
         self._velocity = _vectors(rotate(back, start["linear_velocity"][self._row]))
         self._spin = _vectors(np.degrees(rotate(back, start["angular_velocity"][self._row])))
         taken, paths = {PHYSICS_SCENE, "contacts", "impulses"}, []

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Vt
 
+from warp_rigid import rotations
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.runs.recording import Surface, drawn_surface
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
-from warp_rigid.scene.shapes.base import IDENTITY_ROTATION, quaternion_matrix, quaternion_product
+from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
@@ -139,7 +140,7 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
     if not isinstance(shape, Compound):
         return [(shape, np.zeros(3), IDENTITY_ROTATION)]
     return [
-        (part, position + quaternion_matrix(orientation) @ inner, quaternion_product(orientation, turn))
+        (part, position + rotations.rotate(orientation, inner), tuple(rotations.multiply(orientation, turn).tolist()))
         for child, position, orientation in shape.children
         for part, inner, turn in simple_shapes(child)
     ]

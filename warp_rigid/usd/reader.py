@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
+from warp_rigid import rotations
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.import_report import Finding
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
-from warp_rigid.scene.shapes.base import quaternion_matrix
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
@@ -243,7 +243,7 @@ class Reader:
         shape, where, turn = _joined(group, body.motion)
         common: dict[str, Any] = {
             "position": position + rotation @ where,
-            "orientation": quaternion_of_matrix(rotation @ quaternion_matrix(turn)),
+            "orientation": quaternion_of_matrix(rotation @ rotations.matrix(turn)),
             "name": body.prim.GetDisplayName() or body.prim.GetName(),
             **self._coefficients(body, group),
         }

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.validation.experiment import Start, Trace
 
 G = 9.81
@@ -17,16 +18,8 @@ def downhill(degrees: float, gravity: float = G) -> tuple[float, float, float]:
 
 
 def turn_about(axis, degrees) -> np.ndarray:
-    """Quaternions (..., 4) of rotations about an axis by one or several angles."""
-    axis = np.asarray(axis, np.float64) / np.linalg.norm(axis)
-    half = 0.5 * np.radians(np.asarray(degrees, np.float64))[..., None]
-    return np.concatenate([np.sin(half) * axis, np.cos(half)], axis=-1)
-
-
-def random_turns(generator, *shape: int) -> np.ndarray:
-    """Uniform unit quaternions (*shape, 4)."""
-    q = generator.normal(size=(*shape, 4))
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+    """Quaternion (..., 4) of rotations about an axis by one angle or several [degrees]."""
+    return rotations.about_axis(axis, np.radians(degrees))
 
 
 def per_env(name: str, values) -> Start:

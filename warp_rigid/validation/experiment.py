@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
@@ -136,13 +137,7 @@ class Trace:
     @cached_property
     def turns(self) -> np.ndarray:
         """Rotation matrices, (records, envs, bodies, 3, 3)."""
-        x, y, z, w = np.moveaxis(self.orientation / np.linalg.norm(self.orientation, axis=-1, keepdims=True), -1, 0)
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-        return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+        return rotations.matrix(self.orientation / np.linalg.norm(self.orientation, axis=-1, keepdims=True))
 
     @cached_property
     def inertia(self) -> np.ndarray:

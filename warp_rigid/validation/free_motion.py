@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.validation.case import Curve, Miss, ReferenceCheck, ValidationCase, absolute, at_most, each, relative
-from warp_rigid.validation.common import NO_GRAVITY, G, random_turns, turn_about
+from warp_rigid.validation.common import NO_GRAVITY, G, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
 EULER = "Euler's equations, closed form"
@@ -40,8 +41,7 @@ def spinning(shape, spins, turns=None, **options) -> Experiment:
     """Experiment: a free body in environments that differ in spin (n, 3) in the body frame and orientation (n, 4)."""
     spins = np.asarray(spins, np.float64)
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(spins), 1)) if turns is None else np.asarray(turns)
-    axis, w = turns[:, :3], turns[:, 3:]
-    world = spins + 2.0 * np.cross(axis, np.cross(axis, spins) + w * spins)
+    world = rotations.rotate(turns, spins)
 
     def scene():
         made = Scene(gravity=NO_GRAVITY)
@@ -56,7 +56,7 @@ def symmetric_top(name, shape):
     """The symmetry axis precesses about the angular momentum at L / I1, at a constant angle."""
     side, _, axial = moments(shape)
     spin = np.array([1.0, 0.0, 10.0])
-    turns = np.concatenate([[[0, 0, 0, 1]], random_turns(np.random.default_rng(1), 3)])
+    turns = np.concatenate([[[0, 0, 0, 1]], rotations.random(np.random.default_rng(1), 3)])
     total = np.array([side, side, axial]) * spin
 
     def axis_and_momentum(trace: Trace):
@@ -210,7 +210,7 @@ def momentum_kept():
     """|L| of tumbling bodies over ten thousand steps."""
     shape = Box((1.0, 0.7, 0.4))
     draw = np.random.default_rng(2)
-    spins, turns = 5.0 * draw.normal(size=(8, 3)), random_turns(draw, 8)
+    spins, turns = 5.0 * draw.normal(size=(8, 3)), rotations.random(draw, 8)
 
     def change(trace):
         start, end = trace.spin_momentum[0, :, 0], trace.spin_momentum[-1, :, 0]

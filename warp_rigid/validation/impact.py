@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.scenes.builders.grounds import level_scene
@@ -12,7 +13,6 @@ from warp_rigid.validation.common import (
     G,
     largest_rise,
     per_env,
-    random_turns,
     turn_about,
 )
 from warp_rigid.validation.experiment import DT, Experiment, Start
@@ -430,7 +430,7 @@ def random_impacts(count):
         per_env("restitution", draw.uniform(0, 1, count)),
         per_env("friction", draw.uniform(0, 1.5, count)),
         Start("position", place),
-        Start("orientation", random_turns(draw, count, 3)),
+        Start("orientation", rotations.random(draw, count, 3)),
         Start("linear_velocity", -4.0 * place + draw.normal(size=(count, 3, 3))),
         Start("angular_velocity", 8.0 * draw.normal(size=(count, 3, 3))),
     )

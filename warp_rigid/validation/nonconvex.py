@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
@@ -20,7 +21,7 @@ from warp_rigid.validation.case import (
     each,
     relative,
 )
-from warp_rigid.validation.common import NO_GRAVITY, random_turns, turn_about
+from warp_rigid.validation.common import NO_GRAVITY, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
@@ -256,7 +257,7 @@ def random_overlaps(count, miss=None):
 
     starts = (
         Start("position", away[:, None], bodies=[1]),
-        Start("orientation", random_turns(draw, count, 2)),
+        Start("orientation", rotations.random(draw, count, 2)),
     )
 
     def parted(s):

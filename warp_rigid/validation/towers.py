@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders import grounds, piles, stacks
@@ -21,7 +22,7 @@ from warp_rigid.validation.case import (
     each,
     relative,
 )
-from warp_rigid.validation.common import G, largest_rise, random_turns
+from warp_rigid.validation.common import G, largest_rise
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
 STATICS = "statics, closed form"
@@ -386,7 +387,7 @@ def pile_scene(count: int) -> Scene:
 def falling_piles(duration, count):
     """Bodies that fall into a pile and come to rest; environments differ in orientations."""
     starts = (
-        Start("orientation", random_turns(np.random.default_rng(7), 4, count), bodies=list(range(5, 5 + count))),
+        Start("orientation", rotations.random(np.random.default_rng(7), 4, count), bodies=list(range(5, 5 + count))),
         *way_starts(["default", "default", "default", "two_pass, cold"]),
     )
     names = ("pile 1", "pile 2", "pile 3", "pile 4, cold")

@@ -5,7 +5,7 @@ import trimesh
 
 from warp_rigid.engine.quantities import CONTACT_RECORD
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.render.appearance import rotate
+from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.scene import Motion
 
 __all__ = ["CONTACTS", "OVERLAYS", "Overlays"]
@@ -143,7 +143,7 @@ class Overlays:
         center = rotate(sim.get("orientation")[env, body], samples.cluster_center) + sim.get("position")[env, body]
         kept = np.zeros(len(center), bool)
         for other in _near(sim, env, body):
-            back = sim.get("orientation")[env, other] * np.float32([-1.0, -1.0, -1.0, 1.0])
+            back = inverse(sim.get("orientation")[env, other])
             local = rotate(back, center - sim.get("position")[env, other])
             kept |= sim.scene.bodies[other].shape.signed_distance(local)[0] <= samples.cluster_radius
         colors = np.where(kept[:, None], KEPT_COLOR, REJECTED_COLOR).astype(np.uint8)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.shapes.base import Shape
-from warp_rigid.scenes.demo import turn
 
 __all__ = ["trace"]
 
@@ -29,9 +29,9 @@ def trace(shape: Shape, position, orientation, origin, direction) -> tuple[np.nd
         surface, and False.
     """
     orientation = np.asarray(orientation, np.float64)
-    back = orientation * (-1.0, -1.0, -1.0, 1.0)
-    start = turn(back, np.asarray(origin, np.float64) - position)
-    ahead = turn(back, np.asarray(direction, np.float64) / np.linalg.norm(direction))
+    back = inverse(orientation)
+    start = rotate(back, np.asarray(origin, np.float64) - position)
+    ahead = rotate(back, np.asarray(direction, np.float64) / np.linalg.norm(direction))
     lower, upper = (np.clip(corner, -1.0e6, 1.0e6) for corner in shape.bounds)
     tolerance = NEAR * min(shape.size, 1.0)
     t, end = _through_box(start, ahead, lower - tolerance, upper + tolerance)
@@ -43,7 +43,7 @@ def trace(shape: Shape, position, orientation, origin, direction) -> tuple[np.nd
         if distance < tolerance or t > end:
             break
         t += max(CAUTION * distance, 0.5 * tolerance)
-    return turn(orientation, start + nearest_t * ahead) + position, nearest < tolerance
+    return rotate(orientation, start + nearest_t * ahead) + position, nearest < tolerance
 
 
 def _through_box(start, ahead, lower, upper) -> tuple[float, float]:

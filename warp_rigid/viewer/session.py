@@ -10,10 +10,10 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.engine.quantities import WRITABLE
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs import runner
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes import Verdict
-from warp_rigid.scenes.demo import turn
 
 __all__ = ["Paced", "Session"]
 
@@ -200,8 +200,8 @@ class Session:
         """Pull a body from now on: a spring from a point on it to a target, both in the world [m]."""
         self.release()
         orientation = self._sim.get("orientation")[env, body].astype(np.float64)
-        back = orientation * (-1.0, -1.0, -1.0, 1.0)
-        local = turn(back, np.asarray(point) - self._sim.get("position")[env, body])
+        back = inverse(orientation)
+        local = rotate(back, np.asarray(point) - self._sim.get("position")[env, body])
         self._pull = Pull(env, body, local, np.asarray(target, dtype=np.float64))
 
     def move_pull(self, target: np.ndarray) -> None:
@@ -277,7 +277,7 @@ class Session:
         """The pulled place of the body in the world [m]."""
         env, body = self._pull.env, self._pull.body
         orientation = self._sim.get("orientation")[env, body].astype(np.float64)
-        return turn(orientation, self._pull.local) + self._sim.get("position")[env, body]
+        return rotate(orientation, self._pull.local) + self._sim.get("position")[env, body]
 
 
 def key_scenes() -> dict[str, str]:

@@ -154,30 +154,6 @@ def point_array(points) -> np.ndarray:
     return array
 
 
-def quaternion_matrix(orientation) -> np.ndarray:
-    """Rotation matrix of a unit quaternion (x, y, z, w): `matrix @ local = world`."""
-    x, y, z, w = (float(component) for component in orientation)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def quaternion_product(first, second) -> tuple[float, float, float, float]:
-    """Quaternion (x, y, z, w) that turns by `second`, then by `first`."""
-    ax, ay, az, aw = (float(component) for component in first)
-    bx, by, bz, bw = (float(component) for component in second)
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
-
-
 def frozen_array(values, dtype=np.float64) -> np.ndarray:
     """A private read-only copy."""
     array = np.array(values, dtype=dtype, order="C")

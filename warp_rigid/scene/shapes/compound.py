@@ -4,6 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import finite_vector, shown, unit_quaternion
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
@@ -11,8 +12,6 @@ from warp_rigid.scene.shapes.base import (
     Shape,
     frozen_array,
     point_array,
-    quaternion_matrix,
-    quaternion_product,
 )
 from warp_rigid.scene.shapes.sampling import SampleKind, SampleList
 
@@ -35,7 +34,7 @@ class Compound(Shape):
         if not children:
             raise ValueError("children: must hold at least one (shape, position, orientation)")
         self.children = tuple(_checked_child(index, child) for index, child in enumerate(children))
-        self._rotations = [quaternion_matrix(orientation) for _, _, orientation in self.children]
+        self._rotations = [rotations.matrix(orientation) for _, _, orientation in self.children]
 
     def _content(self):
         return [item for child in self.children for item in (child[0].key, child[1], child[2])]
@@ -90,7 +89,7 @@ class Compound(Shape):
         for (shape, position, orientation), rotation in zip(self.children, self._rotations, strict=True):
             for part in shape.parts():
                 place = rotation @ np.array(part.position) + position
-                turned = quaternion_product(orientation, part.orientation)
+                turned = tuple(rotations.multiply(orientation, part.orientation).tolist())
                 flat.append(Part(part.kind, part.size, tuple(place.tolist()), turned, part.grid))
         return flat
 

@@ -23,13 +23,13 @@ class MassProperties:
 
 
 def diagonal(volume: float, moments) -> MassProperties:
-    """A solid whose centre is the origin and whose principal axes are the frame's."""
+    """A solid with its centre of mass at the origin and its principal axes along the frame's."""
     inertia = np.diag(np.asarray(moments, dtype=np.float64))
     return MassProperties(float(volume), np.zeros(3), inertia)
 
 
 def no_solid() -> MassProperties:
-    """A surface that encloses nothing: a plane, a height field."""
+    """A surface that encloses no volume: a plane, a height field."""
     return diagonal(0.0, np.zeros(3))
 
 
@@ -56,7 +56,7 @@ def cylinder(radius: float, half_height: float) -> MassProperties:
 def capsule(radius: float, half_height: float) -> MassProperties:
     """Solid capsule about z: a cylinder of the given half height between two half balls.
 
-    A half ball's centre of mass lies 3/8 of the radius from its flat side, which makes the term
+    The centre of mass of a half ball is 3/8 of the radius from its flat side, which gives the term
     3/4 radius half_height below.
     """
     tube, balls = cylinder(radius, half_height), sphere(radius)
@@ -69,33 +69,26 @@ def capsule(radius: float, half_height: float) -> MassProperties:
 def polyhedron(vertices: np.ndarray, faces: np.ndarray) -> MassProperties:
     """Exact mass properties of the solid inside a closed, outward-facing triangle mesh.
 
-    The surface integrals of B. Mirtich, "Fast and accurate computation of polyhedral mass
-    properties", Journal of Graphics Tools 1(2), 1996, summed triangle by triangle in float64 in the
-    form of signed tetrahedra that share one apex (the mean of the vertices, against cancellation).
-    Cavities whose faces point into the hollow are subtracted; inverted meshes have a volume < 0.
+    trimesh sums the surface integrals of D. Eberly, "Polyhedral mass properties (revisited)", 2002,
+    in float64, here about the mean of the vertices to avoid cancellation. Cavities whose faces point
+    into the hollow are subtracted; inverted meshes have a volume < 0.
 
     Args:
         vertices: (n, 3) [m].
         faces: (m, 3) vertex indices.
 
     Returns:
-        The mass properties; if the volume is zero, the apex as centre and no inertia.
+        The mass properties; if the volume is zero, the mean of the vertices as centre and no inertia.
     """
+    from trimesh import triangles
+
     vertices = np.asarray(vertices, dtype=np.float64)
-    apex = vertices.mean(axis=0)
-    a, b, c = (vertices[np.asarray(faces)[:, corner]] - apex for corner in range(3))
-    six_volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
-    volume = six_volumes.sum() / 6.0
-    total = a + b + c
-    first = (six_volumes[:, None] * total).sum(axis=0) / 24.0
-    corners = np.stack([a, b, c, total])
-    second = np.einsum("i,kij,kil->jl", six_volumes, corners, corners) / 120.0
-    if volume == 0.0:
-        return MassProperties(0.0, apex, np.zeros((3, 3)))
-    offset = first / volume
-    second -= volume * np.outer(offset, offset)
-    inertia = np.trace(second) * np.eye(3) - second
-    return MassProperties(float(volume), apex + offset, 0.5 * (inertia + inertia.T))
+    middle = vertices.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a volume of zero
+        solid = triangles.mass_properties((vertices - middle)[np.asarray(faces)])
+    if solid.volume == 0.0:
+        return MassProperties(0.0, middle, np.zeros((3, 3)))
+    return MassProperties(float(solid.volume), middle + solid.center_mass, np.asarray(solid.inertia))
 
 
 def combine(pieces) -> MassProperties:
@@ -103,7 +96,7 @@ def combine(pieces) -> MassProperties:
 
     Args:
         pieces: (mass properties, position (3,), rotation matrix (3, 3)) of each solid in the common
-            frame. Where two overlap, the overlap counts twice.
+            frame. The overlap of two solids counts twice.
     """
     pieces = list(pieces)
     volume = sum(piece.volume for piece, _, _ in pieces)

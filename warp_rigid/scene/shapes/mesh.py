@@ -1,4 +1,4 @@
-"""Mesh: a solid given by its triangles, with a signed distance grid."""
+"""Mesh: a solid bounded by triangles, with a signed distance grid."""
 
 import warnings
 from functools import cached_property
@@ -18,21 +18,21 @@ SAMPLES_PER_SIDE = 16
 class Mesh(Shape):
     """Solid inside a triangle mesh, convex or not.
 
-    Collisions use a grid of signed distances, computed at first use and kept in a cache folder (see
-    `warp_rigid.scene.shapes.distance_grid`).
+    Collisions use a grid of signed distances, which is computed at first use and stored in a cache
+    folder (see `warp_rigid.scene.shapes.distance_grid`).
 
-    A mesh with holes stands for the solid that results when each boundary loop is closed by a fan
+    A mesh with holes represents the solid that results when each boundary loop is closed by a fan
     of triangles from the loop's mean point. Mass, signed distance and sign (by winding number
-    > 1/2) all follow that solid: an open skull is a solid skull, its eye sockets lidded at
-    their rims, and nothing enters its hollow. For a hollow body give the mesh a thickness: an outer
-    and an inner wall.
+    > 1/2) all refer to that solid: an open skull is a solid skull with its eye sockets capped at
+    their rims, and other bodies cannot enter it. A hollow body needs a mesh with two walls, an outer
+    and an inner one.
 
     Attributes:
         vertices: (n, 3) float64 [m].
         faces: (m, 3) int32, facing outward.
         sdf_resolution: grid cells along the longest side.
-        watertight: whether the mesh came without holes.
-        repairs: what had to be repaired, in words.
+        watertight: whether the given mesh has no holes.
+        repairs: descriptions of the repairs, empty if none was needed.
     """
 
     def __init__(self, vertices, faces, sdf_resolution: int = 64):
@@ -58,9 +58,9 @@ class Mesh(Shape):
         edges = topology.find_edges(self.faces)
         self.watertight = edges.closed
         self._simple = edges.closed and edges.manifold
-        apexes, fans = topology.cap_boundaries(self.vertices, self.faces)
-        self._solid_vertices = frozen_array(np.concatenate([self.vertices, apexes]))
-        self._solid_faces = frozen_array(np.concatenate([self.faces, fans]), np.int32)
+        solid_vertices, solid_faces = topology.close_boundaries(self.vertices, self.faces)
+        self._solid_vertices = frozen_array(solid_vertices)
+        self._solid_faces = frozen_array(solid_faces, np.int32)
         _refuse_flat(self.vertices, self.faces, self.mass_properties)
 
     @classmethod
@@ -72,8 +72,8 @@ class Mesh(Shape):
 
         Args:
             path: OBJ, STL, PLY, GLB, GLTF or OFF, or USD (.usd, .usda, .usdc, .usdz; all its meshes
-                at their places). glTF and USD state their up axis, and USD its unit: such
-                files are turned z up and brought to metres. Other files are taken as they are.
+                at their poses). glTF and USD state their up axis, and USD its unit: such
+                files are rotated to z up and scaled to metres. Other files are read unchanged.
             scale: factor on all coordinates, greater than 0.
             sdf_resolution: as in `Mesh`.
 
@@ -86,29 +86,29 @@ class Mesh(Shape):
             mesh._setup(repair(vertices, faces), sdf_resolution)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
-        told = [text for text in mesh.repairs if "duplicate" not in text]
-        if told:
-            warnings.warn(f"{path}: mesh repaired: {'; '.join(told)}", stacklevel=2)
+        notable = [text for text in mesh.repairs if "duplicate" not in text]
+        if notable:
+            warnings.warn(f"{path}: mesh repaired: {'; '.join(notable)}", stacklevel=2)
         return mesh
 
     @classmethod
     def from_trimesh(cls, mesh, sdf_resolution: int = 64) -> "Mesh":
-        """Take a `trimesh.Trimesh` as it is."""
+        """Make a mesh from the vertices and faces of a `trimesh.Trimesh`."""
         return cls(mesh.vertices, mesh.faces, sdf_resolution)
 
     @classmethod
     def restored(cls, vertices, faces, sdf_resolution: int, repairs: list[str], distances: np.ndarray) -> "Mesh":
-        """A mesh as it was, to the last bit: nothing is repaired, told or computed again.
+        """A saved mesh, bit for bit: without repairs, warnings or a new distance grid.
 
         Args:
             vertices: (n, 3) [m].
             faces: (m, 3).
             sdf_resolution: as in `Mesh`.
-            repairs: what had to be repaired.
+            repairs: descriptions of the repairs made when the mesh was first built.
             distances: (nx, ny, nz) float32, the values of its `grid` [m].
 
         Raises:
-            ValueError: These do not belong together.
+            ValueError: The arrays do not match each other.
         """
         mesh = cls.__new__(cls)
         vertices, faces = checked(vertices, faces)
@@ -124,7 +124,7 @@ class Mesh(Shape):
 
     @cached_property
     def mass_properties(self):
-        """Exact integrals over the triangles, holes closed by fans."""
+        """Exact integrals over the triangles, with holes closed by fans."""
         return mass_properties.polyhedron(self._solid_vertices, self._solid_faces)
 
     def support(self, directions):
@@ -133,19 +133,19 @@ class Mesh(Shape):
 
     @cached_property
     def grid(self) -> Grid:
-        """Signed distances: `sdf_resolution` cells on the longest side, and 3 more all around."""
+        """Signed distances: `sdf_resolution` cells along the longest side, and 3 more on every side."""
         return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
 
     def signed_distance(self, points):
         """Trilinear interpolation of the grid.
 
-        The gradient is that of the interpolation, near unit length but not normalised. Outside the
+        The gradient is that of the interpolation: close to unit length but not normalised. Outside the
         grid the distance is a lower bound (see `warp_rigid.scene.shapes.distance_grid.interpolate`).
         """
         return distance_grid.interpolate(self.grid, point_array(points))
 
     def exact_signed_distance(self, points):
-        """Distance to the triangles themselves, signed, (n,) [m], and unit direction (n, 3).
+        """Signed distance to the triangles themselves (n,) [m] and unit direction (n, 3).
 
         The direction is undefined (zero) on the surface.
         """
@@ -157,20 +157,20 @@ class Mesh(Shape):
 
     @property
     def sample_spacing(self) -> float:
-        """No surface point is farther than this from a sample: longest side / 16 [m]."""
+        """Largest distance of a surface point from the nearest sample: longest side / 16 [m]."""
         return float(np.ptp(self.vertices, axis=0).max()) / SAMPLES_PER_SIDE
 
     def sample_list(self):
-        """Vertices, EDGE segments on sharp convex edges, points wherever triangles are large."""
+        """Vertices, EDGE segments on sharp convex edges, and points on large triangles."""
         return sample_mesh(self.vertices, self.faces, self.sample_spacing)
 
     def surface(self):
-        """The mesh itself, as repaired, holes left open."""
+        """The repaired mesh itself, with its holes open."""
         return self.vertices, self.faces
 
 
 def _refuse_flat(vertices, faces, properties) -> None:
-    """Refuse a mesh that encloses nothing, or whose inertia could not be a solid's."""
+    """Reject a mesh that encloses no volume or whose inertia is not that of a solid."""
     area = topology.face_normals(vertices, faces)[1].sum()
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if not properties.volume > 1e-7 * area * diagonal:

@@ -1,4 +1,4 @@
-"""Makes a raw triangle list into a solid's surface, and says what it had to change."""
+"""Turns a raw triangle list into the surface of a solid, and reports every change."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class Surface:
     Attributes:
         vertices: (n, 3) float64 [m].
         faces: (m, 3) int32, facing outward.
-        repairs: what was changed, in words.
+        repairs: descriptions of the changes.
     """
 
     vertices: np.ndarray
@@ -24,22 +24,25 @@ class Surface:
 
 
 def repair(vertices, faces) -> Surface:
-    """Check a mesh and repair what can be.
+    """Check a mesh and repair it where possible.
 
-    Merges duplicate vertices, drops faces without area and repeated faces, drops vertices that no
-    face uses, makes neighbouring faces agree on their winding, and turns inverted surfaces outward
-    (a cavity, a surface that faces into a hollow of another, stays as it is).
+    Merges duplicate vertices, removes faces without area and repeated faces, removes unused
+    vertices, makes the winding of neighbouring faces consistent, and turns inverted surfaces outward
+    (the surface of a cavity, which faces into the hollow of another, is not changed).
+
+    trimesh's own repairs are not used: they invert cavities, merge within absolute distances and do
+    not report the number of faces that they change.
 
     Args:
         vertices: (n, 3) [m].
         faces: (m, 3) vertex indices.
 
     Raises:
-        ValueError: The mesh is empty, not finite, of the wrong shape, or its faces name vertices
+        ValueError: The mesh is empty, not finite, of the wrong shape, or its faces refer to vertices
             that do not exist.
     """
     vertices, faces = checked(vertices, faces)
-    repairs = []
+    repairs: list[str] = []
     vertices, faces = _merge_duplicates(vertices, faces, repairs)
     faces = _drop_degenerate(vertices, faces, repairs)
     if not len(faces):
@@ -51,7 +54,7 @@ def repair(vertices, faces) -> Surface:
 
 
 def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices as float64 and faces as int64; a ValueError where they are no triangles."""
+    """Vertices as float64 and faces as int64; a ValueError if they do not describe triangles."""
     vertices = number_array("vertices", vertices).copy()
     try:
         faces = np.asarray(faces)
@@ -74,20 +77,21 @@ def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _merge_duplicates(vertices, faces, repairs):
+    """Merge vertices that coincide to 1e-9 of the mesh's extent; the first of each stays, in the given order."""
+    from trimesh.grouping import unique_rows
+
     extent = float(np.ptp(vertices, axis=0).max())
-    rounded = np.round(vertices / (1e-9 * extent)) if extent > 0.0 else np.zeros_like(vertices)
-    _, kept, merged = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    places = (vertices - vertices.min(axis=0)) / (1e-9 * extent) if extent > 0.0 else np.zeros_like(vertices)
+    kept, merged = unique_rows(np.round(places).astype(np.int64), keep_order=True)
     if len(kept) == len(vertices):
         return vertices, faces
-    # keep the order in which vertices first appear
-    order = np.argsort(kept)
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
     repairs.append(f"merged {len(vertices) - len(kept)} duplicate vertices")
-    return vertices[kept[order]], place[merged.reshape(-1)][faces]
+    return vertices[kept], merged[faces]
 
 
 def _drop_degenerate(vertices, faces, repairs):
+    from trimesh.grouping import unique_rows
+
     a, b, c = faces.T
     _, area = topology.face_normals(vertices, faces)
     sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
@@ -96,55 +100,42 @@ def _drop_degenerate(vertices, faces, repairs):
     if flat.any():
         repairs.append(f"dropped {int(flat.sum())} faces without area")
         faces = faces[~flat]
-    # the same corners in the same cyclic order
+    # Repeated faces have the same corners in the same cyclic order; a face and its reverse both stay.
     turn = np.argmin(faces, axis=1)[:, None] + np.arange(3)
-    cyclic = np.take_along_axis(faces, turn % 3, axis=1)
-    _, kept = np.unique(cyclic, axis=0, return_index=True)
+    kept, _ = unique_rows(np.take_along_axis(faces, turn % 3, axis=1), keep_order=True)
     if len(kept) < len(faces):
         repairs.append(f"dropped {len(faces) - len(kept)} repeated faces")
-        faces = faces[np.sort(kept)]
+        faces = faces[kept]
     return faces
 
 
 def _drop_unused(vertices, faces, repairs):
-    used = np.unique(faces)
+    used, renumbered = np.unique(faces, return_inverse=True)
     if len(used) == len(vertices):
         return vertices, faces
     repairs.append(f"dropped {len(vertices) - len(used)} vertices that no face uses")
-    place = np.zeros(len(vertices), dtype=np.int64)
-    place[used] = np.arange(len(used))
-    return vertices[used], place[faces]
+    return vertices[used], renumbered.reshape(faces.shape)
 
 
 def _agree_winding(faces, repairs):
-    """Flip faces until neighbours run along their common edge in opposite directions.
+    """Flip faces so that neighbours traverse their common edge in opposite directions.
 
-    Works outward from the first face of each component; where that cannot be done (a Moebius strip)
-    the faces met last stay as they are.
+    Every face is two nodes of a graph, as given and flipped, and an edge of the mesh links the nodes that agree across
+    it. The components then are the consistent windings; of the two of each connected surface, the one that flips fewer
+    faces is taken. A surface that has none (a Moebius strip) is not changed.
     """
     edges = topology.find_edges(faces)
     pairs, shared = topology.face_pairs(edges)
     disagree = edges.net[shared] != 0
     if not disagree.any():
         return faces
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    differs = np.concatenate([disagree, disagree])
-    flip = np.zeros(len(faces), dtype=bool)
-    _, seeds = np.unique(topology.components(pairs, len(faces)), return_index=True)
-    known = np.zeros(len(faces), dtype=bool)
-    known[seeds] = True
-    while True:
-        step = np.flatnonzero(known[both[:, 0]] & ~known[both[:, 1]])
-        if not len(step):
-            break
-        target, first = np.unique(both[step, 1], return_index=True)
-        source = step[first]
-        flip[target] = flip[both[source, 0]] ^ differs[source]
-        known[target] = True
-    # of the two consistent choices, keep the one that changes fewer faces
-    label = topology.components(pairs, len(faces))
-    mostly = np.bincount(label, flip, minlength=len(faces)) > 0.5 * np.bincount(label, minlength=len(faces))
-    flip ^= mostly[label]
+    count = len(faces)
+    given, flipped = pairs + np.outer(disagree, [0, count]), pairs + np.outer(~disagree, [0, count]) + [count, 0]
+    winding = topology.components(np.concatenate([given, flipped]), 2 * count).reshape(2, count)
+    flip = winding[0] > winding[1]
+    part = winding.min(axis=0)
+    mostly = np.bincount(part, flip, minlength=count) > 0.5 * np.bincount(part, minlength=count)
+    flip ^= mostly[part]
     if not flip.any():
         return faces
     repairs.append(f"turned {int(flip.sum())} faces that disagreed with their neighbours")
@@ -162,8 +153,7 @@ def _face_outward(vertices, faces, repairs):
     solid = vertices[_turned(faces, flip)[upright]]
     for part in labels[volume < 0.0]:
         own = label == part
-        corner = vertices[faces[own][:1, 0]]
-        if topology.winding_number(corner, solid)[0] < 0.5:
+        if topology.winding_number(vertices[faces[own][0, 0]], solid) < 0.5:
             flip ^= own
     if flip.any():
         repairs.append(f"turned {int(flip.sum())} faces of an inverted surface outward")
@@ -177,6 +167,4 @@ def _turned(faces, flip):
 
 def signed_volume(vertices, faces) -> float:
     """Volume inside a mesh whose boundary loops are closed by fans [m^3]; negative if inverted."""
-    apexes, fans = topology.cap_boundaries(vertices, faces)
-    closed = np.concatenate([faces, fans])
-    return mass_properties.polyhedron(np.concatenate([vertices, apexes]), closed).volume
+    return mass_properties.polyhedron(*topology.close_boundaries(vertices, faces)).volume

@@ -1,4 +1,8 @@
-"""How the triangles of a mesh hang together: edges, components, boundaries, normals."""
+"""Connectivity of triangle meshes: edges, components, boundaries; and their pseudonormals.
+
+trimesh is imported only where a mesh is processed, so that importing the package stays quick. Its own component search
+needs SciPy or NetworkX, and its normals and hole filling use absolute tolerances; these are written here instead.
+"""
 
 from dataclasses import dataclass
 
@@ -12,14 +16,13 @@ class Edges:
     Attributes:
         ends: (e, 2) vertex indices, the smaller first.
         face_edge: (m, 3) edge of each face's sides (0-1, 1-2, 2-0).
-        forward: (m, 3) bool, whether the side runs from the smaller index to the larger.
-        count: (e,) how many sides use the edge.
-        net: (e,) forward sides less backward ones; 0 wherever the surface is closed.
+        count: (e,) number of sides that use the edge.
+        net: (e,) number of sides from the smaller index to the larger less that of opposite sides; 0 wherever the
+            surface is closed.
     """
 
     ends: np.ndarray
     face_edge: np.ndarray
-    forward: np.ndarray
     count: np.ndarray
     net: np.ndarray
 
@@ -36,41 +39,36 @@ class Edges:
 
 def find_edges(faces: np.ndarray) -> Edges:
     """Edges of (m, 3) triangles, sorted by their ends."""
-    start = faces.astype(np.int64)
-    end = np.roll(start, -1, axis=1)
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    stride = int(high.max()) + 1 if high.size else 1
-    keys, face_edge = np.unique(low * stride + high, return_inverse=True)
-    face_edge = face_edge.reshape(faces.shape)
-    forward = start < end
-    count = np.bincount(face_edge.ravel(), minlength=len(keys))
-    ahead = np.bincount(face_edge[forward], minlength=len(keys))
+    from trimesh.geometry import faces_to_edges
+
+    sides = faces_to_edges(faces.astype(np.int64))
+    ends = np.sort(sides, axis=1)
+    keys = ends[:, 0] * (sides.max(initial=0) + 1) + ends[:, 1]
+    _, first, edge, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+    forward = sides[:, 0] < sides[:, 1]
     return Edges(
-        ends=np.stack([keys // stride, keys % stride], axis=1),
-        face_edge=face_edge,
-        forward=forward,
+        ends=ends[first],
+        face_edge=edge.reshape(faces.shape),
         count=count,
-        net=2 * ahead - count,
+        net=2 * np.bincount(edge[forward], minlength=len(count)) - count,
     )
 
 
 def face_pairs(edges: Edges) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of faces at the edges that exactly two faces share: (p, 2) faces and (p,) edges."""
-    order = np.argsort(edges.face_edge.ravel(), kind="stable")
-    first = np.concatenate([[0], np.cumsum(edges.count)[:-1]])
-    shared = np.flatnonzero(edges.count == 2)
-    sides = np.stack([order[first[shared]], order[first[shared] + 1]], axis=1)
-    return sides // 3, shared
+    from trimesh.grouping import group_rows
+
+    sides = group_rows(edges.face_edge.ravel(), require_count=2)
+    return np.sort(sides // 3, axis=1), edges.face_edge.ravel()[sides[:, 0]]
 
 
 def components(pairs: np.ndarray, count: int) -> np.ndarray:
-    """Label of the connected component of each of `count` items linked by (p, 2) pairs."""
+    """Smallest index in the connected component of each of `count` items linked by (p, 2) pairs."""
     label = np.arange(count)
     while True:
-        low = np.minimum(label[pairs[:, 0]], label[pairs[:, 1]])
+        low = label[pairs].min(axis=1)
         lower = label.copy()
-        np.minimum.at(lower, label[pairs[:, 0]], low)
-        np.minimum.at(lower, label[pairs[:, 1]], low)
+        np.minimum.at(lower, pairs, low[:, None])
         lower = lower[lower]
         if np.array_equal(lower, label):
             return label
@@ -78,34 +76,32 @@ def components(pairs: np.ndarray, count: int) -> np.ndarray:
 
 
 def face_components(edges: Edges) -> np.ndarray:
-    """Component label of each face; faces that share an edge belong together."""
-    sides = np.argsort(edges.face_edge.ravel(), kind="stable")
-    same = edges.face_edge.ravel()[sides[1:]] == edges.face_edge.ravel()[sides[:-1]]
-    pairs = np.stack([sides[:-1][same], sides[1:][same]], axis=1) // 3
-    return components(pairs, len(edges.face_edge))
+    """Component label of each face; faces that share an edge are in the same component."""
+    count = len(edges.face_edge)
+    face = np.repeat(np.arange(count), 3)
+    return components(np.stack([face, count + edges.face_edge.ravel()], axis=1), count + len(edges.ends))[:count]
 
 
-def cap_boundaries(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles that close an open mesh: a fan over each boundary loop from the loop's mean point.
+def close_boundaries(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Close a mesh by a fan of triangles over each boundary loop, from the loop's mean point.
 
     Returns:
-        Extra vertices (k, 3), to be appended to the mesh's, and extra faces (f, 3).
+        The vertices (n + k, 3), with the mean points of the k loops after the given ones, and the faces (m + f, 3).
     """
     edges = find_edges(faces)
     open_edges = np.flatnonzero(edges.net)
     if not len(open_edges):
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
-    # a fan side runs against the boundary, once for each side without a counterpart
-    repeat = np.abs(edges.net[open_edges])
-    start, end = edges.ends[open_edges].T
-    start, end = np.where(edges.net[open_edges] > 0, (end, start), (start, end))
-    start, end = np.repeat(start, repeat), np.repeat(end, repeat)
-    used, local = np.unique(np.concatenate([start, end]), return_inverse=True)
-    label = components(local.reshape(2, -1).T, len(used))
-    loops, loop = np.unique(label, return_inverse=True)
-    apexes = np.stack([np.bincount(loop, vertices[used, axis]) / np.bincount(loop) for axis in range(3)], axis=1)
-    apex = len(vertices) + loop[local.reshape(2, -1)[0]]
-    return apexes, np.stack([start, end, apex], axis=1).astype(np.int32)
+        return vertices, faces
+    # A fan side runs against the boundary, once for each side without a counterpart.
+    net = edges.net[open_edges]
+    sides = np.where(net[:, None] > 0, edges.ends[open_edges, ::-1], edges.ends[open_edges])
+    sides = np.repeat(sides, np.abs(net), axis=0)
+    used, local = np.unique(sides, return_inverse=True)
+    local = local.reshape(sides.shape)
+    _, loop, size = np.unique(components(local, len(used)), return_inverse=True, return_counts=True)
+    apexes = np.stack([np.bincount(loop, vertices[used, axis]) / size for axis in range(3)], axis=1)
+    fans = np.column_stack([sides, len(vertices) + loop[local[:, 0]]])
+    return np.concatenate([vertices, apexes]), np.concatenate([faces, fans])
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,39 +128,27 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         angle = np.arctan2(sine, np.einsum("ij,ij->i", to_next, to_last))
         for axis in range(3):
             total[:, axis] += np.bincount(faces[:, corner], angle * normals[:, axis], minlength=len(vertices))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return total / np.where(length > 1e-12, length, np.inf)
+    return _unit_or_zero(total)
 
 
 def edge_normals(edges: Edges, normals: np.ndarray) -> np.ndarray:
     """Unit mean of the normals of the faces at each edge, (e, 3); zero where they cancel."""
-    total = np.stack(
-        [np.bincount(edges.face_edge.ravel(), np.repeat(normals[:, axis], 3)) for axis in range(3)],
-        axis=1,
-    )
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return total / np.where(length > 1e-12, length, np.inf)
+    side = edges.face_edge.ravel()
+    return _unit_or_zero(np.stack([np.bincount(side, np.repeat(normals[:, axis], 3)) for axis in range(3)], axis=1))
 
 
-def winding_number(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Exact winding number of (n, 3) points in (m, 3, 3) triangles, (n,).
+def winding_number(point: np.ndarray, triangles: np.ndarray) -> float:
+    """Exact winding number of (m, 3, 3) triangles around a point (3,).
 
-    The solid angle formula of A. Van Oosterom and J. Strackee, IEEE TBME 30(2), 1983; memory grows
-    with n m, so points are taken in portions.
+    The solid angle formula of A. Van Oosterom and J. Strackee, IEEE TBME 30(2), 1983.
     """
-    result = np.empty(len(points))
-    portion = max(1, 2_000_000 // max(1, len(triangles)))
-    for first in range(0, len(points), portion):
-        corner = triangles[None] - points[first : first + portion, None, None]
-        a, b, c = corner[:, :, 0], corner[:, :, 1], corner[:, :, 2]
-        la, lb, lc = (np.linalg.norm(side, axis=-1) for side in (a, b, c))
-        volume = np.einsum("nmi,nmi->nm", a, np.cross(b, c))
-        below = (
-            la * lb * lc
-            + np.einsum("nmi,nmi->nm", a, b) * lc
-            + np.einsum("nmi,nmi->nm", b, c) * la
-            + np.einsum("nmi,nmi->nm", c, a) * lb
-        )
-        angle = np.arctan2(volume, below).sum(axis=1)
-        result[first : first + portion] = angle / (2.0 * np.pi)
-    return result
+    a, b, c = np.moveaxis(triangles - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    volume = np.einsum("mi,mi->m", a, np.cross(b, c))
+    ab, bc, ca = (np.einsum("mi,mi->m", *sides) for sides in ((a, b), (b, c), (c, a)))
+    return float(np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb).sum() / (2.0 * np.pi))
+
+
+def _unit_or_zero(vectors: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(length > 1e-12, length, np.inf)
