@@ -8,20 +8,12 @@ workers compile the same one.
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
 
 MOST_WORKERS = 4
 """More workers need 1.5 GB of memory each and gain little: the longest file takes a fifth of the whole time."""
-
-COMPILE = """
-import warp as wp
-from warp_rigid.engine.step import EVERYTHING, WARP, load_kernels
-from warp_rigid.kernels.common import team
-from warp_rigid.render import raycast
-
-wp.config.log_level = wp.LOG_WARNING
-for device in wp.get_devices():
-    load_kernels(device, (*EVERYTHING, raycast), lanes=(WARP, team.BLOCK))
-"""
 
 
 def keep_to_own_cores():
@@ -55,7 +47,8 @@ def pytest_xdist_auto_num_workers(config):
 def pytest_sessionstart(session):
     """Compile all kernels in one process before the workers start."""
     if getattr(session.config.option, "numprocesses", None):
-        subprocess.run([sys.executable, "-W", "ignore", "-c", COMPILE], check=True)
+        command = [sys.executable, "-W", "ignore", "-m", "tests.compile_kernels"]
+        subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
 
 
 @pytest.fixture(params=[str(device) for device in wp.get_devices()])
