@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 MOST_WORKERS = 4
-"""More workers need 1.5 GB of memory each and gain little: the longest file takes a fifth of the whole time."""
+"""More workers need 1.5 GB of memory each and gain little: the longest files take a tenth of the whole time each."""
 
 
 def keep_to_own_cores():
