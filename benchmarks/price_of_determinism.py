@@ -17,7 +17,7 @@ import warp as wp
 import warp_rigid as wr
 from warp_rigid.bench.scenes import Case
 from warp_rigid.commands.terminal import start_warp
-from warp_rigid.engine.step import TRY_ALL_UP_TO
+from warp_rigid.engine.hash_grid import TRY_ALL_UP_TO
 
 wp.set_module_options({"enable_backward": False})
 

@@ -24,7 +24,7 @@ from warp_rigid.bench.scenes import Case, find_case
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import narrowphase
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
@@ -258,8 +258,8 @@ def count(sim: Simulator) -> Counts:
     return Counts(
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
-        small=sim._model.small.shape[0],
-        wide=sim._model.oversized.shape[0],
+        small=len(sim._model.small),
+        wide=len(sim._model.oversized),
         pairs=pairs,
         searched=searched,
         clusters=clusters,
@@ -272,7 +272,7 @@ def count(sim: Simulator) -> Counts:
         sweeps=int((sweeps_needed(sim) * contacts).sum()),
         unsettled=int(contacts[~converged].sum()),
         unsettled_rows=int((~converged).sum()) * sim.num_bodies,
-        gridded=stages.buckets > 0,
+        gridded=stages.grid.buckets > 0,
         pool_clusters=sim._model.shapes.clusters.shape[0],
         pool_samples=sim._model.shapes.samples.shape[0],
         pool_nodes=sim._model.shapes.grid_value.shape[0],
@@ -342,7 +342,7 @@ def _watched(note: Callable[[], None]) -> Iterator[None]:
 def row(struct: Any, symbol: str, *only: str) -> int:
     """Bytes of one row of a layout: of its arrays over `symbol`, or of those named."""
     total = 0
-    for name, declared in schema.LAYOUTS[struct.key].items():
+    for name, declared in declare.LAYOUTS[struct.key].items():
         first, *others = (term.strip() for term in declared.shape.split(","))
         if first.partition(" ")[0] == symbol and (not only or name in only):
             total += wp.types.type_size_in_bytes(declared.dtype) * int(np.prod([int(term) for term in others]))
@@ -351,7 +351,7 @@ def row(struct: Any, symbol: str, *only: str) -> int:
 
 def part(record: Any, *only: str) -> int:
     """Bytes of the fields named of a record, or of all of it."""
-    fields = schema.RECORDS[record.key]
+    fields = declare.RECORDS[record.key]
     return sum(wp.types.type_size_in_bytes(fields[name].dtype) for name in only or fields)
 
 
@@ -397,7 +397,7 @@ def _build_graph(c: Counts) -> Work:
     read = c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
     read += c.rows * (VELOCITY + row(schema.Motions, "bodies", "acceleration"))
     written = c.rows * row(schema.Graph, "bodies", "level", "height", "island", "colors")
-    written += c.pairs * row(schema.Graph, "pairs", "supports", "pair_color") + c.touching * ENTRY
+    written += c.pairs * row(schema.Graph, "pairs", "supports", "color") + c.touching * ENTRY
     return Work(read, written, c.contacts * OPERATIONS["graph"])
 
 
@@ -457,14 +457,14 @@ _WORK: dict[str, Callable[[Counts], Work]] = {
     "find_pairs": _find_pairs,
     "find_contacts": _find_contacts,
     "build_graph": _build_graph,
-    "accelerate": _accelerate,
-    "collide": _collide,
+    "integrate_velocities": _accelerate,
+    "solve_impacts": _collide,
     "solve_contacts": _solve_contacts,
     "propagate_shock": _propagate_shock,
     "push_out": _push_out,
-    "follow": _follow,
-    "move": _move,
-    "remember": _remember,
+    "detect_continuous_collisions": _follow,
+    "integrate_positions": _move,
+    "store_history": _remember,
 }
 
 

@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_rigid.commands import cli
 from warp_rigid.diagnostics import machine, selftest
-from warp_rigid.engine.step import EVERYTHING, load_kernels
+from warp_rigid.engine.loading import EVERYTHING, load_kernels
 from warp_rigid.scene.shapes import distance_grid
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -152,7 +152,7 @@ def test_nothing_needs_shared_memory():
     code = (
         "import sys; seen = []\n"
         "sys.addaudithook(lambda name, arguments: seen.append(arguments[0]) if name == 'open' else None)\n"
-        "from warp_rigid import selftest; selftest.SECONDS = 0.05; selftest.self_test('cpu')\n"
+        "from warp_rigid.diagnostics import selftest; selftest.SECONDS = 0.05; selftest.self_test('cpu')\n"
         "used = [x for x in seen if str(x).startswith('/dev/shm')] + [m for m in sys.modules if 'shared_memory' in m]\n"
         "sys.exit(str(used) if used else 0)"
     )

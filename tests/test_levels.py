@@ -18,7 +18,7 @@ from tests.oracles import (
 )
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.common import team
 from warp_rigid.kernels.graph import support
 from warp_rigid.scene.fields import PointField
@@ -51,10 +51,10 @@ class HandMadeGraph:
             "pairs": max(1, len(rows)),
             "contacts": 1,
         }
-        self.bodies = schema.allocate(schema.Bodies, sizes, device)
-        self.pairs = schema.allocate(schema.Pairs, sizes, device)
-        self.graph = schema.allocate(schema.Graph, sizes, device)
-        self.order = schema.allocate(schema.Order, sizes, device)
+        self.bodies = declare.allocate(schema.Bodies, sizes, device)
+        self.pairs = declare.allocate(schema.Pairs, sizes, device)
+        self.graph = declare.allocate(schema.Graph, sizes, device)
+        self.order = declare.allocate(schema.Order, sizes, device)
         self.bodies.motion.assign(np.tile(np.array(motions, np.int32), self.count))
         a, b, supports, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
         first = np.bincount(a, minlength=sizes["bodies"] + 1)
@@ -285,8 +285,8 @@ def test_a_graph_that_has_not_changed_is_not_found_again(device, sleeping):
         reused.step()
         stages_of(anew).pools.forget_graph()
         anew.step()
-        assert stages_of(anew).pools.graph.same.numpy().sum() == 0
-        found_again.append(1 - stages_of(reused).pools.graph.same.numpy()[0])
+        assert stages_of(anew).pools.graph.unchanged.numpy().sum() == 0
+        found_again.append(1 - stages_of(reused).pools.graph.unchanged.numpy()[0])
         for name in ("position", "orientation", "linear_velocity"):
             np.testing.assert_array_equal(reused.get(name), anew.get(name))
     assert np.sum(found_again[300:400]) < 50 and np.sum(found_again[400:]) > 0

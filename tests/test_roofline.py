@@ -11,7 +11,7 @@ from benchmarks import roofline
 from tests.oracles import ground_scene, stages_of
 from warp_rigid import Simulator
 from warp_rigid.bench.scenes import Case
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.shapes import Box
 
 CPU = roofline.LIMITS["cpu"]
@@ -22,13 +22,13 @@ ROOT = Path(__file__).resolve().parents[1]
     "struct", [schema.State, schema.Motions, schema.Bodies, schema.Pairs, schema.Contacts, schema.History]
 )
 def test_rows_have_the_size_that_allocation_gives_them(struct):
-    symbols = {term.split(" ")[0] for f in schema.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]} - {
+    symbols = {term.split(" ")[0] for f in declare.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]} - {
         "1"
     }
     for symbol in symbols:
         sizes = dict.fromkeys((*symbols, "env_bodies"), 10)
         grown = {**sizes, symbol: 11}
-        assert roofline.row(struct, symbol) == schema.byte_size(struct, grown) - schema.byte_size(struct, sizes)
+        assert roofline.row(struct, symbol) == declare.byte_size(struct, grown) - declare.byte_size(struct, sizes)
 
 
 def test_records_have_the_size_of_their_arrays_elements(device):

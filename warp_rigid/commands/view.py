@@ -25,6 +25,11 @@ def view_command(
     fast: Annotated[bool, typer.Option("--fast", help="Simple light without shadows, for slow graphics.")] = False,
 ) -> None:
     """Play with a scene in the browser, or watch a film that `run` wrote."""
+    from warp_rigid.viewer.guard import is_loopback
+    from warp_rigid.viewer.page import stop_server
+    from warp_rigid.viewer.server import check_address
+
+    check_address(host, port)
     if scene.endswith(FILMS):
         from warp_rigid.viewer.playback import FilmViewer, load_film
 
@@ -38,8 +43,11 @@ def view_command(
         )
         session.running = not paused
         viewer = LiveViewer(session, host, port, fast)
-    from warp_rigid.viewer.page import stop_server
-
+    if not is_loopback(host):
+        note(
+            f"warning: --host {host}: other machines can connect, without encryption; "
+            "anyone who has the token in the address can control the simulation"
+        )
     note(f"{scene} at {viewer.url} (Ctrl-C ends)")
     try:
         viewer.run()
