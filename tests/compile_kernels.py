@@ -4,7 +4,8 @@ import sys
 
 import warp as wp
 
-from warp_rigid.engine.step import EVERYTHING, WARP, load_kernels
+from warp_rigid.engine.loading import EVERYTHING, load_kernels
+from warp_rigid.engine.teams import WARP
 from warp_rigid.kernels.common import team
 from warp_rigid.render import raycast
 

@@ -85,9 +85,7 @@ def inputs_after_outputs(function: ast.FunctionDef) -> list[str]:
     """
     written = written_names(function)
     calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
-    passed = {
-        root_name(part) for call in calls if not ast.unparse(call.func).startswith("wp.") for part in call.args
-    }
+    passed = {root_name(part) for call in calls if not ast.unparse(call.func).startswith("wp.") for part in call.args}
     names = [argument.arg for argument in function.args.args]
     first = next((index for index, name in enumerate(names) if name in written), len(names))
     return [name for name in names[first:] if name not in written | passed]

@@ -3,7 +3,8 @@
 A row keeps its accumulated impulse (normal, two tangents). A visit first solves the normal part: it removes the
 approach that exceeds the bias velocity, and never pulls. Then the tangential part removes the slip, inside the disk of
 radius friction times normal part. Sticking is tried with the full tangential matrix, as in Guendelman et al. 2003,
-section 7; if it leaves the disk, a projected step of the smallest safe length is taken, whose fixed point opposes the slip.
+section 7; if it leaves the disk, a projected step of the smallest safe length is taken, whose fixed point opposes the
+slip.
 """
 
 import warp as wp
