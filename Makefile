@@ -6,34 +6,46 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs-ready
 OUT := out
+PYTEST := $(BIN)/python -m pytest -q
+# One worker a core; the tests of a file stay together, for they share what is costly to make.
+WORKERS := -n auto --dist loadfile
 
-.PHONY: demo test browser-test validate lint docs format fuzz pins coverage clean
+.PHONY: demo test test-all browser-test fuzz pins validate lint docs format clean
 
+# Two scenes: films, pictures and a contact sheet in out/.
 demo: $(READY)
 	$(BIN)/warp-rigid run bunny_pile -o $(OUT)/bunny_pile.usdc --picture $(OUT)/bunny_pile.png
 	$(BIN)/warp-rigid run box_stack --compare -o $(OUT)/box_stack.usdc \
 		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
 	@echo "next: $(BIN)/warp-rigid view seesaw"
 
+# The tests that every change must pass: about 4 minutes on 2 idle cores. Tests that measure time run last, alone.
 test: $(READY)
-	$(BIN)/python -m pytest -q
+	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
+	$(PYTEST) -m "quiet and not long" && exit $$others
 
-# Needs Debian's package chromium, or CHROMIUM=/path/to/a/chromium.
+# The long tests too, with the coverage of the host code.
+test-all: $(READY)
+	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-report=; others=$$?; \
+	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 && exit $$others
+
+# The viewer in a real page. Needs Debian's package chromium, or CHROMIUM=/path/to/a/chromium.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q tests/browser
+	$(PYTEST) tests/browser
 
+# 10 000 new cases of wild input.
 fuzz: $(READY)
-	FUZZ_CASES=10000 $(BIN)/python -m pytest -q tests/fuzz
+	FUZZ_CASES=10000 $(PYTEST) tests/fuzz
 
+# Renew the pinned results of ten scenes.
 pins: $(READY)
 	$(BIN)/python -m tests.pin_hashes
 
-coverage: $(READY)
-	$(BIN)/python -m pytest -q --cov --cov-fail-under=90 $(TESTS)
-
+# Measure every validation case: tables and figures in out/validation/.
 validate: $(READY)
 	$(BIN)/warp-rigid validate -o $(OUT)/validation
 
+# Rules, format and types; changes nothing.
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -44,10 +56,12 @@ docs: $(DOCS_READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "built $(OUT)/site/index.html"
 
+# What ruff can correct by itself.
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# Remove the environment, the results and all caches of the checkout.
 clean:
 	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -105,7 +105,9 @@ def group_reader(packed: Any) -> Any:
             const int* p = (const int*)__builtin_assume_aligned((const int*)(records.data + row) + 4 * group, 16);
             return wp::vec_t<4, int>(p[0], p[1], p[2], p[3]);
         """)
-        def read_group(records: wp.array(dtype=packed), row: int, group: int) -> wp.vec4i: ...
+        def read_group(records: wp.array[packed], row: int, group: int) -> wp.vec4i:
+            """Four words of a record."""
+            ...
 
     else:
 
@@ -113,7 +115,9 @@ def group_reader(packed: Any) -> Any:
             const float* p = (const float*)__builtin_assume_aligned((const float*)(records.data + row) + 4 * group, 16);
             return wp::vec4(p[0], p[1], p[2], p[3]);
         """)
-        def read_group(records: wp.array(dtype=packed), row: int, group: int) -> wp.vec4: ...
+        def read_group(records: wp.array[packed], row: int, group: int) -> wp.vec4:
+            """Four words of a record."""
+            ...
 
     return read_group
 
@@ -125,7 +129,9 @@ def group_writer(packed: Any) -> Any:
         float* p = (float*)__builtin_assume_aligned((float*)(records.data + row) + 4 * group, 16);
         p[0] = xyz[0]; p[1] = xyz[1]; p[2] = xyz[2]; p[3] = w;
     """)
-    def write_group(records: wp.array(dtype=packed), row: int, group: int, xyz: wp.vec3, w: float): ...
+    def write_group(records: wp.array[packed], row: int, group: int, xyz: wp.vec3, w: float):
+        """Write four words of a record."""
+        ...
 
     return write_group
 
@@ -146,10 +152,13 @@ def record_reader(packed: Any, flag: str = "", optional_from: str = "") -> Any:
         lines += [f"value.{key} = {_from_words(packed, key, 4 * group + first)};" for key, first in members]
 
     @wp.func_native("\n".join(lines))
-    def fill_record(row: int, records: wp.array(dtype=packed), value: wp.ref[packed]): ...
+    def fill_record(row: int, records: wp.array[packed], value: wp.ref[packed]):
+        """Fill a record from a row of the array."""
+        ...
 
     @wp.func
-    def read_record(row: int, records: wp.array(dtype=packed)):
+    def read_record(row: int, records: wp.array[packed]):
+        """The record of a row."""
         value = packed()
         fill_record(row, records, value)
         return value
@@ -176,7 +185,9 @@ def record_writer(packed: Any, flag: str = "", optional_from: str = "") -> Any:
     lines += [f"p[{word}] = {text};" for word, text in words.items()]
 
     @wp.func_native("\n".join(lines))
-    def write_record(row: int, value: packed, records: wp.array(dtype=packed)): ...
+    def write_record(row: int, value: packed, records: wp.array[packed]):
+        """Write the record of a row."""
+        ...
 
     return write_record
 

@@ -11,9 +11,6 @@ from warp_rigid.engine import loading, step
 
 ARCHITECTURE = 90
 
-SLOW_TO_ASSEMBLE = "narrowphase"
-"""Its assembly takes most of a minute, the compilation before it a fifth of that."""
-
 FOLDER = Path(kernels.__path__[0])
 FILES = sorted(file for file in FOLDER.rglob("*.py") if file.stem != "__init__")
 MODULES = {
@@ -29,9 +26,10 @@ def kernels_of(name):
     return set(wp.get_module(MODULES[name].__name__).kernels)
 
 
+@pytest.mark.parametrize("ptx", [True, pytest.param(False, marks=pytest.mark.long)], ids=["compiled", "assembled"])
 @pytest.mark.parametrize("name", [name for name in NAMES if kernels_of(name)])
-def test_module_compiles_for_compute_capability_90(name, tmp_path):
-    ptx = name == SLOW_TO_ASSEMBLE
+def test_module_compiles_for_compute_capability_90(name, ptx, tmp_path):
+    """To PTX, and also to the code of the GPU, which takes up to a minute for the largest module."""
     (binary,) = wp.compile_aot_module(MODULES[name].__name__, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=ptx)
     assert binary.suffix == (".ptx" if ptx else ".cubin")
     content = binary.read_bytes()

@@ -403,6 +403,7 @@ def seconds(sim, steps):
     return time.process_time() - start
 
 
+@pytest.mark.quiet
 def test_a_sleeping_pile_costs_less_than_a_tenth(device):
     """No pair is searched and no contact solved; a step costs under a tenth of one in which the pile settles."""
     scene = ground_scene(friction=0.5)

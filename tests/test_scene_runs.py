@@ -34,17 +34,22 @@ def test_every_variant_shows_what_it_must(name, device):
     assert surprises(result) == []
 
 
+def long(*values):
+    """A case of the long tests."""
+    return pytest.param(*values, marks=pytest.mark.long)
+
+
 @pytest.mark.parametrize(
     ("name", "assignment"),
     [
-        ("box_stack", "height=5"),
-        ("box_stack", "height=14"),
+        long("box_stack", "height=5"),
+        long("box_stack", "height=14"),
         ("leaning_tower", "offset=0.095"),
         ("leaning_tower", "offset=0.105"),
         ("incline", "friction=0.3"),
-        ("plank_launch", "drop=1"),
-        ("seesaw", "large_mass=20"),
-        ("bunny_pile", "seed=3"),
+        long("plank_launch", "drop=1"),
+        long("seesaw", "large_mass=20"),
+        long("bunny_pile", "seed=3"),
     ],
 )
 def test_parameters_change_the_outcome_as_they_should(name, assignment, device):

@@ -10,7 +10,7 @@ from benchmarks.soak import pile, soak
 from warp_rigid.engine.simulator import Simulator
 
 
-@pytest.mark.parametrize("sleeping", [False, True])
+@pytest.mark.parametrize("sleeping", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_pile_that_changes_leaves_no_trace(device, sleeping):
     """The long run is `python -m benchmarks.soak`; this one sees a leak of a few kilobytes a round."""
     lines = []

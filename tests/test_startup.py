@@ -4,9 +4,14 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
 
 from warp_rigid.bench.startup import KERNELS, first_frame, start_up
 from warp_rigid.engine.loading import STEP
+
+ROOT = Path(__file__).resolve().parents[1]
 
 WARM_SECONDS = 2.0
 COLD_KERNELS = 9.0
@@ -45,6 +50,7 @@ print(json.dumps([*told, loaded()]))
 """
 
 
+@pytest.mark.quiet
 def test_a_warm_start_is_quick(device):
     first_frame("stack:8", device)
     cost = min((first_frame("stack:8", device) for _ in range(2)), key=lambda found: found["processor_seconds"])
@@ -52,6 +58,7 @@ def test_a_warm_start_is_quick(device):
     assert cost["modules"] == len(STEP)
 
 
+@pytest.mark.quiet
 def test_a_cold_start_keeps_its_budget(tmp_path):
     environment = {**os.environ, KERNELS: str(tmp_path)}
     done = subprocess.run(
@@ -69,3 +76,21 @@ def test_kernels_that_are_needed_rarely_are_loaded_when_they_are_needed(device):
     at_first, with_sleep, (depth, asleep), at_last = json.loads(done.stdout.splitlines()[-1])
     assert at_first == [False, False] and with_sleep == [False, True] and at_last == [True, True]
     assert 0.0 <= depth < 2e-4 and asleep
+
+
+@pytest.mark.long
+def test_compilation_prints_no_warning(tmp_path):
+    """All kernels for the CPU, into an empty cache, at the level of messages that a new user has."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-m", "tests.compile_kernels", "cpu"],
+        cwd=ROOT,
+        env={**os.environ, KERNELS: str(tmp_path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.count("(compiled)") >= len(STEP), "the cache was not empty, or nothing is printed at all"
+    # Warp itself prints this one where no GPU is.
+    lines = [line for line in done.stdout.splitlines() if "CUDA driver" not in line]
+    assert [line for line in lines if "warning:" in line] == []

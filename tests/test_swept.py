@@ -250,6 +250,7 @@ def test_fast_bodies_repeat_bit_for_bit(device):
     assert runs[0] == runs[1] == runs[2]
 
 
+@pytest.mark.quiet
 def test_slow_scenes_pay_nearly_nothing(device):
     """Less than 2 % of a step of a settling pile."""
     with shared_by(usable_cores()):  # one core, so one shard

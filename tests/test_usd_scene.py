@@ -17,6 +17,9 @@ from warp_rigid.usd.check import check_usd
 SMALL = {"bunny_pile": {"bodies": 2}, "carpet": {}, "bone_pile": {}, "rings_on_poles": {}}
 """Sizes of scenes that would take long otherwise; the kinds of bodies stay the same."""
 
+EVERY_KIND_OF_SHAPE = ("showcase", "skull_and_brain", "terrain")
+"""Scenes with round shapes and compounds, with meshes, and with a height field."""
+
 
 def small(name):
     """A built-in scene at a size at which everything of it occurs."""
@@ -120,7 +123,10 @@ def test_built_in_scene_comes_back(name, tmp_path):
 
 
 @pytest.mark.parametrize("profile", ["scene", "animation"])
-@pytest.mark.parametrize("name", scenes.names())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name in EVERY_KIND_OF_SHAPE else pytest.mark.long) for name in scenes.names()],
+)
 def test_validators_find_nothing_in_built_in_scenes(name, profile, tmp_path):
     path = tmp_path / "scene.usdc"
     sim = Resting(small(name), num_envs=2)

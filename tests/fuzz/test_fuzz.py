@@ -1,6 +1,6 @@
 """Wild input of every kind ends in a result or in one line that names what is wrong.
 
-FUZZ_CASES says how many cases there are in all (500); `make fuzz` tries 10 000 other ones.
+FUZZ_CASES says how many cases there are in all (300, and 1 500 in the long tests); `make fuzz` tries 10 000 other ones.
 """
 
 import faulthandler
@@ -13,18 +13,20 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from tests.fuzz import harness
 
-CASES = int(os.environ.get("FUZZ_CASES", "500"))
+GIVEN_CASES = int(os.environ.get("FUZZ_CASES", "0"))
+CASES = [GIVEN_CASES] if GIVEN_CASES else [300, pytest.param(1500, marks=pytest.mark.long)]
 MODULES = sorted(p.stem for p in Path(__file__).parent.glob("*.py") if p.stem not in ("harness", "test_fuzz"))
 TARGETS = [target for name in MODULES for target in import_module(f"tests.fuzz.{name}").TARGETS]
 
 
+@pytest.mark.parametrize("cases", CASES)
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name.replace(" ", "_"))
-def test_wild_input_ends_well(target, tmp_path):
-    case_count = -(-CASES // len(TARGETS))
+def test_wild_input_ends_well(target, cases, tmp_path):
+    case_count = -(-cases // len(TARGETS))
     # The same cases every time where changes are tested; others on every night's run.
     options = settings(
         max_examples=case_count,
-        derandomize="FUZZ_CASES" not in os.environ,
+        derandomize=not GIVEN_CASES,
         deadline=None,
         database=None,
         # The first bad case is told as it is: making it smaller may take hours where each takes seconds.

@@ -20,7 +20,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.design import Run, address
 
-__all__ = ["Job", "Needs", "group_runs", "make_runs", "needs_of", "resolve_scene", "settle_batch_size"]
+__all__ = ["Job", "Needs", "group_runs", "make_runs", "needs_of", "resolve_scene"]
 
 MOST_KEPT = 4096
 """So many scenes are kept from the check of a design for its runs; further ones are built again."""
@@ -189,12 +189,6 @@ def build_scene(job: Job, needs: Needs) -> Scene:
     if len(job.scenes) < MOST_KEPT:
         job.scenes[key] = scene
     return scene
-
-
-def settle_batch_size(count: int, most: int, workers: int = 1) -> int:
-    """Environments a batch, at most `most`, so that all batches and all workers have about as many."""
-    rounds = math.ceil(count / (workers * most))
-    return max(1, math.ceil(count / (workers * rounds)))
 
 
 def _companions(job: Job, asked: set[str], points: list[dict[str, Any]]) -> dict[str, Any]:

@@ -11,32 +11,17 @@ import numpy as np
 from warp_rigid.checks import shown
 from warp_rigid.files.atomic import whole_file
 from warp_rigid.sweep.axes import plain
+from warp_rigid.sweep.batch import replay
+from warp_rigid.sweep.columns import BOOKKEEPING, COLUMNS, FINISHED, NEEDED, TOLD, told
 from warp_rigid.sweep.design import MOST_RUNS
+from warp_rigid.sweep.plots import plot
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "Book", "SweepResult", "merge", "read", "told", "write"]
-
-FINISHED = ("ok", "out of bounds")
-"""What the status of a run that came to its end can be: one that bodies leave goes on."""
-
-BOOKKEEPING = ("environment", "wall_time")
-"""Columns that tell how a row came about; all others depend on its parameters alone."""
-
-COLUMNS = ("run", "id", "seed", *BOOKKEEPING, "status", "reason", "most_pairs", "most_contacts", "trajectory")
-"""Columns of every table beside the parameters and metrics."""
 
 REST = 10.0
 """The file is written anew no sooner than after so many times what the last writing took."""
 
 METADATA = b"warp_rigid"
-
-TOLD: dict[str, type] = {
-    "scene": str, "fixed": dict, "duration": float, "fps": float, "metrics": list, "axes": list, "parameters": list,
-    "version": str, "design_id": str, "runs": int,
-}  # fmt: skip
-"""What must be told beside the rows."""
-
-NEEDED = {"run": int, "id": str, "seed": int, "status": str}
-"""Columns without which nothing can be done with a row."""
 
 
 class SweepResult:
@@ -124,14 +109,10 @@ class SweepResult:
                 scene has neither a name nor a file.
             device: as in Simulator; only the same kind of device gives the same bits.
         """
-        from warp_rigid.sweep.batch import replay
-
         return replay(self, row, scene, device)
 
     def plot(self, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
         """Draw the rows, and return the matplotlib Figure; see warp_rigid.sweep.plots.plot."""
-        from warp_rigid.sweep.plots import plot
-
         return plot(self, path, x=x, y=y, kind=kind)
 
 
@@ -297,15 +278,6 @@ def _check(about: Any, rows: list[dict[str, Any]]) -> None:
 def _axes(about: dict[str, Any]) -> list[str]:
     """Columns that a design has chosen."""
     return [*about.get("parameters", ()), *about.get("axes", ())]
-
-
-def told(about: dict[str, Any], name: str) -> Any:
-    """What is told beside the rows under a name of TOLD."""
-    value, kind = about.get(name), TOLD[name]
-    words = value if isinstance(value, list) else []
-    if not (isinstance(value, kind) and all(isinstance(word, str) for word in words)):
-        raise ValueError(f"{name}: must be told beside the rows as {kind.__name__}, got {shown(value)}")
-    return value
 
 
 def merge(paths: Sequence[Any]) -> SweepResult:

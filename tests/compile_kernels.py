@@ -1,0 +1,22 @@
+"""Compile all kernels: `python -m tests.compile_kernels` for every device, or for those that are named."""
+
+import sys
+
+import warp as wp
+
+from warp_rigid.engine.loading import EVERYTHING, load_kernels
+from warp_rigid.engine.teams import WARP
+from warp_rigid.kernels.common import team
+from warp_rigid.render import raycast
+
+
+def main(devices):
+    """Fill Warp's cache, each module once."""
+    for device in devices:
+        # Pictures are drawn on the CPU only.
+        modules = (*EVERYTHING, raycast) if device.is_cpu else EVERYTHING
+        load_kernels(device, modules, lanes=(WARP, team.BLOCK))
+
+
+if __name__ == "__main__":
+    main([wp.get_device(name) for name in sys.argv[1:]] or wp.get_devices())
