@@ -79,7 +79,7 @@ def test_shards_are_merged(run):
     for i in (1, 2):
         assert run(*common, "--shard", f"{i}/2", "-o", f"{i}.parquet")[0] == 0
     status, out, err = run("merge", "1.parquet", "-o", "part.parquet")
-    assert status == 5 and "2 of 5 runs are in none of the tables" in err
+    assert status == 5 and "2 of 5 runs are missing from the tables" in err
     status, out, err = run("merge", "1.parquet", "2.parquet", "-o", "all.parquet", "--plot", "all.svg", "--json")
     assert status == 0 and json.loads(out)["runs"] == 5
     assert read("all.parquet").column("run").tolist() == [0, 1, 2, 3, 4]
