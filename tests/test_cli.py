@@ -147,7 +147,7 @@ def test_lists_run_side_by_side(capsys, scene_file):
         (["run", "box_stack", "--device", "cuda:99"], "device: must be one of"),
         (["run", "box_stack", "--set", "heigth=3"], "did you mean height?"),
         (["run", "box_stack", "--set", "height=0"], "height: must be"),
-        (["run", "box_stack", "--fps", "7"], "fps: a frame at 7 frames/s"),
+        (["run", "box_stack", "--fps", "7"], "fps: a frame must be a whole number of steps"),
         (["run", "box_stack", "-o", "film.mp4"], "-o: must end in"),
         (["run", "box_stack", "--picture", "film.bmp"], "film.bmp: must end in .png"),
         (["run", "box_stack", "--film", "film.avi"], "film.avi: must end in .gif or .mp4"),

@@ -58,7 +58,7 @@ def test_events_take_place_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "difference"),
     [
         ({"fps": 30.0}, "fps was 60.0, is 30.0"),
         ({"num_envs": 2}, "envs was 1, is 2"),
@@ -66,10 +66,10 @@ def test_events_take_place_once(tmp_path):
         ({"seed": 3}, "seed was 0, is 3"),
     ],
 )
-def test_another_run_is_not_gone_on_with(tmp_path, options, told):
+def test_checkpoint_of_a_different_run_is_refused(tmp_path, options, difference):
     path = tmp_path / "a.ckpt"
     runner.execute(plan("incline", 2), checkpoints=Checkpoints(path, every=1))
-    with pytest.raises(ValueError, match=f"^--resume: .*another run: {told}"):
+    with pytest.raises(ValueError, match=f"^--resume: .*different run: {difference}"):
         runner.execute(plan("incline", 4, **options), checkpoints=Checkpoints(path, resuming=True))
     with pytest.raises(ValueError, match="frame: must be a whole number from 1 to 1"):
         runner.execute(plan("incline", 1), checkpoints=Checkpoints(path, resuming=True))

@@ -126,7 +126,7 @@ def _draw(rows: list[dict[str, Any]], output: str) -> None:
 
 def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]) -> None:
     out = console()
-    names = ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "capacity")
+    names = ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used")
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for name in (*names, "overlap", "error", "lost", "m/s", "ratio"):
         table.add_column(name, no_wrap=True, justify="left" if name in ("scene", "engine") else "right")
@@ -135,8 +135,8 @@ def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]
             table.add_row(*(escape(cell) for cell in _cells(row)))
     out.print(table, highlight=False)
     out.print(
-        "frames/s: all environments; per core: per second of processor time; capacity: largest share of a buffer "
-        "used; overlap: maximum penetration [mm]; error: maximum error of stack height [mm]; lost: escaped bodies; "
+        "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
+        "buffer; overlap: maximum penetration [mm]; error: maximum error of stack height [mm]; lost: escaped bodies; "
         "ratio: speed of warp_rigid over that engine",
         style="dim",
         markup=False,

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from warp_rigid.runs.recording import Frame, Recording, Surface, is_moving
+from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
 from warp_rigid.scene.scene import Motion
 
 __all__ = [
@@ -266,7 +266,7 @@ def environment_offsets(count: int, spacing) -> np.ndarray:
     return np.stack([x, y, np.zeros(count)], axis=1)
 
 
-def drawn_surfaces(recording: Recording, count: int, spacing) -> list[Surface]:
+def drawn_surfaces(recording: Recording, count: int, spacing) -> list[DrawnSurface]:
     """The surfaces as they stand among `count` environments.
 
     Level planes may overlap, as they coincide; a tilted one shrinks so that it keeps out of the
@@ -278,7 +278,7 @@ def drawn_surfaces(recording: Recording, count: int, spacing) -> list[Surface]:
             center = surface.vertices.mean(axis=0)
             scale = min(1.0, float(np.max(spacing)) / np.ptp(surface.vertices, axis=0).max())
             vertices = (center + scale * (surface.vertices - center)).astype(np.float32)
-            surfaces[index] = Surface(vertices, surface.faces, endless=True)
+            surfaces[index] = DrawnSurface(vertices, surface.faces, endless=True)
     return surfaces
 
 

@@ -15,7 +15,7 @@ from warp_rigid.render.appearance import (
     environment_spacing,
     frame_colors,
 )
-from warp_rigid.runs.recording import Recording, Surface
+from warp_rigid.runs.recording import DrawnSurface, Recording
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
 
@@ -145,7 +145,7 @@ def colored(film: Film, recording: Recording, by: str) -> Film:
     return replace(film, color=np.stack(colors))
 
 
-def _drawn(surface: Surface, times: np.ndarray) -> DrawnMesh:
+def _drawn(surface: DrawnSurface, times: np.ndarray) -> DrawnMesh:
     """A surface as it is drawn, frame by frame if it changes its shape."""
     vertices = surface.vertices_at(times[0])
     frames = tuple(surface.vertices_at(time) for time in times) if surface.moves else ()

@@ -14,7 +14,7 @@ from warp_rigid.render.appearance import (
     environment_offsets,
     environment_spacing,
 )
-from warp_rigid.runs.recording import Recording, Surface
+from warp_rigid.runs.recording import DrawnSurface, Recording
 
 if TYPE_CHECKING:
     import pygltflib
@@ -110,8 +110,8 @@ class _Assembly:
         self._gltf.accessors.append(accessor)
         return len(self._gltf.accessors) - 1
 
-    def mesh(self, index: int, surface: Surface, color: np.ndarray) -> int:
-        """Surface number `index` in a colour; meshes of one surface share its arrays."""
+    def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray) -> int:
+        """DrawnSurface number `index` in a colour; meshes of one surface share its arrays."""
         key = index, color.tobytes()
         if key not in self._meshes:
             if index not in self._geometry:
@@ -122,7 +122,7 @@ class _Assembly:
             self._meshes[key] = len(self._gltf.meshes) - 1
         return self._meshes[key]
 
-    def _arrays(self, surface: Surface) -> tuple[Any, int]:
+    def _arrays(self, surface: DrawnSurface) -> tuple[Any, int]:
         """Points and normals, each pair of them once, and the triangles' indices."""
         corners = surface.vertices[surface.faces].reshape(-1, 3)
         normals = corner_normals(surface.vertices, surface.faces).reshape(-1, 3)

@@ -14,7 +14,7 @@ import numpy as np
 from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.variation import structure
-from warp_rigid.runs.assignments import COEFFICIENTS, place_of
+from warp_rigid.runs.assignments import COEFFICIENTS, assignment_target
 from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
@@ -128,7 +128,7 @@ def needs_of(job: Job, runs: Sequence[Run]) -> list[Needs]:
     """Sort what runs set by where it goes."""
     known = job.demo.parameters
     names = [*job.fixed, *(runs[0].parameters if runs else ())]
-    places = {name: place_of(name, known, "axis") for name in names}
+    places = {name: assignment_target(name, known, "axis") for name in names}
     found = []
     for run in runs:
         needs = Needs({}, dict(job.demo.settings), {})

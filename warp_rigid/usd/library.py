@@ -8,7 +8,7 @@ import numpy as np
 from pxr import Sdf, Vt
 
 from warp_rigid.render.appearance import bound_corners, corner_normals
-from warp_rigid.runs.recording import Surface, drawn_surface
+from warp_rigid.runs.recording import DrawnSurface, drawn_surface
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION, quaternion_matrix, quaternion_product
 from warp_rigid.scene.shapes.heightfield import moves
@@ -46,7 +46,7 @@ class Library:
         """Define the class prim."""
         self.layer, self.root, self._time = layer, root, time
         self._samples = Samples(layer)
-        self._moving: dict[str, tuple[Surface, list[Track]]] = {}
+        self._moving: dict[str, tuple[DrawnSurface, list[Track]]] = {}
         self._colliders: dict[tuple[str, Material], str] = {}
         define(layer, root, "Scope", specifier=Sdf.SpecifierClass)
 
@@ -54,7 +54,7 @@ class Library:
         """Where surface number `index` is."""
         return f"{self.root}/mesh_{index}"
 
-    def mesh(self, index: int, surface: Surface) -> None:
+    def mesh(self, index: int, surface: DrawnSurface) -> None:
         """Define surface number `index`, anew where it is there."""
         self._write(define(self.layer, self.mesh_path(index), "Mesh"), surface)
 
@@ -66,7 +66,7 @@ class Library:
             values = [Vt.Vec3fArray.FromNumpy(points), Vt.Vec3fArray.FromNumpy(normals), _extent(points)]
             self._samples.put(tracks, frame, values)
 
-    def _write(self, prim: Sdf.PrimSpec, surface: Surface) -> None:
+    def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface) -> None:
         """Triangles as they are in the first frame; those that move are followed."""
         write_mesh(prim, surface.vertices_at(self._time), surface.faces)
         if surface.moves:
