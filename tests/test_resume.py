@@ -137,7 +137,7 @@ def test_a_usd_film_goes_on_with_the_run(tmp_path, monkeypatch):
 def test_resume_without_a_checkpoint_starts_and_says_so(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "incline", "--frames", "2", "--device", "cpu", "--resume", "--checkpoint-every", "2"]) == 0
-    assert "incline.ckpt: no checkpoint yet" in capsys.readouterr().err
+    assert "incline.ckpt: no checkpoint found" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["incline.ckpt"]
 
 
@@ -164,5 +164,5 @@ def test_what_an_outcome_may_keep_comes_back():
     arrays = {}
     again = _from_plain(json.loads(json.dumps(_to_plain("x", kept, arrays))), arrays)
     assert repr(again) == repr(kept)
-    with pytest.raises(ValueError, match="^x: must be plain data to be kept in a checkpoint, got set"):
+    with pytest.raises(ValueError, match="^x: must be plain data to be stored in a checkpoint, got set"):
         _to_plain("x", {1, 2}, arrays)

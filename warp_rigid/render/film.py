@@ -159,12 +159,12 @@ def film_from_usd(path) -> Film:
         FileNotFoundError: There is no such file.
         ValueError: It is no USD file, or one without bodies.
     """
-    from warp_rigid.usd.opening import open_stage, reading
+    from warp_rigid.usd.opening import convert_errors, open_stage
 
     if not Path(path).is_file():
         raise FileNotFoundError(f"{path}: no such file")
     stage = open_stage(path)
-    with reading(path):
+    with convert_errors(path):
         try:
             return _film_of_stage(stage)
         except ValueError as error:

@@ -111,7 +111,7 @@ class _Assembly:
         return len(self._gltf.accessors) - 1
 
     def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray) -> int:
-        """DrawnSurface number `index` in a colour; meshes of one surface share its arrays."""
+        """Surface number `index` in a colour; meshes of one surface share its arrays."""
         key = index, color.tobytes()
         if key not in self._meshes:
             if index not in self._geometry:

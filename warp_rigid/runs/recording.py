@@ -20,7 +20,7 @@ __all__ = ["Frame", "Recorder", "Recording", "DrawnSurface", "drawn_surface", "i
 
 KIND = "recording"
 VERSION = 3  # increase when older files can no longer be read
-MOST_STEPS = 1_000_000
+MAX_STEPS_PER_FRAME = 1_000_000
 """Maximum number of steps per frame."""
 CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
 """Quantities recorded in every frame, by their name in the simulator."""
@@ -324,9 +324,10 @@ def steps_per_frame(dt: float, fps: float) -> int:
         ValueError: The number is not whole; the message names the nearest valid frame rate.
     """
     fps = number_in("fps", fps, above=0.0)
-    if 1.0 > MOST_STEPS * fps * dt:
+    if 1.0 > MAX_STEPS_PER_FRAME * fps * dt:
         raise ValueError(
-            f"fps: a frame must be at most {MOST_STEPS} steps of dt = {dt:g} s, so fps >= {1.0 / (MOST_STEPS * dt):g}"
+            f"fps: a frame must be at most {MAX_STEPS_PER_FRAME} steps of dt = {dt:g} s, "
+            f"so fps >= {1.0 / (MAX_STEPS_PER_FRAME * dt):g}"
         )
     steps = max(1, round(1.0 / (fps * dt)))
     if abs(steps * fps * dt - 1.0) > 1e-6:

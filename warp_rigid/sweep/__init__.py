@@ -1,4 +1,4 @@
-"""Sweeps: from a question to a table and a picture.
+"""Parameter sweeps: simulate a scene over a range of parameters, tabulate metrics and plot them.
 
 import numpy as np
 import warp_rigid as wr
