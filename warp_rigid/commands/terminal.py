@@ -84,7 +84,7 @@ def start_warp() -> None:
         try:
             wp.init()
         except OSError as error:
-            advice = f"{error.strerror}; WARP_CACHE_PATH must name a folder that can be written"
+            advice = f"{error.strerror}; WARP_CACHE_PATH must be a writable folder"
             raise OSError(error.errno, advice, error.filename) from None
         finally:
             os.dup2(kept, 2)

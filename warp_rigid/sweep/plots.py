@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import one_of
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.table import SweepResult
 
 __all__ = ["KINDS", "plot"]
@@ -75,8 +75,8 @@ def plot(result: SweepResult, path: Any, x: str | None = None, y: str | None = N
         _heat_maps(figure, result, x, along, y, [name for name in others if name != along])
     else:
         _scatter_matrix(figure, result, [*numeric, y])
-    with whole_file(path) as beside:
-        figure.savefig(beside)
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary)
     return figure
 
 

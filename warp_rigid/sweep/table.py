@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.design import MAX_RUNS
 
@@ -238,11 +238,11 @@ def write(result: SweepResult, path: Any, sidecar: bool = True) -> None:
     path = Path(path)
     about = json.dumps(result.about, default=str)
     table = result.to_arrow().replace_schema_metadata({METADATA: about.encode()})
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         pyarrow.parquet.write_table(table, file, compression="zstd")
     if sidecar:
-        with whole_file(path.with_name(path.name + ".json")) as beside:
-            beside.write_text(json.dumps(result.about, default=str, indent=2) + "\n")
+        with atomic_file(path.with_name(path.name + ".json")) as temporary:
+            temporary.write_text(json.dumps(result.about, default=str, indent=2) + "\n")
 
 
 def read(path: Any) -> SweepResult:

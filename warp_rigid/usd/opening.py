@@ -153,7 +153,7 @@ class _PrimCounter:
                 continue
             answer = self._known.get(needed)
             if answer is None and needed in tasks:
-                raise ValueError(f"{self._path}: {needed[1]} must not add_reference to itself")
+                raise ValueError(f"{self._path}: {needed[1]} must not refer to itself")
             if answer is None:
                 tasks[needed] = self._count(needed)
         return self._known[root]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.commands.terminal import explain
-from warp_rigid.render.appearance import told_colors
+from warp_rigid.render.appearance import apply_coloring
 from warp_rigid.render.film import Film, film_from_recording
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Motion
@@ -314,7 +314,7 @@ class LiveViewer:
             told = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
         else:
             told = sim.get(by)[self.rows].reshape(-1)
-        return bytes_of_light(told_colors(by, self._film.color, self._dynamic, told))
+        return bytes_of_light(apply_coloring(by, self._film.color, self._dynamic, told))
 
     def _opacity(self) -> np.ndarray:
         # Contacts lie inside the bodies.
