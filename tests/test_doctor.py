@@ -152,7 +152,7 @@ def test_nothing_needs_shared_memory():
     code = (
         "import sys; seen = []\n"
         "sys.addaudithook(lambda name, arguments: seen.append(arguments[0]) if name == 'open' else None)\n"
-        "from warp_rigid import selftest; selftest.SECONDS = 0.05; selftest.self_test('cpu')\n"
+        "from warp_rigid.diagnostics import selftest; selftest.SECONDS = 0.05; selftest.self_test('cpu')\n"
         "used = [x for x in seen if str(x).startswith('/dev/shm')] + [m for m in sys.modules if 'shared_memory' in m]\n"
         "sys.exit(str(used) if used else 0)"
     )

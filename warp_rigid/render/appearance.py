@@ -44,7 +44,7 @@ COLORINGS = ("body", "environment", "level", "speed", "asleep")
 speed, or whether it is asleep."""
 
 LEVEL_COLORS = ("#8a8f96", "#440154", "#3b528b", "#21918c", "#5ec962", "#fde725", "#f89540", "#cc4778")
-"""Of bodies that rest on nothing, then of levels 1, 2, ...; further levels begin anew at 1."""
+"""Colours of bodies without support, then of levels 1, 2, ...; they repeat for higher levels."""
 SLOW_COLOR, MIDDLE_COLOR, QUICK_COLOR = "#2b5c8a", "#e8e3d3", "#c23b22"
 QUICK = 2.0
 """Speed of the last colour [m/s]."""
