@@ -457,14 +457,14 @@ _WORK: dict[str, Callable[[Counts], Work]] = {
     "find_pairs": _find_pairs,
     "find_contacts": _find_contacts,
     "build_graph": _build_graph,
-    "accelerate": _accelerate,
-    "collide": _collide,
+    "integrate_velocities": _accelerate,
+    "solve_impacts": _collide,
     "solve_contacts": _solve_contacts,
     "propagate_shock": _propagate_shock,
     "push_out": _push_out,
-    "follow": _follow,
-    "move": _move,
-    "remember": _remember,
+    "detect_continuous_collisions": _follow,
+    "integrate_positions": _move,
+    "store_history": _remember,
 }
 
 

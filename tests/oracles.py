@@ -125,7 +125,7 @@ class ContactProblem:
             arm = self.contacts["position"] - self.center[body]
             self.jacobian[each, :, body, :3] = sign * basis
             self.jacobian[each, :, body, 3:] = sign * np.cross(arm[:, None, :], basis)
-        self.bias = self.contacts["closing"].astype(np.float64)
+        self.bias = self.contacts["bias_velocity"].astype(np.float64)
         self.inverse_mass_matrix = np.zeros((rows, 6, 6))
         self.inverse_mass_matrix[:, range(3), range(3)] = self.inverse_mass[:, None]
         self.inverse_mass_matrix[:, 3:, 3:] = self.inverse_inertia

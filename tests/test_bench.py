@@ -179,8 +179,8 @@ def test_stages_are_walked_through_in_the_order_of_the_step(device):
     within = marks.index("propagate_shock")
     assert marks[within - 1] == marks[within + 1] == "solve_contacts"
     named = [name for name in marks if name is not None]
-    assert named[0] == "move_ground" and named[-1] == "remember" and marks[-1] is None
-    assert named.count("accelerate") == 2 and len(marks) <= 6 * len(STAGES) + 2 * stages.repetitions
+    assert named[0] == "move_ground" and named[-1] == "store_history" and marks[-1] is None
+    assert named.count("integrate_velocities") == 2 and len(marks) <= 6 * len(STAGES) + 2 * stages.repetitions
     assert not set(STAGES) & set(vars(stages))
 
 

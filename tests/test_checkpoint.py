@@ -237,7 +237,7 @@ def with_header(saved, path, change):
 
 def test_a_newer_version_is_told(saved, tmp_path):
     path = with_header(saved, tmp_path / "newer", lambda header: header.update(version=99))
-    assert "version must be 4, got 99" in refused(path)
+    assert "version must be 5, got 99" in refused(path)
 
 
 @pytest.mark.parametrize(

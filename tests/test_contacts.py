@@ -103,9 +103,9 @@ def test_gaps_may_close_within_the_step_and_no_faster(device):
         size = np.minimum(sizes[contacts["body_a"]], sizes[contacts["body_b"]])
         gap = np.maximum(contacts["gap"].astype(np.float64), 0.0)
         open_gaps += (gap > TOUCHING * size).sum()
-        assert (contacts["closing"] <= gap / stages.dt * (1 + 1e-5)).all()
+        assert (contacts["bias_velocity"] <= gap / stages.dt * (1 + 1e-5)).all()
         closes = np.where(gap > WIDER * TOUCHING * size * (1 + 1e-5), gap - TOUCHING * size, 0.0)
-        assert (contacts["closing"] >= closes / stages.dt * (1 - 1e-5) - 1e-6).all()
+        assert (contacts["bias_velocity"] >= closes / stages.dt * (1 - 1e-5) - 1e-6).all()
     assert open_gaps > 5
 
 
@@ -116,7 +116,7 @@ def test_gaps_that_have_just_closed_need_not_close_by_their_rounding_error(devic
         scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + factor * TOUCHING * 0.2))
         _, stages = opened(scene, device)
         find_contacts(stages)
-        np.testing.assert_allclose(contact_list(stages)["closing"], closing, atol=0.02 * TOUCHING * 0.2 * 240)
+        np.testing.assert_allclose(contact_list(stages)["bias_velocity"], closing, atol=0.02 * TOUCHING * 0.2 * 240)
 
 
 COMBINE = {

@@ -132,9 +132,7 @@ def test_a_kernel_cache_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     done = fresh("run", "incline", WARP_CACHE_PATH=str(tmp_path / "file" / "x"))
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.splitlines()[-1].endswith(
-        "x: Not a directory; WARP_CACHE_PATH must be a writable folder"
-    )
+    assert done.stderr.splitlines()[-1].endswith("x: Not a directory; WARP_CACHE_PATH must be a writable folder")
     assert len(done.stderr.splitlines()) == 1
 
 

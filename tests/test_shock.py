@@ -33,7 +33,7 @@ class Search:
     def __init__(self, stages, warm=True, sweeps=True):
         find_contacts(stages)
         stages.build_graph()
-        stages.accelerate(before_collisions=False)
+        stages.integrate_velocities(before_collisions=False)
         self.problem = ContactProblem(stages)
         self.free = self.problem.velocity(stages)
         if not warm:
@@ -147,7 +147,7 @@ def step_cold(device, scene, mode, **settings):
     _, stages = opened(scene, device, settings=Settings(shock_propagation=mode, **{**COLD, **settings}))
     find_contacts(stages)
     stages.build_graph()
-    stages.accelerate(before_collisions=False)
+    stages.integrate_velocities(before_collisions=False)
     stages.solve_contacts()
     contacts = contact_list(stages)
     impulses = {}

@@ -30,7 +30,7 @@ from warp_rigid.kernels.collide import (overlap)
 from warp_rigid.kernels.update import (sleep)
 
 def loaded():
-    return [bool(kernel.module.execs) for kernel in (overlap.deepest_overlap, sleep.fall_asleep)]
+    return [bool(kernel.module.execs) for kernel in (overlap.deepest_overlap, sleep.put_islands_to_sleep)]
 
 scene = ground_scene()
 scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.0999))

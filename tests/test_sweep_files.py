@@ -258,7 +258,9 @@ def test_tables_that_tell_too_little_are_not_merged(tmp_path):
     row = quick({"height": [1.0]}).rows[0]
     write(SweepResult([row], {"axes": ["height"]}), tmp_path / "t.parquet")
     for use in (lambda: merge([tmp_path / "t.parquet"]), lambda: read(tmp_path / "t.parquet").replay(row, ball)):
-        with pytest.raises(ValueError, match="^(design_id: must be str in the metadata|scene: must be that of the rows)"):
+        with pytest.raises(
+            ValueError, match="^(design_id: must be str in the metadata|scene: must be that of the rows)"
+        ):
             use()
 
 

@@ -11,6 +11,7 @@ import warp_rigid as wr
 from tests.oracles import rotation_matrix
 from tests.usd_tools import moved, rigid, start_of, write_stage
 from warp_rigid.commands import cli
+from warp_rigid.scenes.builders import meshes
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -331,7 +332,7 @@ def test_files_without_bodies_are_refused_in_one_line(stage, tmp_path):
 def test_the_example_by_hand_runs(capsys, tmp_path):
     path = ROOT / "scenes" / "marble_run.usda"
     scene = wr.import_usd(path, strict=True)
-    assert [body.motion.name for body in scene.bodies].count("Motion.DYNAMIC") == 7
+    assert [body.motion.name for body in scene.bodies].count("DYNAMIC") == 7
     assert [type(body.shape).__name__ for body in scene.bodies].count("Mesh") == 1
     assert cli.main(["run", "marble_run.usda", "--frames", "2", "--device", "cpu", "-o", str(tmp_path / "a.usdc")]) == 0
     assert "12 bodies" in capsys.readouterr().out
@@ -340,7 +341,7 @@ def test_the_example_by_hand_runs(capsys, tmp_path):
 def test_attributes_are_those_of_the_newton_schemas(tmp_path):
     """The schemas must be known before the first stage is opened, so another process looks."""
     scene = wr.Scene()
-    solid = wr.meshes.torus(sdf_resolution=24)
+    solid = meshes.torus(sdf_resolution=24)
     scene.add_body(solid, rolling_friction=0.1, name="ring")
     wr.export_usd(start_of(scene), tmp_path / "a.usda")
     code = """

@@ -11,6 +11,7 @@ from tests.oracles import rotation_matrix
 from tests.usd_tools import Resting, start_of, validator_errors
 from warp_rigid import scenes
 from warp_rigid.runs.recording import Recorder
+from warp_rigid.scenes.builders import meshes
 from warp_rigid.usd.check import check_usd
 
 SMALL = {"bunny_pile": {"bodies": 2}, "carpet": {}, "bone_pile": {}, "rings_on_poles": {}}
@@ -52,7 +53,7 @@ def mixed():
     scene.add_body(joined, position=(0, 0, 2), orientation=turned, linear_velocity=(1, 2, 3), name="rail 1")
     scene.add_body(wr.Capsule(0.1, 0.3), position=(1, 0, 2), angular_velocity=(4, 5, 6), orientation=turned, mass=3.0)
     scene.add_body(wr.Cylinder(0.1, 0.3), position=(2, 0, 2), rolling_friction=0.01, spinning_friction=0.02)
-    scene.add_body(wr.meshes.torus(sdf_resolution=20), position=(3, 0, 2), restitution=0.25, density=2500.0)
+    scene.add_body(meshes.torus(sdf_resolution=20), position=(3, 0, 2), restitution=0.25, density=2500.0)
     scene.add_kinematic(wr.Cylinder(1.0, 0.05), position=(0, -3, 1), angular_velocity=(0, 0, 2), name="3rd table")
     for pair in ((0, 3), (2, 4), (4, 5), (5, 7)):
         scene.filter_pair(*pair)

@@ -204,7 +204,7 @@ def test_support_for_sleep(pairs: Pairs, motions: Motions, bodies: Bodies, graph
 
 
 @wp.kernel
-def update_sleep(motions: Motions, graph: Graph, state: State, sleep_state: SleepState):
+def put_islands_to_sleep(motions: Motions, graph: Graph, state: State, sleep_state: SleepState):
     """One thread a body: islands that are ready fall asleep, in the pose and under the forces that they have."""
     b = wp.tid()
     if motions.role[b] == Role.ASLEEP:

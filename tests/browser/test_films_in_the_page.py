@@ -99,7 +99,7 @@ def test_command_serves_the_page_and_ends_with_ctrl_c(page):
         while "Ctrl-C" not in told:
             told = process.stderr.readline()
             assert told, "the command ended before it told its address"
-        url = re.search(r"http://127\.0\.0\.1:\d+", told).group()
+        url = re.search(r"http://127\.0\.0\.1:\d+/\S+", told).group()
         page.goto(url)
         page.wait_for_selector("canvas")
         page.get_by_text("real time").wait_for()

@@ -7,27 +7,7 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.engine.step import Stages
-
-STAGES = (
-    "move_ground",
-    "predict",
-    "wake_changed_islands",
-    "find_pairs",
-    "find_contacts",
-    "build_graph",
-    "accelerate",
-    "set_surface_velocity",
-    "collide",
-    "solve_contacts",
-    "propagate_shock",
-    "push_out",
-    "follow",
-    "move",
-    "update_sleep",
-    "remember",
-)
-"""Methods of `Stages` that are told apart; one that another calls counts for itself only."""
+from warp_rigid.engine.step import STAGES, Stages, ignore_stage
 
 Measure = Callable[[], list[tuple[str, float]]]
 """Does a step, and tells which stages it went through and the seconds that each took."""
@@ -61,26 +41,15 @@ def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
 
 
 def walk(stages: Stages, switch: Callable[[str | None], None]) -> None:
-    """Go through a step; `switch` hears the name of each stage that goes on from here, None at the end."""
-    entered: list[str] = []
+    """Do a step; `switch` is called with the name of each stage that begins or continues, and with None at the end.
 
-    def watched(name: str, stage: Callable) -> Callable:
-        def run(*given: Any, **named: Any) -> None:
-            entered.append(name)
-            switch(name)
-            stage(*given, **named)
-            entered.pop()
-            switch(entered[-1] if entered else None)
-
-        return run
-
-    for name in STAGES:
-        setattr(stages, name, watched(name, getattr(stages, name)))
+    A stage that another one calls counts for itself only.
+    """
+    stages.on_stage = switch
     try:
         stages.step()
     finally:
-        for name in STAGES:
-            delattr(stages, name)
+        stages.on_stage = ignore_stage
 
 
 def _record_on_cpu(stages: Stages) -> Measure:

@@ -29,6 +29,11 @@ def view_command(
     fast: Annotated[bool, typer.Option("--fast", help="Disable shadows, for slow graphics.")] = False,
 ) -> None:
     """Simulate a scene interactively in the browser, or play an animation written by `run`."""
+    from warp_rigid.viewer.guard import is_loopback
+    from warp_rigid.viewer.page import stop_server
+    from warp_rigid.viewer.server import check_address
+
+    check_address(host, port)
     if scene.endswith(FILMS):
         from warp_rigid.viewer.playback import FilmViewer, load_film
 
@@ -42,8 +47,11 @@ def view_command(
         )
         session.running = not paused
         viewer = LiveViewer(session, host, port, fast)
-    from warp_rigid.viewer.page import stop_server
-
+    if not is_loopback(host):
+        note(
+            f"warning: --host {host}: other machines can connect without encryption; "
+            "anyone with the token in the address can control the simulation"
+        )
     note(f"{scene} at {viewer.url} (press Ctrl-C to quit)")
     try:
         viewer.run()

@@ -1,5 +1,6 @@
 """The step as a sequence of kernel launches, recorded once and replayed."""
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -116,6 +117,29 @@ def _blocks(device: Any, num_envs: int, bodies_per_env: int, share: int) -> int:
     return blocks
 
 
+STAGES: list[str] = []
+"""Stages of a step by name, in the order of their definition."""
+
+
+def stage(method: Callable[..., None]) -> Callable[..., None]:
+    """Mark a method of `Stages` as a stage of the step, which `Stages.on_stage` is notified of."""
+    STAGES.append(method.__name__)
+
+    @functools.wraps(method)
+    def run(self: "Stages", *arguments: Any, **named: Any) -> None:
+        outer, self.current_stage = self.current_stage, method.__name__
+        self.on_stage(method.__name__)
+        method(self, *arguments, **named)
+        self.current_stage = outer
+        self.on_stage(outer)
+
+    return run
+
+
+def ignore_stage(name: str | None) -> None:
+    """Do nothing: a step that is not profiled."""
+
+
 class Stages:
     """The stages of a step over one set of arrays; a change of the pools needs a new object.
 
@@ -144,6 +168,8 @@ class Stages:
         """Record the step; `load_kernels` has been called for `STEP`."""
         self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
         self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
+        self.on_stage: Callable[[str | None], None] = ignore_stage
+        self.current_stage: str | None = None
         device: Any = pools.wanted.device
         self.device = device
         self.num_envs = model.num_envs
@@ -184,6 +210,7 @@ class Stages:
             self.update_sleep()
         self.store_history()
 
+    @stage
     def move_ground(self) -> None:
         """Bring ground that moves to where it is now."""
         count = self.model.surface_vertices
@@ -196,6 +223,7 @@ class Stages:
                 device=self.device,
             )
 
+    @stage
     def set_surface_velocity(self, before_step: bool) -> None:
         """Tell the contacts how fast ground moves, before this step or over it."""
         if self.model.surface_vertices:
@@ -216,6 +244,7 @@ class Stages:
                 device=self.device,
             )
 
+    @stage
     def predict(self, dt: float) -> None:
         """Derive world quantities and swept boxes."""
         self._per_body(
@@ -239,6 +268,7 @@ class Stages:
                 [self.motions],
             )
 
+    @stage
     def find_pairs(self) -> None:
         """Count the overlapping pairs, sum, and write them."""
         pairs = self.pools.pairs
@@ -248,6 +278,7 @@ class Stages:
         self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
         self._search_pairs(write=1)
 
+    @stage
     def find_contacts(self) -> None:
         """Find touching samples, thin them, and make contact records."""
         pairs, records = self.pools.pairs, self.pools.contacts
@@ -262,6 +293,7 @@ class Stages:
         inputs = [self.dt, self.model.combine_rules, *bodies_of_pair, pairs, self.pools.history]
         self._share_pairs(contact.build_contacts, BUILD_LANES, inputs, [records])
 
+    @stage
     def wake_changed_islands(self) -> None:
         """Wake the islands that were changed from outside, or whose support was."""
         self._per_body(sleep.find_changed, [self.num_bodies, self.state], [self.motions, self.sleep_state, self.envs])
@@ -272,6 +304,7 @@ class Stages:
         self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
         self._per_body(sleep.wake_islands, [self.num_bodies], [self.motions, self.sleep_state, self.envs])
 
+    @stage
     def build_graph(self) -> None:
         """Who rests on whom, levels, islands, and the order of solving."""
         bodies, pairs, graph = self.model.bodies, self.pools.pairs, self.pools.graph
@@ -285,6 +318,7 @@ class Stages:
         self._per_team(lanes, coloring.color_pairs, [*own, pairs], [graph])
         self._per_team(lanes, coloring.group_pairs, [lanes, self.num_bodies, pairs], [graph, self.pools.order])
 
+    @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
         """Velocity update, in the environments whose stage order has it here."""
         self._per_body(
@@ -293,10 +327,12 @@ class Stages:
             [self.motions],
         )
 
+    @stage
     def solve_impacts(self) -> None:
         """Impacts with restitution."""
         self._color_by_color(restitution.collide, [self.dt])
 
+    @stage
     def solve_contacts(self) -> None:
         """Contact impulses: warm start, sweeps, shock propagation, sweeps."""
         self._color_by_color(gauss_seidel.warm_start)
@@ -309,6 +345,7 @@ class Stages:
         """Sweeps over all contacts."""
         self._color_by_color(gauss_seidel.sweep_contacts, [after_shock], [self.state])
 
+    @stage
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from gaining energy."""
         self._color_by_color(line_search.store_start, [self.state])
@@ -316,6 +353,7 @@ class Stages:
         self._color_by_color(line_search.sum_energy)
         self._color_by_color(line_search.accept, [repetition], [self.state])
 
+    @stage
     def push_out(self) -> None:
         """Separate remaining overlaps without adding velocity."""
         model, pools = self.model, self.pools
@@ -327,6 +365,7 @@ class Stages:
         )
         self._color_by_color(push_out.push_apart)
 
+    @stage
     def detect_continuous_collisions(self) -> None:
         """Find how far fast bodies can move before they would pass into others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
@@ -334,6 +373,7 @@ class Stages:
         self._per_body(ccd.commit_time_of_impact, [], [self.motions])
         self._limit_motion(ccd.limit_motion, [1])
 
+    @stage
     def integrate_positions(self) -> None:
         """Position update, after a look for non-finite states, and a look for bodies out of bounds after it."""
         scene, bodies = self.model.scene, self.model.bodies
@@ -351,6 +391,7 @@ class Stages:
             )
         self._per_env(integrate.close_step, [self.num_bodies], [self.envs])
 
+    @stage
     def update_sleep(self) -> None:
         """Put the islands to sleep that have kept still for long enough."""
         graph, bodies, pairs = self.pools.graph, self.model.bodies, self.pools.pairs
@@ -361,8 +402,9 @@ class Stages:
             [self.sleep_state],
         )
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
-        self._per_body(sleep.update_sleep, [self.motions, graph], [self.state, self.sleep_state])
+        self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
 
+    @stage
     def store_history(self) -> None:
         """Keep this step's contacts for the next one's warm start, and those on which sleepers lie."""
         pairs, records, history = self.pools.pairs, self.pools.contacts, self.pools.history

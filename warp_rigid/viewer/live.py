@@ -1,5 +1,6 @@
 """The live page: a session in the browser."""
 
+import logging
 import queue
 import time
 from collections.abc import Callable
@@ -7,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.commands.terminal import explain
+from warp_rigid.commands.terminal import explain, is_device_error
 from warp_rigid.render.appearance import apply_coloring
 from warp_rigid.render.film import Film, film_from_recording
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Motion
+from warp_rigid.viewer.controls import check_point
 from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
 from warp_rigid.viewer.page import add_labels, look_at_film, opacity_of_walls, set_light, start_server, stop_server
@@ -22,10 +24,16 @@ from warp_rigid.viewer.slice_view import SliceView
 
 __all__ = ["LiveViewer"]
 
+log = logging.getLogger(__name__)
+
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""
 MOST_SHOWN = 6000
 """Bodies on the page; of more environments than hold so many, only the first are shown."""
+REFUSALS = (ValueError, FileNotFoundError, ModuleNotFoundError)
+"""Errors of requests that are not valid. All others are bugs, and are logged with their traceback."""
+LEAST_DIRECTION = 1.0e-6
+"""Shortest vector that still gives a direction."""
 
 
 class LiveViewer:
@@ -40,8 +48,9 @@ class LiveViewer:
         fast: no shadows and simple light, for graphics without a GPU.
 
     Attributes:
-        server: the viser server.
+        server: serves the page.
         session: as given.
+        given: the scene that the session was opened with. If it is a file, the page may load it again.
         rows: environments on the page.
         chosen: environment and body that slices and clusters are of.
         fast: as given.
@@ -50,6 +59,7 @@ class LiveViewer:
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080, fast: bool = False):
         """Open the page; `run` brings it to life."""
         self.session = session
+        self.given = session.source
         self.fast = fast
         self.server = start_server(host, port)
         self._wishes: queue.SimpleQueue = queue.SimpleQueue()
@@ -71,8 +81,8 @@ class LiveViewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        """Where the page is; the address contains the token that opens it."""
+        return self.server.url
 
     def run(self) -> None:
         """Step and show until `stop`; the simulation waits while no page is open."""
@@ -83,14 +93,15 @@ class LiveViewer:
             now = time.perf_counter()
             watched = bool(self.server.get_clients())
             if watched:
-                changed |= self.session.advance(now - last, max(0.0, due - now)) > 0
+                changed |= bool(self._attempt(self.session.advance, now - last, max(0.0, due - now)))
             last = now
             if time.perf_counter() >= due:
                 if changed and watched:
-                    self._publish()
+                    self._attempt(self._publish)
                 self._count_update(changed and watched)
                 if watched and self._stale:
-                    self._stale = not self._panel.hud.update(self.session, self.rows, self._rate, self._pace)
+                    shown = self._attempt(self._panel.hud.update, self.session, self.rows, self._rate, self._pace)
+                    self._stale = shown is False
                 changed &= not watched
                 due = max(due + PERIOD, time.perf_counter())
             elif not (watched and self.session.behind):
@@ -193,10 +204,32 @@ class LiveViewer:
             done = True
             try:
                 action(*arguments)
-            except (ValueError, FileNotFoundError, ModuleNotFoundError) as error:
-                for client in self.server.get_clients().values():
-                    client.add_notification("Not possible", explain(error), color="red")
-                self._panel.refresh(self.session, int(self.rows[0]))
+            except Exception as error:
+                self._report(error)
+                self._attempt(self._panel.refresh, self.session, int(self.rows[0]))
+
+    def _attempt(self, action: Callable, *arguments: Any) -> Any:
+        """Call an action; if it raises, report the error, pause the simulation and return None.
+
+        Raises:
+            RuntimeError: The device does not work.
+        """
+        try:
+            return action(*arguments)
+        except Exception as error:
+            if isinstance(error, RuntimeError) and is_device_error(error):
+                raise
+            self.session.running = False
+            self._report(error)
+            return None
+
+    def _report(self, error: Exception) -> None:
+        """Show an error on the open pages; bugs go to the log too."""
+        expected = isinstance(error, REFUSALS)
+        if not expected:
+            log.error("a request failed: %s", error, exc_info=error)
+        text = explain(error) if expected else f"{type(error).__name__}: {explain(error)}"
+        self.server.notify("Not possible" if expected else "Error", text)
 
     def _rest_until(self, end: float) -> None:
         """Wait for the next update, or for a wish."""
@@ -239,26 +272,29 @@ class LiveViewer:
 
         @handle.on_click
         def _(event) -> None:
-            if event.instance_index is not None:
-                instance = int(chosen[event.instance_index])
-                self.ask(self._push, instance, np.array(event.ray_origin), np.array(event.ray_direction))
+            self.ask(self._push, chosen, event.instance_index, event.ray_origin, event.ray_direction)
 
         @handle.on_drag
         async def _(event) -> None:
-            if event.instance_index is not None:
-                instance = int(chosen[event.instance_index])
-                self.ask(
-                    self._drag, event.phase, instance, np.array(event.start_position), np.array(event.end_position)
-                )
+            self.ask(self._drag, event.phase, chosen, event.instance_index, event.start_position, event.end_position)
 
-    def _place_of(self, instance: int) -> tuple[int, int, np.ndarray]:
-        """Environment, body and where the environment stands."""
-        row, body = divmod(instance, self.session.sim.num_bodies)
+    def _place_of(self, chosen: np.ndarray, index: Any) -> tuple[int, int, np.ndarray]:
+        """Environment, body and where the environment stands.
+
+        Raises:
+            ValueError: There is no such body, or no longer.
+        """
+        if not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(self._dynamic):
+            raise ValueError("body: the one that was clicked is not on the page")
+        row, body = divmod(int(chosen[index]), self.session.sim.num_bodies)
         return int(self.rows[row]), body, self._film.offset[row]
 
-    def _push(self, instance: int, origin: np.ndarray, direction: np.ndarray) -> None:
+    def _push(self, chosen: np.ndarray, index: Any, origin: Any, direction: Any) -> None:
         """Push the body that a ray meets, away from the eye."""
-        env, body, offset = self._place_of(instance)
+        env, body, offset = self._place_of(chosen, index)
+        origin, direction = check_point("ray", origin), check_point("direction", direction)
+        if np.linalg.norm(direction) < LEAST_DIRECTION:
+            raise ValueError("direction: must not be zero")
         sim, data = self.session.sim, self.session.plan.scene.bodies[body]
         position, orientation = sim.get("position")[env, body], sim.get("orientation")[env, body]
         point, _ = trace(data.shape, position, orientation, origin - offset, direction)
@@ -268,15 +304,20 @@ class LiveViewer:
         self._panel.say(f"pushed **{data.name}** with {strength:.3g} N s at {place} m")
         self.choose(body, env)
 
-    def _drag(self, phase: str, instance: int, start: np.ndarray, end: np.ndarray) -> None:
+    def _drag(self, phase: str, chosen: np.ndarray, index: Any, start: Any, end: Any) -> None:
         """Pull a body toward the pointer while the button is down."""
-        env, body, offset = self._place_of(instance)
+        if phase == "end":
+            self.session.release()
+            return
+        # A drag may outlast its scene.
+        if phase == "update" and self.session.pull_ends is None:
+            return
+        env, body, offset = self._place_of(chosen, index)
+        start, end = check_point("start", start), check_point("end", end)
         if phase == "start":
             self.session.pull(env, body, start - offset, end - offset)
-        elif phase == "update":
-            self.session.move_pull(end - offset)
         else:
-            self.session.release()
+            self.session.move_pull(end - offset)
 
     def _cut(self) -> None:
         """Make the slice anew, or take it away."""

@@ -11,6 +11,7 @@ from warp_rigid.render.appearance import rotate
 from warp_rigid.render.film import Film
 from warp_rigid.render.picture import fit_camera, points_to_see
 from warp_rigid.render.raycast import WALL_THICKNESS
+from warp_rigid.viewer.server import CheckedServer
 
 __all__ = [
     "add_ground",
@@ -30,12 +31,14 @@ ROOM = 1.3
 """How much further than the bodies fill the view the camera stands: they will move."""
 
 
-def start_server(host: str, port: int) -> viser.ViserServer:
-    """Serve on the first free port from `port` on, without a word; no tunnel to the outside is ever opened."""
+def start_server(host: str, port: int) -> CheckedServer:
+    """Serve on the first free port from `port` on, without a word.
+
+    Raises:
+        ValueError: as CheckedServer.
+    """
     with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="warp_rigid", verbose=False)
-    # A page can ask for a tunnel even when it shows no button for it.
-    server.request_share_url = lambda verbose=True: None
+        server = CheckedServer(host, port)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(46, 110, 190))
     server.gui.main_panel.dock_right()
     return server

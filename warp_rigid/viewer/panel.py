@@ -8,6 +8,7 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.engine.settings import SHOCK_MODES
 from warp_rigid.render.appearance import COLORINGS
+from warp_rigid.viewer.controls import check_value
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.overlays import OVERLAYS
 from warp_rigid.viewer.session import Session, key_scenes
@@ -66,8 +67,10 @@ class Panel:
         """Set all controls to what one environment has."""
         sim, widgets = session.sim, self._widgets
         demo = session.plan.demo
-        known = scenes.names() if session.source in scenes.names() else [session.source, *scenes.names()]
-        self._options("scene", known, session.source)
+        # A file is on offer only if the command line, or a program, has opened it.
+        known = dict.fromkeys((self._viewer.given, session.source, *scenes.names()))
+        files = [source for source in known if source not in scenes.names()]
+        self._options("scene", [*files, *scenes.names()], session.source)
         self._options("variant", [*demo.variants, CUSTOM], session.variant or CUSTOM)
         self._summary.content = _summary(session)
         for name in ("collision_iterations", "contact_iterations", "shock_iterations"):
@@ -203,7 +206,12 @@ class Panel:
                 self._viewer.ask(self._changed, name, widget.value)
 
     def _changed(self, name: str, value: Any) -> None:
-        """Do what a control asks for; called by the viewer's thread."""
+        """Do what a control asks for; called by the viewer's thread.
+
+        Raises:
+            ValueError: The control does not offer the value, or no longer does: another scene may have come meanwhile.
+        """
+        check_value(self._widgets[name], value)
         viewer = self._viewer
         if name == "contact_processing":
             self._set("contact_iterations", self._contact_iterations if value else 0)

@@ -39,7 +39,7 @@ class FilmViewer:
         fast: simple light without shadows.
 
     Attributes:
-        server: the viser server.
+        server: serves the page.
         playing: whether it runs on.
     """
 
@@ -59,8 +59,8 @@ class FilmViewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        """Where the page is; the address contains the token that opens it."""
+        return self.server.url
 
     def run(self) -> None:
         """Play over and over until `stop`."""

@@ -1,0 +1,243 @@
+"""Declarations of device arrays, and what follows from them: Warp structs, allocation, packing and slices.
+
+`schema` declares the arrays of the simulator with these functions. A declaration states a field's element type, its
+symbolic shape, its unit and a description. Records are elements of arrays; packed records are laid out in groups of
+four words, so that a GPU reads each group by one request of sixteen bytes.
+"""
+
+import linecache
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import warp as wp
+
+
+class Field(NamedTuple):
+    """One device array or one member of a record.
+
+    Attributes:
+        dtype: element type.
+        shape: symbolic, such as "bodies + 1" or "pairs, 36"; empty for a member of a record.
+        unit: SI unit; empty for pure numbers, indices and flags.
+        description: what it holds.
+        index_of: the symbol whose rows the values count, if they do; a slice of the arrays counts from its own start.
+    """
+
+    dtype: Any
+    shape: str
+    unit: str
+    description: str
+    index_of: str = ""
+
+
+LAYOUTS: dict[str, dict[str, Field]] = {}
+"""Declared structs of arrays, and their fields."""
+
+RECORDS: dict[str, dict[str, Field]] = {}
+"""Declared array elements, and their fields."""
+
+DESCRIPTIONS: dict[str, str] = {}
+"""What each declared struct or record is."""
+
+WORDS: dict[Any, int] = {float: 1, int: 1, wp.vec2: 2, wp.vec3: 3, wp.vec4: 4}
+"""Words of four bytes that a member of a packed record takes."""
+
+WORDS_OF_A_GROUP = 4
+
+
+def layout(name: str, doc: str, **fields: Field) -> Any:
+    """Declare a Warp struct whose members are the arrays `fields`."""
+    annotations = {key: wp.array(dtype=f.dtype, ndim=f.shape.count(",") + 1) for key, f in fields.items()}
+    LAYOUTS[name] = fields
+    return _struct(name, doc, annotations)
+
+
+def record(name: str, doc: str, **fields: Field) -> Any:
+    """Declare a Warp struct that is the element of an array."""
+    RECORDS[name] = fields
+    return _struct(name, doc, {key: f.dtype for key, f in fields.items()})
+
+
+def packed_record(name: str, doc: str, **fields: Field) -> Any:
+    """Declare a record in groups of four words; a member that does not fit into a group begins the next one."""
+    padded: dict[str, Field] = {}
+    used = 0
+    for key, field in fields.items():
+        left = -used % WORDS_OF_A_GROUP
+        if WORDS[field.dtype] > left > 0:
+            used = _pad(padded, used, left)
+        padded[key] = field
+        used += WORDS[field.dtype]
+    _pad(padded, used, -used % WORDS_OF_A_GROUP)
+    return record(name, doc, **padded)
+
+
+def _pad(fields: dict[str, Field], used: int, count: int) -> int:
+    for word in range(used, used + count):
+        fields[f"padding_{word}"] = Field(float, "", "", "fills a group of four words")
+    return used + count
+
+
+def _struct(name: str, doc: str, annotations: dict[str, Any]) -> Any:
+    DESCRIPTIONS[name] = doc
+    return wp.struct(type(name, (), {"__annotations__": annotations, "__module__": __name__, "__doc__": doc}))
+
+
+def first_word(packed: Any, name: str) -> int:
+    """The word of a packed record at which a member begins."""
+    word = 0
+    for key, field in RECORDS[packed.key].items():
+        if key == name:
+            return word
+        word += WORDS[field.dtype]
+    raise KeyError(f"{packed.key}: no member {name}")
+
+
+def group_of(packed: Any, name: str) -> int:
+    """The group of four words in which a member of a packed record begins."""
+    return first_word(packed, name) // WORDS_OF_A_GROUP
+
+
+def group_reader(packed: Any) -> Any:
+    """Return a device function (records, row, group) that reads four words of a packed record, as a vec4 or vec4i."""
+    if all(field.dtype is int for field in RECORDS[packed.key].values()):
+
+        @wp.func_native("""
+            const int* p = (const int*)__builtin_assume_aligned((const int*)(records.data + row) + 4 * group, 16);
+            return wp::vec_t<4, int>(p[0], p[1], p[2], p[3]);
+        """)
+        def read_group(records: wp.array(dtype=packed), row: int, group: int) -> wp.vec4i: ...
+
+    else:
+
+        @wp.func_native("""
+            const float* p = (const float*)__builtin_assume_aligned((const float*)(records.data + row) + 4 * group, 16);
+            return wp::vec4(p[0], p[1], p[2], p[3]);
+        """)
+        def read_group(records: wp.array(dtype=packed), row: int, group: int) -> wp.vec4: ...
+
+    return read_group
+
+
+def group_writer(packed: Any) -> Any:
+    """Return a device function (records, row, group, xyz, w) that writes four words of a packed record of floats."""
+
+    @wp.func_native("""
+        float* p = (float*)__builtin_assume_aligned((float*)(records.data + row) + 4 * group, 16);
+        p[0] = xyz[0]; p[1] = xyz[1]; p[2] = xyz[2]; p[3] = w;
+    """)
+    def write_group(records: wp.array(dtype=packed), row: int, group: int, xyz: wp.vec3, w: float): ...
+
+    return write_group
+
+
+def record_reader(packed: Any, optional_after: str = "") -> Any:
+    """Return a device function (row, records) that reads a packed record group by group.
+
+    Args:
+        packed: the record.
+        optional_after: a float member that is 0 where all members of the groups after its own are 0: they are then
+            not read.
+    """
+    read = group_reader(packed)
+    last = group_of(packed, optional_after) if optional_after else None
+    lines = ["def read_record(row: int, records: wp.array(dtype=packed)):", "    result = packed()"]
+    indent = "    "
+    for group, members in _groups(packed).items():
+        if last is not None and group == last + 1:
+            lines.append(f"    if result.{optional_after} != 0.0:")
+            indent = "        "
+        name = f"q{group}"
+        lines.append(f"{indent}{name} = read_group(records, row, {group})")
+        lines += [f"{indent}result.{key} = {_words(name, word, packed, key)}" for key, word in members]
+    lines.append("    return result")
+    return wp.func(_compile(lines, f"read_{packed.key}", packed=packed, read_group=read)["read_record"])
+
+
+def record_writer(packed: Any) -> Any:
+    """Return a device function (row, value, records) that writes a packed record of floats group by group."""
+    lines = ["def write_record(row: int, value: packed, records: wp.array(dtype=packed)):"]
+    for group, members in _groups(packed).items():
+        words = ["0.0"] * WORDS_OF_A_GROUP
+        for key, word in members:
+            size = WORDS[RECORDS[packed.key][key].dtype]
+            for k in range(size):
+                words[word + k] = f"value.{key}" if size == 1 else f"value.{key}[{k}]"
+        lines.append(f"    write_group(records, row, {group}, wp.vec3({', '.join(words[:3])}), {words[3]})")
+    writer = group_writer(packed)
+    return wp.func(_compile(lines, f"write_{packed.key}", packed=packed, write_group=writer)["write_record"])
+
+
+def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:
+    """For each group of four words the members in it, and the word within the group at which each begins."""
+    groups: dict[int, list[tuple[str, int]]] = {}
+    for key in RECORDS[packed.key]:
+        if not key.startswith("padding_"):
+            word = first_word(packed, key)
+            groups.setdefault(word // WORDS_OF_A_GROUP, []).append((key, word % WORDS_OF_A_GROUP))
+    return groups
+
+
+def _words(group: str, word: int, packed: Any, key: str) -> str:
+    """The expression of a member in the four words of its group."""
+    size = WORDS[RECORDS[packed.key][key].dtype]
+    words = ", ".join(f"{group}[{word + k}]" for k in range(size))
+    return words if size == 1 else f"wp.vec{size}({words})"
+
+
+def _compile(lines: list[str], name: str, **names: Any) -> dict[str, Any]:
+    """Define a generated function; Warp reads its source from the line cache."""
+    source, file = "\n".join(lines) + "\n", f"<generated {name}>"
+    linecache.cache[file] = (len(source), None, source.splitlines(True), file)
+    namespace = {"wp": wp, "__name__": __name__, **names}
+    exec(compile(source, file, "exec"), namespace)
+    return namespace
+
+
+def allocate(struct: Any, sizes: Mapping[str, int], device: Any) -> Any:
+    """Return an instance of `struct` with all its arrays zero and sized by the symbols in `sizes`."""
+    instance = struct()
+    for key, field in LAYOUTS[struct.key].items():
+        shape = tuple(extent(term, sizes) for term in field.shape.split(","))
+        setattr(instance, key, wp.zeros(shape, dtype=field.dtype, device=device))
+    return instance
+
+
+def part(whole: Any, ranges: Mapping[str, tuple[int, int]]) -> Any:
+    """Return a struct of the same arrays, those counted by a symbol in `ranges` cut to its rows, first to before end.
+
+    Nothing is copied but arrays of indices: these count from the first row of the part.
+    """
+    struct = type(whole)()
+    for key, field in LAYOUTS[whole._cls.key].items():
+        array = getattr(whole, key)
+        symbol, _, more = field.shape.split(",")[0].partition(" + ")
+        if symbol in ranges:
+            first, end = ranges[symbol]
+            array = array[first : end + int(more or 0)]
+        if field.index_of in ranges:
+            array = wp.array(array.numpy() - ranges[field.index_of][0], dtype=field.dtype, device=array.device)
+        setattr(struct, key, array)
+    return struct
+
+
+def byte_size(struct: Any, sizes: Mapping[str, int]) -> int:
+    """Return how many bytes `allocate` would take."""
+    total = 0
+    for field in LAYOUTS[struct.key].values():
+        count = 1
+        for term in field.shape.split(","):
+            count *= extent(term, sizes)
+        total += count * wp.types.type_size_in_bytes(field.dtype)
+    return total
+
+
+def field_names(struct: Any) -> list[str]:
+    """Return the names of the arrays of `struct`, in the order of their declaration."""
+    return list(LAYOUTS[struct.key])
+
+
+def extent(term: str, sizes: Mapping[str, int]) -> int:
+    """Evaluate a sum of symbols and numbers such as "bodies + 1"; at least 1, since Warp has no empty arrays."""
+    parts = (part.strip() for part in term.split("+"))
+    return max(1, sum(int(part) if part.isdigit() else sizes[part] for part in parts))

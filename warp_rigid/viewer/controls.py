@@ -1,0 +1,111 @@
+"""What the page may send: the kinds of messages, the values of controls, and points in the scene."""
+
+import logging
+import math
+from typing import Any
+
+import numpy as np
+import viser
+from viser import _messages
+
+__all__ = ["accept_checked_messages", "check_point", "check_value"]
+
+ACCEPTED = (
+    _messages.GuiUpdateMessage,
+    _messages.CommandTriggerMessage,
+    _messages.SceneNodeClickMessage,
+    _messages.SceneNodeDragMessage,
+)
+"""Messages that the viewer's page sends. The others would upload files, open a tunnel or move nodes of the scene."""
+FARTHEST = 1.0e6
+"""Largest coordinate of a point that the page may send [m]."""
+ROUNDING = 1.0e-9
+"""A slider's value may leave its range by this part of it: the page adds up steps in floating point."""
+
+log = logging.getLogger(__name__)
+
+
+def accept_checked_messages(server: viser.ViserServer) -> None:
+    """Let a server handle only messages that the viewer's page sends, and only checked values of controls."""
+    connection, gui = server._websock_server, server.gui
+    for kind in tuple(connection._incoming_handlers):
+        if kind not in ACCEPTED:
+            connection.unregister_handler(kind)
+    connection.unregister_handler(_messages.GuiUpdateMessage)
+
+    async def update(client_id: int, message: _messages.GuiUpdateMessage) -> None:
+        widget = None
+        try:
+            widget = gui._gui_input_handle_from_uuid.get(message.uuid)
+            if widget is not None:
+                check_update(widget, message.updates)
+                await gui._handle_gui_updates(client_id, message)
+        except Exception as error:
+            _refuse(server, client_id, widget, error)
+
+    connection.register_handler(_messages.GuiUpdateMessage, update)
+
+
+def check_update(widget: Any, updates: Any) -> None:
+    """Refuse an update that is not a valid new value: viser would set any attribute of the control.
+
+    Raises:
+        ValueError: as check_value, or something else than the value is to change.
+    """
+    if not isinstance(updates, dict) or set(updates) != {"value"}:
+        raise ValueError(f"{widget.label}: only its value can be changed")
+    check_value(widget, updates["value"])
+
+
+def check_value(widget: Any, value: Any) -> None:
+    """Refuse a value that a control does not offer.
+
+    Args:
+        widget: viser's handle of the control.
+        value: as the page sent it.
+
+    Raises:
+        ValueError: The value is none of the options, outside the range, not finite, or of the wrong type.
+    """
+    if isinstance(widget, (viser.GuiDropdownHandle, viser.GuiButtonGroupHandle)):
+        if not isinstance(value, str) or value not in widget.options:
+            raise ValueError(f"{widget.label}: must be one of {', '.join(widget.options)}, got {_short(value)}")
+    elif isinstance(widget, viser.GuiSliderHandle):
+        slack = ROUNDING * (widget.max - widget.min)
+        if not _is_number(value) or not widget.min - slack <= value <= widget.max + slack:
+            raise ValueError(f"{widget.label}: must be in [{widget.min:g}, {widget.max:g}], got {_short(value)}")
+    elif isinstance(widget, viser.GuiCheckboxHandle):
+        if not isinstance(value, bool):
+            raise ValueError(f"{widget.label}: must be true or false, got {_short(value)}")
+    else:
+        raise ValueError(f"{widget.label}: takes no value from the page")
+
+
+def check_point(name: str, value: Any) -> np.ndarray:
+    """A point or direction that the page sent, as an array (3,).
+
+    Raises:
+        ValueError: It is not three finite numbers, or too far away.
+    """
+    if len(value) != 3 or not all(_is_number(part) and abs(part) <= FARTHEST for part in value):
+        raise ValueError(f"{name}: must be three numbers in [{-FARTHEST:g}, {FARTHEST:g}], got {_short(value)}")
+    return np.array(value, np.float64)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _short(value: Any) -> str:
+    return ascii(value)[:80]
+
+
+def _refuse(server: viser.ViserServer, client_id: int, widget: Any, error: Exception) -> None:
+    """Report a refused update to its page, and show the control's actual value there again."""
+    expected = isinstance(error, ValueError)
+    log.warning("refused an update of a control: %s", error, exc_info=None if expected else error)
+    client = server.get_clients().get(client_id)
+    if client is not None:
+        client.add_notification("Not possible", str(error), color="red")
+    if widget is not None:
+        widget._queue_update("value", widget.value)
