@@ -19,6 +19,7 @@ wp.set_module_options({"enable_backward": False})
 def evaluate(
     shapes: Shapes, shape: int, points: wp.array[wp.vec3], normals: wp.array[wp.vec3], found: wp.array[wp.vec4]
 ):
+    """One thread a point: the distance and its gradient."""
     i = wp.tid()
     found[i] = distance.contact_distance(shapes, shape, points[i], normals[i])
 

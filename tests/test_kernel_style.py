@@ -1,6 +1,7 @@
 """House rules of the source that a formatter cannot see, read from the syntax trees."""
 
 import ast
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -13,20 +14,40 @@ FILES = sorted(
     for file in (ROOT / folder).rglob("*.py")
     if not any(parent.is_symlink() for parent in file.parents)
 )
+PACKAGE = [file for file in FILES if file.relative_to(ROOT).parts[0] in ("warp_rigid", "kernels", "scenes")]
 MAX_FILE_LINES = 600
-MAX_KERNEL_LINES = 60
-MAX_KERNEL_ARGUMENTS = 12
+MAX_LINES = 60
+MAX_ARGUMENTS = 12
+
+SHARED_FILE_NAMES = {
+    "batch.py": "environments of one simulator in engine, runs of one simulator in sweep",
+    "memory.py": "memory of a simulator in engine, of a batch of runs in sweep",
+    "picture.py": "a picture of bodies in render, of measurements in bench",
+    "plots.py": "tables in sweep, checks in validation",
+}
+"""File names that occur twice, with the reason. A command's file has the name of what it runs."""
+
+SHARED_CLASS_NAMES = {
+    "Case": "a validation case and a benchmark case",
+    "Check": "of a validation case and of the machine",
+    "Finding": "of an import report and of a validation case",
+    "Instances": "those of the viewer and of the ray caster",
+    "Samples": "of a USD attribute and of a shape's surface",
+    "Surface": "of a mesh repair and of a recording",
+}
+"""Class names that are defined twice, with what they are. No name is added here."""
 
 
 def decorator_name(node: ast.expr) -> str:
     return ast.unparse(node.func if isinstance(node, ast.Call) else node)
 
 
-def kernels_of(tree: ast.AST) -> list[ast.FunctionDef]:
+def decorated(tree: ast.AST, *decorators: str) -> list[ast.FunctionDef]:
+    """Functions with one of these decorators."""
     return [
         node
         for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef) and any(decorator_name(d) == "wp.kernel" for d in node.decorator_list)
+        if isinstance(node, ast.FunctionDef) and any(decorator_name(d) in decorators for d in node.decorator_list)
     ]
 
 
@@ -42,14 +63,50 @@ def annotation_faults(annotation: ast.expr | None) -> list[str]:
     return []
 
 
-def kernel_faults(kernel: ast.FunctionDef) -> list[str]:
-    arguments = kernel.args
-    lines = kernel.end_lineno - kernel.lineno + 1
+def root_name(node: ast.expr) -> str:
+    """The variable of `name.field[index]`, "" if there is none."""
+    while isinstance(node, ast.Subscript | ast.Attribute):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def written_names(function: ast.FunctionDef) -> set[str]:
+    """Arguments whose elements are assigned or changed by an atomic operation."""
+    stored = {root_name(n) for n in ast.walk(function) if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)}
+    calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
+    return stored | {root_name(call.args[0]) for call in calls if ast.unparse(call.func).startswith("wp.atomic_")}
+
+
+def inputs_after_outputs(function: ast.FunctionDef) -> list[str]:
+    """Arguments that are only read although an argument before them is written.
+
+    An argument that is passed to another function counts as neither: what that function does with it is not visible.
+    """
+    written = written_names(function)
+    calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
+    passed = {
+        part.id
+        for call in calls
+        if not ast.unparse(call.func).startswith("wp.")
+        for part in call.args
+        if isinstance(part, ast.Name)
+    }
+    names = [argument.arg for argument in function.args.args]
+    first = next((index for index, name in enumerate(names) if name in written), len(names))
+    return [name for name in names[first:] if name not in written | passed]
+
+
+def function_faults(function: ast.FunctionDef) -> list[str]:
+    """What is wrong with a kernel or a device function."""
+    arguments = function.args
+    lines = function.end_lineno - function.lineno + 1
     faults = []
-    if lines > MAX_KERNEL_LINES:
-        faults.append(f"has {lines} lines, at most {MAX_KERNEL_LINES}")
-    if len(arguments.args) > MAX_KERNEL_ARGUMENTS:
-        faults.append(f"has {len(arguments.args)} arguments, at most {MAX_KERNEL_ARGUMENTS}")
+    if ast.get_docstring(function) is None:
+        faults.append("has no docstring")
+    if lines > MAX_LINES:
+        faults.append(f"has {lines} lines, at most {MAX_LINES}")
+    if len(arguments.args) > MAX_ARGUMENTS:
+        faults.append(f"has {len(arguments.args)} arguments, at most {MAX_ARGUMENTS}")
     if arguments.defaults or arguments.kw_defaults or arguments.vararg or arguments.kwarg:
         faults.append("has defaults or variable arguments")
     faults += [
@@ -57,7 +114,8 @@ def kernel_faults(kernel: ast.FunctionDef) -> list[str]:
         for argument in arguments.args
         for fault in annotation_faults(argument.annotation)
     ]
-    return [f"{kernel.name} {fault}" for fault in faults]
+    faults += [f"argument {name} is an input after an output" for name in inputs_after_outputs(function)]
+    return [f"{function.name} {fault}" for fault in faults]
 
 
 def switches_adjoint_off(tree: ast.Module) -> bool:
@@ -81,14 +139,38 @@ def shadow_imports(tree: ast.AST) -> list[str]:
 
 def file_faults(source: str) -> list[str]:
     tree = ast.parse(source)
-    kernels = kernels_of(tree)
-    faults = [fault for kernel in kernels for fault in kernel_faults(kernel)]
-    if kernels and not switches_adjoint_off(tree):
+    functions = decorated(tree, "wp.kernel", "wp.func", "wp.func_native")
+    faults = [fault for function in functions for fault in function_faults(function)]
+    if decorated(tree, "wp.kernel") and not switches_adjoint_off(tree):
         faults.append("the module does not set enable_backward to False")
     lines = source.count("\n")
     if lines > MAX_FILE_LINES:
         faults.append(f"the file has {lines} lines, at most {MAX_FILE_LINES}")
     return faults + [f"imports {name} instead of warp_rigid.{name}" for name in shadow_imports(tree)]
+
+
+def repeated(found: list[tuple[str, Path]]) -> dict[str, list[str]]:
+    """Names that occur more than once, with the files that they occur in."""
+    places = defaultdict(list)
+    for name, file in found:
+        places[name].append(file.relative_to(ROOT).as_posix())
+    return {name: files for name, files in places.items() if len(files) > 1}
+
+
+def test_a_file_name_occurs_once():
+    """A file can be named without its folder."""
+    named = [(file.name, file) for file in PACKAGE if file.name != "__init__.py" and file.parent.name != "commands"]
+    assert {name: files for name, files in repeated(named).items() if name not in SHARED_FILE_NAMES} == {}
+
+
+def test_a_class_name_is_defined_once():
+    named = [
+        (node.name, file)
+        for file in PACKAGE
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert {name: files for name, files in repeated(named).items() if name not in SHARED_CLASS_NAMES} == {}
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.relative_to(ROOT).as_posix())
@@ -109,6 +191,15 @@ OPTIONS = 'wp.set_module_options({"enable_backward": False})\n'
         (OPTIONS + "@wp.kernel\ndef k(a: int = 1):\n    pass\n", "defaults"),
         (OPTIONS + "@wp.kernel(module='unique')\ndef k(a: int = 1):\n    pass\n", "defaults"),
         (OPTIONS + "@wp.kernel\ndef k(a: int):\n" + "    b = a\n" * 60, "61 lines"),
+        ("@wp.func\ndef f(a: int):\n" + "    b = a\n" * 60, "61 lines"),
+        ("@wp.func_native('')\ndef f(a: int): ...\n", "f has no docstring"),
+        ("@wp.func\ndef f(a):\n    pass\n", "no annotation"),
+        ("@wp.func\ndef f(o: wp.array[int], a: int):\n    o[0] = a\n", "argument a is an input after an output"),
+        ("@wp.func\ndef f(o: State, a: int):\n    o.x[0] += 1\n", "argument a is an input after an output"),
+        (
+            "@wp.func\ndef f(o: State, a: int):\n    wp.atomic_add(o.x, 0, 1)\n",
+            "argument a is an input after an output",
+        ),
         (
             OPTIONS + f"@wp.kernel\ndef k({', '.join(f'a{i}: int' for i in range(13))}):\n    pass",
             "13 arguments",
@@ -123,5 +214,12 @@ def test_rule_catches_its_fault(source, fault):
 
 
 def test_rules_pass_a_good_kernel():
-    good = OPTIONS + "@wp.kernel\ndef k(n: int, out: wp.array2d[wp.vec3]):\n    pass\n"
+    good = (
+        OPTIONS + '@wp.kernel\ndef k(n: int, out: wp.array2d[wp.vec3]):\n    """Write."""\n    out[n, 0] = wp.vec3()\n'
+    )
     assert file_faults(good) == []
+
+
+def test_an_argument_that_another_function_may_write_counts_as_neither():
+    source = '@wp.func\ndef f(a: State, b: State):\n    """Write."""\n    a.x[0] = 1\n    g(b)\n'
+    assert file_faults(source) == []

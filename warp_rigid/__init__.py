@@ -32,8 +32,7 @@ from warp_rigid.scene.shapes import (
 )
 from warp_rigid.sweep import Choice, Integers, LogUniform, Normal, SweepResult, Uniform, search, sweep
 from warp_rigid.usd import UsdStream, export_usd, import_usd
-
-__version__ = "0.1.0"
+from warp_rigid.version import __version__ as __version__
 
 __all__ = [
     "Body",

@@ -332,7 +332,7 @@ def limit_travel(dt: float, motions: Motions):
 
 @wp.kernel
 def limit_motion(
-    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
+    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
 ):
     """The threads share the pairs: how much of the step's motion its two bodies may make.
 

@@ -397,7 +397,7 @@ def has_barely_moved(
 
 
 @wp.func
-def reuse_contacts(pair: int, last: int, edges: int, pairs: Pairs, history: History):
+def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pairs):
     """Keep the samples of the last step's contacts, and what is known of the look that found them."""
     start = history.contact_start[last]
     count = history.contact_start[last + 1] - start
@@ -454,7 +454,7 @@ def keep_contacts(
             and history.searched[last] == edges + 1
             and has_barely_moved(last, approach, dt, size, bodies, state, motions, history)
         ):
-            reuse_contacts(pair, last, edges, pairs, history)
+            reuse_contacts(pair, last, edges, history, pairs)
         else:
             pairs.candidates[wp.atomic_add(pairs.candidate_count, 0, 1)] = pair
 

@@ -229,6 +229,35 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
 
 
 @wp.func
+def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: float):
+    """One more place of the search between the ends of an edge segment, or its end."""
+    search.distance = d[3]
+    search.direction = gradient(d)
+    if search.stage == EDGE_CLAMPED:
+        return edge_found(search, radius, convex, weight)
+    before = search.t
+    curved = d[3] - search.low[3] - search.slope_low * (before - search.left) > CURVED * (search.right - search.left)
+    if slope(d, search.along) < search.turning:
+        search.left = before
+        search.low = d
+        search.slope_low = slope(d, search.along)
+    else:
+        search.right = before
+        search.high = d
+        search.slope_high = slope(d, search.along)
+    after = next_inside(search, curved)
+    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
+        after.stage = search.stage + 1
+        return after
+    if wp.abs(before) > BEYOND * search.half:
+        return nowhere(search)
+    if wp.abs(before) > search.half:
+        search.stage = EDGE_CLAMPED
+        return look_at(search, wp.clamp(before, -search.half, search.half))
+    return edge_found(search, radius, convex, weight)
+
+
+@wp.func
 def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: float, convex: int, weight: float):
     """Where on an edge segment, between its ends, it touches.
 
@@ -270,30 +299,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         search.direction = gradient(d)
         search.distance = d[3]
         return search
-    search.distance = d[3]
-    search.direction = gradient(d)
-    if search.stage == EDGE_CLAMPED:
-        return edge_found(search, radius, convex, weight)
-    before = search.t
-    curved = d[3] - search.low[3] - search.slope_low * (before - search.left) > CURVED * (search.right - search.left)
-    if slope(d, search.along) < search.turning:
-        search.left = before
-        search.low = d
-        search.slope_low = slope(d, search.along)
-    else:
-        search.right = before
-        search.high = d
-        search.slope_high = slope(d, search.along)
-    after = next_inside(search, curved)
-    if search.stage < EDGE_LAST_INSIDE and wp.abs(after.t - before) > FOUND * search.half:
-        after.stage = search.stage + 1
-        return after
-    if wp.abs(before) > BEYOND * search.half:
-        return nowhere(search)
-    if wp.abs(before) > search.half:
-        search.stage = EDGE_CLAMPED
-        return look_at(search, wp.clamp(before, -search.half, search.half))
-    return edge_found(search, radius, convex, weight)
+    return edge_inside(search, d, radius, convex, weight)
 
 
 @wp.func

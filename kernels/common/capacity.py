@@ -27,7 +27,7 @@ def note_wanted(which: int, start: wp.array[int], turn: wp.array[int], wanted: w
 
 
 @wp.kernel
-def close_turn(turn: wp.array[int], wanted: wp.array2d[int]):
+def close_turn(wanted: wp.array2d[int], turn: wp.array[int]):
     """Go on to the next step's row; steps beyond the last one share it."""
     turn[0] = wp.min(turn[0] + 1, wanted.shape[0] - 1)
 

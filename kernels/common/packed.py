@@ -32,7 +32,9 @@ def reader(record: Any) -> Any:
     """A function that reads the k-th four words of a record in an array."""
 
     @wp.func_native(READ)
-    def quad(records: wp.array(dtype=record), row: int, k: int) -> wp.vec4: ...
+    def quad(records: wp.array[record], row: int, k: int) -> wp.vec4:
+        """The k-th four words of a record."""
+        ...
 
     return quad
 
@@ -41,13 +43,15 @@ def writer(record: Any) -> Any:
     """A function that writes the k-th four words of a record in an array."""
 
     @wp.func_native(WRITE)
-    def put_quad(records: wp.array(dtype=record), row: int, k: int, xyz: wp.vec3, w: float): ...
+    def put_quad(records: wp.array[record], row: int, k: int, xyz: wp.vec3, w: float):
+        """Write the k-th four words of a record."""
+        ...
 
     return put_quad
 
 
 @wp.func_native(READ_WHOLE_NUMBERS)
-def pair_quad(records: wp.array(dtype=PairRecord), row: int, k: int) -> wp.vec4i:
+def pair_quad(records: wp.array[PairRecord], row: int, k: int) -> wp.vec4i:
     """The k-th four words of an entry of the order of solving."""
     ...
 
@@ -148,7 +152,7 @@ def set_target_impulse(c: int, impulse: wp.vec3, target: float, contacts: Contac
 
 
 @wp.func
-def entry_at(k: int, order: wp.array(dtype=PairRecord)):
+def entry_at(k: int, order: wp.array[PairRecord]):
     """An entry of the order of solving."""
     entry = PairRecord()
     q = pair_quad(order, k, 0)

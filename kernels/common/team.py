@@ -30,11 +30,11 @@ class Team:
     env: int
     lane: int
     lanes: int
-    gate: wp.array2d(dtype=wp.uint32)
+    gate: wp.array2d[wp.uint32]
 
 
 @wp.func
-def team_of(thread: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)):
+def team_of(thread: int, lanes: int, gate: wp.array2d[wp.uint32]):
     """The team of a thread: `lanes` neighbours for each environment.
 
     If a team is several blocks, its warps are dealt to them in turn, so that all have a part of a little work.
@@ -76,7 +76,9 @@ def team_of(thread: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)):
     }
 #endif
 """)
-def _sync_team(env: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)): ...
+def _sync_team(env: int, lanes: int, gate: wp.array2d[wp.uint32]):
+    """Wait for all lanes of a team; writes before are visible to all of them afterwards."""
+    ...
 
 
 @wp.func
@@ -113,7 +115,9 @@ def sync_team(team: Team):
     return flag;
 #endif
 """)
-def _any_of_team(flag: int, env: int, lanes: int, gate: wp.array2d(dtype=wp.uint32)) -> int: ...
+def _any_of_team(flag: int, env: int, lanes: int, gate: wp.array2d[wp.uint32]) -> int:
+    """Whether the flag is set for any lane of a team."""
+    ...
 
 
 @wp.func

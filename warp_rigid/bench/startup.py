@@ -51,8 +51,9 @@ def _main(case: str, device: str) -> None:
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    from warp_rigid import Settings, Simulator
     from warp_rigid.bench.scenes import find_case
+    from warp_rigid.engine.settings import Settings
+    from warp_rigid.engine.simulator import Simulator
 
     sim = Simulator(find_case(case).build(), settings=Settings(), device=device)
     sim.step(4)

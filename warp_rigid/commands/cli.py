@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-import warp_rigid
 from warp_rigid.commands.bench import bench_command
 from warp_rigid.commands.doctor import doctor_command
 from warp_rigid.commands.inspect import inspect_command
@@ -23,6 +22,7 @@ from warp_rigid.commands.validate import validate_command
 from warp_rigid.commands.view import view_command
 from warp_rigid.commands.warmup import warmup_command
 from warp_rigid.errors import CapacityError, NonFiniteError
+from warp_rigid.version import __version__
 
 __all__ = ["main"]
 
@@ -68,7 +68,7 @@ def common(
 ) -> None:
     """Handle the options that need no command."""
     if version:
-        print(f"warp-rigid {warp_rigid.__version__}")
+        print(f"warp-rigid {__version__}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
 

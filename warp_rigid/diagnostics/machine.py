@@ -17,6 +17,7 @@ import warp as wp
 
 from warp_rigid.engine import memory
 from warp_rigid.scene.shapes import distance_grid
+from warp_rigid.version import __version__
 
 LIBRARIES = {
     "warp-lang": "warp-rigid", "numpy": "warp-rigid", "trimesh": "warp-rigid", "usd-core": "warp-rigid",
@@ -70,9 +71,7 @@ def examine(devices: list[str] | None = None) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of the package, of Python, of the system and of the libraries; "" for a missing library."""
-    import warp_rigid
-
-    found = {"warp_rigid": warp_rigid.__version__, "python": platform.python_version(), "system": platform.platform()}
+    found = {"warp_rigid": __version__, "python": platform.python_version(), "system": platform.platform()}
     return found | {name: _version(name) for name in LIBRARIES}
 
 

@@ -22,6 +22,7 @@ from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import schema
 from warp_rigid.kernels.collide.narrowphase import BY_CENTER
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.version import __version__
 
 if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
@@ -44,12 +45,10 @@ def save(sim: "Simulator", path: Any, more: dict[str, Any] | None = None, arrays
         more: plain data to keep beside it, in the header under "more".
         arrays: arrays to keep beside it; their names begin with "more_".
     """
-    import warp_rigid
-
     scene, shapes = scene_to_data(sim.scene)
     used = {name: sim.counts()[name] for name in NAMES}
     header = {
-        "warp_rigid": warp_rigid.__version__,
+        "warp_rigid": __version__,
         "warp": wp.__version__,
         "device": str(sim.device),
         "scene": scene,

@@ -421,7 +421,7 @@ class Stages:
             self._shared(sleep.replace_history, self.pools.sizes["contacts"], [], [self.kept], [history])
         else:
             self._shared(contact.store_impulses, self.pools.sizes["contacts"], [], [records, pairs], [history])
-        wp.launch(capacity.close_turn, dim=1, outputs=[self.pools.turn, self.pools.wanted], device=self.device)
+        wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
 
     def deepest_overlap(self, deepest: Any) -> None:
         """Find the deepest overlap of each environment in the present state: an array (envs, 1) of floats [m].
@@ -485,8 +485,8 @@ class Stages:
 
     def _limit_motion(self, kernel: Any, before: list) -> None:
         """One round over the pairs of the swept detection."""
-        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state]
-        self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions, self.pools.pairs])
+        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state, self.pools.pairs]
+        self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the pairs at hand, or the dormant ones that have just woken."""

@@ -22,6 +22,7 @@ from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.usd import import_usd
 from warp_rigid.usd.load import film_duration
 from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
+from warp_rigid.version import __version__
 
 __all__ = ["Plan", "Result", "execute", "find_scene", "module_of_file", "plan_run", "set_each", "step_frame"]
 
@@ -386,14 +387,12 @@ def _summary(
     plan: Plan, seconds: list, deepest: np.ndarray, status: np.ndarray, verdicts: list[Verdict]
 ) -> dict[str, Any]:
     """Summary of a run as plain data."""
-    import warp_rigid
-
     sim = plan.sim
     # The first frame may load kernels or grow buffers, so it is excluded from the throughput.
     warm = seconds[1:] or seconds
     return {
         "scene": plan.demo.name,
-        "version": warp_rigid.__version__,
+        "version": __version__,
         "device": str(sim.device),
         "envs": sim.num_envs,
         "bodies": sim.num_bodies,

@@ -15,10 +15,10 @@ from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.scene.scene import Scene
+from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
-from warp_rigid.sweep.table import FINISHED, metadata_field
 from warp_rigid.sweep.view import View
 
 __all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]

@@ -16,8 +16,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.batch import Batch, failed_batch, run_batch
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
-from warp_rigid.sweep.memory import free_memory, max_environments
-from warp_rigid.sweep.run import split_into_batches
+from warp_rigid.sweep.memory import free_memory, max_environments, split_into_batches
 
 __all__ = ["cluster_of_file", "run_on_cluster"]
 

@@ -20,7 +20,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.design import Run, stable_hash
 
-__all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene", "balanced_batch_size"]
+__all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene"]
 
 MAX_CACHED_SCENES = 4096
 """Maximum number of scenes cached between the validation of a design and its runs; others are built again."""
@@ -190,12 +190,6 @@ def build_scene(job: Job, inputs: RunInputs) -> Scene:
     if len(job.scenes) < MAX_CACHED_SCENES:
         job.scenes[key] = scene
     return scene
-
-
-def balanced_batch_size(count: int, most: int, workers: int = 1) -> int:
-    """Batch size, at most `most`, that distributes `count` runs evenly over batches and workers."""
-    rounds = math.ceil(count / (workers * most))
-    return max(1, math.ceil(count / (workers * rounds)))
 
 
 def _implied_settings(job: Job, given: set[str], points: list[dict[str, Any]]) -> dict[str, Any]:

@@ -1,19 +1,43 @@
 """Plots of a sweep: lines over one axis, a heat map over two, or a scatter matrix over more."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from warp_rigid.checks import one_of
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.sweep.table import SweepResult
 
 __all__ = ["KINDS", "plot"]
 
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")
 MAX_LINES = 12
+
+
+class Table(Protocol):
+    """Interface of a table to plot; SweepResult implements it."""
+
+    rows: list[dict[str, Any]]
+    about: dict[str, Any]
+
+    def __len__(self) -> int:
+        """Number of rows."""
+
+    @property
+    def axes(self) -> list[str]:
+        """Names of the axes."""
+
+    @property
+    def metrics(self) -> list[str]:
+        """Names of the metric columns."""
+
+    @property
+    def failed(self) -> list[dict[str, Any]]:
+        """Rows of runs that did not complete."""
+
+    def column(self, name: str) -> np.ndarray:
+        """Values of a column, one per row."""
 
 
 def check_plot(path: Any, kind: str | None = None) -> None:
@@ -31,7 +55,7 @@ def check_plot(path: Any, kind: str | None = None) -> None:
         one_of("kind", kind, KINDS)
 
 
-def plot(result: SweepResult, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
+def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
     """Plot a result table.
 
     Args:
@@ -80,7 +104,7 @@ def plot(result: SweepResult, path: Any, x: str | None = None, y: str | None = N
     return figure
 
 
-def _kind(result: SweepResult, x: str, others: list[str]) -> str:
+def _kind(result: Table, x: str, others: list[str]) -> str:
     """The default kind of plot for a table."""
     if not others:
         return "line"
@@ -88,7 +112,7 @@ def _kind(result: SweepResult, x: str, others: list[str]) -> str:
     return "heatmap" if len(others) == 1 and cells <= 2 * len(result) else "scatter"
 
 
-def _lines(figure: Any, result: SweepResult, x: str, y: str, others: list[str]) -> None:
+def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> None:
     """One line per combination of the other axes; repeats are drawn as their mean with a min-max band."""
     axes = figure.subplots()
     place, height = result.column(x), result.column(y).astype(float)
@@ -114,7 +138,7 @@ def _lines(figure: Any, result: SweepResult, x: str, y: str, others: list[str]) 
         axes.legend(title=", ".join(others), fontsize="small")
 
 
-def _heat_maps(figure: Any, result: SweepResult, x: str, along: str, y: str, others: list[str]) -> None:
+def _heat_maps(figure: Any, result: Table, x: str, along: str, y: str, others: list[str]) -> None:
     """One panel per combination of the other axes, with a common colour scale."""
     groups = _groups(result, others)
     columns, rows, values = result.column(x), result.column(along), result.column(y).astype(float)
@@ -135,7 +159,7 @@ def _heat_maps(figure: Any, result: SweepResult, x: str, along: str, y: str, oth
     figure.colorbar(image, ax=list(panels), label=y)
 
 
-def _scatter_matrix(figure: Any, result: SweepResult, names: list[str]) -> None:
+def _scatter_matrix(figure: Any, result: Table, names: list[str]) -> None:
     """Scatter matrix coloured by the last column, with histograms on the diagonal."""
     columns = [result.column(name).astype(float) for name in names]
     size = len(names)
@@ -152,7 +176,7 @@ def _scatter_matrix(figure: Any, result: SweepResult, names: list[str]) -> None:
             panel.tick_params(labelsize=7)
 
 
-def _groups(result: SweepResult, names: list[str]) -> dict[str, np.ndarray]:
+def _groups(result: Table, names: list[str]) -> dict[str, np.ndarray]:
     """Row masks grouped and labelled by the values of some axes, in the order of the design."""
     labels = [", ".join(_word(row[name]) for name in names) for row in result.rows]
     return {label: np.array([other == label for other in labels]) for label in dict.fromkeys(labels)}
@@ -180,7 +204,7 @@ def _is_number(values: np.ndarray) -> bool:
     return values.dtype.kind in "iuf"
 
 
-def _first_number(result: SweepResult) -> str:
+def _first_number(result: Table) -> str:
     """The first metric with one number per run."""
     for name in result.metrics:
         values = result.column(name)
@@ -189,7 +213,7 @@ def _first_number(result: SweepResult) -> str:
     raise ValueError("plot: requires a metric with one number per run")
 
 
-def _title(result: SweepResult) -> str:
+def _title(result: Table) -> str:
     failed = len(result.failed)
     scene = result.about.get("scene", "").partition(":")[0]
     return f"{scene}, {len(result)} runs" + (f", {failed} failed" if failed else "")

@@ -19,13 +19,16 @@ from warp_rigid.engine.simulator import choose_device
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch import Batch, run_batch
+from warp_rigid.sweep.cluster import run_on_cluster
+from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
-from warp_rigid.sweep.job import Job, balanced_batch_size, group_runs, make_runs, resolve_scene
-from warp_rigid.sweep.memory import bytes_per_environment, free_memory, max_environments
+from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
+from warp_rigid.sweep.memory import free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.metrics import check_metrics, metric_name
-from warp_rigid.sweep.table import COLUMNS, ResultFile, SweepResult
+from warp_rigid.sweep.table import ResultFile, SweepResult
+from warp_rigid.version import __version__
 
-__all__ = ["split_into_batches", "sweep"]
+__all__ = ["sweep"]
 
 log = logging.getLogger("warp_rigid")
 
@@ -157,34 +160,6 @@ def sweep(
     return book.result()
 
 
-def split_into_batches(
-    groups: list[tuple[Scene, list[Run]]], batch: int | str, most: Callable[[Scene], int], memory: int, workers: int = 1
-) -> list[list[Run]]:
-    """Split groups of runs into batches, and log their estimated memory before anything is allocated.
-
-    Args:
-        groups: from group_runs.
-        batch: maximum number of environments per batch, or "auto".
-        most: maximum batch size of a scene, for "auto".
-        memory: free memory of the device, for the log message [bytes].
-        workers: number of batches that run in parallel.
-    """
-    parts, largest = [], 0
-    for scene, runs in groups:
-        size = balanced_batch_size(len(runs), most(scene) if batch == "auto" else int(batch), workers)
-        parts += [runs[first : first + size] for first in range(0, len(runs), size)]
-        largest = max(largest, size * bytes_per_environment(scene))
-    log.info(
-        "%d runs in %d batches of at most %d; at most %.3g MB per batch, %.3g MB free",
-        sum(map(len, parts)),
-        len(parts),
-        max(map(len, parts)),
-        largest / 1e6,
-        memory / 1e6,
-    )
-    return parts
-
-
 def _results(
     job: Job, groups: list[tuple[Scene, list[Run]]], batch: int | str, cluster: Any, workers: int | None
 ) -> Iterator[tuple[list[Run], Batch]]:
@@ -192,8 +167,6 @@ def _results(
     if not groups:
         return
     if cluster is not None:
-        from warp_rigid.sweep.cluster import run_on_cluster
-
         yield from run_on_cluster(job, groups, batch, cluster, workers)
         return
     device = choose_device(job.device)
@@ -205,8 +178,6 @@ def _results(
 
 def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict[str, Any]:
     """Metadata of the table."""
-    import warp_rigid
-
     return {
         "scene": job.scene_id,
         "source": str(source) if isinstance(source, str | Path) else None,
@@ -216,7 +187,7 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
         "metrics": [metric_name(metric) for metric in job.metrics],
         "axes": list(axes),
         "parameters": list(runs[0].parameters) if runs else list(axes),
-        "version": warp_rigid.__version__,
+        "version": __version__,
         "versions": {"python": platform.python_version(), "warp": wp.config.version, "numpy": np.__version__},
         "commit": _commit(),
         "machine": platform.platform(),

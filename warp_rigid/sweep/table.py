@@ -11,32 +11,24 @@ import numpy as np
 from warp_rigid.checks import shown
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
+from warp_rigid.sweep.batch import replay
+from warp_rigid.sweep.columns import (
+    BOOKKEEPING,
+    COLUMNS,
+    FINISHED,
+    METADATA_TYPES,
+    REQUIRED_COLUMNS,
+    metadata_field,
+)
 from warp_rigid.sweep.design import MAX_RUNS
+from warp_rigid.sweep.plots import plot
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
-
-FINISHED = ("ok", "out of bounds")
-"""Statuses of a completed run. A run continues when bodies leave the bounds."""
-
-BOOKKEEPING = ("environment", "wall_time")
-"""Columns that depend on how a row was computed; all others depend only on its parameters."""
-
-COLUMNS = ("run", "id", "seed", *BOOKKEEPING, "status", "reason", "most_pairs", "most_contacts", "trajectory")
-"""Standard columns of every table, besides the parameters and metrics."""
 
 WRITE_INTERVAL_RATIO = 10.0
 """Minimum time between two writes of the file, relative to the duration of a write."""
 
 METADATA = b"warp_rigid"
-
-METADATA_TYPES: dict[str, type] = {
-    "scene": str, "fixed": dict, "duration": float, "fps": float, "metrics": list, "axes": list, "parameters": list,
-    "version": str, "design_id": str, "runs": int,
-}  # fmt: skip
-"""Metadata fields and their types."""
-
-REQUIRED_COLUMNS = {"run": int, "id": str, "seed": int, "status": str}
-"""Required columns and their types."""
 
 
 class SweepResult:
@@ -124,14 +116,10 @@ class SweepResult:
                 name nor a file.
             device: as in Simulator; results are bitwise equal only on the same kind of device.
         """
-        from warp_rigid.sweep.batch import replay
-
         return replay(self, row, scene, device)
 
     def plot(self, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
         """Plot the rows and return the matplotlib Figure; see warp_rigid.sweep.plots.plot."""
-        from warp_rigid.sweep.plots import plot
-
         return plot(self, path, x=x, y=y, kind=kind)
 
 
@@ -297,15 +285,6 @@ def _check(about: Any, rows: list[dict[str, Any]]) -> None:
 def _axes(about: dict[str, Any]) -> list[str]:
     """Columns of parameters and axes."""
     return [*about.get("parameters", ()), *about.get("axes", ())]
-
-
-def metadata_field(about: dict[str, Any], name: str) -> Any:
-    """Return a metadata field, checked against its type."""
-    value, kind = about.get(name), METADATA_TYPES[name]
-    words = value if isinstance(value, list) else []
-    if not (isinstance(value, kind) and all(isinstance(word, str) for word in words)):
-        raise ValueError(f"{name}: must be {kind.__name__} in the metadata, got {shown(value)}")
-    return value
 
 
 def merge(paths: Sequence[Any]) -> SweepResult:

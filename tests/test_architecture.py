@@ -1,0 +1,160 @@
+"""Which module imports which, read from the syntax trees: imports in functions and for type checkers count, too."""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = "warp_rigid"
+
+LAYERS = (
+    ("version", "errors", "checks", "rotations"),
+    ("kernels",),
+    ("files",),
+    ("scene",),
+    ("engine",),
+    ("scenes",),
+    ("runs",),
+    ("render",),
+    ("usd",),
+    ("diagnostics",),
+    ("sweep", "bench", "validation", "viewer"),
+    ("commands",),
+    (PACKAGE,),
+)
+"""Subpackages and modules of the package, the lowest layer first. A module imports from its own subpackage and from
+the layers below it. The last one is the package's own __init__.py, which collects the public names.
+"""
+
+UPWARD = {
+    ("diagnostics.selftest", "commands.terminal"): "prints its progress as the commands do",
+    ("files.mesh_files", "usd.opening"): "opens meshes in USD files",
+    ("render.film", "usd.opening"): "draws a film that is a USD file",
+    ("render.film", "usd.prims"): "draws a film that is a USD file",
+    ("runs.runner", "usd"): "runs a scene that is a USD file",
+    ("runs.runner", "usd.load"): "runs a scene that is a USD file",
+    ("runs.runner", "usd.options"): "runs a scene that is a USD file",
+    ("scene.shapes.distance_grid", "engine.cores"): "bakes a grid on several cores",
+    ("viewer.live", "commands.terminal"): "prints its address as the commands do",
+}
+"""Imports of a higher layer (importer, imported), with the reason. None of them makes a cycle of modules."""
+
+KNOWN_CYCLES = ({"engine.checkpoint", "engine.quantities", "engine.simulator"},)
+
+
+def modules_in(root: Path) -> dict[str, Path]:
+    """Files by the names that they are imported by; kernels/ and scenes/ lie at the top of the checkout."""
+    found = {}
+    for top, parent in ((PACKAGE, ()), ("kernels", (PACKAGE,)), ("scenes", (PACKAGE,))):
+        for file in (root / top).rglob("*.py"):
+            if not any(folder.is_symlink() for folder in file.parents):
+                parts = (*parent, *file.relative_to(root).with_suffix("").parts)
+                found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+def imports_of(name: str, source: str, modules) -> set[str]:
+    """Modules of the package that a module imports anywhere in its source."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name}: a relative import"
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            # A name that is no module is defined in the module that it is imported from.
+            found |= {module if module in modules else node.module for module in inner}
+    return (found & set(modules)) - {name}
+
+
+@cache
+def graph() -> dict[str, set[str]]:
+    """Imported modules of each module."""
+    modules = modules_in(ROOT)
+    return {name: imports_of(name, file.read_text(), modules) for name, file in modules.items()}
+
+
+def cycles(edges: dict[str, set[str]]) -> list[set[str]]:
+    """Sets of modules each of which imports all others of its set, directly or through others."""
+
+    @cache
+    def reached(start: str) -> frozenset[str]:
+        seen, pending = set(), list(edges[start])
+        while pending:
+            name = pending.pop()
+            if name not in seen:
+                seen.add(name)
+                pending += edges[name]
+        return frozenset(seen)
+
+    found = {frozenset(other for other in reached(name) if name in reached(other)) for name in edges}
+    return sorted((set(members) for members in found if members), key=sorted)
+
+
+def short(name: str) -> str:
+    """A module's name within the package."""
+    return name.removeprefix(f"{PACKAGE}.")
+
+
+def level(name: str) -> int:
+    """The layer of a module."""
+    top = short(name).split(".")[0]
+    found = [index for index, layer in enumerate(LAYERS) if top in layer]
+    assert len(found) == 1, f"{name}: {top} must be in one layer"
+    return found[0]
+
+
+def may_import(importer: str, imported: str) -> bool:
+    """Whether the layers allow it: lower ones, and one's own subpackage."""
+    return level(imported) < level(importer) or short(imported).split(".")[0] == short(importer).split(".")[0]
+
+
+def test_no_module_imports_itself_through_others():
+    found = [{short(name) for name in cycle} for cycle in cycles(graph())]
+    assert [cycle for cycle in found if cycle not in KNOWN_CYCLES] == []
+
+
+def test_modules_import_from_lower_layers():
+    upward = {
+        (short(importer), short(imported))
+        for importer, names in graph().items()
+        for imported in names
+        if not may_import(importer, imported)
+    }
+    assert sorted(upward - set(UPWARD)) == []
+
+
+def test_the_whole_package_is_read():
+    """A wrong folder would pass the tests above."""
+    assert {"warp_rigid", "warp_rigid.engine.step", "warp_rigid.kernels.schema", "warp_rigid.scenes.demo"} <= set(
+        graph()
+    )
+    assert "warp_rigid.kernels.collide.narrowphase" in graph()["warp_rigid.engine.step"]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import warp_rigid.b",
+        "from warp_rigid import b",
+        "from warp_rigid.b import name",
+        "def f():\n    from warp_rigid.b import name",
+        "if TYPE_CHECKING:\n    from warp_rigid.b import name",
+    ],
+)
+def test_every_kind_of_import_is_seen(source):
+    assert imports_of("warp_rigid.a", source, {"warp_rigid", "warp_rigid.a", "warp_rigid.b"}) == {"warp_rigid.b"}
+
+
+def test_cycles_are_found():
+    edges = {"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a", "e"}, "e": set(), "f": {"f"}}
+    assert cycles(edges) == [{"a", "b", "c"}, {"f"}]
+
+
+def test_layers_are_kept_apart():
+    assert may_import("warp_rigid.engine.step", "warp_rigid.kernels.schema")
+    assert may_import("warp_rigid.sweep.run", "warp_rigid.sweep.table")
+    assert not may_import("warp_rigid.kernels.schema", "warp_rigid.engine.step")
+    assert not may_import("warp_rigid.sweep.run", "warp_rigid.bench.measure")
