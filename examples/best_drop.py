@@ -91,7 +91,7 @@ def main(arguments=None):
     wr.export_usd(recording, options.out / "best_drop.usdc")
 
     from warp_rigid.render.film import film_from_usd
-    from warp_rigid.render.picture import save_picture
+    from warp_rigid.render.images import save_picture
 
     save_picture(film_from_usd(options.out / "best_drop.usdc"), options.out / "best_drop.png")
     return result, best

@@ -18,7 +18,7 @@ import zarr
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
 from warp_rigid.files import atomic
-from warp_rigid.sweep import batch as batch_module
+from warp_rigid.sweep import batch_run as batch_module
 from warp_rigid.sweep import merge, read
 from warp_rigid.sweep import table as table_module
 from warp_rigid.sweep.table import SweepResult, write

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warp_rigid.sweep.plots import plot
+from warp_rigid.sweep.result_plots import plot
 from warp_rigid.sweep.table import SweepResult
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.test_sweep import ball
-from warp_rigid.sweep import batch as batch_module
+from warp_rigid.sweep import batch_run as batch_module
 
 
 def test_a_speed_is_found_from_where_the_ball_ended(monkeypatch):

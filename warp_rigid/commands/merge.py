@@ -19,7 +19,7 @@ def merge_command(
 ) -> int:
     """Merge the tables of the shards of a sweep. Missing runs count as failed."""
     from warp_rigid.sweep import merge
-    from warp_rigid.sweep.plots import check_plot
+    from warp_rigid.sweep.result_plots import check_plot
 
     if plot:
         check_plot(plot, plot_kind)

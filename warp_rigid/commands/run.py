@@ -179,7 +179,7 @@ def _film(recording, usd: str | None, color: str):
 
 def _draw(drawn, picture, film, contact_sheet, html) -> None:
     """Write the requested images, videos and pages."""
-    from warp_rigid.render.picture import save_contact_sheet, save_film, save_picture
+    from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
 
     for save, path in ((save_picture, picture), (save_film, film), (save_contact_sheet, contact_sheet)):
         if path:

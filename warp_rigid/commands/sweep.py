@@ -58,7 +58,7 @@ def sweep_command(
     from warp_rigid.sweep import sweep
     from warp_rigid.sweep.axes import parse_axis
     from warp_rigid.sweep.metrics import check_metrics
-    from warp_rigid.sweep.plots import check_plot
+    from warp_rigid.sweep.result_plots import check_plot
 
     axes = _by_name(map(parse_axis, vary or ()), "--vary")
     measured = check_metrics(metrics.split(",") if metrics else None)

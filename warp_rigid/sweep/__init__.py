@@ -9,7 +9,7 @@ result.plot("tower.png", x="offset", y="top_height")
 """
 
 from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Normal, Uniform
-from warp_rigid.sweep.run import sweep
+from warp_rigid.sweep.execution import sweep
 from warp_rigid.sweep.search import search
 from warp_rigid.sweep.table import SweepResult, merge, read
 

@@ -13,10 +13,10 @@ from warp_rigid.checks import whole_in
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.runs.runner import module_of_file
 from warp_rigid.scene.scene import Scene
-from warp_rigid.sweep.batch import Batch, failed_batch, run_batch
+from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
+from warp_rigid.sweep.batch_size import free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
-from warp_rigid.sweep.memory import free_memory, max_environments, split_into_batches
 
 __all__ = ["cluster_of_file", "run_on_cluster"]
 

@@ -6,7 +6,7 @@ from typing import Any, Literal
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Uniform, clean_axes
 from warp_rigid.sweep.columns import FINISHED
-from warp_rigid.sweep.run import sweep
+from warp_rigid.sweep.execution import sweep
 
 __all__ = ["search"]
 

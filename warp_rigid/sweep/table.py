@@ -11,7 +11,7 @@ import numpy as np
 from warp_rigid.checks import shown
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
-from warp_rigid.sweep.batch import replay
+from warp_rigid.sweep.batch_run import replay
 from warp_rigid.sweep.columns import (
     BOOKKEEPING,
     COLUMNS,
@@ -21,7 +21,7 @@ from warp_rigid.sweep.columns import (
     metadata_field,
 )
 from warp_rigid.sweep.design import MAX_RUNS
-from warp_rigid.sweep.plots import plot
+from warp_rigid.sweep.result_plots import plot
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
 
@@ -119,7 +119,7 @@ class SweepResult:
         return replay(self, row, scene, device)
 
     def plot(self, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
-        """Plot the rows and return the matplotlib Figure; see warp_rigid.sweep.plots.plot."""
+        """Plot the rows and return the matplotlib Figure; see warp_rigid.sweep.result_plots.plot."""
         return plot(self, path, x=x, y=y, kind=kind)
 
 

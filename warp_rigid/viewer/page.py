@@ -9,7 +9,7 @@ import viser
 
 from warp_rigid.render.appearance import rotate
 from warp_rigid.render.film import Film
-from warp_rigid.render.picture import fit_camera, points_to_see
+from warp_rigid.render.images import fit_camera, points_to_see
 from warp_rigid.render.raycast import WALL_THICKNESS
 from warp_rigid.viewer.server import CheckedServer
 

@@ -18,12 +18,12 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.axes import clean_axes, plain
-from warp_rigid.sweep.batch import Batch, run_batch
+from warp_rigid.sweep.batch_run import Batch, run_batch
+from warp_rigid.sweep.batch_size import free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
-from warp_rigid.sweep.memory import free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.metrics import check_metrics, metric_name
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.version import __version__

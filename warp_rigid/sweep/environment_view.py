@@ -7,10 +7,10 @@ import numpy as np
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["View"]
+__all__ = ["EnvironmentView"]
 
 
-class View:
+class EnvironmentView:
     """A subset of the environments of a simulator, with part of the interface of `Simulator`.
 
     Attributes:

@@ -17,9 +17,9 @@ from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
+from warp_rigid.sweep.environment_view import EnvironmentView
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
-from warp_rigid.sweep.view import View
 
 __all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
 
@@ -52,7 +52,7 @@ class Prepared:
     """
 
     sim: Simulator
-    views: list[View]
+    views: list[EnvironmentView]
 
 
 def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
@@ -68,7 +68,7 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     if len(scenes) > 1:
         start_each(sim, scenes, which)
     _set_all(sim, inputs)
-    return Prepared(sim, [View(sim, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
+    return Prepared(sim, [EnvironmentView(sim, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
 
 
 def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = None) -> Simulator:
@@ -164,7 +164,7 @@ def _set_all(sim: Simulator, inputs: list[RunInputs]) -> None:
         set_each(sim, name, [run_input.properties[name] for run_input in inputs])
 
 
-def _events(job: Job, views: list[View]) -> list:
+def _events(job: Job, views: list[EnvironmentView]) -> list:
     """Events of all scenes, each applied to the environments of its scene, sorted by time."""
     return sorted(
         (
