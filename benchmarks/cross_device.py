@@ -1,10 +1,10 @@
-"""How far a GPU ends from the CPU while nothing is chaotic yet; `python -m benchmarks.cross_device`.
+"""Differences between devices in motions that are not chaotic; `python -m benchmarks.cross_device`.
 
-Devices round differently, so motions that double every rounding, as a heap's do, part sooner or later. These scenes do
-not: the largest difference of a position over the run stays below BAR, or the exit status is 1.
+Devices round differently, so chaotic motions, such as those of piles, diverge after some time. The motions of these
+scenes are not chaotic: if the largest difference of a position over the run reaches LIMIT, the exit status is 1.
 
-`--results cpu/results.json gpu/results.json` compares the verdicts of `warp-rigid validate -o` instead, where the
-devices are not in one machine; where they are, `warp-rigid validate` itself tells which verdicts differ.
+`--results cpu/results.json gpu/results.json` compares the verdicts of two runs of `warp-rigid validate -o`, for devices
+in different machines; for devices in one machine, `warp-rigid validate` prints the verdicts that differ.
 """
 
 import argparse
@@ -18,64 +18,54 @@ import warp as wp
 
 import warp_rigid as wr
 from warp_rigid.commands.terminal import start_warp
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation import report
 
-BAR = 1e-4
+LIMIT = 1e-4
 """Largest difference of a position that passes [m]."""
 
-LOOK = 15
+STEPS_BETWEEN = 15
 """Steps between two comparisons."""
-
-CUBE = wr.Box((0.1, 0.1, 0.1))
-
-
-def level(friction: float = 0.5, restitution: float = 0.0) -> wr.Scene:
-    """Level ground."""
-    scene = wr.Scene()
-    scene.add_static(wr.Plane(), friction=friction, restitution=restitution)
-    return scene
 
 
 def thrown() -> wr.Scene:
-    """Boxes of three different edges, thrown and tumbling; one spins about its middle axis, which is unstable."""
-    scene = level()
+    """Boxes with three different edges, thrown with spin; one spins about its middle axis, which is unstable."""
+    scene = level_scene()
     for k, spin in enumerate(((3, -5, 7), (0.01, 8, 0.01), (0, 0, 20))):
         scene.add_body(wr.Box((0.05, 0.1, 0.2)), position=(0, k, 2), linear_velocity=(2, 1, 3), angular_velocity=spin)
     return scene
 
 
 def sliding() -> wr.Scene:
-    """Boxes turned by different angles that slide to rest."""
-    scene = level(friction=0.4)
+    """Boxes at different angles about z that slide to rest."""
+    scene = level_scene(friction=0.4)
     for k in range(6):
         half = np.radians(5 * k)
         turn = (0, 0, np.sin(half), np.cos(half))
-        scene.add_body(CUBE, position=(0, k, 0.1), orientation=turn, linear_velocity=(1 + 0.2 * k, 0, 0))
+        scene.add_body(stacks.CUBE, position=(0, k, 0.1), orientation=turn, linear_velocity=(1 + 0.2 * k, 0, 0))
     return scene
 
 
 def stack() -> wr.Scene:
-    """Five boxes, each turned a little against the one below."""
-    scene = level()
-    for k in range(5):
-        turn = (0, 0, np.sin(0.1 * k), np.cos(0.1 * k))
-        scene.add_body(CUBE, position=(0, 0, 0.1 + 0.2 * k), orientation=turn)
+    """Five boxes, each rotated by 0.2 rad relative to the one below."""
+    scene = level_scene()
+    stacks.add_stack(scene, 5, twist=0.2)
     return scene
 
 
 def slope() -> wr.Scene:
-    """Boxes on a slope of 25 degrees: two slide, one creeps off the limit of friction, one sticks just below it."""
+    """Boxes on a slope of 25 degrees: two slide, one just slips and one just sticks."""
     tilt = np.radians(25)
-    scene = wr.Scene(gravity=(9.81 * np.sin(tilt), 0, -9.81 * np.cos(tilt)))
-    scene.add_static(wr.Plane(), friction=0.5)
+    scene = level_scene(gravity=(9.81 * np.sin(tilt), 0, -9.81 * np.cos(tilt)))
     for k, friction in enumerate((0.1, 0.3, 0.45, 0.48)):
-        scene.add_body(CUBE, position=(0, k, 0.1), friction=friction)
+        scene.add_body(stacks.CUBE, position=(0, k, 0.1), friction=friction)
     return scene
 
 
 def rolling() -> wr.Scene:
-    """Balls and a cylinder that begin by sliding and then roll; some roll to a stop."""
-    scene = level(friction=0.3)
+    """Balls and a cylinder that first slide and then roll; some roll to a stop."""
+    scene = level_scene(friction=0.3)
     for k, resistance in enumerate((0.0, 0.001, 0.005)):
         scene.add_body(wr.Sphere(0.1), position=(0, k, 0.1), linear_velocity=(2, 0, 0), rolling_friction=resistance)
     on_its_side = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
@@ -84,8 +74,8 @@ def rolling() -> wr.Scene:
 
 
 def bouncing() -> wr.Scene:
-    """Balls of different restitution, thrown, that bounce."""
-    scene = level(restitution=1.0)
+    """Thrown balls with different restitution that bounce."""
+    scene = level_scene(restitution=1.0)
     for k in range(5):
         scene.add_body(
             wr.Sphere(0.1),
@@ -105,7 +95,7 @@ SCENES: dict[str, tuple[Callable[[], wr.Scene], int]] = {
     "balls and a cylinder that slide, then roll": (rolling, 480),
     "balls that bounce": (bouncing, 480),
 }
-"""Scenes and the steps in which nothing chaotic happens."""
+"""Scenes, and the number of steps in which their motion is not chaotic."""
 
 
 def difference(name: str, devices: tuple[str, str]) -> tuple[float, float]:
@@ -113,9 +103,9 @@ def difference(name: str, devices: tuple[str, str]) -> tuple[float, float]:
     build, steps = SCENES[name]
     one, other = (wr.Simulator(build(), device=device) for device in devices)
     apart, turned = 0.0, 0.0
-    for _ in range(0, steps, LOOK):
-        one.step(LOOK)
-        other.step(LOOK)
+    for _ in range(0, steps, STEPS_BETWEEN):
+        one.step(STEPS_BETWEEN)
+        other.step(STEPS_BETWEEN)
         apart = max(apart, np.linalg.norm(one.get("position") - other.get("position"), axis=-1).max())
         here, there = one.get("orientation"), other.get("orientation")
         chord = np.minimum(np.linalg.norm(here - there, axis=-1), np.linalg.norm(here + there, axis=-1))
@@ -127,19 +117,17 @@ def compare_verdicts(paths: list[Path]) -> int:
     """Print which verdicts of `results.json` files differ; returns the exit status."""
     checks = [check for path in paths for check in json.loads(path.read_text())["checks"]]
     lines = report.agreement(checks)
-    print(*lines or ["nothing to compare: the files hold verdicts of one device"], sep="\n")
+    print(*lines or ["nothing to compare: the files contain verdicts of one device only"], sep="\n")
     return int(len(lines) != 1)
 
 
 def compare_positions(devices: tuple[str, str]) -> int:
     """Print the differences of every scene; returns the exit status."""
-    print(
-        f"largest differences between {devices[0]} and {devices[1]}: positions [m], to be below {BAR:g}; angles [rad]"
-    )
+    print(f"largest differences between {devices[0]} and {devices[1]}: positions [m], limit {LIMIT:g}; angles [rad]")
     found = {name: difference(name, devices) for name in SCENES}
     for name, (apart, turned) in found.items():
         print(f"{apart:9.2g} {turned:9.2g}  {name}")
-    return int(max(apart for apart, _ in found.values()) >= BAR)
+    return int(max(apart for apart, _ in found.values()) >= LIMIT)
 
 
 def main() -> int:

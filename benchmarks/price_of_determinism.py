@@ -1,9 +1,9 @@
-"""What an order that never changes costs; `python -m benchmarks.price_of_determinism --devices cpu cuda:0`.
+"""Cost of a deterministic order; `python -m benchmarks.price_of_determinism --devices cpu cuda:0`.
 
-The simulator lists pairs by counting, summing up and searching again, where one search that appends to a list by an
-atomic counter would do; and its line search adds up each island's parts as whole multiples of a small part of the
-largest one, which it has to find first, where floats could be added. Both ways are timed here on the same boxes, apart
-from the simulator.
+The simulator lists pairs by a count, a prefix sum and a second search; a search that appends to a list with an atomic
+counter would be sufficient without determinism. Its line search adds each island's terms as integer multiples of a
+fraction of the largest term, which it has to find first; without determinism floats could be added. Both methods are
+timed here on the same boxes, outside the simulator.
 """
 
 import argparse
@@ -15,31 +15,31 @@ import numpy as np
 import warp as wp
 
 import warp_rigid as wr
-from warp_rigid.bench.scenes import Case
+from warp_rigid.bench.cases import BenchmarkCase
 from warp_rigid.commands.terminal import start_warp
-from warp_rigid.engine.step import TRY_ALL_UP_TO
+from warp_rigid.engine.hash_grid import TRY_ALL_UP_TO
 
 wp.set_module_options({"enable_backward": False})
 
 COUNT, WRITE, APPEND = (wp.constant(k) for k in range(3))
 
 SIZES = ((4096, 10), (1, 100_000))
-"""Environments and bodies in each."""
+"""Numbers of environments and of bodies in each."""
 
 PITCH, REACH = 0.2, 0.101
-"""Distance of neighbouring boxes, and half the width of what each may reach within a step [m]."""
+"""Distance of neighbouring boxes, and half the width of each one's bounding box [m]."""
 
 FINE = wp.constant(wp.float64(2.0**40))
 
 WARP, MANY = 32, 4096
-"""Threads that add up the parts of a small environment and of a large one on a GPU."""
+"""Threads per sum in a small and in a large environment on a GPU."""
 
 REPEATS, ROUNDS = 5, 5
-"""Times that something is done in a graph, and graphs of which the quickest counts."""
+"""Repetitions within a graph, and launches of the graph, of which the fastest counts."""
 
 
 class Boxes(NamedTuple):
-    """Boxes of many environments, and room for their pairs."""
+    """Bounding boxes of many environments, and a list for their pairs."""
 
     per_env: int
     lower: wp.array
@@ -85,7 +85,7 @@ def try_all(
     start: wp.array[int],
     pairs: wp.array[wp.vec2i],
 ):
-    """A thread a body: all later bodies of its environment."""
+    """One thread per body: all later bodies of its environment."""
     i = wp.tid()
     found = int(0)
     if mode != WRITE or start[i + 1] > start[i]:
@@ -96,7 +96,7 @@ def try_all(
 
 
 @wp.kernel
-def look_around(
+def search_grid(
     mode: int,
     grid: wp.uint64,
     reach: float,
@@ -106,7 +106,7 @@ def look_around(
     start: wp.array[int],
     pairs: wp.array[wp.vec2i],
 ):
-    """A thread a body: those near it in the hash grid."""
+    """One thread per body: its neighbours in the hash grid."""
     i = wp.tid()
     found = int(0)
     if mode != WRITE or start[i + 1] > start[i]:
@@ -120,7 +120,7 @@ def look_around(
 
 @wp.kernel
 def find_largest(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], largest: wp.array[float]):
-    """Some threads an environment: the largest part, for which order does not matter."""
+    """`lanes` threads per environment: the largest term, which does not depend on the order."""
     env = wp.tid() / lanes
     found = float(1.0e-30)
     for k in range(begin[env] + wp.tid() % lanes, begin[env + 1], lanes):
@@ -136,7 +136,7 @@ def add_multiples(
     largest: wp.array[float],
     total: wp.array2d[wp.int64],
 ):
-    """Some threads an environment: the parts as whole multiples of a 2^40th of the largest."""
+    """`lanes` threads per environment: the sum of the terms as integer multiples of 2^-40 of the largest."""
     env = wp.tid() / lanes
     scale = FINE / wp.float64(largest[env])
     first = wp.int64(0)
@@ -150,7 +150,7 @@ def add_multiples(
 
 @wp.kernel
 def add_floats(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], total: wp.array[wp.vec2]):
-    """Some threads an environment: the parts as they are."""
+    """`lanes` threads per environment: the sum of the terms as floats."""
     env = wp.tid() / lanes
     found = wp.vec2(0.0, 0.0)
     for k in range(begin[env] + wp.tid() % lanes, begin[env + 1], lanes):
@@ -159,7 +159,7 @@ def add_floats(lanes: int, begin: wp.array[int], part: wp.array[wp.vec2], total:
 
 
 def lattice(envs: int, per_env: int, device: Any) -> Boxes:
-    """Environments of boxes that touch their neighbours: towers, or blocks where there are many."""
+    """Boxes that touch their neighbours: towers, or a block if there are many in an environment."""
     side = 1 if per_env <= TRY_ALL_UP_TO else round(per_env ** (1 / 3))
     k = np.arange(per_env)
     center = np.tile(PITCH * np.stack([k % side, k // side % side, k // side**2], axis=1), (envs, 1)).astype(np.float32)
@@ -181,11 +181,11 @@ def lattice(envs: int, per_env: int, device: Any) -> Boxes:
 
 
 def search(boxes: Boxes, mode: Any) -> None:
-    """One round of the search."""
+    """Search for pairs once."""
     device = boxes.lower.device
     own = [boxes.grid.id, 3.5 * REACH] if boxes.grid else [boxes.per_env]
     wp.launch(
-        look_around if boxes.grid else try_all,
+        search_grid if boxes.grid else try_all,
         dim=boxes.lower.shape[0],
         inputs=[mode, *own, boxes.lower, boxes.upper],
         outputs=[boxes.count, boxes.start, boxes.pairs],
@@ -194,20 +194,20 @@ def search(boxes: Boxes, mode: Any) -> None:
 
 
 def list_in_order(boxes: Boxes) -> None:
-    """Count, sum up, write."""
+    """List pairs by a count, a prefix sum and a second search."""
     search(boxes, COUNT)
     wp.utils.array_scan(boxes.count, boxes.start, inclusive=False)
     search(boxes, WRITE)
 
 
 def append(boxes: Boxes) -> None:
-    """Append to the list, in whatever order threads come."""
+    """Append pairs to the list in the order in which threads run."""
     boxes.start[:1].zero_()
     search(boxes, APPEND)
 
 
 def seconds(work: Callable[[], None], device: Any) -> float:
-    """Time that something takes on a device, at best."""
+    """Shortest time of a function on a device."""
     clock = time.process_time if device.is_cpu else time.perf_counter
     with wp.ScopedCapture(device, force_module_load=False) as capture:
         for _ in range(REPEATS):
@@ -223,7 +223,7 @@ def seconds(work: Callable[[], None], device: Any) -> float:
 
 
 class Price(NamedTuple):
-    """What one thing takes both ways [s], and how many results of the free way changed from run to run."""
+    """Time of both methods [s], and the number of results of the free order that changed between two runs."""
 
     what: str
     in_order: float
@@ -233,7 +233,7 @@ class Price(NamedTuple):
 
 
 def price_of_lists(boxes: Boxes) -> Price:
-    """Pairs: the free way lists the same ones elsewhere."""
+    """Time of the list of pairs; the free order lists the same pairs at other indices."""
     device = boxes.lower.device
     lists = []
     for work in (list_in_order, list_in_order, append, append):
@@ -248,7 +248,7 @@ def price_of_lists(boxes: Boxes) -> Price:
 
 
 def price_of_sums(boxes: Boxes, envs: int) -> Price:
-    """Sums over the pairs of each environment: the free way rounds otherwise."""
+    """Time of sums over the pairs of each environment; the free order rounds differently."""
     device = boxes.lower.device
     list_in_order(boxes)
     begin = boxes.start.numpy()[:: boxes.per_env].copy()
@@ -283,14 +283,14 @@ def price_of_sums(boxes: Boxes, envs: int) -> Price:
 
 
 def prices(envs: int, per_env: int, device: Any) -> list[Price]:
-    """Both prices at one size."""
+    """Both measurements at one size."""
     boxes = lattice(envs, per_env, device)
     return [price_of_lists(boxes), price_of_sums(boxes, envs)]
 
 
 def step_seconds(envs: int, device: Any, steps: int = 40) -> float:
-    """Time of a whole step of stacks of ten boxes."""
-    sim = wr.Simulator(Case("stack", 10).build(), num_envs=envs, device=device)
+    """Time of a complete step of stacks of ten boxes [s]."""
+    sim = wr.Simulator(BenchmarkCase("stack", 10).build(), num_envs=envs, device=device)
     clock = time.process_time if sim.device.is_cpu else time.perf_counter
     sim.step(steps)
     begin = clock()
@@ -315,7 +315,7 @@ def main() -> None:
                     f"{1e3 * price.in_order:7.3f} ms {1e3 * price.free:7.3f} ms {changed:>16}"
                 )
         whole = 1e3 * step_seconds(SIZES[0][0], device)
-        print(f"{name:8} {f'{SIZES[0][0]} x 10':>22}  {'a whole step':24} {whole:7.3f} ms")
+        print(f"{name:8} {f'{SIZES[0][0]} x 10':>22}  {'complete step':24} {whole:7.3f} ms")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""What a step would take if memory or arithmetic were all that limits it; `python -m benchmarks.roofline`.
+"""Roofline: the least time of each stage by memory, arithmetic and launches; `python -m benchmarks.roofline`.
 
-Every scene is run until it has settled. Then the work of one step is counted: rows from the live arrays, bytes of a
-row from the declarations in `kernels/schema.py`, operations of a visit from the constants below. A stage cannot be
-faster than its bytes at the memory's bandwidth, its operations at the arithmetic's rate, or its launches one after
-another: the largest of the three is its floor. Each array counts once a stage, however often its rows are read:
-repeated reads are assumed to hit a cache. So no implementation with this data gets below the floor.
+Every scene is run until it has settled. Then the work of one step is counted: rows from the live arrays, bytes per row
+from the declarations in `kernels/schema.py`, operations per visit from the constants below. The floor of a stage is the
+largest of three times: its bytes at the memory's bandwidth, its operations at the arithmetic's rate, and its launches
+one after another. Each array counts once per stage, because repeated reads are assumed to hit a cache. Therefore no
+implementation with this data can be faster than the floor.
 """
 
 import argparse
@@ -19,12 +19,12 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import Settings, Simulator
+from warp_rigid.bench.cases import BenchmarkCase, find_case
 from warp_rigid.bench.measure import FPS, STAGE_STEPS, commit
-from warp_rigid.bench.scenes import Case, find_case
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import narrowphase
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
@@ -36,32 +36,32 @@ SUBSTEPS, SETTLE = 4, 240
 OPERATIONS = {
     "predict": 400,  # role, world inertia R I R^T, accelerations, swept box
     "test of boxes": 12,
-    "reach of a pair": 150,  # relative pose, travel, and whether it has moved since it was last looked at
+    "reach of a pair": 150,  # relative pose, travel, and whether it has moved since the last search
     "cluster": 60,  # centre into the other frame, its box
-    "sample": 40,  # likewise
+    "sample": 40,  # the same
     "distance": 120,  # cell, eight values, gradient
-    "contact": 700,  # its place once more, tangents, inverse masses, coefficients, impulses of the last step
-    "graph": 40,  # of a contact: who rests on whom
-    "impact": 60,  # of a contact: does it approach
+    "contact": 700,  # position, tangents, inverse masses, coefficients, impulses of the last step
+    "graph": 40,  # of a contact: which body supports which
+    "impact": 60,  # of a contact: normal velocity
     "visit": 220,  # normal impulse, friction in its cone, both bodies' velocities
     "search": 150,  # of a contact, in the line search
     "overlap": 120,  # of a contact, in the push-out
-    "course": 60,  # of a pair, in the swept detection
+    "course": 60,  # of a pair, in continuous collision detection
 }
 """Additions, multiplications, divisions and roots of one visit, in float32."""
 
 MOVE = 1000
-"""Those of a body's rotation, in float64."""
+"""The same for a body's rotation, in float64."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a device can do at most.
+    """Peak rates of a device.
 
     Attributes:
         bandwidth: of its memory [bytes/s].
-        single: operations a second in float32.
-        double: in float64.
+        single: operations per second in float32.
+        double: operations per second in float64.
         launch: time between two empty kernels of a graph [s].
     """
 
@@ -77,14 +77,14 @@ LIMITS = {"cuda": Limits(4.4e12, 67e12, 34e12, 0.75e-6), "cpu": Limits(25e9, 60e
 
 @dataclass
 class Work:
-    """What a stage moves and computes in one step.
+    """Memory traffic and arithmetic of a stage in one step.
 
     Attributes:
-        read: bytes, each array once.
-        written: bytes.
+        read: bytes read, each array once.
+        written: bytes written.
         single: operations in float32.
-        double: in float64.
-        launches: kernels, copies and fills.
+        double: operations in float64.
+        launches: number of kernels, copies and fills.
     """
 
     read: float = 0.0
@@ -94,7 +94,7 @@ class Work:
     launches: int = 0
 
     def floor(self, limits: Limits) -> tuple[float, str]:
-        """The least time [s], and what it is that takes it."""
+        """The least time [s], and its cause."""
         return max(
             ((self.read + self.written) / limits.bandwidth, "memory"),
             (self.single / limits.single + self.double / limits.double, "arithmetic"),
@@ -104,25 +104,29 @@ class Work:
 
 @dataclass
 class Counts:
-    """How much there is to do in one step of all environments, as found in the live arrays.
+    """Amount of work in one step of all environments, as found in the live arrays.
 
     Attributes:
         envs: environments.
-        rows: bodies, those that stand still included.
-        small: bodies of an environment that look for each other.
-        wide: those that are tried against every body.
-        pairs: whose boxes overlap.
-        searched: of them, those whose contacts were looked for anew.
-        clusters: of samples that were looked at, and `near`, those that were near enough.
-        samples: of near clusters, and `close`, those that were near enough for a distance.
+        rows: bodies, static ones included.
+        small: bodies of an environment that are tested against each other.
+        wide: bodies of an environment that are tested against every body.
+        pairs: pairs whose bounding boxes overlap.
+        searched: pairs whose contacts were searched again.
+        clusters: tested clusters of samples.
+        near: clusters that passed the test.
+        samples: tested samples of near clusters.
+        close: samples that passed the test, for which a distance is computed.
         touching: pairs with contacts.
-        contacts: contacts.
+        contacts: number of contacts.
         levels: highest level of any environment.
-        sweeps: visits of contacts in sweeps: fewest that end in the same state.
-        unsettled: contacts of environments that the sweeps alone do not settle, for shock propagation.
+        sweeps: visits of contacts in sweeps; the smallest number that results in the same state.
+        unsettled: contacts of environments that need shock propagation after the sweeps.
         unsettled_rows: bodies of those environments.
-        gridded: whether bodies look for each other through the hash grid.
-        pool_clusters: in the pool of shapes, which all environments share; likewise samples and nodes of grids.
+        gridded: whether the broad phase uses the hash grid.
+        pool_clusters: clusters in the pool of shapes, which all environments share.
+        pool_samples: samples in that pool.
+        pool_nodes: nodes of distance grids in that pool.
     """
 
     envs: int
@@ -149,7 +153,7 @@ class Counts:
 
 @dataclass
 class Found:
-    """One scene: what was counted and measured, stage by stage, in seconds a step."""
+    """Counts and measured times of one scene, by stage, in seconds per step."""
 
     scene: str
     device: str
@@ -179,7 +183,7 @@ def count_samples(
     pairs: schema.Pairs,
     counted: wp.array2d[int],
 ):
-    """One thread a pair that was searched: its clusters, the near ones, their samples, the close ones."""
+    """One thread per searched pair: its clusters, near clusters, their samples, and close samples."""
     pair = wp.tid()
     if pairs.patch_count[pair] < 0:
         return
@@ -204,16 +208,16 @@ def count_samples(
 
 
 def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STEPS) -> Found:
-    """Settle a scene and compare what each stage takes with what it must take.
+    """Settle a scene and compare the measured time of each stage with its floor.
 
     Args:
         text: name, bodies and environments, such as "stack:10:4096".
         device: the Warp device.
         settle: frames before the work is counted.
-        steps: over which the times are averaged.
+        steps: number of steps over which the times are averaged.
 
     Raises:
-        ValueError: there is no such scene.
+        ValueError: There is no such scene.
     """
     name, _, envs = text.rpartition(":")
     case = find_case(name)
@@ -228,7 +232,7 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
     return Found(text, named, commit(), counts, work, stage_times(sim, steps), sim.memory, limits)
 
 
-def _settled(case: Case, envs: int, device: Any, settle: int) -> Simulator:
+def _settled(case: BenchmarkCase, envs: int, device: Any, settle: int) -> Simulator:
     with shared_by(usable_cores()):  # one core, so one shard
         sim = Simulator(case.build(), envs, Settings(dt=1.0 / (FPS * SUBSTEPS)), device=device)
     case.scatter(sim)
@@ -237,7 +241,7 @@ def _settled(case: Case, envs: int, device: Any, settle: int) -> Simulator:
 
 
 def count(sim: Simulator) -> Counts:
-    """Count the work of the coming step; the state stays as it is."""
+    """Count the work of the next step without changing the state."""
     (shard,) = sim._shards
     shard.save(attempt=0)
     stages, pools = shard.stages, shard.pools
@@ -258,8 +262,8 @@ def count(sim: Simulator) -> Counts:
     return Counts(
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
-        small=sim._model.small.shape[0],
-        wide=sim._model.oversized.shape[0],
+        small=len(sim._model.small),
+        wide=len(sim._model.oversized),
         pairs=pairs,
         searched=searched,
         clusters=clusters,
@@ -272,7 +276,7 @@ def count(sim: Simulator) -> Counts:
         sweeps=int((sweeps_needed(sim) * contacts).sum()),
         unsettled=int(contacts[~converged].sum()),
         unsettled_rows=int((~converged).sum()) * sim.num_bodies,
-        gridded=stages.buckets > 0,
+        gridded=stages.grid.buckets > 0,
         pool_clusters=sim._model.shapes.clusters.shape[0],
         pool_samples=sim._model.shapes.samples.shape[0],
         pool_nodes=sim._model.shapes.grid_value.shape[0],
@@ -303,12 +307,12 @@ def _velocities_after(sim: Simulator, iterations: np.ndarray) -> np.ndarray:
 
 
 def count_launches(sim: Simulator) -> dict[str, int]:
-    """Kernels, sums, copies and fills that each stage of a step asks for."""
+    """Number of kernels, sums, copies and fills that each stage of a step launches."""
     found: dict[str, int] = {}
     running: list[str | None] = [None]
     (shard,) = sim._shards
     shard.save(attempt=0)
-    with _watched(lambda: found.update({running[-1]: found.get(running[-1], 0) + 1})):
+    with _counted_launches(lambda: found.update({running[-1]: found.get(running[-1], 0) + 1})):
 
         def switch(name: str | None) -> None:
             running.append(name)
@@ -321,8 +325,8 @@ def count_launches(sim: Simulator) -> dict[str, int]:
 
 
 @contextlib.contextmanager
-def _watched(note: Callable[[], None]) -> Iterator[None]:
-    """Have every kernel that is launched, and every sum over an array, noted."""
+def _counted_launches(note: Callable[[], None]) -> Iterator[None]:
+    """Call `note` at every kernel launch and every prefix sum."""
 
     def noting(function: Callable) -> Callable:
         def run(*given: Any, **named: Any) -> Any:
@@ -340,9 +344,15 @@ def _watched(note: Callable[[], None]) -> Iterator[None]:
 
 
 def row(struct: Any, symbol: str, *only: str) -> int:
-    """Bytes of one row of a layout: of its arrays over `symbol`, or of those named."""
+    """Bytes of one row of a layout: of all its arrays over `symbol`, or of those named.
+
+    Raises:
+        KeyError: The layout has no array of a given name.
+    """
     total = 0
-    for name, declared in schema.LAYOUTS[struct.key].items():
+    if unknown := set(only) - set(declare.LAYOUTS[struct.key]):
+        raise KeyError(f"{struct.key} has no {', '.join(sorted(unknown))}")
+    for name, declared in declare.LAYOUTS[struct.key].items():
         first, *others = (term.strip() for term in declared.shape.split(","))
         if first.partition(" ")[0] == symbol and (not only or name in only):
             total += wp.types.type_size_in_bytes(declared.dtype) * int(np.prod([int(term) for term in others]))
@@ -350,19 +360,19 @@ def row(struct: Any, symbol: str, *only: str) -> int:
 
 
 def part(record: Any, *only: str) -> int:
-    """Bytes of the fields named of a record, or of all of it."""
-    fields = schema.RECORDS[record.key]
+    """Bytes of the named fields of a record, or of all fields."""
+    fields = declare.RECORDS[record.key]
     return sum(wp.types.type_size_in_bytes(fields[name].dtype) for name in only or fields)
 
 
-VELOCITY = part(schema.SolverBodyRecord, "linear", "inverse_mass", "angular", "row_end_1")
-MASS = part(schema.SolverBodyRecord, "inverse_inertia_xx", "inverse_inertia_yz", "row_end_3")
-IMPULSE = part(schema.ImpulseRecord, "impulse", "row_end_0", "angular_impulse", "row_end_1")
-CONTACT, LOAD, ENTRY = part(schema.ContactRecord), part(schema.ImpulseRecord), part(schema.PairRecord)
+VELOCITY = part(schema.SolverBodyRecord, "linear", "inverse_mass", "angular")
+MASS = part(schema.SolverBodyRecord, "inverse_inertia_xx", "inverse_inertia_yz")
+IMPULSE = part(schema.ImpulseRecord, "impulse", "angular_impulse")
+CONTACT, LOAD, ENTRY = part(schema.ContactRecord), part(schema.ImpulseRecord), part(schema.OrderRecord)
 
 
 def work_of(stage: str, c: Counts) -> Work:
-    """What a stage has to do at least, by its counts; launches are counted elsewhere."""
+    """Least work of a stage by the counts, without launches."""
     return _WORK[stage](c) if stage in _WORK else Work()
 
 
@@ -396,8 +406,8 @@ def _find_contacts(c: Counts) -> Work:
 def _build_graph(c: Counts) -> Work:
     read = c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
     read += c.rows * (VELOCITY + row(schema.Motions, "bodies", "acceleration"))
-    written = c.rows * row(schema.Graph, "bodies", "level", "height", "island", "colors")
-    written += c.pairs * row(schema.Graph, "pairs", "supports", "pair_color") + c.touching * ENTRY
+    written = c.rows * row(schema.Graph, "bodies", "level", "depth", "island", "colors")
+    written += c.pairs * row(schema.Graph, "constraints", "supports", "color") + c.touching * ENTRY
     return Work(read, written, c.contacts * OPERATIONS["graph"])
 
 
@@ -433,10 +443,12 @@ def _push_out(c: Counts) -> Work:
 
 def _follow(c: Counts) -> Work:
     read = c.rows * (row(schema.State, "bodies", "position", "orientation") + VELOCITY)
-    read += c.rows * row(schema.Motions, "bodies", "center", "radius", "room")
+    read += c.rows * row(schema.Motions, "bodies", "center", "radius", "max_travel")
     read += c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b")
     return Work(
-        read, c.rows * row(schema.Motions, "bodies", "share", "next_time_of_impact"), c.pairs * OPERATIONS["course"]
+        read,
+        c.rows * row(schema.Motions, "bodies", "time_of_impact", "next_time_of_impact"),
+        c.pairs * OPERATIONS["course"],
     )
 
 
@@ -476,9 +488,9 @@ def markdown(found: Found) -> str:
     lines += [
         f"## {found.scene.rpartition(':')[0]} × {c.envs}",
         "",
-        f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched anew "
+        f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched again "
         f"({c.clusters:,} clusters, {c.samples:,} samples, {c.near + c.close:,} distances); {c.touching:,} touch, in "
-        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} sweeps a contact, "
+        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} sweeps per contact, "
         f"{c.unsettled / max(c.contacts, 1):.0%} of the contacts need shock propagation. The simulator's arrays fill "
         f"{found.working_set / 1e6:,.0f} MB; sweeps visit {visits / 1e9:.3g} G contacts/s.",
         "",
@@ -496,24 +508,24 @@ def markdown(found: Found) -> str:
 
 
 def _short(number: float) -> str:
-    """Three figures."""
+    """A number with three digits."""
     return f"{number:,.0f}" if number >= 100.0 else f"{number:.3g}"
 
 
 def page(scenes: list[Found]) -> str:
     """The page of all tables."""
-    note = "Written by `python -m benchmarks.roofline --write docs/roofline_table.md`; [what it means](roofline.md).\n"
-    return "\n".join(["# Roofline: all figures\n", note, *map(markdown, scenes)])
+    note = "Written by `python -m benchmarks.roofline --write docs/roofline_table.md`; [explanation](roofline.md).\n"
+    return "\n".join(["# Roofline: all results\n", note, *map(markdown, scenes)])
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure scenes, print their tables, and write them where it is asked for."""
+    """Measure scenes, print their tables, and write the requested files."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=MAIN, help="name:bodies:environments")
     parser.add_argument("--device")
     parser.add_argument("--settle", type=int, default=SETTLE, help="frames of 1/60 s before the work is counted")
-    parser.add_argument("--write", help="file for the tables (.md)")
-    parser.add_argument("--json", help="file for the figures (.json)")
+    parser.add_argument("--write", help="output file for the tables (.md)")
+    parser.add_argument("--json", help="output file for the figures (.json)")
     given = parser.parse_args(arguments)
     device = choose_device(given.device)
     found = []

@@ -1,8 +1,9 @@
-"""Soak: a pile whose bodies come and go for very many steps; `python -m benchmarks.soak --steps 1000000`.
+"""Soak test: a pile from which bodies are removed and to which they return.
 
-Tells whether memory stays flat, whether resting bodies drift, whether bodies get lost, whether environments that are
-alike stay so, and whether steps become slower: a JSON line whenever a twentieth of the steps is done, so that a run
-that is cut short has told what it found so far. On a GPU: `--device cuda:0 --envs 4096 --steps 100000 --minutes 8`.
+`python -m benchmarks.soak --steps 1000000` reports whether memory stays constant, whether resting bodies drift, whether
+bodies escape, whether identical environments stay identical, and whether steps become slower. It prints a JSON line
+after every twentieth of the steps, so that an interrupted run has reported its results so far. On a GPU:
+`--device cuda:0 --envs 4096 --steps 100000 --minutes 8`.
 """
 
 import argparse
@@ -18,18 +19,21 @@ import numpy as np
 
 import warp_rigid as wr
 from warp_rigid.commands.terminal import start_warp
+from warp_rigid.scenes.builders import grounds, piles, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
+from warp_rigid.scenes.demo import indices
 
 WARM = 0.1
-"""The first part of the rounds fills caches and pools; flatness is measured after it."""
+"""Fraction of the rounds that fill caches and pools; growth of memory is measured after it."""
 
-LOOKS = 100
-"""So often memory is measured."""
+MEMORY_SAMPLES = 100
+"""How many times memory is measured."""
 
 LINES = 20
-"""So often a line is told."""
+"""How many lines are printed."""
 
-ROOM = 12
-"""Pairs a body for which there is room from the start, so that what grows is not a pool."""
+PAIRS_PER_BODY = 12
+"""Initial capacity of the pool of pairs, large enough that the pool does not grow."""
 
 PITCH = 0.26
 """Distance of the columns in which a pile starts [m]."""
@@ -37,29 +41,29 @@ PITCH = 0.26
 
 @dataclass(frozen=True)
 class Soak:
-    """What a soak run has found so far.
+    """Results of a soak run so far.
 
     Attributes:
-        steps: done in each environment.
-        asked: steps that were asked for.
-        envs: environments.
-        bodies: in each.
-        changes: how often bodies were taken out or let fall.
-        seconds: that the steps took.
+        steps: steps done in each environment.
+        requested: requested number of steps.
+        envs: number of environments.
+        bodies: number of bodies in an environment.
+        changes: how many times bodies were removed or returned.
+        seconds: time of the steps.
         memory: of the process [bytes].
-        memory_growth: of the process after warming up, in parts of what it was then.
-        device_memory: taken on the device, by whomever; on the CPU by the simulator's arrays [bytes].
-        device_growth: likewise, after warming up.
-        slowdown: time of the last fifth of the rounds over that of the first fifth after warming up.
-        drift: most that a body at rest is away from where it was after the first round [m].
-        contacts: of all environments in the last step.
-        escaped: bodies that are neither taken out nor in the bin.
-        unequal: pairs of environments that started alike and are different now.
-        failed: environments that are not healthy.
+        memory_growth: relative growth of the process's memory after the warm-up.
+        device_memory: used on the device by all processes; on the CPU by the simulator's arrays [bytes].
+        device_growth: relative growth of it after the warm-up.
+        slowdown: time of the last fifth of the rounds over that of the first fifth after the warm-up.
+        drift: largest distance of a resting body from its position after the first round [m].
+        contacts: in all environments in the last step.
+        escaped: active bodies outside the bin.
+        unequal: pairs of environments that started alike and differ now.
+        failed: environments whose status is not ok.
     """
 
     steps: int
-    asked: int
+    requested: int
     envs: int
     bodies: int
     changes: int
@@ -82,22 +86,16 @@ def half_width(count: int) -> float:
 
 
 def pile(count: int) -> wr.Scene:
-    """Boxes and balls that fall into a bin, and beside it a tower that nothing touches."""
-    scene = wr.Scene()
-    scene.add_static(wr.Plane(), friction=0.5, name="ground")
+    """Boxes and balls that fall into a bin, and a resting tower beside it that nothing touches."""
+    scene = grounds.level_scene(friction=0.5, name="ground")
     side = half_width(count)
-    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        half = (0.05, side + 0.1, 1.5) if x else (side + 0.1, 0.05, 1.5)
-        scene.add_static(wr.Box(half), position=(x * (side + 0.05), y * (side + 0.05), 1.5), name="wall")
-    for k in range(3):
-        scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(-5, 0, 0.1 + 0.2 * k), name="resting")
-    row = int(2.0 * side / PITCH)
-    for k in range(count):
-        shape = wr.Sphere(0.09) if k % 5 == 0 else wr.Box((0.1, 0.08, 0.06 + 0.01 * (k % 5)))
-        x, y, layer = k % row, k // row % row, k // row**2
-        place = (PITCH * (x - 0.5 * (row - 1)), PITCH * (y - 0.5 * (row - 1)), 0.3 + 0.25 * layer)
-        turn = (0.0, 0.0, np.sin(0.3 * k), np.cos(0.3 * k))
-        scene.add_body(shape, position=place, orientation=turn, rolling_friction=0.005, name="loose")
+    grounds.add_bin(scene, side, 3.0, 0.1, sides=((1, 0), (-1, 0), (0, 1), (0, -1)), names="wall")
+    stacks.add_stack(scene, 3, x=-5.0, names="resting")
+    shapes = [wr.Sphere(0.09) if k % 5 == 0 else wr.Box((0.1, 0.08, 0.06 + 0.01 * (k % 5))) for k in range(count)]
+    positions = piles.lattice(count, int(2.0 * side / PITCH), PITCH, 0.3, rise=0.25)
+    angles = 0.3 * np.arange(count)
+    turns = np.stack([0.0 * angles, 0.0 * angles, np.sin(angles), np.cos(angles)], axis=1)
+    add_bodies(scene, shapes, positions, turns, names="loose", rolling_friction=0.005)
     return scene
 
 
@@ -112,24 +110,24 @@ def soak(
     seed: int = 0,
     on_found: Callable[[Soak], None] | None = None,
 ) -> Soak:
-    """Run a pile; now and then a tenth of it is taken out, or let fall in again.
+    """Run a pile; after each round a tenth of it is removed, or falls in again.
 
-    Environments 2k and 2k + 1 start alike, with a friction of their own.
+    Environments 2k and 2k + 1 start alike; each such pair has a different friction.
 
     Args:
         steps: in each environment.
-        count: bodies of the pile.
-        envs: environments.
+        count: number of bodies in the pile.
+        envs: number of environments.
         device: a Warp device.
         sleeping: whether bodies at rest fall asleep.
-        every: steps between two changes, a round; at least ten rounds are done.
-        minutes: stop after so many, whatever is left to do.
-        seed: of what is taken out.
-        on_found: told what was found whenever a part of the steps is done.
+        every: steps in a round; at least ten rounds are done.
+        minutes: stop after this wall-clock time.
+        seed: of the choice of removed bodies.
+        on_found: called with the results whenever one of LINES parts of the steps is complete.
     """
     scene, settings = pile(count), wr.Settings(sleeping=sleeping)
-    room = {"pairs": ROOM * envs * len(scene.bodies)}
-    sim = wr.Simulator(scene, num_envs=envs, settings=settings, device=device, capacity=room)
+    capacity = {"pairs": PAIRS_PER_BODY * envs * len(scene.bodies)}
+    sim = wr.Simulator(scene, num_envs=envs, settings=settings, device=device, capacity=capacity)
     sim.set("friction", np.linspace(0.5, 0.8, envs)[np.arange(envs) // 2 * 2, None])
     watch = _Watch(sim, steps, every)
     changes = _changes(sim, watch.loose, half_width(count) - 0.17, np.random.default_rng(seed))
@@ -138,8 +136,8 @@ def soak(
     for done in range(1, rounds + 1):
         watch.round()
         over = done == rounds or time.monotonic() > end
-        if over or _crosses(done, rounds, LOOKS):
-            watch.look()
+        if over or _crosses(done, rounds, MEMORY_SAMPLES):
+            watch.measure_memory()
         if on_found and (over or _crosses(done, rounds, LINES)):
             on_found(watch.found())
         if over:
@@ -149,17 +147,16 @@ def soak(
 
 
 class _Watch:
-    """Runs rounds and keeps what is measured of them."""
+    """Runs rounds and stores their measurements."""
 
-    def __init__(self, sim: wr.Simulator, asked: int, every: int) -> None:
-        self.sim, self.asked, self.every = sim, asked, every
-        names = np.array([body.name for body in sim.scene.bodies])
-        self.resting, self.loose = np.flatnonzero(names == "resting"), np.flatnonzero(names == "loose")
+    def __init__(self, sim: wr.Simulator, requested: int, every: int) -> None:
+        self.sim, self.requested, self.every = sim, requested, every
+        self.resting, self.loose = (np.array(indices(sim.scene, prefix)) for prefix in ("resting_", "loose_"))
         self.inside = half_width(len(self.loose))
-        # On the CPU what other processes take does not count.
+        # Processor time on the CPU does not depend on other processes.
         self.clock = time.process_time if sim.device.is_cpu else time.perf_counter
         self.seconds: list[float] = []
-        self.looks: list[tuple[int, int, int]] = []
+        self.memory_samples: list[tuple[int, int, int]] = []
         self.start = np.zeros(0)
 
     def round(self) -> None:
@@ -169,21 +166,21 @@ class _Watch:
         if len(self.seconds) == 1:
             self.start = self.sim.get("position")[:, self.resting]
 
-    def look(self) -> None:
+    def measure_memory(self) -> None:
         gc.collect()
         device = self.sim.device
         held = device.total_memory - device.free_memory if device.is_cuda else self.sim.memory
-        self.looks.append((len(self.seconds), _resident(), held))
+        self.memory_samples.append((len(self.seconds), _resident(), held))
 
     def found(self) -> Soak:
-        """Everything, of the rounds so far."""
+        """The results of the rounds so far."""
         position = self.sim.get("position")
-        rows = np.array(self.looks)
+        rows = np.array(self.memory_samples)
         first = rows[min(np.searchsorted(rows[:, 0], WARM * len(self.seconds)), len(rows) - 1)]
         growth = rows[-1] / first - 1.0
         return Soak(
             steps=self.every * len(self.seconds),
-            asked=self.asked,
+            requested=self.requested,
             envs=self.sim.num_envs,
             bodies=self.sim.num_bodies,
             changes=len(self.seconds) - 1,
@@ -201,7 +198,7 @@ class _Watch:
         )
 
     def _slowdown(self) -> float:
-        # A round with bodies away is quicker than one without: they are compared two by two.
+        # Rounds with and without the removed bodies take different times; pairs of rounds are comparable.
         pairs = np.array(self.seconds[len(self.seconds) % 2 :]).reshape(-1, 2).sum(axis=1)
         if len(pairs) < 2:
             return 1.0
@@ -220,12 +217,12 @@ class _Watch:
 
 
 def _crosses(done: int, whole: int, parts: int) -> bool:
-    """Whether one more of `parts` parts of the whole is done."""
+    """Whether one more of `parts` parts of the whole is complete."""
     return done * parts // whole > (done - 1) * parts // whole
 
 
 def _changes(sim: wr.Simulator, loose: np.ndarray, reach: float, generator: np.random.Generator) -> Iterator[None]:
-    """Take a tenth of the loose bodies out, the same in every environment, then let them fall in again, and so on."""
+    """Alternately remove a tenth of the loose bodies, the same in every environment, and let them fall in again."""
     while True:
         out = generator.choice(loose, max(1, len(loose) // 10), replace=False)
         sim.set("active", False, bodies=out)
@@ -245,20 +242,20 @@ def _resident() -> int:
 
 
 def main() -> None:
-    """Run it and print JSON lines; the last one tells of the whole run."""
+    """Run it and print JSON lines; the last one covers the whole run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--bodies", type=int, help="100; 8 where there are many environments")
+    parser.add_argument("--bodies", type=int, help="default: 100; 8 if there is more than one environment")
     parser.add_argument("--envs", type=int, default=1)
     parser.add_argument("--device")
     parser.add_argument("--sleeping", action="store_true")
-    parser.add_argument("--every", type=int, default=200, help="steps between two changes of the pile")
+    parser.add_argument("--every", type=int, default=200, help="steps between changes of the pile")
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     start_warp()
 
-    def tell(found: Soak) -> None:
+    def print_line(found: Soak) -> None:
         print(json.dumps(asdict(found)), flush=True)
 
     soak(
@@ -270,7 +267,7 @@ def main() -> None:
         given.every,
         given.minutes,
         given.seed,
-        on_found=tell,
+        on_found=print_line,
     )
 
 

@@ -1,7 +1,7 @@
-"""Make docs/pictures: run each command or program of the documents whose picture they show, and make the picture small.
+"""Make docs/pictures: run the commands and programs of the documentation that write pictures, and reduce the pictures.
 
-A picture is made by what writes `out/NAME.png` (or .gif), where `pictures/NAME.png` is shown.
-Run it from the top of the repository: `.venv/bin/python docs/make_pictures.py [NAME ...]`; all pictures without names.
+A command or program that writes `out/NAME.png` (or .gif) makes the picture that is shown as `pictures/NAME.png`.
+Run it from the top of the repository: `.venv/bin/python docs/make_pictures.py [NAME ...]`. Without names it makes all.
 """
 
 import re
@@ -14,7 +14,7 @@ from PIL import Image, ImageSequence
 
 DOCS = Path(__file__).parent
 WIDEST = {".png": 1600, ".gif": 480}
-"""Pictures are reduced to so many pixels a line."""
+"""Largest width of a picture [pixels]."""
 
 
 def makers() -> dict[str, list[str]]:

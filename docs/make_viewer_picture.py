@@ -1,4 +1,4 @@
-"""Make docs/viewer.png: the seesaw in the viewer, seen by a headless Chromium.
+"""Make docs/viewer.png: the seesaw in the viewer, rendered by a headless Chromium.
 
 Run it from the top of the repository: `.venv/bin/python docs/make_viewer_picture.py`.
 """
@@ -20,7 +20,7 @@ FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 
 
 def main() -> None:
-    """Run the seesaw until it tipped back, with contacts shown, and take a picture."""
+    """Run the seesaw until it has tipped back, show the contacts, and save a screenshot."""
     session = Session("seesaw", device="cpu")
     viewer = LiveViewer(session)
     thread = threading.Thread(target=viewer.run)
@@ -44,7 +44,7 @@ def main() -> None:
         browser.close()
     viewer.stop()
     thread.join()
-    # Of the ways to a palette, the one that keeps small patches of a colour.
+    # This quantization method preserves small areas of one colour.
     picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
         Path(__file__).with_name("viewer.png"), optimize=True
     )

@@ -5,7 +5,6 @@ symbolic shape, its unit and a description. Records are elements of arrays; pack
 four words, so that a GPU reads each group by one request of sixteen bytes.
 """
 
-import linecache
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -100,7 +99,7 @@ def group_of(packed: Any, name: str) -> int:
 
 def group_reader(packed: Any) -> Any:
     """Return a device function (records, row, group) that reads four words of a packed record, as a vec4 or vec4i."""
-    if all(field.dtype is int for field in RECORDS[packed.key].values()):
+    if _is_of_integers(packed):
 
         @wp.func_native("""
             const int* p = (const int*)__builtin_assume_aligned((const int*)(records.data + row) + 4 * group, 16);
@@ -131,41 +130,59 @@ def group_writer(packed: Any) -> Any:
     return write_group
 
 
-def record_reader(packed: Any, optional_after: str = "") -> Any:
+def record_reader(packed: Any, flag: str = "", optional_from: str = "") -> Any:
     """Return a device function (row, records) that reads a packed record group by group.
 
     Args:
         packed: the record.
-        optional_after: a float member that is 0 where all members of the groups after its own are 0: they are then
-            not read.
+        flag: a float member that is 0 where all members from `optional_from` on are 0: they are then not read.
+        optional_from: the first member that is not always read; it begins a group.
     """
-    read = group_reader(packed)
-    last = group_of(packed, optional_after) if optional_after else None
-    lines = ["def read_record(row: int, records: wp.array(dtype=packed)):", "    result = packed()"]
-    indent = "    "
+    word = "int" if _is_of_integers(packed) else "float"
+    lines = [f"const {word}* p = (const {word}*)__builtin_assume_aligned((const {word}*)(records.data + row), 16);"]
     for group, members in _groups(packed).items():
-        if last is not None and group == last + 1:
-            lines.append(f"    if result.{optional_after} != 0.0:")
-            indent = "        "
-        name = f"q{group}"
-        lines.append(f"{indent}{name} = read_group(records, row, {group})")
-        lines += [f"{indent}result.{key} = {_words(name, word, packed, key)}" for key, word in members]
-    lines.append("    return result")
-    return wp.func(_compile(lines, f"read_{packed.key}", packed=packed, read_group=read)["read_record"])
+        if flag and group == group_of(packed, optional_from):
+            lines.append(f"if (value.{flag} == 0.0f) {{ return; }}")
+        lines += [f"value.{key} = {_from_words(packed, key, 4 * group + first)};" for key, first in members]
+
+    @wp.func_native("\n".join(lines))
+    def fill_record(row: int, records: wp.array(dtype=packed), value: wp.ref[packed]): ...
+
+    @wp.func
+    def read_record(row: int, records: wp.array(dtype=packed)):
+        value = packed()
+        fill_record(row, records, value)
+        return value
+
+    return read_record
 
 
-def record_writer(packed: Any) -> Any:
-    """Return a device function (row, value, records) that writes a packed record of floats group by group."""
-    lines = ["def write_record(row: int, value: packed, records: wp.array(dtype=packed)):"]
-    for group, members in _groups(packed).items():
-        words = ["0.0"] * WORDS_OF_A_GROUP
-        for key, word in members:
-            size = WORDS[RECORDS[packed.key][key].dtype]
-            for k in range(size):
-                words[word + k] = f"value.{key}" if size == 1 else f"value.{key}[{k}]"
-        lines.append(f"    write_group(records, row, {group}, wp.vec3({', '.join(words[:3])}), {words[3]})")
-    writer = group_writer(packed)
-    return wp.func(_compile(lines, f"write_{packed.key}", packed=packed, write_group=writer)["write_record"])
+def record_writer(packed: Any, flag: str = "", optional_from: str = "") -> Any:
+    """Return a device function (row, value, records) that writes a packed record of floats group by group.
+
+    `flag` is written as 1 where a member from `optional_from` on is not 0, else as 0; see `record_reader`.
+    """
+    words = {
+        4 * group + first + k: f"value.{key}" + (f"[{k}]" if size > 1 else "")
+        for group, members in _groups(packed).items()
+        for key, first in members
+        for size in [WORDS[RECORDS[packed.key][key].dtype]]
+        for k in range(size)
+    }
+    if flag:
+        optional = [text for word, text in words.items() if word >= first_word(packed, optional_from)]
+        words[first_word(packed, flag)] = f"({' || '.join(f'{text} != 0.0f' for text in optional)}) ? 1.0f : 0.0f"
+    lines = ["float* p = (float*)__builtin_assume_aligned((float*)(records.data + row), 16);"]
+    lines += [f"p[{word}] = {text};" for word, text in words.items()]
+
+    @wp.func_native("\n".join(lines))
+    def write_record(row: int, value: packed, records: wp.array(dtype=packed)): ...
+
+    return write_record
+
+
+def _is_of_integers(packed: Any) -> bool:
+    return all(field.dtype is int for field in RECORDS[packed.key].values())
 
 
 def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:
@@ -178,20 +195,11 @@ def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:
     return groups
 
 
-def _words(group: str, word: int, packed: Any, key: str) -> str:
-    """The expression of a member in the four words of its group."""
+def _from_words(packed: Any, key: str, word: int) -> str:
+    """The native expression of a member in the words `p` of its record."""
     size = WORDS[RECORDS[packed.key][key].dtype]
-    words = ", ".join(f"{group}[{word + k}]" for k in range(size))
-    return words if size == 1 else f"wp.vec{size}({words})"
-
-
-def _compile(lines: list[str], name: str, **names: Any) -> dict[str, Any]:
-    """Define a generated function; Warp reads its source from the line cache."""
-    source, file = "\n".join(lines) + "\n", f"<generated {name}>"
-    linecache.cache[file] = (len(source), None, source.splitlines(True), file)
-    namespace = {"wp": wp, "__name__": __name__, **names}
-    exec(compile(source, file, "exec"), namespace)
-    return namespace
+    words = ", ".join(f"p[{word + k}]" for k in range(size))
+    return words if size == 1 else f"wp::vec{size}({words})"
 
 
 def allocate(struct: Any, sizes: Mapping[str, int], device: Any) -> Any:
@@ -215,7 +223,7 @@ def part(whole: Any, ranges: Mapping[str, tuple[int, int]]) -> Any:
         if symbol in ranges:
             first, end = ranges[symbol]
             array = array[first : end + int(more or 0)]
-        if field.index_of in ranges:
+        if ranges.get(field.index_of, (0, 0))[0] > 0:
             array = wp.array(array.numpy() - ranges[field.index_of][0], dtype=field.dtype, device=array.device)
         setattr(struct, key, array)
     return struct

@@ -1,13 +1,14 @@
 """The data layout: every device array of the simulator, declared once.
 
-A declaration gives a field's element type, its symbolic shape, its unit and its meaning. From it come the Warp struct
-that kernels take as an argument, and the arrays that `allocate` makes. All environments lie one after another in
-the same arrays: body `b` of environment `e` is row `e * bodies_per_env + b`.
+A declaration states a field's element type, its symbolic shape, its unit and a description. From it follow the Warp
+struct that kernels take as an argument, the arrays that `allocate` makes, the packing of records, slices of batches,
+and the page of arrays in the documents. All environments lie one after another in the same arrays: the bodies of
+environment `e` are rows `first_body[e]` to before `first_body[e + 1]`.
 """
 
-from typing import Any, NamedTuple
-
 import warp as wp
+
+from warp_rigid.kernels.declare import Field, layout, packed_record, record
 
 COLORS = 32
 """Colours of pairs; those of the last one are solved one after another."""
@@ -23,84 +24,6 @@ PATCH_SLOTS = EXTREME_DIRECTIONS + 1
 
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples remembered a pair before doubles are taken out."""
-
-
-class Field(NamedTuple):
-    """One device array: element type, symbolic shape such as "bodies + 1" or "pairs, 36", unit, and meaning."""
-
-    dtype: Any
-    shape: str
-    unit: str
-    description: str
-
-
-FILLER = Field(float, "", "", "fills a row of four words (packed.py)")
-
-LAYOUTS: dict[str, dict[str, Field]] = {}
-"""Declared structs of arrays, and their fields."""
-
-RECORDS: dict[str, dict[str, Field]] = {}
-"""Declared array elements, and their fields."""
-
-
-def layout(name: str, doc: str, **fields: Field) -> Any:
-    """Declare a Warp struct whose members are the arrays `fields`."""
-    annotations = {key: wp.array(dtype=f.dtype, ndim=f.shape.count(",") + 1) for key, f in fields.items()}
-    cls = type(name, (), {"__annotations__": annotations, "__module__": __name__, "__doc__": doc})
-    struct = wp.struct(cls)
-    LAYOUTS[name] = fields
-    return struct
-
-
-def record(name: str, doc: str, **fields: Field) -> Any:
-    """Declare a Warp struct that is the element of an array."""
-    annotations = {key: f.dtype for key, f in fields.items()}
-    cls = type(name, (), {"__annotations__": annotations, "__module__": __name__, "__doc__": doc})
-    RECORDS[name] = fields
-    return wp.struct(cls)
-
-
-def allocate(struct: Any, sizes: dict[str, int], device: Any) -> Any:
-    """Return an instance of `struct` with all its arrays zero and sized by the symbols in `sizes`."""
-    instance = struct()
-    for key, field in LAYOUTS[struct.key].items():
-        shape = tuple(_extent(term, sizes) for term in field.shape.split(","))
-        setattr(instance, key, wp.zeros(shape, dtype=field.dtype, device=device))
-    return instance
-
-
-def part(whole: Any, symbol: str, first: int, end: int) -> Any:
-    """Return a struct of the same arrays, those counted by `symbol` cut to rows from `first` to before `end`.
-
-    Nothing is copied: what is written to the part is written to the whole.
-    """
-    struct = type(whole)()
-    for key, field in LAYOUTS[whole._cls.key].items():
-        array = getattr(whole, key)
-        setattr(struct, key, array[first:end] if field.shape.split(",")[0] == symbol else array)
-    return struct
-
-
-def byte_size(struct: Any, sizes: dict[str, int]) -> int:
-    """Return how many bytes `allocate` would take."""
-    total = 0
-    for field in LAYOUTS[struct.key].values():
-        count = 1
-        for term in field.shape.split(","):
-            count *= _extent(term, sizes)
-        total += count * wp.types.type_size_in_bytes(field.dtype)
-    return total
-
-
-def field_names(struct: Any) -> list[str]:
-    """Return the names of the arrays of `struct`, in the order of their declaration."""
-    return list(LAYOUTS[struct.key])
-
-
-def _extent(term: str, sizes: dict[str, int]) -> int:
-    """Evaluate a sum of symbols and numbers such as "bodies + 1"; at least 1, since Warp wants no empty arrays."""
-    parts = (part.strip() for part in term.split("+"))
-    return max(1, sum(int(part) if part.isdigit() else sizes[part] for part in parts))
 
 
 PartRecord = record(
@@ -164,6 +87,7 @@ Shapes = layout(
 Surfaces = layout(
     "Surfaces",
     "Vertices of the height fields that move, environment by environment; their nodes are the pool's last.",
+    env=Field(int, "vertices", "", "environment of the vertex", "envs"),
     sample=Field(int, "vertices", "", "the sample at the vertex"),
     around=Field(wp.vec4i, "vertices", "", "steps to the neighbouring vertices: before and after along x, along y"),
     per_x=Field(float, "vertices", "1/m", "one over the distance of the neighbours along x"),
@@ -179,6 +103,7 @@ Surfaces = layout(
 Bodies = layout(
     "Bodies",
     "What a body is. Users may change masses and coefficients per environment.",
+    env=Field(int, "bodies", "", "environment of the body", "envs"),
     shape=Field(int, "bodies", "", "index into the pool of shapes"),
     motion=Field(int, "bodies", "", "static, kinematic or dynamic"),
     oversized=Field(int, "bodies", "", "1: never in the hash grid, tested against every body of its environment"),
@@ -191,8 +116,8 @@ Bodies = layout(
     restitution=Field(float, "bodies", "", "coefficient of restitution"),
     rolling_friction=Field(float, "bodies", "m", "rolling torque limit divided by the normal force"),
     spinning_friction=Field(float, "bodies", "m", "spinning torque limit divided by the normal force"),
-    filtered_start=Field(int, "env_bodies + 1", "", "first of those that a body of any environment never touches"),
-    filtered=Field(int, "filtered", "", "their numbers in the environment; every pair is listed both ways"),
+    filtered_start=Field(int, "bodies + 1", "", "first of the bodies that it never touches", "filtered"),
+    filtered=Field(int, "filtered", "", "their numbers within the environment; every pair is listed both ways"),
 )
 
 State = layout(
@@ -210,28 +135,20 @@ State = layout(
     shock_ineffective_steps=Field(int, "bodies", "", "steps in a row in which shock propagation was of no use to it"),
 )
 
-SolverBodyRecord = record(
+SolverBodyRecord = packed_record(
     "SolverBodyRecord",
     "A body as the solver sees it.",
     linear=Field(wp.vec3, "", "m/s", "velocity of the centre of mass in this step so far"),
     inverse_mass=Field(float, "", "1/kg", "0 unless dynamic"),
     angular=Field(wp.vec3, "", "rad/s", "angular velocity in this step so far"),
-    row_end_1=FILLER,
     inverse_inertia_xx=Field(wp.vec4, "", "1/(kg m^2)", "in the world: xx, xy, xz, yy"),
     inverse_inertia_yz=Field(wp.vec3, "", "1/(kg m^2)", "yz, zz, and nothing"),
-    row_end_3=FILLER,
     push_linear=Field(wp.vec3, "", "m/s", "pseudo-velocity of the push-out"),
-    row_end_4=FILLER,
     push_angular=Field(wp.vec3, "", "rad/s", "pseudo-velocity of the push-out"),
-    row_end_5=FILLER,
     start_linear=Field(wp.vec3, "", "m/s", "velocity before shock propagation"),
-    row_end_6=FILLER,
     start_angular=Field(wp.vec3, "", "rad/s", "velocity before shock propagation"),
-    row_end_7=FILLER,
     loaded_linear=Field(wp.vec3, "", "m/s", "velocity under the load of what lies on the body (shock.py)"),
-    row_end_8=FILLER,
     loaded_angular=Field(wp.vec3, "", "rad/s", "velocity under the load of what lies on the body"),
-    row_end_9=FILLER,
 )
 
 Motions = layout(
@@ -253,7 +170,8 @@ Motions = layout(
 
 Environments = layout(
     "Environments",
-    "Settings and status of each environment.",
+    "Bodies, settings and status of each environment.",
+    first_body=Field(int, "envs + 1", "", "first body of each environment, and the end of the last", "bodies"),
     gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),
     collision_iterations=Field(int, "envs", "", "sweeps of the collision stage"),
     contact_iterations=Field(int, "envs", "", "sweeps of the contact stage"),
@@ -280,8 +198,11 @@ Environments = layout(
 Cells = layout(
     "Cells",
     "Who looks for whom in the broad phase, and the hash grid in which they do.",
-    small=Field(int, "small", "", "numbers, in any environment, of the bodies that find each other"),
-    oversized=Field(int, "oversized", "", "numbers of the wide ones, which are tested against every body"),
+    small_start=Field(int, "envs + 1", "", "first small body of each environment, and the end of the last"),
+    small=Field(int, "small", "", "bodies that enter the grid, by their numbers within the environment"),
+    small_env=Field(int, "small", "", "their environments"),
+    oversized_start=Field(int, "envs + 1", "", "first oversized body of each environment, and the end of the last"),
+    oversized=Field(int, "oversized", "", "bodies tested against every body, by their numbers within the environment"),
     reach=Field(float, "envs", "m", "largest half-width of a small body's swept box, along any axis"),
     key=Field(int, "points + points", "", "bucket of each small body, in rising order; then room to sort"),
     member=Field(int, "points + points", "", "the bodies in the order of their buckets; then room to sort"),
@@ -320,7 +241,7 @@ Pairs = layout(
     searched_position=Field(wp.vec3, "pairs", "m", "relative position at that look"),
 )
 
-ContactRecord = record(
+ContactRecord = packed_record(
     "ContactRecord",
     "What is fixed about a contact while it is solved. The normal points from the second body to the first.",
     normal=Field(wp.vec3, "", "", "unit normal in the world"),
@@ -330,7 +251,7 @@ ContactRecord = record(
     arm_a=Field(wp.vec3, "", "m", "from the first body's centre of mass"),
     gap=Field(float, "", "m", "distance at the start of the step, negative inside"),
     arm_b=Field(wp.vec3, "", "m", "from the second body's centre of mass"),
-    more=Field(float, "", "", "0 if the fields from `surface` on are zero"),
+    more=Field(float, "", "", "0 if the members from `surface` on are 0"),
     tangent_a=Field(wp.vec3, "", "1/kg", "the first body's tangential inverse mass: 11, 12, 22"),
     normal_a=Field(float, "", "1/kg", "the first body's part of the inverse mass seen along the normal"),
     tangent_b=Field(wp.vec3, "", "1/kg", "the second body's"),
@@ -341,23 +262,17 @@ ContactRecord = record(
     rolling_friction=Field(float, "", "m", "of the pair"),
     spinning_friction=Field(float, "", "m", "of the pair"),
     restitution=Field(float, "", "", "of the pair"),
-    body_a=Field(int, "", "", "first body"),
-    body_b=Field(int, "", "", "second body"),
 )
 
-ImpulseRecord = record(
+ImpulseRecord = packed_record(
     "ImpulseRecord",
     "What a contact carries, as the solver changes it. Components are along the normal and the two tangents.",
     impulse=Field(wp.vec3, "", "N s", "accumulated impulse"),
-    row_end_0=FILLER,
     angular_impulse=Field(wp.vec3, "", "N m s", "accumulated angular impulse"),
-    row_end_1=FILLER,
     impact_impulse=Field(wp.vec3, "", "N s", "impulse of an impact, pseudo-impulse of the push-out"),
     target=Field(float, "", "m/s", "normal velocity that an impact or the push-out aims at"),
     start_impulse=Field(wp.vec3, "", "N s", "impulse before shock propagation"),
-    row_end_3=FILLER,
     start_angular_impulse=Field(wp.vec3, "", "N m s", "angular impulse before shock propagation"),
-    row_end_4=FILLER,
 )
 
 Contacts = layout(
@@ -365,6 +280,7 @@ Contacts = layout(
     "Contact points. Records keep together what a visit of the solver reads together.",
     rows=Field(ContactRecord, "contacts", "", "what is fixed during the step"),
     impulses=Field(ImpulseRecord, "contacts", "", "what the solver changes"),
+    pair=Field(int, "contacts", "", "the pair of bodies that touch"),
     key=Field(int, "contacts", "", "identity within the pair: 2 * sample + side"),
     position=Field(wp.vec3, "contacts", "m", "in the world"),
 )
@@ -403,61 +319,77 @@ SleepState = layout(
     supported=Field(int, "bodies", "", "1: the island of this name lies on something that does not move"),
 )
 
-PairRecord = record(
-    "PairRecord",
-    "A touching pair in the order of solving.",
-    pair=Field(int, "", "", "its row among the pairs"),
+Constraints = layout(
+    "Constraints",
+    "What ties two bodies together in this step: for each pair its contacts, then the constraints of other kinds.",
+    start=Field(int, "envs + 1", "", "first constraint of each environment, and the end of the last"),
+    start_before=Field(int, "envs + 1", "", "the same in the last step"),
+    other_start=Field(int, "envs + 1", "", "constraints of other kinds than contact in the environments before"),
+    kind=Field(int, "constraints", "", "kind of its rows (constraints/rows.py)"),
+    body_a=Field(int, "constraints", "", "first body"),
+    body_b=Field(int, "constraints", "", "second body"),
+    first_row=Field(int, "constraints", "", "first row, among those of its kind"),
+    row_count=Field(int, "constraints", "", "number of rows; 0: not active in this step"),
+    last=Field(int, "constraints", "", "the same constraint in the last step, -1 if it is new"),
+)
+
+OrderRecord = packed_record(
+    "OrderRecord",
+    "An active constraint in the order of solving.",
+    kind=Field(int, "", "", "kind of its rows"),
     body_a=Field(int, "", "", "first body"),
     body_b=Field(int, "", "", "second body"),
-    begin=Field(int, "", "", "first contact"),
-    end=Field(int, "", "", "one past the last contact"),
+    begin=Field(int, "", "", "first row"),
+    end=Field(int, "", "", "one past the last row"),
     upper_a=Field(int, "", "", "0: the first body is in a lower level than the second, 1: it is not"),
     upper_b=Field(int, "", "", "the same of the second body"),
-    visited=Field(int, "", "", "when collisions or shock propagation last solved it; 0 if not yet"),
+    visited=Field(int, "", "", "turn in which impacts or shock propagation last solved it; 0 if not yet"),
 )
 
 Graph = layout(
     "Graph",
-    "The contact graph: who rests on whom, levels, islands, and what the stages of the solver tell each other.",
-    supports=Field(int, "pairs", "", "1: the first body rests on the second, 2: the other way, 3: both"),
-    supports_before=Field(int, "pairs", "", "the same in the last step, by its rows; -1 for a pair that did not touch"),
-    touching=Field(int, "envs", "", "touching pairs"),
-    known=Field(int, "envs", "", "1 + touching pairs of the last step; 0 if its graph is no longer at hand"),
-    same=Field(int, "envs", "", "1: the graph is that of the last step"),
+    "The contact graph: supports, levels, islands and colours, and what the stages of the solver pass on.",
+    supports=Field(int, "constraints", "", "1: the second body supports the first, 2: the other way, 3: both"),
+    supports_before=Field(int, "constraints", "", "the same in the last step; -1 for a constraint not active then"),
+    active=Field(int, "envs", "", "active constraints"),
+    active_before=Field(int, "envs", "", "1 + active constraints of the last step; 0: its graph is not available"),
+    unchanged=Field(int, "envs", "", "1: the graph is that of the last step"),
     level=Field(int, "bodies", "", "0 for statics, else 1 + the highest support (cycles share a level)"),
-    waiting=Field(int, "bodies", "", "of a cycle's name: 1 if it rests on a body whose level is not known yet"),
+    waiting=Field(int, "bodies", "", "of a cycle's name: 1 if a support of it has no level yet"),
     highest=Field(int, "bodies", "", "of a cycle's name: highest level among its supports that have one"),
     cycle=Field(int, "bodies", "", "name of its cycle, a body of it; its own while it is known to be in none"),
     within=Field(int, "bodies", "", "1: its cycle is known, which may be the body alone"),
-    depth=Field(int, "bodies", "", "0 for statics, else 1 + the height of the lowest support; 2^30 without any"),
-    max_depth=Field(int, "envs", "", "greatest height of a body that has one"),
+    depth=Field(int, "bodies", "", "0 for statics, else 1 + the depth of the lowest support; 2^30 without any"),
+    max_depth=Field(int, "envs", "", "greatest depth of a body that has one"),
     island=Field(int, "bodies", "", "lowest body among those connected through dynamic bodies"),
     numerator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
     denominator=Field(wp.int64, "bodies", "", "of an island's line search, in parts of `largest`"),
     largest=Field(float, "bodies", "J", "largest summand of either"),
-    max_velocity_change=Field(
-        float, "bodies", "m/s", "of an island: largest change of a velocity by shock propagation"
-    ),
-    ineffective_steps=Field(int, "bodies", "", "idle_shocks, as the step began"),
-    pair_sums=Field(wp.vec2, "pairs", "J", "summands of a touching pair"),
-    level_count=Field(int, "envs", "", "highest level of a body that touches another"),
+    max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest change by shock propagation"),
+    ineffective_steps=Field(int, "bodies", "", "State.shock_ineffective_steps at the start of the step"),
+    energy_terms=Field(wp.vec2, "constraints", "J", "summands of an active constraint, in the order of solving"),
+    level_count=Field(int, "envs", "", "highest level of a body with an active constraint"),
     colors=Field(wp.uint32, "bodies", "", "bit mask of the colours taken at a body"),
-    bid=Field(int, "bodies", "", "highest priority of the pairs that ask for a colour at a body"),
-    pair_color=Field(int, "pairs", "", "colour; -1 for a pair that does not touch or has none yet"),
-    colored=Field(int, "pairs", "", "the same in the last step, by its rows"),
-    tally=Field(int, "envs, 32", "", "pairs of a colour, then where they go in the order"),
-    support_count=Field(int, "bodies", "", "touching pairs in which the body is not the lower one"),
-    changed=Field(int, "bodies", "", "when collisions or shock propagation last changed its velocity"),
-    converged=Field(int, "envs", "", "1: the contacts are solved, nothing worth propagating is left"),
+    bid=Field(int, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
+    color=Field(int, "constraints", "", "colour; -1 for a constraint that is not active or has none yet"),
+    color_before=Field(int, "constraints", "", "the same in the last step"),
+    tally=Field(int, "envs, 32", "", "constraints of a colour, then where they go in the order"),
+    support_count=Field(int, "bodies", "", "active constraints in which the body is not the lower one"),
+    changed=Field(int, "bodies", "", "turn in which impacts or shock propagation last changed its velocity"),
+    converged=Field(int, "envs", "", "1: the constraints are solved, shock propagation is not needed"),
     shock_ineffective=Field(int, "envs", "", "1: shock propagation has been of no use to an island of it"),
     overlapping=Field(int, "envs", "", "1: something is to be pushed out"),
-    gate=Field(wp.uint32, "envs, 4", "", "where the blocks of a team that is larger than one wait for each other"),
+    sweeps=Field(int, "envs", "", "sweeps over the constraints in the last step"),
+    shock_sweeps=Field(int, "envs", "", "sweeps of shock propagation in the last step"),
+    push_out_sweeps=Field(int, "envs", "", "sweeps of the push-out in the last step"),
+    residual=Field(float, "envs", "m/s", "largest change of a velocity by a row in the last sweep"),
+    gate=Field(wp.uint32, "envs, 4", "", "barrier of teams of several blocks"),
 )
 
 Order = layout(
     "Order",
-    "Touching pairs in the order of solving, colour by colour.",
-    entries=Field(PairRecord, "pairs", "", "touching pairs"),
+    "Active constraints in the order of solving, colour by colour.",
+    entries=Field(OrderRecord, "constraints", "", "active constraints"),
     color_start=Field(int, "envs, 33", "", "first entry of a colour, and the end"),
-    color_count=Field(int, "envs", "", "colours in use; 32 if pairs have to be solved in turn"),
+    color_count=Field(int, "envs", "", "colours in use; 32 if some are solved one after another"),
 )

@@ -1,4 +1,4 @@
-"""The built-in scenes: `names`, `load` to build one, `get` for how it is run and judged."""
+"""The built-in scenes: `names` lists them, `load` builds one, `get` returns how one is run and judged."""
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import (
@@ -61,7 +61,7 @@ def load(name: str, **parameters) -> Scene:
 
     Args:
         name: one of `names()`.
-        **parameters: those of `get(name).parameters`; what is not given keeps its default.
+        **parameters: those of `get(name).parameters`; the others keep their defaults.
 
     Raises:
         ValueError: There is no such scene or parameter, or a value is out of its range.

@@ -1,10 +1,12 @@
-"""Boxes fall one after another into a stack on a platform, until a box flies in and hits it."""
+"""Boxes fall one after another into a stack on a platform; later a projectile hits the stack."""
 
 import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     OFF_2003,
     ONE_PASS_2003,
@@ -16,7 +18,7 @@ from warp_rigid.scenes.demo import (
     rest_verdict,
 )
 
-HALF = 0.1
+HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
 GAP_GROWTH = 0.01
 LAUNCH_TIME = 5.0
@@ -27,33 +29,26 @@ ENOUGH_TO_FALL = 5
 
 
 def build(height: int = 10) -> Scene:
-    """Stack of cubes of 0.2 m and 8 kg above a platform, and a larger one on a shelf far left.
+    """Stack of cubes of 0.2 m and 8 kg above a platform, and a larger cube on a shelf 4 m to the left.
 
     Args:
-        height: boxes in the stack, 1 to 50.
+        height: number of boxes in the stack, 1 to 50.
     """
     height = whole_in("height", height, 1, 50)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
-    scene.add_static(
-        Box((0.5, 0.5, 0.5 * PLATFORM_TOP)),
-        position=(0, 0, 0.5 * PLATFORM_TOP),
-        friction=0.5,
-        name="platform",
-    )
+    scene = grounds.level_scene(friction=0.5, name="ground")
+    grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
     # Each gap is larger than the one below it, so that the boxes land one after another.
-    z = PLATFORM_TOP - HALF
-    for i in range(height):
-        z += 2.0 * HALF + GAP_GROWTH * (i + 1)
-        scene.add_body(Box((HALF,) * 3), position=(0, 0, z), friction=0.5, name=f"box_{i}")
+    rises = [2.0 * HALF + GAP_GROWTH * (i + 1) for i in range(height)]
+    heights = np.cumsum([PLATFORM_TOP - HALF, *rises])[1:]
+    add_bodies(scene, stacks.CUBE, [(0, 0, z) for z in heights], names="box", friction=0.5)
     _add_projectile(scene, PLATFORM_TOP + 1.2 * HALF * height)
     return scene
 
 
 def _add_projectile(scene, top):
-    """A larger box on a shelf whose top has the height `top` [m]."""
+    """Add a larger box on a shelf whose upper face is at height `top` [m]."""
     half = PROJECTILE_HALF
-    scene.add_static(Box((0.3, 0.3, 0.5 * top)), position=(SHELF_X, 0, 0.5 * top), friction=0.5, name="shelf")
+    grounds.add_platform(scene, 0.3, 0.3, top, x=SHELF_X, friction=0.5, name="shelf")
     scene.add_body(Box((half,) * 3), position=(SHELF_X, 0, top + half), friction=0.5, name="projectile")
 
 
@@ -68,10 +63,10 @@ def events(scene):
 
 
 class StackOutcome:
-    """How well the stack stood before the hit, and what the hit did to it."""
+    """Accuracy of the stack before the hit, and its motion after the hit."""
 
     def __init__(self, scene):
-        """Compute where the boxes belong."""
+        """Compute the exact heights of the boxes at rest."""
         self.boxes = indices(scene, "box_")
         self.movable = self.boxes + indices(scene, "projectile")
         self.ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.boxes)) + 1.0)
@@ -79,7 +74,7 @@ class StackOutcome:
         self.top = None
 
     def observe(self, sim):
-        """Keep the deepest overlap up to the hit, and the deviations in the second before it."""
+        """Record the deepest overlap before the hit, and the deviations in the last second before it."""
         if sim.time > LAUNCH_TIME + 1e-3:
             return
         self.depth = np.maximum(self.depth, sim.penetration())
@@ -92,7 +87,7 @@ class StackOutcome:
         self.top = position[:, -1]
 
     def verdicts(self, sim):
-        """Drift, sink and depth of the standing stack; throw, overlap and rest after the hit."""
+        """Drift, height error and overlap of the stack before the hit; displacement, overlap and speed after it."""
         if self.top is None:
             return []
         stands = {"default": True, "one_pass": True}
@@ -100,14 +95,14 @@ class StackOutcome:
             stands["off"] = False
         verdicts = [
             below("drift", self.drift, 1e-3, "drift < 1 mm before the hit", stands),
-            below("sink", self.sink, 1e-3, "heights right to 1 mm before the hit", stands),
-            below("depth", self.depth, 1e-3, "never 1 mm inside another before the hit", stands),
+            below("sink", self.sink, 1e-3, "height error < 1 mm before the hit", stands),
+            below("depth", self.depth, 1e-3, "overlap < 1 mm at any time before the hit", stands),
         ]
         if sim.time > LAUNCH_TIME + 1.0:
             moved = np.linalg.norm(sim.get("position")[:, self.boxes[-1]] - self.top, axis=-1)
             hit = {"default": True, "one_pass": True}
             verdicts += [
-                Verdict("thrown", moved, "top box moved > 0.2 m by the hit", moved > 0.2, hit),
+                Verdict("thrown", moved, "hit moves the top box by > 0.2 m", moved > 0.2, hit),
                 overlap_verdict(sim, 1e-3, {"default": True}),
                 rest_verdict(sim, self.movable, {"default": True}),
             ]
@@ -116,7 +111,7 @@ class StackOutcome:
 
 DEMO = Demo(
     name="box_stack",
-    summary="boxes fall into a stack on a platform, then a box flies in and knocks it over",
+    summary="boxes fall into a stack on a platform, then a projectile knocks it over",
     build=build,
     outcome=StackOutcome,
     duration=10.0,

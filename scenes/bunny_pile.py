@@ -4,9 +4,8 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
-from warp_rigid.scenes.builders import meshes
-from warp_rigid.scenes.builders.piles import inner_half, starts, walls
+from warp_rigid.scenes.builders import grounds, meshes, piles
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -14,67 +13,55 @@ from warp_rigid.scenes.demo import (
     indices,
     overlap_verdict,
     rest_verdict,
+    start_apart,
     turn,
 )
 
 
 def build(bodies: int = 8, seed: int = 1000) -> Scene:
-    """Bunnies of 0.2 m at jittered lattice points above the floor of an open box, turned at random.
+    """Bunnies of 0.2 m at jittered lattice points above the floor of an open box, with random orientations.
 
     Args:
-        bodies: bunnies, 1 to 4096.
-        seed: of jitter and rotations.
+        bodies: number of bunnies, 1 to 4096.
+        seed: of jitter and orientations.
     """
-    position, orientation = starts(whole_in("bodies", bodies, 1, 4096), seed)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="floor")
-    for i, (center, half_extents) in enumerate(walls(bodies)):
-        scene.add_static(Box(half_extents), position=center, friction=0.5, name=f"wall_{i}")
+    position, orientation = piles.starts(whole_in("bodies", bodies, 1, 4096), seed)
+    scene = grounds.level_scene(friction=0.5, name="floor")
+    piles.add_pile_bin(scene, bodies, names="wall", friction=0.5)
     bunny = meshes.bunny()
     place = position - turn(orientation, np.tile(bunny.center_of_mass, (bodies, 1)))
-    for i in range(bodies):
-        scene.add_body(
-            bunny,
-            position=place[i],
-            orientation=orientation[i],
-            density=1000.0,
-            friction=0.5,
-            name=f"bunny_{i}",
-        )
+    add_bodies(scene, bunny, place, orientation, names="bunny", density=1000.0, friction=0.5)
     return scene
 
 
 class PileOutcome:
-    """Whether all bunnies came to rest in the box, none inside another."""
+    """Whether all bunnies came to rest in the box and none overlaps another."""
 
     def __init__(self, scene):
         """Find the bunnies."""
         self.bunnies = indices(scene, "bunny_")
-        self.inner = inner_half(len(self.bunnies))
+        self.inner = piles.inner_half(len(self.bunnies))
 
     def observe(self, sim):
-        """Nothing: the end tells."""
+        """Measure nothing: only the final state is judged."""
 
     def verdicts(self, sim):
-        """Bunnies that left the box, overlap and speed at the end."""
+        """Bunnies outside the box, overlap and speed at the end."""
         position = sim.get("center_of_mass")[:, self.bunnies]
-        # A body that is not a number has left too: the comparison must be true for it.
+        # A position that is NaN counts as outside.
         inside = (np.abs(position[..., :2]).max(axis=-1) < self.inner) & (position[..., 2] > 0.0)
         left = (~inside).sum(axis=1)
         sound = {"default": True}
         return [
-            Verdict("escaped", left, "none outside the box", left == 0, sound),
+            Verdict("escaped", left, "no bunny outside the box", left == 0, sound),
             overlap_verdict(sim, 2e-3, sound),
             rest_verdict(sim, self.bunnies, sound),
         ]
 
 
 def vary(sim, bodies, seed, **_):
-    """Start environment e as the scene of seed + e does."""
-    bunnies = indices(sim.scene, "bunny_")
-    position, orientation = zip(*(starts(bodies, seed + env) for env in range(sim.num_envs)), strict=True)
-    sim.set("position", np.array(position), bodies=bunnies)
-    sim.set("orientation", np.array(orientation), bodies=bunnies)
+    """Give environment e the starts of the scene with seed + e."""
+    start_apart(sim, indices(sim.scene, "bunny_"), lambda env: piles.starts(bodies, seed + env))
 
 
 DEMO = Demo(

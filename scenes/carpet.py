@@ -1,4 +1,4 @@
-"""The ground is a travelling wave that throws bodies and carries them."""
+"""Bodies on ground that moves as a travelling wave, which throws and transports them."""
 
 from typing import Any
 
@@ -7,7 +7,8 @@ import numpy as np
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
-from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders import assortment, piles
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import Demo, Verdict, indices, overlap_verdict, start_apart
 
 EXTENT = 30.0
@@ -21,11 +22,12 @@ THROW = 0.1
 
 
 def build(bodies: int = 16, amplitude: float = 0.5, seed: int = 0) -> Scene:
-    """Convex bodies of about 0.8 m above 30 x 30 m of ground that waves diagonally with 5 rad/s.
+    """Convex bodies of about 0.8 m above 30 x 30 m of ground with a diagonal wave of 5 rad/s.
 
     Args:
-        bodies: how many, 1 to 400.
-        amplitude: of the wave, 0 to 1 m; from 0.39 m on the ground falls faster than the bodies, and throws them.
+        bodies: number of bodies, 1 to 400.
+        amplitude: of the wave, 0 to 1 m; from 0.39 m the ground's acceleration exceeds
+            gravity, and it throws bodies.
         seed: of kinds, sizes and starts.
     """
     bodies = whole_in("bodies", bodies, 1, 400)
@@ -35,25 +37,22 @@ def build(bodies: int = 16, amplitude: float = 0.5, seed: int = 0) -> Scene:
     wave = Heightfield(np.zeros_like(x), (EXTENT, EXTENT), HarmonicMotion(amplitude, FREQUENCY, phase))
     scene = Scene()
     scene.add_kinematic(wave, name="carpet", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
     return scene
 
 
 def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where the bodies of an environment start: a square of positions (bodies, 3) [m], unit quaternions (bodies, 4)."""
+    """Starts of the bodies in a square: positions (bodies, 3) [m] and unit quaternions (bodies, 4)."""
     amplitude = number_in("amplitude", amplitude, 0.0, 1.0)
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 8))
     side = min(int(np.ceil(bodies**0.5)), 10)
-    i = np.arange(bodies)
-    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
-    half = 0.5 * (side - 1) * PITCH
-    position = PITCH * cell + [-half, -half, amplitude + 1.25 * RADIUS + 0.2]
+    position = piles.lattice(bodies, side, PITCH, amplitude + 1.25 * RADIUS + 0.2)
     return position + rng.uniform(-0.1, 0.1, (bodies, 3)), assortment.random_orientations(bodies, rng)
 
 
 class CarpetOutcome:
-    """How high the ground throws the bodies, how fast it keeps them, and whether one gets below it."""
+    """Height of the throws, mean speed, and whether a body passes through the ground."""
 
     def __init__(self, scene):
         """Find the bodies."""
@@ -63,12 +62,12 @@ class CarpetOutcome:
         self.sunk = self.flight = self.speed = self.frames = 0
 
     def observe(self, sim):
-        """Keep the highest flight, the mean speed, and the most bodies below the ground."""
+        """Record the largest clearance above the ground, the mean speed, and the number of bodies below the ground."""
         position = sim.get("center_of_mass")[:, self.bodies]
         places = position[..., :2].reshape(-1, 2)
         ground = sim.scene.bodies[0].shape
         height = position[..., 2] - ground.height_at(places, sim.time).reshape(position.shape[:2])
-        # A body that is not a number has sunk: the comparison must be true for it.
+        # A position that is NaN counts as below the ground.
         here = (height > 0.0) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
         self.sunk = np.maximum(self.sunk, (~here).sum(axis=1))
         if sim.time > 1.0:
@@ -77,28 +76,32 @@ class CarpetOutcome:
             self.speed, self.frames = self.speed + speed, self.frames + 1
 
     def verdicts(self, sim):
-        """Bodies lost, height of the throws, mean speed, overlap at the end."""
+        """Bodies below the ground, height of the throws, mean speed, overlap at the end."""
         if self.frames == 0:
             return []
         sound = {"default": True}
         moved = sound if self.throws else {}
         speed = self.speed / self.frames
         return [
-            Verdict("sunk", self.sunk, "none ever below the ground or off it", self.sunk == 0, sound),
-            Verdict("flight", self.flight, f"thrown > {THROW:g} m clear of the ground", self.flight > THROW, moved),
-            Verdict("speed", speed, "kept moving: mean speed > 0.5 m/s", speed > 0.5, moved),
+            Verdict(
+                "sunk", self.sunk, "no body below the ground or beyond its edge at any time", self.sunk == 0, sound
+            ),
+            Verdict(
+                "flight", self.flight, f"a body thrown > {THROW:g} m clear of the ground", self.flight > THROW, moved
+            ),
+            Verdict("speed", speed, "mean speed > 0.5 m/s", speed > 0.5, moved),
             overlap_verdict(sim, 0.02, sound),
         ]
 
 
 def vary(sim, bodies, amplitude, seed, **_):
-    """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env, amplitude))
+    """Give environment e the starts of the scene with seed + e; the shapes are those of environment 0."""
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env, amplitude))
 
 
 DEMO = Demo(
     name="carpet",
-    summary="a travelling wave of the ground throws bodies and carries them",
+    summary="a travelling wave of the ground throws and transports bodies",
     build=build,
     outcome=CarpetOutcome,
     duration=4.0,

@@ -1,4 +1,4 @@
-"""What a built-in scene consists of, and the measurements that several of them share."""
+"""The parts of a built-in scene, and measurements that several scenes share."""
 
 import inspect
 from collections.abc import Callable
@@ -11,26 +11,26 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes.sampling import SampleKind
 
 ONE_PASS_2003 = {"shock_propagation": "one_pass", "warm_starting": False}
-"""The method of 2003: one pass of shock propagation, every step from zero impulses."""
+"""The method of 2003: one pass of shock propagation, no warm starting."""
 
 OFF_2003 = {"shock_propagation": "off", "warm_starting": False}
-"""The same without shock propagation."""
+"""The method of 2003 without shock propagation."""
 
 AT_REST = 0.05
-"""Speed below which a body counts as come to rest [m/s]."""
+"""Speed below which a body counts as resting [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """One measured quantity of a run and whether it is as it must be.
+    """One measured quantity of a run, and whether it meets its condition.
 
     Attributes:
-        name: what was measured, a word fit for a table's column.
-        values: (envs,) float, the measure.
-        limit: the condition in words, with its unit.
+        name: of the quantity, one word, used as the name of a table column.
+        values: (envs,) float, measured values.
+        limit: the condition as text, with its unit.
         passed: (envs,) bool, whether the condition holds.
-        expected: for variants of the demo by name, whether the condition holds there. A variant
-            that is not named may do either.
+        expected: for variants of the demo by name, whether the condition must hold. Variants that are not listed
+            have no expectation.
     """
 
     name: str
@@ -41,42 +41,42 @@ class Verdict:
 
 
 class Outcome(Protocol):
-    """Measures a run: `observe` once a frame, then `verdicts` at the end.
+    """Measures a run: `observe` once per frame, then `verdicts` at the end.
 
-    Both only read the simulator. A verdict whose moment has not come yet is left out.
+    Both only read the simulator. Verdicts on moments that the run has not reached are left out.
     """
 
     def observe(self, sim: Any) -> None:
-        """Take note of the state at this frame."""
+        """Record the state at this frame."""
 
     def verdicts(self, sim: Any) -> list[Verdict]:
-        """Judge what was observed, and the state now."""
+        """Judge the recorded and the present state."""
 
 
 def no_events(scene: Scene) -> list[tuple[float, Callable[[Any], None]]]:
-    """Nothing happens from outside."""
+    """No events."""
     return []
 
 
 @dataclass(frozen=True)
 class Demo:
-    """A built-in scene: how it is made, run and judged.
+    """A built-in scene: how it is built, run and judged.
 
     Attributes:
-        name: what `load` calls it.
-        summary: one line.
+        name: argument of `load`.
+        summary: one line of description.
         build: function(**parameters) -> Scene; every parameter has a default.
         outcome: function(scene) -> Outcome.
-        duration: how long a run takes to show all [s].
-        variants: settings to compare, by name; each is what differs from `Settings()`. They fit
-            into one simulator, one environment each. "default" comes first.
-        events: function(scene) -> list of (time [s], function(sim)), which a run calls when the
-            simulated time reaches them.
-        settings: what all variants of this scene need to differ from `Settings()`.
-        vary: function(sim, **parameters) that gives each environment of a batch a start of its own; None if all
-            start alike. A run that compares settings leaves the starts alike.
-        goes_with: for settings by name and value, what a sweep over that setting also sets, unless it is told
-            otherwise: what it takes to see in this scene what the value is known for.
+        duration: default duration of a run, after which all verdicts are available [s].
+        variants: settings to compare, by name; each lists the differences from `Settings()`. A comparison runs each
+            variant in one environment of one simulator. "default" is the first.
+        events: function(scene) -> list of (time [s], function(sim)); a run calls each function when it reaches that
+            simulated time.
+        settings: differences from `Settings()` that all variants of this scene need.
+        vary: function(sim, **parameters) that gives each environment of a batch a different start; None if all
+            environments start alike. A run that compares settings does not call it.
+        goes_with: for settings by name and value, further settings that a sweep over that setting applies unless it
+            sets them itself, so that the typical effect of the value shows in this scene.
     """
 
     name: str
@@ -97,12 +97,18 @@ class Demo:
         return {name: parameter.default for name, parameter in known.items()}
 
 
-def start_apart(sim: Any, prefix: str, starts: Callable[[int], tuple[np.ndarray, ...]]) -> None:
-    """Give each environment its own start: `starts(env)` tells position, orientation and, if it likes, velocity."""
-    own = indices(sim.scene, prefix)
+def start_apart(sim: Any, bodies: list[int], starts: Callable[[int], tuple[np.ndarray, ...]]) -> None:
+    """Give each environment a different start.
+
+    Args:
+        sim: the simulator.
+        bodies: indices of the bodies that are set.
+        starts: returns for an environment's index the positions [m], the orientations and, optionally, the linear
+            velocities [m/s] of these bodies.
+    """
     columns = zip(*(starts(env) for env in range(sim.num_envs)), strict=True)
     for name, values in zip(("position", "orientation", "linear_velocity"), columns, strict=False):
-        sim.set(name, np.array(values), bodies=own)
+        sim.set(name, np.array(values), bodies=bodies)
 
 
 def indices(scene: Scene, prefix: str) -> list[int]:
@@ -111,7 +117,7 @@ def indices(scene: Scene, prefix: str) -> list[int]:
 
 
 def turn(orientation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Turn vectors (..., 3) by unit quaternions (..., 4), (x, y, z, w)."""
+    """Rotate vectors (..., 3) by unit quaternions (..., 4), (x, y, z, w)."""
     axis, w = orientation[..., :3], orientation[..., 3:]
     cross = np.cross(axis, vectors)
     return vectors + 2.0 * (w * cross + np.cross(axis, cross))
@@ -120,15 +126,15 @@ def turn(orientation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     """Smallest signed distance between the surfaces of two bodies, (envs,) [m]; negative inside.
 
-    From the samples of either one in the other's signed distance, in float64 on the host, so that
-    a demo does not judge the simulator by its own contacts.
+    Computed from the samples of either body in the signed distance of the other, in float64 on the host,
+    independently of the simulator's contacts.
     """
     position = sim.get("position").astype(np.float64)
     orientation = sim.get("orientation").astype(np.float64)
     smallest = np.full(len(position), np.inf)
     for a, b in ((first, second), (second, first)):
         samples, target = sim.scene.bodies[a].shape.samples(), sim.scene.bodies[b].shape
-        # The middle of each segment of an edge and its one end: the other is the next one's, or a vertex.
+        # The middle and one end of each edge segment; its other end belongs to the next segment or is a vertex.
         points = np.concatenate([samples.point, samples.point + samples.slide]).astype(np.float64)
         ball = np.tile(np.where(samples.kind == SampleKind.RIM, 0.0, samples.radius), 2)
         if not len(points):
@@ -142,30 +148,30 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
 
 
 def below(name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool]) -> Verdict:
-    """That the values are below `limit`; what is not a number is not."""
+    """Verdict: the values are below `limit`; NaN is not."""
     return Verdict(name, values, text, values < limit, expected)
 
 
 def overlap_verdict(sim: Any, limit: float, expected: dict[str, bool]) -> Verdict:
-    """That no body is deeper than `limit` [m] inside another now."""
+    """Verdict: no two bodies overlap by more than `limit` [m] now."""
     text = f"overlap < {1e3 * limit:g} mm at the end"
     return below("overlap", sim.penetration(), limit, text, expected)
 
 
 def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
-    """That no body's centre of mass moves faster than AT_REST now."""
+    """Verdict: no body's centre of mass moves faster than AT_REST now."""
     speed = np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1).max(axis=1)
     return below("speed", speed, AT_REST, f"speed < {AT_REST:g} m/s at the end", expected)
 
 
 def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
-    """That all bodies are at rest now: how many are."""
+    """Verdict: all bodies are at rest now; the value is the number of resting bodies."""
     resting = (np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1) < AT_REST).sum(axis=1)
     text = f"all {len(bodies)} bodies slower than {AT_REST:g} m/s at the end"
     return Verdict("resting", resting, text, resting == len(bodies), expected)
 
 
 def contacts_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
-    """That there are at least as many contacts as bodies now: each body touches something."""
+    """Verdict: there are at least as many contacts as bodies now."""
     contacts = np.bincount(sim.contacts()["env"], minlength=sim.num_envs)
-    return Verdict("contacts", contacts, "a contact a body or more at the end", contacts >= len(bodies), expected)
+    return Verdict("contacts", contacts, "at least one contact per body at the end", contacts >= len(bodies), expected)

@@ -1,4 +1,4 @@
-"""A very bouncy but sticky block rests on an inclined platform."""
+"""A block with high restitution and friction rests on an inclined platform."""
 
 import math
 
@@ -6,7 +6,8 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, below, clearance, indices
 
 HALF = 0.05
@@ -15,11 +16,11 @@ GROUND = -2.0
 
 
 def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) -> Scene:
-    """Cube of 0.1 m flush on a platform inclined by 20 degrees, as in the 2003 authors' test.
+    """Cube of 0.1 m on a platform inclined by 20 degrees, as in the test of the authors of the 2003 method.
 
     Args:
-        angle: slope [degree], 0 to 40, at which a cube does not tip; downhill is +x.
-        friction: of block and platform, >= 0; the block stays where it exceeds tan(angle).
+        angle: slope [degree], 0 to 40; a cube does not tip at these angles. Downhill is +x.
+        friction: of block and platform, >= 0; the block sticks if it exceeds tan(angle).
         restitution: of block and platform, 0 to 1.
     """
     slope = math.radians(number_in("angle", angle, 0.0, 40.0))
@@ -30,7 +31,7 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
     tilt = (0.0, math.sin(0.5 * slope), 0.0, math.cos(0.5 * slope))
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=GROUND), name="ground")
+    grounds.add_ground(scene, GROUND, name="ground")
     scene.add_static(
         Box(PLATFORM_HALF),
         position=-PLATFORM_HALF[2] * normal,
@@ -43,10 +44,10 @@ def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) 
 
 
 class InclineOutcome:
-    """How far the block slid, lifted off and sank in."""
+    """Sliding distance, lift-off and penetration of the block."""
 
     def __init__(self, scene):
-        """Note the start and whether friction can hold the block."""
+        """Record the start and compute whether friction can hold the block."""
         (self.block,) = indices(scene, "block")
         (self.platform,) = indices(scene, "platform")
         body = scene.bodies[self.block]
@@ -59,27 +60,27 @@ class InclineOutcome:
         self.lift = self.depth = None
 
     def observe(self, sim):
-        """Keep the greatest height above the platform and depth inside it."""
+        """Record the largest height above the platform and the largest penetration."""
         gap = clearance(sim, self.block, self.platform)
         self.lift = gap if self.lift is None else np.maximum(self.lift, gap)
         self.depth = -gap if self.depth is None else np.maximum(self.depth, -gap)
 
     def verdicts(self, sim):
-        """Slide, lift and depth, each of which must stay below 1 mm."""
+        """Sliding distance, lift and penetration, each of which must stay below 1 mm."""
         if self.lift is None:
             return []
         moved = sim.get("position")[:, self.block].astype(np.float64) - self.start
         slide = moved @ self.downhill
         sound = {"default": True, "one_pass": True}
-        # Within 2 % of the critical angle either is right.
+        # Within 2 % of the critical angle both outcomes are correct.
         stays = sound if self.held else {}
         slips = {"default": False, "one_pass": False} if self.slips else {}
         chatters = {"collisions_last": False} if self.chatters else {}
         sinks = {"no_contact": False}
         return [
-            below("slide", slide, 1e-3, "downhill < 1 mm at the end", stays | slips | chatters),
-            below("lift", self.lift, 1e-3, "never 1 mm off the platform", stays | chatters),
-            below("depth", self.depth, 1e-3, "never 1 mm inside the platform", sound | sinks),
+            below("slide", slide, 1e-3, "slides < 1 mm downhill", stays | slips | chatters),
+            below("lift", self.lift, 1e-3, "< 1 mm above the platform at any time", stays | chatters),
+            below("depth", self.depth, 1e-3, "< 1 mm inside the platform at any time", sound | sinks),
         ]
 
 

@@ -1,13 +1,13 @@
-"""Boxes stacked with an offset, each as far sideways from the one below: does the tower fall?"""
+"""A tower of boxes, each offset sideways from the one below by the same distance, which may topple."""
 
 import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, indices
 
-HALF = 0.1
+HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
 
 
@@ -15,54 +15,31 @@ def build(height: int = 10, offset: float = 0.15) -> Scene:
     """Leaning tower of cubes of 0.2 m and 8 kg on a fixed platform.
 
     Args:
-        height: boxes, 2 to 50.
-        offset: sideways step from box to box over their width, 0 to 0.45.
+        height: number of boxes, 2 to 50.
+        offset: offset from box to box along x, as a fraction of their width, 0 to 0.45.
     """
     height = whole_in("height", height, 2, 50)
     offset = number_in("offset", offset, 0.0, 0.45)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
-    scene.add_static(
-        Box((0.5, 0.5, 0.5 * PLATFORM_TOP)),
-        position=(0, 0, 0.5 * PLATFORM_TOP),
-        friction=0.5,
-        name="platform",
-    )
-    for i in range(height):
-        x = 2.0 * HALF * offset * i
-        z = PLATFORM_TOP + HALF + i * 2.0 * HALF
-        scene.add_body(Box((HALF,) * 3), position=(x, 0, z), friction=0.5, name=f"box_{i}")
+    scene = grounds.level_scene(friction=0.5, name="ground")
+    grounds.add_platform(scene, 0.5, 0.5, PLATFORM_TOP, friction=0.5, name="platform")
+    stacks.add_stack(scene, height, bottom=PLATFORM_TOP, lean=2.0 * HALF * offset, names="box", friction=0.5)
     return scene
 
 
-def statics_says_falls(scene: Scene) -> bool:
-    """Whether the boxes above some box, or all, have their centre of mass beyond its edge."""
-    boxes = [scene.bodies[i] for i in indices(scene, "box_")]
-    x = np.array([body.position[0] for body in boxes])
-    mass = np.array([body.mass for body in boxes])
-    # What lies above joint i must balance over the overlap of box i - 1 (the platform: all) and i.
-    for i in range(len(boxes)):
-        center = np.average(x[i:], weights=mass[i:])
-        right = x[i] + HALF if i == 0 else min(x[i], x[i - 1]) + HALF
-        if center > right + 1e-9:
-            return True
-    return False
-
-
 class TowerOutcome:
-    """Whether the tower does what statics says."""
+    """Whether the tower stands or topples as statics demands."""
 
     def __init__(self, scene):
-        """Ask statics."""
+        """Compute from statics whether the tower topples."""
         self.boxes = indices(scene, "box_")
         self.start = np.array([scene.bodies[i].position for i in self.boxes])
-        self.falls = statics_says_falls(scene)
+        self.falls = stacks.leaning_tower_falls(self.start[:, 0], HALF)
 
     def observe(self, sim):
-        """Nothing: the end tells."""
+        """Measure nothing: only the final state is judged."""
 
     def verdicts(self, sim):
-        """Height of the top box above the platform, against statics."""
+        """Height of the top box above the platform, compared with the prediction of statics."""
         position = sim.get("position")[:, self.boxes].astype(np.float64)
         top = position[:, -1, 2] - PLATFORM_TOP
         moved = np.linalg.norm(position - self.start, axis=-1).max(axis=1)
@@ -70,9 +47,9 @@ class TowerOutcome:
             limit = 0.5 * (self.start[-1, 2] - PLATFORM_TOP)
             text, passed = f"falls: top box below {limit:.2f} m", top < limit
         else:
-            text, passed = "stands: no box moved 2 cm", moved < 0.02
-        # One pass never lets the lower joints feel the load above: its tower stands regardless.
-        # From cold starts, few iterations may drop even a tower that balances.
+            text, passed = "stands: no box moves by 2 cm", moved < 0.02
+        # One pass does not transmit the load to the lower joints, so its tower stands in either case.
+        # Without warm starting, few iterations may let even a balanced tower collapse.
         expected = {"default": True, "one_pass": not self.falls}
         if self.falls:
             expected |= {"off": True, "two_pass": True}
@@ -81,7 +58,7 @@ class TowerOutcome:
 
 DEMO = Demo(
     name="leaning_tower",
-    summary="a tower of boxes that leans too far must fall; one pass of 2003 holds it up",
+    summary="a tower of boxes that leans too far must topple; the one-pass method of 2003 keeps it standing",
     build=build,
     outcome=TowerOutcome,
     duration=4.0,
@@ -91,8 +68,8 @@ DEMO = Demo(
         "one_pass": ONE_PASS_2003,
         "two_pass": {"shock_propagation": "two_pass", "warm_starting": False},
     },
-    # One pass holds up what must fall only where every step starts from zero impulses, as in 2003. Without shock
-    # propagation ten boxes need remembered impulses and more iterations than the default for their joints to hold.
+    # One pass keeps the tower standing only without warm starting, as in 2003. Without shock propagation ten boxes
+    # need warm starting and more iterations than the default for their contacts to hold.
     goes_with={
         "shock_propagation": {"one_pass": {"warm_starting": False}, "off": {"contact_iterations": 40}},
     },

@@ -1,4 +1,4 @@
-"""Bodies fall from all sides on a small planet and settle all around it: nothing knows an "up"."""
+"""Bodies fall from all sides on a small planet and settle all around it; there is no global up direction."""
 
 from typing import Any
 
@@ -9,6 +9,7 @@ from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     Demo,
     Verdict,
@@ -21,7 +22,7 @@ from warp_rigid.scenes.demo import (
 
 PLANET_RADIUS = 5.0
 FACETS = 4
-"""The planet is a ball of 20 FACETS^2 flat triangles: on a perfect ball a cube rocks for a minute."""
+"""The planet has 20 FACETS^2 flat triangles; on a smooth ball a cube would rock for a minute."""
 RESOLUTION = 96
 STRENGTH = 100.0
 RADIUS = 0.5
@@ -31,11 +32,11 @@ SURFACE: dict[str, Any] = {"friction": 0.9, "restitution": 0.1, "rolling_frictio
 
 
 def build(bodies: int = 40, seed: int = 0) -> Scene:
-    """Convex bodies of about 0.8 m on shells around a faceted ball of radius 5 m that pulls with 4 m/s^2 there.
+    """Convex bodies of about 0.8 m on shells around a faceted ball of radius 5 m; gravity at its surface is 4 m/s^2.
 
     Args:
-        bodies: how many, 1 to 5000; every 60 fill one more shell.
-        seed: of kinds, sizes, starts and first velocities.
+        bodies: number of bodies, 1 to 5000; a shell holds 60.
+        seed: of kinds, sizes, starts and initial velocities.
     """
     bodies = whole_in("bodies", bodies, 1, 5000)
     position, orientation, velocity = starts(bodies, seed)
@@ -43,22 +44,15 @@ def build(bodies: int = 40, seed: int = 0) -> Scene:
     scene.add_force_field(PointField(center=(0, 0, 0), strength=STRENGTH))
     corners, faces = tessellation.geodesic(FACETS)
     scene.add_static(Mesh(PLANET_RADIUS * corners, faces, RESOLUTION), name="planet", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(
-            shape,
-            position=position[i],
-            orientation=orientation[i],
-            linear_velocity=velocity[i],
-            name=f"body_{i}",
-            **SURFACE,
-        )
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, linear_velocities=velocity, names="body", **SURFACE)
     return scene
 
 
 def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the bodies of an environment start: positions [m], unit quaternions and velocities [m/s].
+    """Starts of the bodies: positions [m], unit quaternions and velocities [m/s].
 
-    A shell holds up to 60 bodies on a spiral of equal areas, turned at random.
+    A shell holds up to 60 bodies on a spiral of equal areas, rotated at random.
     """
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 2))
     shells = -(-bodies // 60)
@@ -67,7 +61,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _shell(count, radius, rng):
-    """Points of a Fibonacci spiral on a sphere, turned by a random rotation."""
+    """Points of a Fibonacci spiral on a sphere, rotated at random."""
     k = np.arange(count)
     z = 1.0 - (2.0 * k + 1.0) / count
     angle = np.pi * (3.0 - 5.0**0.5) * k
@@ -78,14 +72,14 @@ def _shell(count, radius, rng):
 
 
 class PlanetOutcome:
-    """Whether the bodies settled on the planet, on all sides of it."""
+    """Whether the bodies settled on all sides of the planet."""
 
     def __init__(self, scene):
         """Find the bodies."""
         self.bodies = indices(scene, "body_")
 
     def observe(self, sim):
-        """Nothing: the end tells."""
+        """Measure nothing: only the final state is judged."""
 
     def verdicts(self, sim):
         """Octants with bodies, bodies lost, bodies at rest, contacts and overlap at the end."""
@@ -97,7 +91,7 @@ class PlanetOutcome:
         sound = {"default": True}
         around = sound if len(self.bodies) > 30 else {}
         return [
-            Verdict("lost", lost, "none inside the planet or away from it", lost == 0, sound),
+            Verdict("lost", lost, "no body inside the planet or far from it", lost == 0, sound),
             Verdict("octants", sides, "bodies in all 8 octants around the planet", sides == 8, around),
             resting_verdict(sim, self.bodies, sound),
             contacts_verdict(sim, self.bodies, sound),
@@ -106,8 +100,8 @@ class PlanetOutcome:
 
 
 def vary(sim, bodies, seed, **_):
-    """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
+    """Give environment e the starts of the scene with seed + e; the shapes are those of environment 0."""
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(

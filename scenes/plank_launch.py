@@ -1,4 +1,4 @@
-"""A large box falls on the free end of a plank and throws small boxes off its other end."""
+"""A large box falls on the free end of a plank and launches small boxes from its other end."""
 
 import math
 
@@ -6,7 +6,8 @@ import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, Verdict, below, clearance, indices
 
 BASE_HALF = (1.0, 0.25, 0.5)
@@ -18,40 +19,31 @@ LAUNCH_LASTS = 0.25
 
 
 def build(blocks: int = 7, drop: float = 2.0) -> Scene:
-    """Plank of 10 kg on a fixed box, small boxes of 1 kg on one end, 100 kg falling on the other.
+    """Plank of 10 kg on a fixed box, small boxes of 1 kg on one end, and a box of 100 kg that falls on the other.
 
     Args:
-        blocks: small boxes, stacked, 1 to 20.
-        drop: height of the large box above the plank [m], 0.1 to 5.
+        blocks: number of small boxes, which form a stack, 1 to 20.
+        drop: initial height of the large box above the plank [m], 0.1 to 5.
     """
     blocks = whole_in("blocks", blocks, 1, 20)
     drop = number_in("drop", drop, 0.1, 5.0)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
-    scene.add_static(Box(BASE_HALF), position=(0, 0, BASE_HALF[2]), friction=0.5, name="base")
+    scene = grounds.level_scene(friction=0.5, name="ground")
+    grounds.add_platform(scene, BASE_HALF[0], BASE_HALF[1], 2.0 * BASE_HALF[2], friction=0.5, name="base")
     z = 2.0 * BASE_HALF[2]
     scene.add_body(Box(PLANK_HALF), position=(PLANK_X, 0, z + PLANK_HALF[2]), mass=10.0, name="plank")
     z += 2.0 * PLANK_HALF[2]
     left = PLANK_X - PLANK_HALF[0] + 1.5 * SMALL_HALF
-    for i in range(blocks):
-        height = z + SMALL_HALF + i * 2.0 * SMALL_HALF
-        scene.add_body(
-            Box((SMALL_HALF,) * 3),
-            position=(left, 0, height),
-            mass=1.0,
-            restitution=0.3,
-            name=f"small_{i}",
-        )
+    stacks.add_stack(scene, blocks, Box((SMALL_HALF,) * 3), x=left, bottom=z, names="small", mass=1.0, restitution=0.3)
     right = PLANK_X + PLANK_HALF[0] - LARGE_HALF
     scene.add_body(Box((LARGE_HALF,) * 3), position=(right, 0, z + drop + LARGE_HALF), mass=100.0, name="large")
     return scene
 
 
 class LaunchOutcome:
-    """How high the small boxes fly and how deep the plank enters the box beneath it."""
+    """Height of the small boxes' flight, and penetration of the plank into the base."""
 
     def __init__(self, scene):
-        """Note the start."""
+        """Record the start."""
         self.small = indices(scene, "small_")
         (self.plank,) = indices(scene, "plank")
         (self.base,) = indices(scene, "base")
@@ -62,7 +54,7 @@ class LaunchOutcome:
         self.rise = self.depth = None
 
     def observe(self, sim):
-        """Keep each small box's greatest rise, and the plank's greatest depth during the launch."""
+        """Record each small box's largest rise, and the plank's deepest penetration during the launch."""
         rise = sim.get("position")[:, self.small, 2] - self.start
         self.rise = rise if self.rise is None else np.maximum(self.rise, rise)
         if sim.time < self.launched:
@@ -70,7 +62,7 @@ class LaunchOutcome:
             self.depth = depth if self.depth is None else np.maximum(self.depth, depth)
 
     def verdicts(self, sim):
-        """The least of the rises, and the depth against 2 % of the plank's thickness."""
+        """The smallest rise, and the penetration, which must stay below 2 % of the plank's thickness."""
         if self.rise is None:
             return []
         least = self.rise.min(axis=1)
@@ -78,7 +70,7 @@ class LaunchOutcome:
         text = f"plank in base < {1e3 * limit:g} mm during the launch"
         sound = {"default": True, "one_pass": True}
         verdicts = [
-            Verdict("rise", least, "every small box thrown > 0.3 m up", least > 0.3, sound),
+            Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound),
         ]
         if self.depth is not None:
             verdicts.append(below("depth", self.depth, limit, text, sound | {"off": False}))
@@ -87,7 +79,7 @@ class LaunchOutcome:
 
 DEMO = Demo(
     name="plank_launch",
-    summary="a large box falls on one end of a plank and throws the small ones off the other",
+    summary="a large box falls on one end of a plank and launches small boxes from the other",
     build=build,
     outcome=LaunchOutcome,
     duration=3.0,

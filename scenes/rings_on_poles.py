@@ -1,7 +1,7 @@
-"""Rings rain on a field of poles: nonconvex bodies that thread, lean and interlock.
+"""Rings fall on a field of poles: nonconvex bodies that thread, lean and interlock.
 
 Mass, friction, restitution, tilt and the cylinder of starts are those of Guendelman, Bridson and Fedkiw 2003 (500 or
-1000 rings of 10 kg over 25 poles 7 m apart); the sizes of rings and poles are our own.
+1000 rings of 10 kg over 25 poles 7 m apart); the sizes of rings and poles are not from the paper.
 """
 
 import math
@@ -11,8 +11,9 @@ import numpy as np
 
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Cylinder, Plane
-from warp_rigid.scenes.builders import assortment, meshes
+from warp_rigid.scene.shapes import Cylinder
+from warp_rigid.scenes.builders import assortment, grounds, meshes
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -31,41 +32,39 @@ POLE_RADIUS, POLE_HALF_HEIGHT = 0.5, 6.0
 RING_MAJOR, RING_MINOR = 2.4, 0.45
 REACH = RING_MAJOR + RING_MINOR
 CYLINDER_A_SIDE = 4.0
-"""Radius of the cylinder of starts for each pole along a side of the field [m]: 20 m for 5 x 5 poles."""
+"""Radius of the cylinder of starts per pole along a side of the field [m]; 20 m for 5 x 5 poles."""
 LOWEST_A_SIDE = 6.0
-"""Its lowest height for each pole along a side [m]: 30 m for 5 x 5 poles."""
+"""Lowest height of that cylinder per pole along a side [m]; 30 m for 5 x 5 poles."""
 VOLUME_A_RING = math.pi * 20.0**2 * 0.6
-"""Of the cylinder [m^3]: 500 rings over 25 poles start between 30 and 330 m."""
+"""Volume of that cylinder per ring [m^3]; 500 rings over 25 poles start between 30 and 330 m."""
 LOST = 10.0
-"""A ring that rolls further than this many radii of the cylinder is lost."""
+"""A ring further from the z axis than this many radii of the cylinder is lost."""
 
 
 def build(rings: int = 12, poles: int = 4, seed: int = 0) -> Scene:
-    """Tori of 10 kg at random places of a cylinder above a square field of poles.
+    """Tori of 10 kg at random positions in a cylinder above a square field of poles.
 
     Args:
-        rings: how many, 1 to 2000; the paper has 500 and 1000.
-        poles: a square number from 1 to 49; the paper has 25.
-        seed: of places and tilts.
+        rings: number of rings, 1 to 2000; 500 and 1000 in the paper.
+        poles: number of poles, a square number from 1 to 49; 25 in the paper.
+        seed: of positions and tilts.
     """
     rings = whole_in("rings", rings, 1, 2000)
     side = _side(poles)
     position, orientation = starts(rings, side, seed)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="ground", **SURFACE)
+    scene = grounds.level_scene(name="ground", **SURFACE)
     pole = Cylinder(POLE_RADIUS, POLE_HALF_HEIGHT)
     for i, place in enumerate(_pole_places(side)):
         scene.add_static(pole, position=(*place, POLE_HALF_HEIGHT), name=f"pole_{i}", **SURFACE)
     ring = meshes.torus(RING_MAJOR, RING_MINOR)
-    for i in range(rings):
-        scene.add_body(ring, position=position[i], orientation=orientation[i], mass=MASS, name=f"ring_{i}", **SURFACE)
+    add_bodies(scene, ring, position, orientation, names="ring", mass=MASS, **SURFACE)
     return scene
 
 
 def starts(rings: int, side: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the rings start: positions (rings, 3) [m] and unit quaternions (rings, 4), none near another.
+    """Starts of the rings: positions (rings, 3) [m] and unit quaternions (rings, 4), without overlap.
 
-    Places are drawn until one is a ring's width away from all before, as in a random sequential packing.
+    A position is drawn again until it is a ring's width away from all earlier ones (random sequential packing).
     """
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 3))
     radius, lowest = CYLINDER_A_SIDE * side, LOWEST_A_SIDE * side
@@ -97,14 +96,14 @@ def _pole_places(side):
 
 
 def threaded(position, orientation, feet) -> np.ndarray:
-    """How many rings have a pole in their hole, (envs,).
+    """Number of rings with a pole in their hole, (envs,).
 
-    A ring has one if the pole's axis crosses the ring's plane within the hole, below the pole's top.
+    A ring counts if the pole's axis crosses the ring's plane within the hole, below the pole's top.
 
     Args:
         position: (envs, rings, 3) centres [m].
         orientation: (envs, rings, 4).
-        feet: (poles, 2) where the poles stand [m].
+        feet: (poles, 2) positions of the poles [m].
     """
     axis = turn(orientation, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
     slant = np.where(np.abs(axis[..., 2]) > 1e-6, axis[..., 2], 1e-6)
@@ -117,7 +116,7 @@ def threaded(position, orientation, feet) -> np.ndarray:
 
 
 class RingsOutcome:
-    """How many rings hang on poles, and whether all are there and none inside another."""
+    """Number of rings on poles, and whether none is lost and none overlaps another."""
 
     def __init__(self, scene):
         """Find rings and poles."""
@@ -126,13 +125,13 @@ class RingsOutcome:
         self.bound = LOST * CYLINDER_A_SIDE * math.isqrt(len(self.feet))
 
     def observe(self, sim):
-        """Nothing: the end tells."""
+        """Measure nothing: only the final state is judged."""
 
     def verdicts(self, sim):
         """Rings lost, rings on poles, and overlap at the end."""
         position = sim.get("position")[:, self.rings].astype(np.float64)
         orientation = sim.get("orientation")[:, self.rings].astype(np.float64)
-        # A ring that is not a number is lost: the comparison must be true for it.
+        # A ring whose position is NaN counts as lost.
         there = (np.linalg.norm(position[..., :2], axis=-1) < self.bound) & (position[..., 2] > 0.0)
         lost = (~there).sum(axis=1)
         on_poles = threaded(position, orientation, self.feet)
@@ -146,13 +145,13 @@ class RingsOutcome:
 
 
 def vary(sim, rings, poles, seed, **_):
-    """Start environment e as the scene of seed + e does."""
-    start_apart(sim, "ring_", lambda env: starts(rings, _side(poles), seed + env))
+    """Give environment e the starts of the scene with seed + e."""
+    start_apart(sim, indices(sim.scene, "ring_"), lambda env: starts(rings, _side(poles), seed + env))
 
 
 DEMO = Demo(
     name="rings_on_poles",
-    summary="rings rain on a field of poles, thread, lean and interlock",
+    summary="rings fall on a field of poles, thread, lean and interlock",
     build=build,
     outcome=RingsOutcome,
     duration=8.0,

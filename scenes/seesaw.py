@@ -1,4 +1,4 @@
-"""A large and a small block on a seesaw: it tips to either side in turn."""
+"""A large and a small block on a seesaw, which tips first to one side and then to the other."""
 
 import math
 
@@ -6,7 +6,8 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, Verdict, indices, turn
 
 PIVOT_HEIGHT = 0.35
@@ -22,8 +23,8 @@ TIPPED = 10.0
 def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
     """Plank of 10 kg on a fixed ridge, a slippery large block right and a sticky small one left.
 
-    All three start level with the same slow rotation to the right, which lifts the small block
-    even where no weight is passed on to the plank.
+    All three start level with the same slow rotation to the right, which lifts the small block even if contacts
+    transmit no load to the plank.
 
     Args:
         large_mass: of the block on the right [kg], > 0.
@@ -31,9 +32,8 @@ def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
     """
     large_mass = number_in("large_mass", large_mass, above=0.0)
     small_mass = number_in("small_mass", small_mass, above=0.0)
-    scene = Scene()
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), friction=0.5, name="ground")
-    # A cube on its edge: the plank has no place of its own to swing back to, as it has on a cylinder.
+    scene = grounds.level_scene(friction=0.5, name="ground")
+    # A cube on its edge: on a cylinder the plank would have a stable equilibrium to return to.
     side = math.sqrt(0.5) * PIVOT_HEIGHT
     scene.add_static(
         Box((side, 0.4, side)),
@@ -50,7 +50,7 @@ def build(large_mass: float = 10.0, small_mass: float = 5.0) -> Scene:
 
 
 def _add_turning(scene, name, half_extents, place, mass, friction):
-    """A box centred at place (x, z) [m] that turns about the ridge."""
+    """Add a box centred at (x, z) = `place` [m] that rotates about the ridge."""
     x, z = place
     scene.add_body(
         Box(half_extents),
@@ -64,7 +64,7 @@ def _add_turning(scene, name, half_extents, place, mass, friction):
 
 
 class SeesawOutcome:
-    """The plank's greatest tilt to the right, and after that to the left."""
+    """The plank's largest tilt to the right, and the largest tilt to the left after that."""
 
     def __init__(self, scene):
         """Find the plank."""
@@ -75,7 +75,7 @@ class SeesawOutcome:
         self.right = self.left = None
 
     def observe(self, sim):
-        """Keep the greatest tilts; the left one counts only after the plank tipped right."""
+        """Record the largest tilts; tilt to the left counts only after the plank has tipped right."""
         orientation = sim.get("orientation")[:, self.plank].astype(np.float64)
         along = turn(orientation, np.broadcast_to([1.0, 0.0, 0.0], (len(orientation), 3)))
         tilt = np.degrees(np.arcsin(np.clip(-along[:, 2], -1.0, 1.0)))
@@ -87,10 +87,10 @@ class SeesawOutcome:
         self.left = np.where(counts, np.maximum(self.left, -tilt), self.left)
 
     def verdicts(self, sim):
-        """Both tilts against 10 degrees."""
+        """Both tilts, which must exceed 10 degrees."""
         if self.right is None:
             return []
-        # Nothing is claimed where the blocks nearly balance or the small one is the heavier.
+        # There is no expectation if the blocks nearly balance or the small one is heavier.
         tips = {"default": True, "one_pass": True, "no_contact": True} if self.uneven else {}
         back = tips | {"no_contact": False} if self.uneven else {}
         text = f"tips right > {TIPPED:g} degrees", f"then left > {TIPPED:g} degrees"

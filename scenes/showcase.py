@@ -1,4 +1,4 @@
-"""Random convex bodies rain on a fixed slab and come to rest."""
+"""Random convex bodies fall on a fixed slab and come to rest."""
 
 import math
 from typing import Any
@@ -8,7 +8,8 @@ import numpy as np
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
-from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders import assortment, piles
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     Demo,
     Verdict,
@@ -31,7 +32,7 @@ def build(bodies: int = 100, seed: int = 0) -> Scene:
     """Cubes, spheres, cylinders and polyhedra of 0.3 to 0.5 m at jittered lattice points above a slab.
 
     Args:
-        bodies: how many, 1 to 20 000.
+        bodies: number of bodies, 1 to 20 000.
         seed: of kinds, sizes and starts.
     """
     bodies = whole_in("bodies", bodies, 1, 20_000)
@@ -39,34 +40,30 @@ def build(bodies: int = 100, seed: int = 0) -> Scene:
     scene = Scene()
     half = slab_half(bodies)
     scene.add_static(Box((half, half, SLAB_HALF_HEIGHT)), position=(0, 0, -SLAB_HALF_HEIGHT), name="slab", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
     return scene
 
 
 def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the bodies of an environment start: positions (bodies, 3) [m] and unit quaternions (bodies, 4)."""
+    """Starts of the bodies: positions (bodies, 3) [m] and unit quaternions (bodies, 4)."""
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 1))
-    side = _side(bodies)
-    i = np.arange(bodies)
-    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
-    corner = np.array([-0.5 * (side - 1) * PITCH, -0.5 * (side - 1) * PITCH, LOWEST])
-    position = corner + PITCH * cell + rng.uniform(-JITTER, JITTER, (bodies, 3))
+    position = piles.lattice(bodies, _side(bodies), PITCH, LOWEST) + rng.uniform(-JITTER, JITTER, (bodies, 3))
     return position, assortment.random_orientations(bodies, rng)
 
 
 def slab_half(bodies: int) -> float:
-    """Half of the slab's width [m]: what rolls aside stays on it."""
+    """Half of the slab's width [m], with a margin for bodies that roll aside."""
     return 0.5 * _side(bodies) * PITCH + 2.0
 
 
 def _side(bodies):
-    """Cells along each side of the rain, which is about half as high as wide."""
+    """Lattice points along each side; the lattice is about half as high as wide."""
     return math.ceil((2.0 * bodies) ** (1.0 / 3.0))
 
 
 class RainOutcome:
-    """How many bodies lie on the slab at rest, none inside another."""
+    """Whether all bodies rest on the slab and none overlaps another."""
 
     def __init__(self, scene):
         """Find the bodies."""
@@ -74,17 +71,17 @@ class RainOutcome:
         self.half = slab_half(len(self.bodies))
 
     def observe(self, sim):
-        """Nothing: the end tells."""
+        """Measure nothing: only the final state is judged."""
 
     def verdicts(self, sim):
         """Bodies off the slab, bodies at rest, contacts and overlap at the end."""
         position = sim.get("center_of_mass")[:, self.bodies]
-        # A body that is not a number is off the slab: the comparison must be true for it.
+        # A position that is NaN counts as off the slab.
         on_slab = (np.abs(position[..., :2]).max(axis=-1) < self.half) & (position[..., 2] > 0.0)
         off = (~on_slab).sum(axis=1)
         sound = {"default": True}
         return [
-            Verdict("off_slab", off, "none off the slab", off == 0, sound),
+            Verdict("off_slab", off, "no body off the slab", off == 0, sound),
             resting_verdict(sim, self.bodies, sound),
             contacts_verdict(sim, self.bodies, sound),
             overlap_verdict(sim, 2e-3, sound),
@@ -92,13 +89,13 @@ class RainOutcome:
 
 
 def vary(sim, bodies, seed, **_):
-    """Start environment e where the scene of seed + e does; the shapes stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
+    """Give environment e the starts of the scene with seed + e; the shapes are those of environment 0."""
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(
     name="showcase",
-    summary="random convex bodies rain on a fixed slab and come to rest",
+    summary="random convex bodies fall on a fixed slab and come to rest",
     build=build,
     outcome=RainOutcome,
     duration=4.0,

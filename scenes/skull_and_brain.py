@@ -1,4 +1,4 @@
-"""An open skull and then a brain fall on a platform: two arbitrary polyhedra meet."""
+"""An open skull and then a brain fall on a platform: contact between two arbitrary meshes."""
 
 import math
 import os
@@ -8,8 +8,8 @@ import numpy as np
 
 from warp_rigid.files import mesh_files
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Mesh, Plane
-from warp_rigid.scenes.builders import meshes
+from warp_rigid.scene.shapes import Box, Mesh
+from warp_rigid.scenes.builders import grounds, meshes
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
@@ -34,20 +34,19 @@ CELL = SKULL_SIZE / 64.0
 
 
 def build(skull: str | None = None, brain: str | None = None) -> Scene:
-    """Skull of 0.25 m above a platform and brain of 0.18 m higher up, a little to the front.
+    """Skull of 0.25 m above a platform and brain of 0.18 m above the skull, 2 cm to the front.
 
-    The platform is the bottom of a dish, so that the two cannot part for good.
+    The platform is the bottom of a dish, which keeps the two together.
 
     Args:
-        skull: mesh file to take instead of the skull, scaled to its size.
-        brain: mesh file to take instead of the brain, scaled to its size.
+        skull: mesh file that replaces the skull, scaled to its size.
+        brain: mesh file that replaces the brain, scaled to its size.
     """
     lower = meshes.skull_like(SKULL_SIZE) if skull is None else _own("skull", skull, SKULL_SIZE)
     upper = meshes.brain_like(BRAIN_SIZE) if brain is None else _own("brain", brain, BRAIN_SIZE)
     names = ("skull" if skull is None else "skull_own", "brain" if brain is None else "brain_own")
-    scene = Scene()
     surface: dict[str, Any] = {"friction": 0.5, "restitution": 0.3}
-    scene.add_static(Plane(normal=(0, 0, 1), offset=0.0), name="ground", **surface)
+    scene = grounds.level_scene(name="ground", **surface)
     _add_dish(scene, surface)
     z = PLATFORM_TOP + SKULL_DROP
     for name, mesh, x in zip(names, (lower, upper), (0.0, 0.02), strict=True):
@@ -65,13 +64,8 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
 
 
 def _add_dish(scene, surface):
-    """The platform and four sides that rise from it, too steep for friction to hold a body."""
-    scene.add_static(
-        Box((PLATFORM_HALF, PLATFORM_HALF, 0.5 * PLATFORM_TOP)),
-        position=(0, 0, 0.5 * PLATFORM_TOP),
-        name="platform",
-        **surface,
-    )
+    """Add the platform and four sides that rise from it, too steep for friction to hold a body."""
+    grounds.add_platform(scene, PLATFORM_HALF, PLATFORM_HALF, PLATFORM_TOP, name="platform", **surface)
     width = PLATFORM_HALF + SIDE * math.cos(SLOPE)
     out = PLATFORM_HALF + 0.5 * SIDE * math.cos(SLOPE) + THIN * math.sin(SLOPE)
     up = PLATFORM_TOP + 0.5 * SIDE * math.sin(SLOPE) - THIN * math.cos(SLOPE)
@@ -94,7 +88,7 @@ def _add_dish(scene, surface):
 
 
 def _own(parameter, path, size):
-    """The user's mesh, its longest side scaled to `size` [m]."""
+    """A mesh file's shape, its longest side scaled to `size` [m]."""
     if not isinstance(path, str | os.PathLike):
         raise ValueError(f"{parameter}: must be the path of a mesh file, got {path!r}")
     try:
@@ -105,30 +99,30 @@ def _own(parameter, path, size):
 
 
 class MeetingOutcome:
-    """Whether skull and brain rest on each other, in the dish, without overlap."""
+    """Whether skull and brain come to rest in contact with each other, without overlap."""
 
     def __init__(self, scene):
         """Find the two."""
         (self.skull,) = indices(scene, "skull")
         (self.brain,) = indices(scene, "brain")
-        # Two meshes of the user's may come to rest apart, each on a face of its own.
+        # Meshes from files may come to rest apart from each other.
         own = indices(scene, "skull_own") or indices(scene, "brain_own")
         self.touch = {} if own else {"default": True}
         self.depth = 0.0
 
     def observe(self, sim):
-        """Keep the deepest overlap."""
+        """Record the deepest overlap."""
         self.depth = np.maximum(self.depth, sim.penetration())
 
     def verdicts(self, sim):
-        """Distance between the two, overlap and rest at the end; deepest overlap ever."""
+        """Distance between the two, overlap and speed at the end; deepest overlap at any time."""
         depth = np.maximum(self.depth, sim.penetration())
         gap = clearance(sim, self.skull, self.brain)
         sound = {"default": True}
         text = f"skull and brain touch within {1e3 * TOUCHING:g} mm at the end"
         return [
             below("gap", gap, TOUCHING, text, self.touch),
-            below("impact", depth, CELL, "never a grid cell (4 mm) deep", sound),
+            below("impact", depth, CELL, "overlap < a grid cell (4 mm) at any time", sound),
             overlap_verdict(sim, 1e-3, sound),
             rest_verdict(sim, [self.skull, self.brain], sound),
         ]
@@ -136,7 +130,7 @@ class MeetingOutcome:
 
 DEMO = Demo(
     name="skull_and_brain",
-    summary="an open skull and then a brain fall on a platform, meet, bounce and settle",
+    summary="an open skull and then a brain fall on a platform, collide, bounce and settle",
     build=build,
     outcome=MeetingOutcome,
     duration=6.0,

@@ -1,4 +1,4 @@
-"""Bodies slide without friction over a concave terrain: impacts take energy, sliding does not."""
+"""Bodies slide without friction over a concave terrain; impacts dissipate energy, sliding does not."""
 
 from typing import Any
 
@@ -8,6 +8,7 @@ from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
+from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import Demo, Verdict, below, indices, overlap_verdict, start_apart
 
 EXTENT = 20.0
@@ -23,15 +24,15 @@ def build(bodies: int = 16, seed: int = 0) -> Scene:
     """Convex bodies of about 0.6 m above a bowl of 20 x 20 m with low hills, 8 m deep.
 
     Args:
-        bodies: how many, 1 to 1000.
+        bodies: number of bodies, 1 to 1000.
         seed: of hills, kinds, sizes and starts.
     """
     bodies = whole_in("bodies", bodies, 1, 1000)
     position, orientation = starts(bodies, seed)
     scene = Scene()
     scene.add_static(Heightfield(_heights(seed), (EXTENT, EXTENT)), name="terrain", **SURFACE)
-    for i, shape in enumerate(assortment.convex_solids(bodies, seed, RADIUS)):
-        scene.add_body(shape, position=position[i], orientation=orientation[i], name=f"body_{i}", **SURFACE)
+    shapes = assortment.convex_solids(bodies, seed, RADIUS)
+    add_bodies(scene, shapes, position, orientation, names="body", **SURFACE)
     return scene
 
 
@@ -46,9 +47,9 @@ def _heights(seed):
 
 
 def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the bodies of an environment start: positions (bodies, 3) [m] and unit quaternions (bodies, 4).
+    """Starts of the bodies: positions (bodies, 3) [m] and unit quaternions (bodies, 4).
 
-    On a spiral around the bowl's middle, a layer of 60 above another.
+    The bodies start on a spiral around the middle of the bowl, in layers of 60.
     """
     rng = np.random.default_rng((whole_in("seed", seed, 0, assortment.MOST_SEEDS), 7))
     i = np.arange(bodies)
@@ -59,7 +60,7 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class SlideOutcome:
-    """Whether all bodies stay above the terrain, and their energy never rises."""
+    """Whether all bodies stay above the terrain and their energy never increases."""
 
     def __init__(self, scene):
         """Find the bodies."""
@@ -69,11 +70,11 @@ class SlideOutcome:
         self.gain = 0.0
 
     def observe(self, sim):
-        """Count the bodies below the surface, and keep the largest rise of the energy from frame to frame."""
+        """Record the number of bodies below the surface and the largest increase of energy from frame to frame."""
         position = sim.get("center_of_mass")[:, self.bodies]
         terrain = sim.scene.bodies[0].shape
         ground = terrain.height_at(position[..., :2].reshape(-1, 2), 0.0).reshape(position.shape[:2])
-        # A body that is not a number has sunk: the comparison must be true for it.
+        # A position that is NaN counts as below the surface.
         above = (position[..., 2] > ground) & (np.abs(position[..., :2]).max(axis=-1) < 0.5 * EXTENT)
         self.sunk = np.maximum(self.sunk, (~above).sum(axis=1))
         energy = (sim.get("kinetic_energy") + sim.get("potential_energy"))[:, self.bodies].sum(axis=1)
@@ -84,22 +85,22 @@ class SlideOutcome:
         self.last = energy
 
     def verdicts(self, sim):
-        """Bodies that were below the surface, energy gained, overlap at the end."""
+        """Bodies below the surface, energy gained, overlap at the end."""
         if self.last is None:
             return []
         sound = {"default": True}
         sunk = np.broadcast_to(self.sunk, sim.num_envs)
         gain = np.broadcast_to(self.gain, sim.num_envs)
         return [
-            Verdict("sunk", sunk, "none ever below the surface or beyond it", sunk == 0, sound),
-            below("gain", gain, 1e-3, "energy never rises by 0.1 % in a frame", sound),
+            Verdict("sunk", sunk, "no body below the surface or beyond its edge at any time", sunk == 0, sound),
+            below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", sound),
             overlap_verdict(sim, 5e-3, sound),
         ]
 
 
 def vary(sim, bodies, seed, **_):
-    """Start environment e where the scene of seed + e does; shapes and terrain stay those of the first."""
-    start_apart(sim, "body_", lambda env: starts(bodies, seed + env))
+    """Give environment e the starts of the scene with seed + e; shapes and terrain are those of environment 0."""
+    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(

@@ -6,8 +6,10 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.scene.scene import Motion, Scene
-from warp_rigid.scene.shapes import Box, Plane, Sphere
+from warp_rigid.scene.scene import Motion
+from warp_rigid.scene.shapes import Plane
+from warp_rigid.scenes.builders import grounds, piles
+from warp_rigid.scenes.builders.grounds import level_scene as ground_scene
 
 GROUND = Plane(normal=(0, 0, 1), offset=0.0)
 
@@ -29,13 +31,6 @@ def opened(scene, device, num_envs=1, settings=None):
     with mock.patch("warp_rigid.engine.batch.usable_cores", return_value=1):
         sim = Simulator(scene, num_envs=num_envs, settings=settings, device=device, capacity=room)
     return sim, stages_of(sim)
-
-
-def ground_scene(**material):
-    """A scene with nothing but level ground."""
-    scene = Scene()
-    scene.add_static(GROUND, **material)
-    return scene
 
 
 def find_contacts(stages):
@@ -64,7 +59,8 @@ def contact_list(stages):
     fields = table(contacts, ("key", "position"), count)
     for records in (contacts.rows.numpy()[:count], contacts.impulses.numpy()[:count]):
         fields |= {name: records[name].copy() for name in records.dtype.names}
-    return fields
+    pairs, pair = stages.pools.pairs, contacts.pair.numpy()[:count]
+    return fields | {name: getattr(pairs, name).numpy()[pair] for name in ("body_a", "body_b")}
 
 
 def rotation_matrix(quaternion):
@@ -219,17 +215,8 @@ def distance_outside(points, hull):
 def random_pile(generator, count=24, friction=0.6):
     """Boxes and spheres of different sizes over level ground between four walls, some touching, most falling."""
     scene = ground_scene(friction=friction)
-    for normal in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
-        scene.add_static(Plane(normal=normal, offset=-0.3), friction=friction)
-    for k in range(count):
-        size = generator.uniform(0.05, 0.12)
-        shape = Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.4, 3))
-        scene.add_body(
-            shape,
-            position=(*generator.uniform(-0.2, 0.2, 2), 0.15 + 0.09 * k),
-            orientation=random_quaternion(generator),
-            friction=friction,
-        )
+    grounds.add_plane_bin(scene, 0.3, friction=friction)
+    piles.add_mixed_column(scene, generator, count, friction=friction)
     return scene
 
 

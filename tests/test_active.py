@@ -11,16 +11,15 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders import stacks
 
-HALF = 0.1
-CUBE = Box((HALF, HALF, HALF))
+HALF, CUBE = 0.1, stacks.CUBE
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 
 
 def stack(height=3, **options):
     scene = ground_scene(friction=0.5)
-    for k in range(height):
-        scene.add_body(CUBE, position=(0, 0, HALF + 2 * HALF * k), **options)
+    stacks.add_stack(scene, height, **options)
     return scene
 
 

@@ -11,7 +11,7 @@ from PIL import Image
 from tests.oracles import opened
 from warp_rigid import Settings, Simulator
 from warp_rigid.bench import measure, peers
-from warp_rigid.bench.scenes import STANDARD, Case, find_case, moving
+from warp_rigid.bench.cases import STANDARD, BenchmarkCase, find_case, moving
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.commands import cli
 
@@ -19,7 +19,7 @@ NAMES = [find_case(text) for text in STANDARD]
 
 FAKE = '''"""An engine that lets everything fall without contacts, or fails."""
 import sys
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 def run(problem):
     import numpy as np
@@ -32,8 +32,8 @@ def run(problem):
         import an_engine_that_is_missing
     gravity = np.array(problem.gravity)
     velocity = np.broadcast_to(gravity * time, problem.position.shape)
-    told = {"engine": "mujoco", "version": "1", "device": "cpu", "collider": "none", **seconds}
-    write(told, problem.position + 0.5 * gravity * time**2, problem.orientation, velocity)
+    figures = {"engine": "mujoco", "version": "1", "device": "cpu", "collider": "none", **seconds}
+    write(figures, problem.position + 0.5 * gravity * time**2, problem.orientation, velocity)
 
 main(run)
 '''
@@ -71,8 +71,8 @@ def test_bodies_start_apart_and_every_environment_in_its_own_way(case):
 
 def test_piles_start_where_their_seed_says():
     """Drawn here by hand: jitter first, then quaternions with the real part first."""
-    sim = Simulator(Case("pile_box", 8).build(), 2, device="cpu")
-    Case("pile_box", 8).scatter(sim)
+    sim = Simulator(BenchmarkCase("pile_box", 8).build(), 2, device="cpu")
+    BenchmarkCase("pile_box", 8).scatter(sim)
     draws = np.random.default_rng(1001)
     jitter, turned = draws.uniform(-0.02, 0.02, (8, 3)), draws.normal(size=(8, 4))
     lattice = np.array([[x, y, z] for z in (0.25, 0.63) for y in (-0.19, 0.19) for x in (-0.19, 0.19)])
@@ -83,7 +83,7 @@ def test_piles_start_where_their_seed_says():
 
 
 def test_measured_figures_add_up(device):
-    case, conditions = Case("stack", 3), measure.Conditions(envs=2, substeps=2, settle=40, frames=10)
+    case, conditions = BenchmarkCase("stack", 3), measure.Conditions(envs=2, substeps=2, settle=40, frames=10)
     row, sim = measure.measure(case, conditions, wp.get_device(device))
     assert row["env_frames_per_second"] == pytest.approx(20 / row["seconds"])
     assert row["env_steps_per_second"] == pytest.approx(40 / row["seconds"])
@@ -97,7 +97,7 @@ def test_measured_figures_add_up(device):
 
 
 def test_bodies_sleep_if_they_may(device):
-    case = Case("stack", 2)
+    case = BenchmarkCase("stack", 2)
     for sleeping in (False, True):
         conditions = measure.Conditions(envs=1, substeps=1, settle=90, frames=10, sleeping=sleeping)
         row, sim = measure.measure(case, conditions, wp.get_device(device))
@@ -107,7 +107,7 @@ def test_bodies_sleep_if_they_may(device):
 
 def test_quality_sees_what_is_wrong():
     """Cubes moved by hand: the figures are the moves."""
-    case = Case("stack", 2)
+    case = BenchmarkCase("stack", 2)
     sim = Simulator(case.build(), 2, device="cpu")
     position = np.zeros((2, 2, 3))
     position[..., 2] = [0.1, 0.3]
@@ -124,14 +124,14 @@ def test_quality_sees_what_is_wrong():
     position[0, 0, 0], position[1, 1, 0] = np.nan, 0.2
     found = measure.quality(case, sim, position, np.zeros((2, 2, 3)))
     assert found["escaped"] == 2 and found["deepest_overlap"] is None
-    pile = Case("pile_box", 1)
+    pile = BenchmarkCase("pile_box", 1)
     beside = np.array([[[0.0, 0.0, 0.1]], [[0.5, 0.0, 0.1]], [[0.0, 0.0, -0.1]], [[np.nan, 0.0, 0.1]]])
     assert pile.escaped(beside) == 3
 
 
 def test_stages_are_timed_without_a_trace(device):
     """The steps that are timed are undone, and the recorded step is as it was."""
-    scene = Case("stack", 3).build()
+    scene = BenchmarkCase("stack", 3).build()
     timed, plain = (Simulator(scene, 2, Settings(sleeping=True), device=device) for _ in range(2))
     timed.step(20), plain.step(20)
     seconds = stage_times(timed, 3)
@@ -173,7 +173,7 @@ def test_a_run_that_is_broken_off_keeps_its_lines(capsys, tmp_path, monkeypatch)
 
 def test_stages_are_walked_through_in_the_order_of_the_step(device):
     """Every mark names the stage that goes on from there; a stage within another one counts for itself."""
-    _, stages = opened(Case("stack", 2).build(), device)
+    _, stages = opened(BenchmarkCase("stack", 2).build(), device)
     marks = []
     walk(stages, marks.append)
     within = marks.index("propagate_shock")
@@ -229,7 +229,7 @@ def test_command_of_the_page_runs(capsys, command, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", peers.NAMES)
 def test_every_program_tells_that_its_engine_is_missing(name, tmp_path):
     """Isolated from all installed packages but numpy, none finds its engine."""
-    case = Case("stack", 1)
+    case = BenchmarkCase("stack", 1)
     sim = Simulator(case.build(), 1, device="cpu")
     blocked = tmp_path / "python"
     hide = "import sys; sys.modules.update(dict.fromkeys(['newton', 'mujoco', 'mujoco_warp', 'rapier3d', 'pybullet']))"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.oracles import ground_scene, moving, opened, pair_list, random_quaternion, rotation_matrix
-from warp_rigid.engine import step as stages_module
+from warp_rigid.engine import hash_grid
 from warp_rigid.engine.model import OVERSIZED
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -15,7 +15,7 @@ from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
 @pytest.fixture(params=["all", "grid"])
 def search(request, monkeypatch):
     """Both search kernels: trying all pairs, and the hash grid."""
-    monkeypatch.setattr(stages_module, "TRY_ALL_UP_TO", 10_000 if request.param == "all" else 0)
+    monkeypatch.setattr(hash_grid, "TRY_ALL_UP_TO", 10_000 if request.param == "all" else 0)
     return request.param
 
 
@@ -79,7 +79,7 @@ def scatter(sim, generator, spread, offset):
 def test_pairs_are_those_of_brute_force(device, search, offset):
     generator = np.random.default_rng(1)
     sim, stages = opened(mixed_scene(generator), device, num_envs=3)
-    assert (stages.buckets > 0) == (search == "grid")
+    assert (stages.grid.buckets > 0) == (search == "grid")
     assert sim.get("position").max() < 100.0
     scatter(sim, generator, 1.5, (offset, -offset, offset))
     expected = brute_force(stages)
@@ -124,7 +124,7 @@ def test_order_does_not_depend_on_the_number_of_environments(device, search):
 def test_both_searches_list_the_same_pairs(device, monkeypatch):
     found = []
     for limit in (0, 10_000):
-        monkeypatch.setattr(stages_module, "TRY_ALL_UP_TO", limit)
+        monkeypatch.setattr(hash_grid, "TRY_ALL_UP_TO", limit)
         _, stages = opened(mixed_scene(np.random.default_rng(6), 60), device)
         found.append(found_pairs(stages))
     assert found[0] == found[1]
@@ -133,8 +133,8 @@ def test_both_searches_list_the_same_pairs(device, monkeypatch):
 def test_only_ordinary_dynamic_bodies_enter_the_grid(device, search):
     scene = mixed_scene(np.random.default_rng(7))
     _, stages = opened(scene, device)
-    small = stages.model.small.numpy()
-    wide = stages.model.oversized.numpy()
+    small = stages.model.small
+    wide = stages.model.oversized
     assert sorted([*small, *wide]) == list(range(len(scene.bodies)))
     assert all(scene.bodies[k].motion == Motion.DYNAMIC for k in small)
     dynamic = np.flatnonzero(moving(scene))

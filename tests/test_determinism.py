@@ -204,7 +204,7 @@ def test_devices_agree_as_long_as_nothing_is_chaotic(device, name):
     apart, turned = cross_device.difference(name, ("cpu", device))
     if device == "cpu":
         assert (apart, turned) == (0.0, 0.0)
-    assert apart < cross_device.BAR
+    assert apart < cross_device.LIMIT
 
 
 def test_a_difference_between_devices_is_told(capsys, monkeypatch):

@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_rigid.commands import cli
 from warp_rigid.diagnostics import machine, selftest
-from warp_rigid.engine.step import EVERYTHING, load_kernels
+from warp_rigid.engine.loading import EVERYTHING, load_kernels
 from warp_rigid.scene.shapes import distance_grid
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,23 +13,24 @@ from tests.oracles import (
     opened,
     pair_list,
     random_pile,
-    rotate_about,
     stages_of,
 )
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.common import team
 from warp_rigid.kernels.graph import support
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 
 A_ON_B, B_ON_A = 1, 2
 
 
 class HandMadeGraph:
-    """Touching pairs and support relations of several environments, put straight into the arrays.
+    """Active constraints and support relations of several environments, put straight into the arrays.
 
     Args:
         motions: kind of motion of each body of an environment.
@@ -46,40 +47,41 @@ class HandMadeGraph:
         sizes = {
             "envs": self.count,
             "bodies": self.count * self.per_env,
-            "env_bodies": self.per_env,
             "filtered": 0,
-            "pairs": max(1, len(rows)),
-            "contacts": 1,
+            "constraints": max(1, len(rows)),
         }
-        self.bodies = schema.allocate(schema.Bodies, sizes, device)
-        self.pairs = schema.allocate(schema.Pairs, sizes, device)
-        self.graph = schema.allocate(schema.Graph, sizes, device)
-        self.order = schema.allocate(schema.Order, sizes, device)
+        self.bodies = declare.allocate(schema.Bodies, sizes, device)
+        self.envs = declare.allocate(schema.Environments, sizes, device)
+        self.constraints = declare.allocate(schema.Constraints, sizes, device)
+        self.graph = declare.allocate(schema.Graph, sizes, device)
+        self.order = declare.allocate(schema.Order, sizes, device)
         self.bodies.motion.assign(np.tile(np.array(motions, np.int32), self.count))
         a, b, supports, touches = (np.array(column, np.int32) for column in zip(*rows, strict=True))
-        first = np.bincount(a, minlength=sizes["bodies"] + 1)
-        self.pairs.start.assign(np.concatenate([[0], np.cumsum(first)])[:-1].astype(np.int32))
-        self.pairs.body_a.assign(a)
-        self.pairs.body_b.assign(b)
-        self.pairs.contact_start.assign(np.concatenate([[0], np.cumsum(touches)]).astype(np.int32))
+        count = [0, *(len(constraints) for constraints in envs)]
+        self.envs.first_body.assign(self.per_env * np.arange(self.count + 1, dtype=np.int32))
+        self.constraints.start.assign(np.cumsum(count).astype(np.int32))
+        self.constraints.body_a.assign(a)
+        self.constraints.body_b.assign(b)
+        self.constraints.row_count.assign(touches)
+        self.constraints.first_row.assign(np.arange(len(rows), dtype=np.int32))
         self.graph.supports.assign(supports * touches)
 
     def launch(self, kernel, *arrays, before=()):
         """One team an environment; on the GPU it has more lanes than a small environment has bodies."""
         lanes = 32 if wp.get_device(self.device).is_cuda else 1
-        inputs = [*before, lanes, self.per_env, *arrays]
+        inputs = [*before, lanes, self.envs, *arrays]
         wp.launch(kernel, self.count * lanes, inputs=inputs, block_dim=team.block_of(lanes), device=self.device)
 
     def solve(self):
         """Levels and islands, (envs, bodies) each."""
-        self.launch(support.find_levels, self.bodies, self.pairs, self.graph)
-        self.launch(support.find_islands, self.bodies, self.pairs, self.graph)
+        self.launch(support.find_levels, self.bodies, self.constraints, self.graph)
+        self.launch(support.find_islands, self.bodies, self.constraints, self.graph)
         shape = (self.count, self.per_env)
         return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)
 
     def heights(self):
         """Heights (envs, bodies), 2^30 where a body lies on nothing, and the greatest of each environment."""
-        self.launch(support.find_depths, self.bodies, self.pairs, self.graph)
+        self.launch(support.find_depths, self.bodies, self.constraints, self.graph)
         return self.graph.depth.numpy().reshape(self.count, self.per_env), self.graph.max_depth.numpy()
 
 
@@ -205,8 +207,7 @@ def support_of(scene, device):
 
 def test_a_tower_rests_downwards(device):
     scene = Scene()
-    for k in (3, 1, 0, 2):
-        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k))
+    add_bodies(scene, stacks.CUBE, stacks.column(4)[[3, 1, 0, 2]])
     scene.add_static(GROUND)
     edges, level = support_of(scene, device)
     assert edges == {(2, 4), (1, 2), (3, 1), (0, 3)}
@@ -262,9 +263,7 @@ def test_a_tilted_tower_still_rests_on_its_base(device):
     """On an incline the weight is not along the normals; the order is the same."""
     scene = Scene(gravity=(9.81 * np.sin(np.radians(30)), 0, -9.81 * np.cos(np.radians(30))))
     scene.add_static(GROUND)
-    for k in range(3):
-        turn = rotate_about((0, 0, 1), 20 * k)
-        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k), orientation=turn)
+    stacks.add_stack(scene, 3, twist=np.radians(20))
     edges, level = support_of(scene, device)
     assert edges == {(1, 0), (2, 1), (3, 2)}
     assert level == [0, 1, 2, 3]
@@ -285,8 +284,8 @@ def test_a_graph_that_has_not_changed_is_not_found_again(device, sleeping):
         reused.step()
         stages_of(anew).pools.forget_graph()
         anew.step()
-        assert stages_of(anew).pools.graph.same.numpy().sum() == 0
-        found_again.append(1 - stages_of(reused).pools.graph.same.numpy()[0])
+        assert stages_of(anew).pools.graph.unchanged.numpy().sum() == 0
+        found_again.append(1 - stages_of(reused).pools.graph.unchanged.numpy()[0])
         for name in ("position", "orientation", "linear_velocity"):
             np.testing.assert_array_equal(reused.get(name), anew.get(name))
     assert np.sum(found_again[300:400]) < 50 and np.sum(found_again[400:]) > 0

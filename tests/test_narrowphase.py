@@ -24,7 +24,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
-from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes.builders import meshes, stacks
 
 
 def touch(device, lower, upper, settings=None, **pose):
@@ -303,11 +303,7 @@ def test_thinning_keeps_the_hull_of_a_flat_face(device):
 
 def test_identities_persist_in_a_resting_stack(device):
     scene = ground_scene()
-    for k in range(4):
-        shift = 0.01 * (-1) ** k
-        scene.add_body(
-            Box((0.1, 0.12, 0.1)), position=(shift, 0, 0.1 + 0.2 * k), orientation=rotate_about((0, 0, 1), 7 * k)
-        )
+    stacks.add_stack(scene, 4, Box((0.1, 0.12, 0.1)), zigzag=0.01, twist=np.radians(7))
     sim, stages = opened(scene, device)
     sim.step(60)
     searched = []

@@ -6,21 +6,29 @@ import pytest
 from tests.oracles import find_contacts, opened, random_pile
 from tests.test_levels import A_ON_B, B_ON_A, HandMadeGraph, random_pairs
 from warp_rigid.kernels.graph import coloring
-from warp_rigid.kernels.solve.gauss_seidel import IN_TURN
+from warp_rigid.kernels.graph.coloring import SERIAL
 from warp_rigid.scene.scene import Motion
 
 
 def ordered(made):
     """Groups of each environment, as (colour, pairs) by the arrays, after both ordering kernels."""
-    made.launch(coloring.color_pairs, made.bodies, made.pairs, made.graph)
-    made.launch(coloring.group_pairs, made.pairs, made.graph, made.order)
-    return read_groups(made.order)
+    made.launch(coloring.color_constraints, made.bodies, made.constraints, made.graph)
+    made.launch(coloring.group_constraints, made.constraints, made.graph, made.order)
+    return read_groups(made.order, made.constraints)
 
 
-def read_groups(order):
-    """For each environment its list of (colour, list of pairs), in the order of solving."""
+def slots_by_row(constraints):
+    """The active constraint that begins with a row."""
+    end = int(constraints.start.numpy()[-1])
+    active = np.flatnonzero(constraints.row_count.numpy()[:end])
+    return dict(zip(constraints.first_row.numpy()[active].tolist(), active.tolist(), strict=True))
+
+
+def read_groups(order, constraints):
+    """For each environment its list of (colour, list of constraints), in the order of solving."""
     start, count = order.color_start.numpy(), order.color_count.numpy()
-    sequence = order.entries.numpy()["pair"]
+    slots = slots_by_row(constraints)
+    sequence = np.array([slots.get(row, -1) for row in order.entries.numpy()["begin"].tolist()])
     envs = []
     for env, colors in enumerate(count):
         assert start[env, colors] == start[env, -1]
@@ -37,31 +45,34 @@ def check_groups(groups, touching, body_a, body_b, dynamic):
     listed = [pair for _, pairs in groups for pair in pairs]
     assert sorted(listed) == sorted(touching)
     for color, pairs in groups:
-        if color == IN_TURN:
+        if color == SERIAL:
             assert pairs == sorted(pairs)
             continue
         busy = [body for pair in pairs for body in (body_a[pair], body_b[pair]) if dynamic[body]]
         assert len(busy) == len(set(busy))
 
 
-def check_entries(order, body_a, body_b, level):
+def check_entries(order, constraints, level):
     """A body of a pair is upper unless the other is in a higher level."""
     entries, start = order.entries.numpy(), order.color_start.numpy()
+    body_a, body_b, slots = constraints.body_a.numpy(), constraints.body_b.numpy(), slots_by_row(constraints)
     for begin, end in zip(start[:, 0], start[:, -1], strict=True):
         for entry in entries[begin:end]:
-            a, b = level[body_a[entry["pair"]]], level[body_b[entry["pair"]]]
+            slot = slots[entry["begin"]]
+            assert (entry["body_a"], entry["body_b"]) == (body_a[slot], body_b[slot])
+            a, b = level[body_a[slot]], level[body_b[slot]]
             assert (entry["upper_a"], entry["upper_b"]) == (a >= b, b >= a)
 
 
 def check_all(made, envs):
     """`check_groups` for every environment, and the levels; returns the largest number of colours."""
-    start = made.pairs.start.numpy()
-    body_a, body_b = made.pairs.body_a.numpy(), made.pairs.body_b.numpy()
-    touch = np.diff(made.pairs.contact_start.numpy()) > 0
+    start = made.constraints.start.numpy()
+    body_a, body_b = made.constraints.body_a.numpy(), made.constraints.body_b.numpy()
+    touch = made.constraints.row_count.numpy() > 0
     dynamic = made.bodies.motion.numpy() == int(Motion.DYNAMIC)
     level, highest = made.graph.level.numpy(), made.graph.level_count.numpy()
     for env, groups in enumerate(envs):
-        rows = np.arange(start[env * made.per_env], start[(env + 1) * made.per_env])
+        rows = np.arange(start[env], start[env + 1])
         touching = rows[touch[rows]]
         check_groups(groups, touching.tolist(), body_a, body_b, dynamic)
         assert highest[env] == max([0, *level[body_a[touching]], *level[body_b[touching]]])
@@ -89,7 +100,7 @@ def test_colouring_is_not_wasteful(device):
     assert check_all(made, ordered(made)) <= 4
 
 
-@pytest.mark.parametrize("neighbours", [IN_TURN - 1, IN_TURN, IN_TURN + 1, 75])
+@pytest.mark.parametrize("neighbours", [SERIAL - 1, SERIAL, SERIAL + 1, 75])
 def test_more_pairs_at_a_body_than_colours(device, neighbours):
     """One body touches more others than there are colours: what finds none is solved in turn."""
     motions = [Motion.STATIC, *[Motion.DYNAMIC] * (neighbours + 1)]
@@ -99,8 +110,8 @@ def test_more_pairs_at_a_body_than_colours(device, neighbours):
     made.solve()
     groups = ordered(made)
     check_all(made, groups)
-    assert len(groups[0]) == min(neighbours, IN_TURN + 1)
-    assert sum(len(pairs) for color, pairs in groups[0] if color == IN_TURN) == max(0, neighbours - IN_TURN)
+    assert len(groups[0]) == min(neighbours, SERIAL + 1)
+    assert sum(len(pairs) for color, pairs in groups[0] if color == SERIAL) == max(0, neighbours - SERIAL)
     assert len(groups[2]) <= 3
 
 
@@ -123,8 +134,8 @@ def test_groups_of_a_real_pile(device):
     find_contacts(stages)
     stages.build_graph()
     pools = stages.pools
-    envs = read_groups(pools.order)
-    check_entries(pools.order, pools.pairs.body_a.numpy(), pools.pairs.body_b.numpy(), pools.graph.level.numpy())
+    envs = read_groups(pools.order, pools.constraints)
+    check_entries(pools.order, pools.constraints, pools.graph.level.numpy())
     start = pools.pairs.start.numpy()
     touch = np.diff(pools.pairs.contact_start.numpy()) > 0
     body_a, body_b = pools.pairs.body_a.numpy(), pools.pairs.body_b.numpy()

@@ -12,6 +12,8 @@ from warp_rigid.render.film import colored, film_from_recording, film_from_usd
 from warp_rigid.render.images import fit_camera, points_to_see, save_contact_sheet, save_film, save_picture
 from warp_rigid.render.raycast import RayCaster, on_screen
 from warp_rigid.runs.recording import record
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.usd import export_usd
 
 RADIUS = 0.5
@@ -226,10 +228,8 @@ def test_mp4_has_the_film_in_its_length_and_size(two_envs, tmp_path):
 
 
 def test_colours_tell_levels_and_speeds():
-    scene = Scene()
-    scene.add_static(Plane())
-    for i in range(3):
-        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * i))
+    scene = level_scene()
+    stacks.add_stack(scene, 3)
     scene.add_body(Sphere(0.1), position=(1, 0, 5.0), linear_velocity=(3.0, 0, 0))
     recording = record(Simulator(scene, device="cpu"), 6, 60.0, velocities=True)
     film = film_from_recording(recording)

@@ -12,8 +12,8 @@ import pytest
 import warp as wp
 
 import warp_rigid
-from warp_rigid import kernels
 from warp_rigid.commands import cli
+from warp_rigid.engine import step
 from warp_rigid.engine.step import Stages
 from warp_rigid.validation import suite
 from warp_rigid.viewer.page import stop_server
@@ -100,18 +100,18 @@ def test_cases_that_prove_promises_exist():
 
 def test_every_stage_has_a_page_with_its_kernels():
     """The headings of the step's pages are the code's names."""
-    step = ast.parse(textwrap.dedent(inspect.getsource(Stages.step)))
-    stages = {node.func.attr for node in ast.walk(step) if isinstance(node, ast.Call)}
+    body = ast.parse(textwrap.dedent(inspect.getsource(Stages.step)))
+    stages = {node.func.attr for node in ast.walk(body) if isinstance(node, ast.Call)}
     overview = (DOCS / "step" / "index.md").read_text()
     assert stages == set(re.findall(r"^\| \[(\w+)\]", overview, flags=re.MULTILINE))
     shown = set()
     for page in (DOCS / "step").glob("*.md"):
         text = page.read_text()
         assert page.stem == "index" or (page.stem in stages and text.startswith(f"# {page.stem}\n"))
-        for module, options in re.findall(r"^::: warp_rigid\.kernels\.(\w+)\n((?: {4}.*\n)*)", text, flags=re.M):
+        for module, options in re.findall(r"^::: warp_rigid\.kernels\.\w+\.(\w+)\n((?: {4}.*\n)*)", text, flags=re.M):
             shown |= {(module, name) for name in re.findall(r"^ {8}- (\w+)$", options, flags=re.M)}
-    named = {pair for pair in re.findall(r"\b(\w+)\.(\w+)\b", inspect.getsource(Stages)) if hasattr(kernels, pair[0])}
-    launched = {(m, name) for m, name in named if isinstance(getattr(getattr(kernels, m), name, None), wp.Kernel)}
+    named = set(re.findall(r"\b(\w+)\.(\w+)\b", inspect.getsource(Stages)))
+    launched = {(m, name) for m, name in named if isinstance(getattr(getattr(step, m, None), name, None), wp.Kernel)}
     assert shown == launched - MEASURES
 
 

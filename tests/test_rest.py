@@ -13,11 +13,10 @@ from warp_rigid.runs.runner import execute, find_scene, plan_run
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Plane, Sphere
-from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes.builders import meshes, stacks
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
-HALF = 0.1
-CUBE = Box((HALF, HALF, HALF))
+HALF, CUBE = 0.1, stacks.CUBE
 SLEEPING = Settings(sleeping=True)
 
 
@@ -25,8 +24,7 @@ def stack_scene(height=3, places=(0.0,), **ground):
     """Stacks of cubes on the ground; the ground is body 0."""
     scene = ground_scene(friction=0.5, **ground)
     for x in places:
-        for k in range(height):
-            scene.add_body(CUBE, position=(x, 0, HALF + 2 * HALF * k))
+        stacks.add_stack(scene, height, x=x)
     return scene
 
 
@@ -83,8 +81,7 @@ def test_hardly_a_cylinder_stays_in_another(device):
 def test_a_stack_sleeps_within_two_seconds(device):
     """Dropped from a little above, so that it has to come to rest first; the ground is no sleeper."""
     scene = ground_scene(friction=0.5)
-    for k in range(10):
-        scene.add_body(CUBE, position=(0, 0, 0.11 + 0.21 * k))
+    stacks.add_stack(scene, 10, gap=0.01)
     sim = sleeping_sim(scene, device, 2.0)
     assert asleep(sim) == list(range(1, 11))
     assert not Simulator(scene, device=device).get("asleep").any()
@@ -253,8 +250,7 @@ def test_a_blow_wakes_the_island_in_its_step(device):
 def test_a_support_that_goes_wakes_all_above(device, how):
     scene = Scene()
     table = scene.add_kinematic(Box((1, 1, 0.05)), position=(0, 0, -0.05), friction=0.5)
-    for k in range(4):
-        scene.add_body(CUBE, position=(0, 0, HALF + 2 * HALF * k))
+    stacks.add_stack(scene, 4)
     sim = sleeping_sim(scene, device)
     assert asleep(sim) == [1, 2, 3, 4]
     if how == "lowest cube":
@@ -411,8 +407,7 @@ def test_a_sleeping_pile_costs_less_than_a_tenth(device):
     """No pair is searched and no contact solved; a step costs under a tenth of one in which the pile settles."""
     scene = ground_scene(friction=0.5)
     for x in np.arange(12.0) * 0.5:
-        for k in range(8):
-            scene.add_body(CUBE, position=(x, 0, 0.11 + 0.21 * k), orientation=rotate_about((0, 0, 1), 7 * k))
+        stacks.add_stack(scene, 8, x=x, gap=0.01, twist=np.radians(7))
     sim = sleeping_sim(scene, device, 0.02)
     awake = seconds(sim, 60)
     searched, solved = work(sim)

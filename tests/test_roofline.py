@@ -10,8 +10,8 @@ import warp as wp
 from benchmarks import roofline
 from tests.oracles import ground_scene, stages_of
 from warp_rigid import Simulator
-from warp_rigid.bench.scenes import Case
-from warp_rigid.kernels import schema
+from warp_rigid.bench.cases import BenchmarkCase
+from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.shapes import Box
 
 CPU = roofline.LIMITS["cpu"]
@@ -22,20 +22,26 @@ ROOT = Path(__file__).resolve().parents[1]
     "struct", [schema.State, schema.Motions, schema.Bodies, schema.Pairs, schema.Contacts, schema.History]
 )
 def test_rows_have_the_size_that_allocation_gives_them(struct):
-    symbols = {term.split(" ")[0] for f in schema.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]} - {
+    symbols = {term.split(" ")[0] for f in declare.LAYOUTS[struct.key].values() for term in f.shape.split(",")[:1]} - {
         "1"
     }
     for symbol in symbols:
         sizes = dict.fromkeys((*symbols, "env_bodies"), 10)
         grown = {**sizes, symbol: 11}
-        assert roofline.row(struct, symbol) == schema.byte_size(struct, grown) - schema.byte_size(struct, sizes)
+        assert roofline.row(struct, symbol) == declare.byte_size(struct, grown) - declare.byte_size(struct, sizes)
+
+
+def test_an_array_that_a_layout_lacks_is_an_error():
+    """Names that had been renamed elsewhere counted as 0 bytes."""
+    with pytest.raises(KeyError, match="no_such_array"):
+        roofline.row(schema.Motions, "bodies", "center", "no_such_array")
 
 
 def test_records_have_the_size_of_their_arrays_elements(device):
     for record in (
         schema.ContactRecord,
         schema.ImpulseRecord,
-        schema.PairRecord,
+        schema.OrderRecord,
         schema.SolverBodyRecord,
         schema.SampleRecord,
     ):
@@ -54,7 +60,7 @@ def test_the_floor_is_the_slowest_of_three():
 
 def test_work_of_a_stack_at_rest(device):
     """Two towers of three cubes: what touches, what rests, and what is looked for is known."""
-    sim = Simulator(Case("stack", 3).build(), 2, device=device)
+    sim = Simulator(BenchmarkCase("stack", 3).build(), 2, device=device)
     sim.step(400)
     before = sim.get("position")
     found = roofline.count(sim)
@@ -64,7 +70,7 @@ def test_work_of_a_stack_at_rest(device):
     assert found.contacts <= found.sweeps <= 10 * found.contacts
     assert np.array_equal(sim.get("position"), before)
     # What was counted is the coming step: it comes as if nobody had looked.
-    other = Simulator(Case("stack", 3).build(), 2, device=device)
+    other = Simulator(BenchmarkCase("stack", 3).build(), 2, device=device)
     other.step(401), sim.step(1)
     assert np.array_equal(sim.get("position"), other.get("position"))
 

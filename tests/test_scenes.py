@@ -12,8 +12,8 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Heightfield, Plane
-from warp_rigid.scenes import bunny_pile, rings_on_poles
-from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes import rings_on_poles
+from warp_rigid.scenes.builders import meshes, piles
 
 NAMES = [
     "box_stack",
@@ -204,19 +204,19 @@ def test_seesaw_starts_as_one_rigid_body():
 
 def test_bunnies_start_at_the_benchmarks_lattice():
     # Written down from an independent program that fills the same box (seed 1000 + environment).
-    position, orientation = bunny_pile.starts(8, 1000)
+    position, orientation = piles.starts(8, 1000)
     np.testing.assert_allclose(position[0], [-0.18914457, -0.185846326, 0.248837672], atol=1e-9)
     np.testing.assert_allclose(position[-1], [0.176157295, 0.197963571, 0.627889658], atol=1e-9)
     np.testing.assert_allclose(orientation[0], [0.741349809, 0.131383825, -0.625464517, 0.204775214], atol=1e-9)
-    position, orientation = bunny_pile.starts(8, 1003)
+    position, orientation = piles.starts(8, 1003)
     np.testing.assert_allclose(position[5], [0.1745904231257773, -0.18857666197610481, 0.6311208090925049], rtol=1e-12)
-    position, _ = bunny_pile.starts(100, 1000)
+    position, _ = piles.starts(100, 1000)
     np.testing.assert_allclose(position[-1], [0.570765429, -0.554429619, 2.511820688], atol=1e-9)
 
 
 def test_bunnies_and_walls_are_placed_by_their_centres():
     scene = scenes.load("bunny_pile", bodies=100)
-    position, orientation = bunny_pile.starts(100, 1000)
+    position, orientation = piles.starts(100, 1000)
     bunnies = [body for body in scene.bodies if body.name.startswith("bunny_")]
     for body, place, turned in zip(bunnies, position, orientation, strict=True):
         center = rotation(body.orientation) @ body.shape.center_of_mass + body.position
@@ -229,7 +229,7 @@ def test_bunnies_and_walls_are_placed_by_their_centres():
 
 
 def test_seeds_differ():
-    first, second = bunny_pile.starts(8, 1), bunny_pile.starts(8, 2)
+    first, second = piles.starts(8, 1), piles.starts(8, 2)
     assert np.abs(first[0] - second[0]).max() > 1e-3
     assert np.abs(first[1] - second[1]).max() > 1e-3
 

@@ -13,10 +13,12 @@ from tests.oracles import (
     rotate_about,
     stages_of,
 )
-from warp_rigid.bench.scenes import find_case, moving
+from warp_rigid.bench.cases import find_case, moving
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
 
 DT = 1 / 240
 COLD = {"collision_iterations": 0, "contact_iterations": 0, "warm_starting": False}
@@ -130,9 +132,9 @@ def test_velocities_stay_those_of_the_impulses(device):
 def tower(weights, friction=0.6, top_first=False):
     """Cubes of given masses on each other; they are listed from the ground up, or from the top down."""
     scene = ground_scene(friction=friction)
-    order = range(len(weights))
-    for k in reversed(order) if top_first else order:
-        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1 + 0.2 * k), mass=weights[k], friction=friction)
+    order = slice(None, None, -1 if top_first else 1)
+    positions = stacks.column(len(weights))[order]
+    add_bodies(scene, stacks.CUBE, positions, masses=weights[order], friction=friction)
     return scene
 
 
@@ -226,9 +228,7 @@ def test_modes_differ_between_the_environments_of_a_batch(device):
 def test_a_stack_of_a_hundred_stands(device):
     """Boxes set down 2 mm to the left and right in turn: weight has to find its way through all at each step."""
     scene = ground_scene(friction=0.6)
-    for k in range(100):
-        position = (0.002 * (-1) ** k, 0, 0.1 + 0.2 * k)
-        scene.add_body(Box((0.1, 0.1, 0.1)), position=position, density=1000.0, friction=0.6)
+    stacks.add_stack(scene, 100, zigzag=0.002, friction=0.6)
     sim, _ = opened(scene, device)
     before = sim.get("position")
     sim.step(240)
@@ -239,10 +239,7 @@ def test_a_stack_of_a_hundred_stands(device):
 def test_a_tower_of_crossed_beams_stands(device):
     """Every beam stands on two, thirty layers high: no pair can be solved without its neighbour."""
     scene = ground_scene(friction=0.5)
-    for layer in range(30):
-        for side in (-0.9, 0.9):
-            across, half = ((side, 0), (0.1, 1.0, 0.1)) if layer % 2 else ((0, side), (1.0, 0.1, 0.1))
-            scene.add_body(Box(half), position=(*across, 0.1 + 0.2 * layer), friction=0.5)
+    stacks.add_crossed_layers(scene, 30, friction=0.5)
     sim, _ = opened(scene, device)
     before = sim.get("position")
     sim.step(480)
@@ -254,7 +251,7 @@ def heap_beside_a_tower(device):
     case = find_case("pile_box:70")
     scene = case.build()
     heap = moving(scene)
-    tower = [scene.add_body(Box((0.1, 0.1, 0.1)), position=(4, 0, 0.1 + 0.2 * k)) for k in range(8)]
+    tower = stacks.add_stack(scene, 8, x=4.0)
     sim = Simulator(scene, settings=Settings(dt=1 / 120), device=device)
     sim.step(150)
     return sim, heap, tower

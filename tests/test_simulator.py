@@ -10,6 +10,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Plane, Sphere
+from warp_rigid.scenes.builders import stacks
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 
@@ -249,9 +250,7 @@ TINY = {"pairs": 1, "contacts": 1}
 def landing_one_after_another():
     """A crooked tower that rests on remembered impulses, and boxes that land beside it one by one."""
     scene = ground_scene(friction=0.6)
-    for k in range(5):
-        turn = rotate_about((0, 0, 1), 25 * k)
-        scene.add_body(Box((0.1, 0.12, 0.1)), position=(0.03 * (-1) ** k, 0, 0.1 + 0.2 * k), orientation=turn)
+    stacks.add_stack(scene, 5, Box((0.1, 0.12, 0.1)), zigzag=0.03, twist=np.radians(25))
     for k in range(12):
         scene.add_body(
             Box((0.1, 0.1, 0.1)), position=(1 + k, 0, 0.11 + 0.05 * k), orientation=rotate_about((1, 0, 0), k)

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 from warp_rigid.bench.startup import KERNELS, first_frame, start_up
-from warp_rigid.engine.step import STEP
+from warp_rigid.engine.loading import STEP
 
 WARM_SECONDS = 2.0
 COLD_KERNELS = 9.0

@@ -12,7 +12,7 @@ from warp_rigid.engine import memory
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step import PAIRS
 from warp_rigid.errors import CapacityError, NonFiniteError
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare
 from warp_rigid.scene.shapes import Box, Sphere
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -135,7 +135,7 @@ def test_what_does_not_fit_is_refused_before_it_is_taken(device, monkeypatch):
     def no_more(*_):
         raise AssertionError("allocated")
 
-    monkeypatch.setattr(schema, "allocate", no_more)
+    monkeypatch.setattr(declare, "allocate", no_more)
     with pytest.raises(CapacityError, match="^memory_limit: simulating 4 environment.s. needs") as error:
         Simulator(scene, num_envs=4, device=device, memory_limit=needed - 1)
     assert error.value.wanted == needed

@@ -13,10 +13,10 @@ from warp_rigid.validation import impact, report, shock_comparison, suite
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
-    Case,
-    Check,
-    Finding,
+    CheckResult,
     Miss,
+    ReferenceCheck,
+    ValidationCase,
     absolute,
     at_most,
     judge,
@@ -51,11 +51,11 @@ def test_every_case_says_where_its_references_are_from():
 def made_up(values, reference, tolerance, miss=None):
     """A case without a simulation, of one check."""
     labels = [f"variant {k}" for k in range(len(np.atleast_1d(values)))]
-    check = Check("length", "m", lambda subject: subject, reference, tolerance, labels, miss)
-    return Case("V99", "made up", "nobody", (check,), compute=lambda device: values, on_device=False)
+    check = ReferenceCheck("length", "m", lambda subject: subject, reference, tolerance, labels, miss)
+    return ValidationCase("V99", "made up", "nobody", (check,), compute=lambda device: values, on_device=False)
 
 
-def finding_of(*arguments) -> Finding:
+def finding_of(*arguments) -> CheckResult:
     return judge(made_up(*arguments), "cpu")[1][0]
 
 
@@ -91,8 +91,8 @@ def test_verdicts(values, reference, tolerance, miss, verdict):
 
 
 def test_a_bar_in_a_name_does_not_end_a_cell():
-    check = Check("error of |L|", "", lambda subject: subject, 1.0, relative(0.1), ("one",))
-    case = Case("V98", "made up", "nobody", (check,), compute=lambda device: 1.0, on_device=False)
+    check = ReferenceCheck("error of |L|", "", lambda subject: subject, 1.0, relative(0.1), ("one",))
+    case = ValidationCase("V98", "made up", "nobody", (check,), compute=lambda device: 1.0, on_device=False)
     heading, _, _, line = report.markdown([judge(case, "cpu")[1][0]]).splitlines()
     assert r"error of \|L\|" in line
     assert line.replace(r"\|", "").count("|") == heading.count("|")
@@ -102,8 +102,8 @@ def test_a_case_that_breaks_is_an_error_and_stops_no_other():
     def broken(_):
         raise RuntimeError("no\nluck")
 
-    check = Check("length", "m", lambda subject: subject, 1.0, relative(0.1), ("one",))
-    bad = Case("V98", "broken", "nobody", (check,), compute=broken, on_device=False)
+    check = ReferenceCheck("length", "m", lambda subject: subject, 1.0, relative(0.1), ("one",))
+    bad = ValidationCase("V98", "broken", "nobody", (check,), compute=broken, on_device=False)
     findings = suite.run_suite([bad, made_up([1.0], 1.0, relative(0.1))], ["cpu"])
     assert [finding.verdict for finding in findings] == ["ERROR", "PASS"]
     assert findings[0].note == "RuntimeError: no luck"

@@ -2,14 +2,14 @@
 
 import mujoco
 import numpy as np
-from problem import Problem, as_obj
+from problem import PeerProblem, as_obj
 
 TIME_CONSTANT = 0.02
-"""MuJoCo's own default of solref [s]; a step may be at most half of it."""
+"""MuJoCo's default of solref [s]; a step may be at most half of it."""
 
 
-def build(problem: Problem) -> tuple[mujoco.MjModel, str]:
-    """Model with its default solver, and the collider's name; meshes collide by MuJoCo's own distance field."""
+def build(problem: PeerProblem) -> tuple[mujoco.MjModel, str]:
+    """Model with its default solver, and the collider's name; meshes collide by MuJoCo's distance field."""
     assets, named, geometry, collider = {}, "", "", "box"
     if problem.vertices is None:
         geometry = f'<geom type="box" size="{_list(problem.half_extents)}"/>'
@@ -35,13 +35,13 @@ def build(problem: Problem) -> tuple[mujoco.MjModel, str]:
     return mujoco.MjModel.from_xml_string(text, assets), collider
 
 
-def starts(problem: Problem) -> np.ndarray:
+def starts(problem: PeerProblem) -> np.ndarray:
     """Generalised positions of all environments, (envs, 7 * bodies)."""
     poses = np.concatenate([problem.position, problem.real_first], axis=-1)
     return poses.reshape(problem.num_envs, -1)
 
 
-def final(positions: np.ndarray, velocities: np.ndarray, problem: Problem) -> tuple[np.ndarray, ...]:
+def final(positions: np.ndarray, velocities: np.ndarray, problem: PeerProblem) -> tuple[np.ndarray, ...]:
     """Positions, orientations (x, y, z, w) and velocities, (envs, bodies, ...)."""
     poses = positions.reshape(problem.num_envs, problem.num_bodies, 7)
     speeds = velocities.reshape(problem.num_envs, problem.num_bodies, 6)

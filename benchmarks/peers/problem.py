@@ -1,6 +1,7 @@
-"""What the programs of this folder share: reading a problem, timing a run, writing what came out.
+"""Shared by the programs of this folder: reading a problem, timing a run, writing the results.
 
-Only numpy is needed here, so that each engine can live in an environment of its own; convex parts of meshes need coacd.
+Only NumPy is needed here, so that each engine can run in a separate Python environment; convex parts of meshes need
+coacd.
 """
 
 import hashlib
@@ -16,7 +17,7 @@ NOT_INSTALLED = 3
 COACD_THRESHOLD = 0.05
 
 
-class Problem:
+class PeerProblem:
     """Bodies of one shape above the ground plane z = 0, in several environments.
 
     Attributes:
@@ -29,22 +30,22 @@ class Problem:
         mass: [kg].
         density: [kg/m^3].
         friction: Coulomb coefficient of every contact.
-        restitution: of every body.
+        restitution: coefficient of every body.
         gravity: (3,) [m/s^2].
-        dt: of a step [s].
-        substeps: steps in a frame.
+        dt: time step [s].
+        substeps: steps per frame.
         settle: frames before the timed ones.
-        frames: that are timed.
+        frames: timed frames.
         fixed: static boxes and upright cylinders.
         device: such as "cpu" or "cuda:0".
         cache: folder for convex parts.
     """
 
     def __init__(self, path: str) -> None:
-        """Read what `warp-rigid bench` wrote."""
+        """Read a file that `warp-rigid bench` wrote."""
         with np.load(path) as file:
             arrays = {name: file[name] for name in file.files}
-        for name, value in json.loads(str(arrays.pop("told"))).items():
+        for name, value in json.loads(str(arrays.pop("figures"))).items():
             setattr(self, name, value)
         self.half_extents = self.vertices = self.faces = None
         for name, value in arrays.items():
@@ -57,7 +58,7 @@ class Problem:
         return self.orientation[..., [3, 0, 1, 2]]
 
     def convex_parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Vertices and faces of the parts into which CoACD cuts the mesh; kept, for it may take a minute."""
+        """Vertices and faces of the convex parts of the mesh by CoACD; cached, because this may take a minute."""
         key = hashlib.sha256(self.vertices.tobytes() + self.faces.tobytes()).hexdigest()[:24]
         path = Path(self.cache) / f"convex-{key}-{COACD_THRESHOLD}.npz"
         if not path.is_file():
@@ -73,12 +74,12 @@ class Problem:
             return [(file[f"v{i}"], file[f"f{i}"]) for i in range(len(file.files) // 2)]
 
 
-def timed(problem: Problem, advance: Callable[[int], None]) -> dict[str, float]:
+def timed(problem: PeerProblem, advance: Callable[[int], None]) -> dict[str, float]:
     """Settle, then time the frames.
 
     Args:
-        problem: says how many.
-        advance: does so many frames of all environments, and returns when they are done.
+        problem: gives the number of frames.
+        advance: simulates a number of frames in all environments, and returns when they are complete.
     """
     advance(problem.settle)
     begin, start = time.perf_counter(), time.process_time()
@@ -86,14 +87,14 @@ def timed(problem: Problem, advance: Callable[[int], None]) -> dict[str, float]:
     return {"seconds": time.perf_counter() - begin, "processor_seconds": time.process_time() - start}
 
 
-def write(told: dict, position: np.ndarray, orientation: np.ndarray, linear_velocity: np.ndarray) -> None:
+def write(figures: dict, position: np.ndarray, orientation: np.ndarray, linear_velocity: np.ndarray) -> None:
     """Write figures and final states, orientations as (x, y, z, w), to the path of the command line."""
     states = {"position": position, "orientation": orientation, "linear_velocity": linear_velocity}
-    np.savez(sys.argv[2], told=json.dumps(told), **states)
+    np.savez(sys.argv[2], figures=json.dumps(figures), **states)
 
 
 def as_obj(parts: list[tuple[np.ndarray, np.ndarray]]) -> str:
-    """Text of an OBJ file with one object a part."""
+    """Text of an OBJ file with one object per part."""
     lines, first = [], 1
     for i, (vertices, faces) in enumerate(parts):
         lines.append(f"o part{i}")
@@ -103,10 +104,10 @@ def as_obj(parts: list[tuple[np.ndarray, np.ndarray]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(run: Callable[[Problem], None]) -> None:
-    """Run a program on the problem of the command line; a missing engine has a status of its own."""
+def main(run: Callable[[PeerProblem], None]) -> None:
+    """Run a program on the problem of the command line; exit with NOT_INSTALLED if the engine is missing."""
     try:
-        run(Problem(sys.argv[1]))
+        run(PeerProblem(sys.argv[1]))
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed", file=sys.stderr)
         sys.exit(NOT_INSTALLED)

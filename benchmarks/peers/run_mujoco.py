@@ -1,9 +1,9 @@
 """MuJoCo on one core of the CPU."""
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step one environment after another."""
     import mujoco
     import mujoco_model
@@ -18,7 +18,7 @@ def run(problem: Problem) -> None:
         for world in worlds:
             mujoco.mj_step(model, world, nstep=frames * problem.substeps)
 
-    told = {
+    figures = {
         "engine": "mujoco",
         "version": mujoco.__version__,
         "collider": collider,
@@ -27,7 +27,7 @@ def run(problem: Problem) -> None:
         "contacts": int(sum(world.ncon for world in worlds)),
     }
     positions, velocities = np.array([w.qpos for w in worlds]), np.array([w.qvel for w in worlds])
-    write(told, *mujoco_model.final(positions, velocities, problem))
+    write(figures, *mujoco_model.final(positions, velocities, problem))
 
 
 if __name__ == "__main__":

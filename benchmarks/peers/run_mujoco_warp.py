@@ -1,12 +1,12 @@
 """MuJoCo Warp on the device of the problem; a frame is one graph where the device has graphs."""
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 PER_BODY = {"box": 12, "octree of distances": 120}
-"""Contacts and candidate pairs for which there is room, by collider; what overflows is a fault."""
+"""Capacity for contacts and candidate pairs per body, by collider; an overflow is a fault."""
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step all worlds together."""
     import mujoco_warp
     import numpy as np
@@ -16,11 +16,11 @@ def run(problem: Problem) -> None:
     import mujoco_model
 
     host, collider = mujoco_model.build(problem)
-    room = PER_BODY[collider] * problem.num_bodies + 32
+    capacity = PER_BODY[collider] * problem.num_bodies + 32
     with wp.ScopedDevice(problem.device):
         device = wp.get_device(problem.device)
         model = mujoco_warp.put_model(host)
-        state = mujoco_warp.make_data(host, nworld=problem.num_envs, nconmax=room, njmax=4 * room)
+        state = mujoco_warp.make_data(host, nworld=problem.num_envs, nconmax=capacity, njmax=4 * capacity)
 
         def restart() -> None:
             mujoco_warp.reset_data(model, state)
@@ -48,8 +48,8 @@ def run(problem: Problem) -> None:
 
         seconds = timed(problem, advance)
         if state.overflow.numpy().any():
-            raise RuntimeError(f"its room of {room} contacts a world overflowed")
-        told = {
+            raise RuntimeError(f"its capacity of {capacity} contacts per world overflowed")
+        figures = {
             "engine": "mujoco_warp",
             "version": mujoco_warp.__version__,
             "collider": collider,
@@ -57,7 +57,7 @@ def run(problem: Problem) -> None:
             **seconds,
             "contacts": int(state.nacon.numpy()[0]),
         }
-        write(told, *mujoco_model.final(state.qpos.numpy(), state.qvel.numpy(), problem))
+        write(figures, *mujoco_model.final(state.qpos.numpy(), state.qvel.numpy(), problem))
 
 
 if __name__ == "__main__":

@@ -3,16 +3,16 @@
 Meshes collide by distance grids on CUDA, by queries of the triangles on the CPU, which has no such grids.
 """
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 ITERATIONS, GAP, RESOLUTION = 12, 0.01, 64
-"""Of its own examples: sweeps, distance at which contacts are made [m], cells along the longest side."""
+"""Values from its examples: sweeps, contact distance [m], cells along the longest side."""
 CONTACTS_PER_BODY = {"box": 20, "mesh": 64}
 EXPLICIT_UP_TO = 64
-"""Up to so many bodies its list of all pairs is quicker than its sweep."""
+"""Up to this number of bodies its list of all pairs is faster than its sweep."""
 
 
-def run(problem: Problem) -> None:
+def run(problem: PeerProblem) -> None:
     """Step all worlds together."""
     import newton
     import numpy as np
@@ -31,8 +31,8 @@ def run(problem: Problem) -> None:
         broad = "explicit" if problem.num_bodies <= EXPLICIT_UP_TO else "sap"
         pipeline = newton.CollisionPipeline(model, broad_phase=broad, reduce_contacts=True)
         contacts = pipeline.contacts()
-        room = CONTACTS_PER_BODY["box" if mesh is None else "mesh"] * problem.num_bodies
-        rows = max(512, 3 * room)
+        capacity = CONTACTS_PER_BODY["box" if mesh is None else "mesh"] * problem.num_bodies
+        rows = max(512, 3 * capacity)
         solver = newton.solvers.SolverSteel(model, iterations=ITERATIONS, free_body_constraint_max=rows)
         now, then, control = model.state(), model.state(), model.control()
         newton.eval_fk(model, model.joint_q, model.joint_qd, now)
@@ -67,8 +67,8 @@ def run(problem: Problem) -> None:
         seconds = timed(problem, advance)
         touching = int(contacts.rigid_contact_count.numpy()[0])
         if touching > contacts.rigid_contact_max or np.asarray(solver.constraint_overflow.numpy()).any():
-            raise RuntimeError("its room for contacts overflowed")
-        told = {
+            raise RuntimeError("its capacity for contacts overflowed")
+        figures = {
             "engine": "newton",
             "version": newton.__version__,
             "collider": "box" if mesh is None else ("distance grids" if device.is_cuda else "triangles"),
@@ -78,11 +78,11 @@ def run(problem: Problem) -> None:
         }
         poses = now.body_q.numpy().reshape(problem.num_envs, problem.num_bodies, 7)
         speeds = now.body_qd.numpy().reshape(problem.num_envs, problem.num_bodies, 6)
-        write(told, poses[..., :3], poses[..., 3:], speeds[..., :3])
+        write(figures, poses[..., :3], poses[..., 3:], speeds[..., :3])
 
 
-def _model(newton, wp, problem: Problem, mesh):
-    """One world an environment, the ground in all of them."""
+def _model(newton, wp, problem: PeerProblem, mesh):
+    """One world per environment, each with the ground."""
     whole = newton.ModelBuilder()
     _configure(whole, problem)
     whole.add_ground_plane()
@@ -107,7 +107,7 @@ def _model(newton, wp, problem: Problem, mesh):
     return whole
 
 
-def _configure(builder, problem: Problem) -> None:
+def _configure(builder, problem: PeerProblem) -> None:
     config = builder.default_shape_cfg
     config.density, config.mu, config.restitution, config.gap = (
         problem.density,

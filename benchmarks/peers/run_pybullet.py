@@ -3,11 +3,11 @@
 import tempfile
 from pathlib import Path
 
-from problem import Problem, as_obj, main, timed, write
+from problem import PeerProblem, as_obj, main, timed, write
 
 
-def run(problem: Problem) -> None:
-    """Step one client an environment."""
+def run(problem: PeerProblem) -> None:
+    """Step one client per environment."""
     import numpy as np
     import pybullet
 
@@ -26,9 +26,9 @@ def run(problem: Problem) -> None:
     seconds = timed(problem, advance)
     poses = [[pybullet.getBasePositionAndOrientation(b, physicsClientId=c) for b in bodies] for c, bodies in worlds]
     speeds = [[pybullet.getBaseVelocity(b, physicsClientId=c)[0] for b in bodies] for c, bodies in worlds]
-    # The eighth of a contact's items is how far it gapes.
+    # The eighth item of a contact is its gap.
     touching = sum(point[8] <= 0.0 for c, _ in worlds for point in pybullet.getContactPoints(physicsClientId=c) or ())
-    told = {
+    figures = {
         "engine": "pybullet",
         "version": str(pybullet.getAPIVersion()),
         "collider": "box" if parts is None else f"{len(parts)} convex parts",
@@ -37,11 +37,11 @@ def run(problem: Problem) -> None:
         "contacts": touching,
     }
     places, turned = (np.array([[pose[k] for pose in row] for row in poses]) for k in (0, 1))
-    write(told, places, turned, np.array(speeds))
+    write(figures, places, turned, np.array(speeds))
 
 
-def _world(pybullet, problem: Problem, path: Path, env: int) -> tuple[int, list[int]]:
-    """Client and its bodies; nothing sleeps, nothing is damped."""
+def _world(pybullet, problem: PeerProblem, path: Path, env: int) -> tuple[int, list[int]]:
+    """Client and its bodies, without sleeping and damping."""
     client = pybullet.connect(pybullet.DIRECT)
     own = {"physicsClientId": client}
     pybullet.setGravity(*problem.gravity, **own)

@@ -2,11 +2,11 @@
 
 from importlib.metadata import version
 
-from problem import Problem, main, timed, write
+from problem import PeerProblem, main, timed, write
 
 
-def run(problem: Problem) -> None:
-    """Step one world an environment."""
+def run(problem: PeerProblem) -> None:
+    """Step one world per environment."""
     import numpy as np
     import rapier3d
 
@@ -25,7 +25,7 @@ def run(problem: Problem) -> None:
         [[(b.rotation.i, b.rotation.j, b.rotation.k, b.rotation.w) for b in row] for row in bodies],
         [[(b.linvel.x, b.linvel.y, b.linvel.z) for b in row] for row in bodies],
     ]
-    told = {
+    figures = {
         "engine": "rapier",
         "version": version("rapier3d"),
         "collider": "box" if problem.vertices is None else f"{len(shapes)} convex parts",
@@ -33,17 +33,17 @@ def run(problem: Problem) -> None:
         **seconds,
         "contacts": sum(_touching(world) for world, _ in worlds),
     }
-    write(told, *(np.array(values) for values in read))
+    write(figures, *(np.array(values) for values in read))
 
 
-def _shapes(rapier3d, problem: Problem) -> list:
+def _shapes(rapier3d, problem: PeerProblem) -> list:
     if problem.vertices is None:
         return [rapier3d.SharedShape.cuboid(*problem.half_extents.tolist())]
     return [rapier3d.SharedShape.convex_hull(part.astype("float32")) for part, _ in problem.convex_parts()]
 
 
-def _world(rapier3d, problem: Problem, shapes: list, env: int) -> tuple:
-    """World and the bodies' handles; nothing sleeps."""
+def _world(rapier3d, problem: PeerProblem, shapes: list, env: int) -> tuple:
+    """World and the bodies' handles, without sleeping."""
     world = rapier3d.PhysicsWorld(gravity=tuple(problem.gravity))
     world.set_num_threads(1)
     world.integration_parameters.dt = problem.dt
@@ -66,14 +66,14 @@ def _world(rapier3d, problem: Problem, shapes: list, env: int) -> tuple:
 def _fixed(rapier3d, part: dict):
     if part["kind"] == "box":
         return rapier3d.Collider.cuboid(*part["half_extents"]).translation(tuple(part["position"]))
-    # Rapier's cylinders stand along y.
+    # The axis of Rapier's cylinders is y.
     upright = rapier3d.Rotation3.from_quaternion(0.5**0.5, 0.5**0.5, 0.0, 0.0)
     made = rapier3d.Collider.cylinder(part["half_height"], part["radius"])
     return made.position(rapier3d.Isometry3(part["position"], upright))
 
 
 def _touching(world) -> int:
-    """Points of contact that do not gape."""
+    """Contact points without a gap."""
     manifolds = [m for pair in world.narrow_phase.contact_pairs() for m in pair.manifolds]
     return sum(point.dist <= 0.0 for manifold in manifolds for point in manifold.points)
 

@@ -44,18 +44,18 @@ def boxes_overlap(motions: Motions, i: int, j: int):
 
 
 @wp.func
-def is_filtered(i: int, j: int, bodies: Bodies):
-    """Whether bodies i and j of an environment, by their numbers in it, never touch by the user's wish."""
+def is_filtered(i: int, number: int, bodies: Bodies):
+    """Whether contact between body i and another one, by its number within the environment, is filtered out."""
     found = bool(False)
     for k in range(bodies.filtered_start[i], bodies.filtered_start[i + 1]):
-        found = found or bodies.filtered[k] == j
+        found = found or bodies.filtered[k] == number
     return found
 
 
 @wp.func
 def add_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodies, motions: Motions, pairs: Pairs):
     """Count the pair if its boxes overlap, and write it in the second round. Returns the new count."""
-    if not boxes_overlap(motions, i, j) or is_filtered(i - first, j - first, bodies):
+    if not boxes_overlap(motions, i, j) or is_filtered(i, j - first, bodies):
         return found
     if write == 1:
         slot = pairs.start[i] + found
@@ -86,11 +86,11 @@ def keep_dormant(i: int, found: int, write: int, motions: Motions, history: Hist
 
 @wp.func
 def visit_oversized(
-    i: int, first: int, found: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs
+    i: int, env: int, first: int, found: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs
 ):
     """Visit the pairs of body i with the wide bodies of its environment, each pair of wide ones once."""
     total = int(found)
-    for w in range(cells.oversized.shape[0]):
+    for w in range(cells.oversized_start[env], cells.oversized_start[env + 1]):
         j = first + cells.oversized[w]
         both_oversized = bodies.oversized[i] == 1
         if i != j and not (both_oversized and j < i) and may_meet(motions.role[i], motions.role[j]):
@@ -99,10 +99,10 @@ def visit_oversized(
 
 
 @wp.func
-def visit_small(i: int, first: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs):
+def visit_small(i: int, env: int, first: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs):
     """Visit the pairs of body i with all later small bodies of its environment."""
     total = int(0)
-    for s in range(cells.small.shape[0]):
+    for s in range(cells.small_start[env], cells.small_start[env + 1]):
         j = first + cells.small[s]
         if j > i and may_meet(motions.role[i], motions.role[j]):
             total = add_pair(i, j, first, total, write, bodies, motions, pairs)
@@ -121,16 +121,15 @@ def pairs_by_trying_all(
     pairs: Pairs,
 ):
     """The threads share the bodies: try all later small bodies of the environment, then the wide ones."""
-    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     for i in range(wp.tid(), motions.role.shape[0], threads):
-        env = i / bodies_per_env
-        first = env * bodies_per_env
+        env = bodies.env[i]
+        first = envs.first_body[env]
         found = int(0)
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
                 if bodies.oversized[i] == 0:
-                    found = visit_small(i, first, write, cells, bodies, motions, pairs)
-                found = visit_oversized(i, first, found, write, cells, bodies, motions, pairs)
+                    found = visit_small(i, env, first, write, cells, bodies, motions, pairs)
+                found = visit_oversized(i, env, first, found, write, cells, bodies, motions, pairs)
             found = keep_dormant(i, found, write, motions, history, pairs)
         if write == 0:
             pairs.count[i] = found
@@ -153,12 +152,11 @@ def bucket_of(env: int, x: int, y: int, z: int, buckets: int):
 
 
 @wp.kernel
-def choose_buckets(bodies_per_env: int, buckets: int, width: float, motions: Motions, cells: Cells):
+def choose_buckets(buckets: int, width: float, envs: Environments, motions: Motions, cells: Cells):
     """One thread a small body: the bucket of its swept box's centre, and the environment's largest half-width."""
     k = wp.tid()
-    small = cells.small.shape[0]
-    env = k / small
-    b = env * bodies_per_env + cells.small[k - env * small]
+    env = cells.small_env[k]
+    b = envs.first_body[env] + cells.small[k]
     x = 0.5 * (motions.lower[b] + motions.upper[b])
     across = cell_along(x[0], width)
     cells.key[k] = bucket_of(env, across, cell_along(x[1], width), cell_along(x[2], width), buckets)
@@ -227,8 +225,8 @@ def visit_around(
     lower = motions.lower[i] - around
     upper = motions.upper[i] + around
     across = (upper - lower) / width + wp.vec3(1.0, 1.0, 1.0)
-    if not across[0] * across[1] * across[2] <= float(cells.small.shape[0]):
-        return visit_small(i, first, write, cells, bodies, motions, pairs)
+    if not across[0] * across[1] * across[2] <= float(cells.small_start[env + 1] - cells.small_start[env]):
+        return visit_small(i, env, first, write, cells, bodies, motions, pairs)
     total = int(0)
     for x in range(cell_along(lower[0], width), cell_along(upper[0], width) + 1):
         for y in range(cell_along(lower[1], width), cell_along(upper[1], width) + 1):
@@ -253,16 +251,15 @@ def pairs_by_grid(
     pairs: Pairs,
 ):
     """The threads share the bodies: small bodies look around in the hash grid, then try the wide ones."""
-    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     for i in range(wp.tid(), motions.role.shape[0], threads):
-        env = i / bodies_per_env
-        first = env * bodies_per_env
+        env = bodies.env[i]
+        first = envs.first_body[env]
         found = int(0)
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
                 if bodies.oversized[i] == 0:
                     found = visit_around(i, env, first, write, buckets, width, cells, bodies, motions, pairs)
-                found = visit_oversized(i, first, found, write, cells, bodies, motions, pairs)
+                found = visit_oversized(i, env, first, found, write, cells, bodies, motions, pairs)
             found = keep_dormant(i, found, write, motions, history, pairs)
         if write == 0:
             pairs.count[i] = found

@@ -436,7 +436,6 @@ def keep_contacts(
     A first round passes over dormant pairs, a second one does those that have woken since. The order of the list is
     free: a pair's search knows of no other pair.
     """
-    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
@@ -444,7 +443,7 @@ def keep_contacts(
         if dormant != woken or (woken == 1 and not may_meet(motions.role[a], motions.role[b])):
             continue
         size = smaller_size(a, b, shapes, bodies)
-        edges = envs.edge_samples[a / bodies_per_env]
+        edges = envs.edge_samples[bodies.env[a]]
         approach = smaller_approach(pair, bodies, state, motions, pairs)
         last = last_pair(a, b, history)
         pairs.last[pair] = last
@@ -472,13 +471,12 @@ def search_contacts(
     pairs: Pairs,
 ):
     """The teams share the listed pairs: find the samples that represent a pair's contact."""
-    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
     lane = wp.tid() % lanes
     for k in range(wp.tid() / lanes, pairs.candidate_count[0], teams):
         pair = pairs.candidates[k]
         a = pairs.body_a[pair]
         size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
-        edges = envs.edge_samples[a / bodies_per_env]
+        edges = envs.edge_samples[bodies.env[a]]
         kept = look_for_contacts(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, pairs)
         if lane == 0:
             approach = smaller_approach(pair, bodies, state, motions, pairs)

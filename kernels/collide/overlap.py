@@ -29,9 +29,7 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
 
 
 @wp.kernel
-def deepest_overlap(
-    bodies_per_env: int, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array2d[float]
-):
+def deepest_overlap(shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array2d[float]):
     """One thread a pair: the environment's deepest overlap [m], (envs, 1).
 
     Warp compiles a kernel whose own arrays have one dimension twice for the CPU: as a second, contiguous case.
@@ -47,4 +45,4 @@ def deepest_overlap(
         own = wp.where(side == 0, a, b)
         depth = wp.max(depth, deepest_sample(own, a + b - own, shapes, bodies, state))
         side += 1
-    wp.atomic_max(deepest, a / bodies_per_env, 0, depth)
+    wp.atomic_max(deepest, bodies.env[a], 0, depth)

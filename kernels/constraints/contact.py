@@ -1,244 +1,196 @@
-"""Fourth stage: the contact records that the solver works on, and the impulses that they start from."""
+"""Contact rows: a non-penetrating contact point with Coulomb, rolling and spinning friction (projected Gauss-Seidel).
+
+A row keeps its accumulated impulse (normal, two tangents). A visit first solves the normal part: it removes the
+approach that exceeds the bias velocity, and never pulls. Then the tangential part removes the slip, inside the disk of
+radius friction times normal part. Sticking is tried with the full tangential matrix, as in Guendelman et al. 2003,
+section 7; if it leaves the disk, a projected step of the smallest safe length is taken, whose fixed point opposes the
+slip.
+"""
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import FAR
-from warp_rigid.kernels.collide.narrowphase import BY_CENTER, approach_of, center_inside, touch_of
-from warp_rigid.kernels.collide.samples import place_sample
-from warp_rigid.kernels.common.packed import (
-    ANGULAR_IMPULSE,
-    IMPULSE,
-    impulse_of,
-    inverse_inertia_of,
-    put_contact_row,
-    set_impulse,
+from warp_rigid.kernels.common.arithmetic import inverse_root, quotient, root
+from warp_rigid.kernels.common.solver_body import (
+    BodyPair,
+    first_three,
+    relative_velocity,
+    with_angular_impulse,
+    with_impulse,
 )
-from warp_rigid.kernels.common.tangents import tangent_of, world_vector
-from warp_rigid.kernels.enums import CombineRule
-from warp_rigid.kernels.schema import (
-    Bodies,
-    ContactRecord,
-    Contacts,
-    Environments,
-    Graph,
-    History,
-    Motions,
-    Pairs,
-    Shapes,
-    State,
-)
-from warp_rigid.kernels.update.predict import smaller_size
+from warp_rigid.kernels.common.tangents import world_vector
+from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
+from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord
 
 wp.set_module_options({"enable_backward": False})
 
-NARROWPHASE = wp.get_module("warp_rigid.kernels.collide.narrowphase")
-"""Kernels that evaluate distances share one compilation unit."""
+KIND = wp.constant(0)
+"""Kind of these rows in `Constraints`."""
 
-GONE = wp.constant(-1)
-"""Identity of a contact taken over from the last step that is none any more: it carries nothing."""
+read_contact = record_reader(ContactRecord, flag="more", optional_from="surface")
+"""A contact row: (c, contacts.rows)."""
 
+write_contact = record_writer(ContactRecord, flag="more", optional_from="surface")
+"""Store a contact row: (c, row, contacts.rows)."""
 
-TOUCHING = wp.constant(1.0e-4)
-"""Gaps up to this part of the smaller body's size carry load as they are.
+read_impulse = group_reader(ImpulseRecord)
+write_impulse = group_writer(ImpulseRecord)
 
-If every gap of a rounding error had to close first, the load would jump from contact to contact at each step: a pyramid
-of 20 rows that keeps to 0.02 mm so creeps by millimetres with a fifth of it."""
-
-WIDER = wp.constant(1.05)
-"""A gap wider than that by no more than this factor carries load, too. Those that have just closed are, by rounding
-errors, and would otherwise keep closing for ever: a stack at rest is then seldom solved at once."""
-
-
-@wp.func
-def combine(x: float, y: float, rule: int):
-    """Combine the coefficients of two bodies."""
-    if rule == CombineRule.AVERAGE:
-        return 0.5 * (x + y)
-    if rule == CombineRule.MULTIPLY:
-        return x * y
-    if rule == CombineRule.MAX:
-        return wp.max(x, y)
-    return wp.min(x, y)
+IMPULSE = wp.constant(group_of(ImpulseRecord, "impulse"))
+ANGULAR_IMPULSE = wp.constant(group_of(ImpulseRecord, "angular_impulse"))
+IMPACT_IMPULSE = wp.constant(group_of(ImpulseRecord, "impact_impulse"))
+START_IMPULSE = wp.constant(group_of(ImpulseRecord, "start_impulse"))
+START_ANGULAR_IMPULSE = wp.constant(group_of(ImpulseRecord, "start_angular_impulse"))
+"""Which of a row's impulses; components are along the normal and the two tangents."""
 
 
 @wp.func
-def inverse_effective_mass(arm: wp.vec3, d: wp.vec3, e: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
-    """Entry d . K e of the collision matrix K = 1/m + [r]^T I^-1 [r] of one body (Guendelman 2003, section 7)."""
-    return inverse_mass * wp.dot(d, e) + wp.dot(wp.cross(arm, d), inverse_inertia * wp.cross(arm, e))
+def impulse_of(c: int, which: int, contacts: Contacts):
+    """One of the impulses of a contact row, such as IMPULSE."""
+    return first_three(read_impulse(contacts.impulses, c, which))
 
 
 @wp.func
-def tangential_inverse_mass(arm: wp.vec3, u: wp.vec3, v: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
-    """The tangential block of K: entries 11, 12, 22."""
-    return wp.vec3(
-        inverse_effective_mass(arm, u, u, inverse_mass, inverse_inertia),
-        inverse_effective_mass(arm, u, v, inverse_mass, inverse_inertia),
-        inverse_effective_mass(arm, v, v, inverse_mass, inverse_inertia),
-    )
+def set_impulse(c: int, which: int, value: wp.vec3, contacts: Contacts):
+    """Store one of the impulses of a contact row."""
+    write_impulse(contacts.impulses, c, which, value, 0.0)
 
 
 @wp.func
-def last_contact(pair: int, key: int, history: History):
-    """Row of the same contact of a pair, given by its row in the history, in the last step, or -1."""
-    if pair >= 0:
-        for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
-            if history.key[c] == key:
-                return c
-    return -1
+def set_target_impulse(c: int, impulse: wp.vec3, target: float, contacts: Contacts):
+    """Store the impulse of an impact or of the push-out, and its target velocity [m/s]."""
+    write_impulse(contacts.impulses, c, IMPACT_IMPULSE, impulse, target)
 
 
 @wp.func
-def with_masses(row: ContactRecord, bodies: Bodies, motions: Motions):
-    """Inverse masses that the contact sees along its normal and in its tangent plane."""
+def contact_velocity(row: ContactRecord, pair: BodyPair):
+    """Velocity of the first body's surface relative to the second's at a contact [m/s]."""
+    return relative_velocity(row.arm_a, row.arm_b, pair) + row.surface
+
+
+@wp.func
+def friction_impulse(old: wp.vec2, slip: wp.vec2, k: wp.vec3, limit: float):
+    """New tangential impulse from the old one, the slip, the tangential matrix (11, 12, 22) and the disk's radius."""
+    inverse = quotient(1.0, wp.max(k[0] * k[2] - k[1] * k[1], 1.0e-30))
+    stick = old - inverse * wp.vec2(k[2] * slip[0] - k[1] * slip[1], k[0] * slip[1] - k[1] * slip[0])
+    if wp.length_sq(stick) <= limit * limit:
+        return stick
+    mean = 0.5 * (k[0] + k[2])
+    deviation = 0.5 * (k[0] - k[2])
+    largest = mean + root(deviation * deviation + k[1] * k[1])
+    slide = old - quotient(1.0, largest) * slip
+    squared = wp.length_sq(slide)
+    if squared > limit * limit:
+        slide = slide * (limit * inverse_root(squared))
+    return slide
+
+
+@wp.func
+def solve_rolling(c: int, normal_impulse: float, row: ContactRecord, pair: BodyPair, contacts: Contacts):
+    """Rolling and spinning friction: torques up to a coefficient [m] times the normal impulse."""
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
-    mass = bodies.inverse_mass[row.body_a]
-    inertia = inverse_inertia_of(row.body_a, motions)
-    r = row.arm_a
-    row.normal_a = inverse_effective_mass(r, n, n, mass, inertia)
-    row.coupling_a = wp.vec2(
-        inverse_effective_mass(r, u, n, mass, inertia), inverse_effective_mass(r, v, n, mass, inertia)
-    )
-    row.tangent_a = tangential_inverse_mass(r, u, v, mass, inertia)
-    mass = bodies.inverse_mass[row.body_b]
-    inertia = inverse_inertia_of(row.body_b, motions)
-    r = row.arm_b
-    row.normal_b = inverse_effective_mass(r, n, n, mass, inertia)
-    row.coupling_b = wp.vec2(
-        inverse_effective_mass(r, u, n, mass, inertia), inverse_effective_mass(r, v, n, mass, inertia)
-    )
-    row.tangent_b = tangential_inverse_mass(r, u, v, mass, inertia)
-    return row
+    k = pair.inverse_inertia_a + pair.inverse_inertia_b
+    old = impulse_of(c, ANGULAR_IMPULSE, contacts)
+    limit = row.spinning_friction * normal_impulse
+    spin = wp.dot(pair.angular_a - pair.angular_b, n)
+    about_normal = wp.clamp(old[0] - quotient(spin, wp.max(wp.dot(n, k * n), 1.0e-30)), -limit, limit)
+    pair = with_angular_impulse((about_normal - old[0]) * n, pair)
+    spins = pair.angular_a - pair.angular_b
+    matrix = wp.vec3(wp.dot(u, k * u), wp.dot(u, k * v), wp.dot(v, k * v))
+    slip = wp.vec2(wp.dot(spins, u), wp.dot(spins, v))
+    rolling = friction_impulse(wp.vec2(old[1], old[2]), slip, matrix, row.rolling_friction * normal_impulse)
+    pair = with_angular_impulse((rolling[0] - old[1]) * u + (rolling[1] - old[2]) * v, pair)
+    new = wp.vec3(about_normal, rolling[0], rolling[1])
+    set_impulse(c, ANGULAR_IMPULSE, new, contacts)
+    if pair.inverse_mass_a * pair.inverse_mass_b == 0.0:
+        sign = wp.where(pair.inverse_mass_a > 0.0, -1.0, 1.0)
+        pair.frozen_angular_impulse += sign * world_vector(n, u, new - old)
+    return pair
 
 
 @wp.func
-def with_coefficients(row: ContactRecord, rules: wp.vec2i, bodies: Bodies):
-    """Coefficients of the pair."""
-    a = row.body_a
-    b = row.body_b
-    row.friction = combine(bodies.friction[a], bodies.friction[b], rules[0])
-    row.rolling_friction = combine(bodies.rolling_friction[a], bodies.rolling_friction[b], rules[0])
-    row.spinning_friction = combine(bodies.spinning_friction[a], bodies.spinning_friction[b], rules[0])
-    row.restitution = combine(bodies.restitution[a], bodies.restitution[b], rules[1])
-    return row
+def solve_row(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
+    """Solve one contact for the velocities of a pair, and note the largest change of a velocity [m/s].
+
+    A share of 0 freezes that body: it counts as infinitely heavy, and what it did not take is added to the pair.
+    """
+    row = read_contact(c, contacts.rows)
+    k_normal = share_a * row.normal_a + share_b * row.normal_b
+    if k_normal < 1.0e-12:
+        return pair
+    n = row.normal
+    u = row.tangent
+    v = wp.cross(n, u)
+    old = impulse_of(c, IMPULSE, contacts)
+    slip = contact_velocity(row, pair)
+    normal = wp.max(old[0] - quotient(wp.dot(slip, n) + row.bias_velocity, k_normal), 0.0)
+    gained = normal - old[0]
+    coupling = gained * (share_a * row.coupling_a + share_b * row.coupling_b)
+    k = share_a * row.tangent_a + share_b * row.tangent_b
+    before = wp.vec2(old[1], old[2])
+    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + coupling
+    after = friction_impulse(before, sliding, k, row.friction * normal)
+    impulse = gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v
+    pair = with_impulse(row.arm_a, row.arm_b, impulse, pair)
+    set_impulse(c, IMPULSE, wp.vec3(normal, after[0], after[1]), contacts)
+    if share_a == 0.0:
+        pair.frozen_impulse += impulse
+        pair.frozen_angular_impulse += wp.cross(row.arm_a, impulse)
+    if share_b == 0.0:
+        pair.frozen_impulse -= impulse
+        pair.frozen_angular_impulse -= wp.cross(row.arm_b, impulse)
+    if row.rolling_friction + row.spinning_friction > 0.0:
+        pair = solve_rolling(c, normal, row, pair, contacts)
+    change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
+    pair.change = wp.max(pair.change, change)
+    return pair
 
 
 @wp.func
-def in_contact_frame(row: ContactRecord, world: wp.vec3):
-    """Components of a world vector along a contact's normal and tangents."""
-    v = wp.cross(row.normal, row.tangent)
-    return wp.vec3(wp.dot(world, row.normal), wp.dot(world, row.tangent), wp.dot(world, v))
+def apply_row(c: int, pair: BodyPair, contacts: Contacts):
+    """The bodies after the impulses that a contact starts from (warm start)."""
+    row = read_contact(c, contacts.rows)
+    impulse = world_vector(row.normal, row.tangent, impulse_of(c, IMPULSE, contacts))
+    pair = with_impulse(row.arm_a, row.arm_b, impulse, pair)
+    return with_angular_impulse(world_vector(row.normal, row.tangent, impulse_of(c, ANGULAR_IMPULSE, contacts)), pair)
 
 
 @wp.func
-def bias_velocity_of(gap: float, size: float, dt: float):
-    """Speed at which the bodies may still approach in the step."""
-    return wp.where(gap > WIDER * TOUCHING * size, (gap - TOUCHING * size) / dt, 0.0)
+def direction_and_approach(c: int, pair: BodyPair, contacts: Contacts):
+    """Direction in which a contact pushes the first body, and the speed of approach against it [m/s]."""
+    row = read_contact(c, contacts.rows)
+    n = row.normal
+    return wp.vec4(n[0], n[1], n[2], -wp.dot(contact_velocity(row, pair), n))
 
 
 @wp.func
-def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contacts: Contacts, history: History):
-    """Start from the last step's impulses, turned into today's tangent plane, or from zero."""
-    impulse = wp.vec3(0.0, 0.0, 0.0)
-    angular_impulse = wp.vec3(0.0, 0.0, 0.0)
-    if warm == 1 and contacts.key[c] != GONE:
-        last = last_contact(pair, contacts.key[c], history)
-        if last >= 0:
-            impulse = in_contact_frame(row, history.impulse[last])
-            angular_impulse = in_contact_frame(row, history.angular_impulse[last])
-    set_impulse(c, IMPULSE, wp.vec3(wp.max(impulse[0], 0.0), impulse[1], impulse[2]), contacts)
-    set_impulse(c, ANGULAR_IMPULSE, angular_impulse, contacts)
+def store_start(c: int, contacts: Contacts):
+    """Keep the impulses from which the line search starts."""
+    set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)
+    set_impulse(c, START_ANGULAR_IMPULSE, impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
 
 
 @wp.func
-def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """Evaluate the place of a contact's identity once more."""
-    if key <= BY_CENTER:
-        return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
-    side = key % 2
-    approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), FAR, bodies, state)
-    placed = place_sample(shapes, key / 2, approach.own_shape, approach.shape, approach.turn, approach.shift, FAR)
-    return touch_of(placed, side, approach.other, state)
-
-
-@wp.kernel(module=NARROWPHASE)
-def build_contacts(
-    teams: int,
-    lanes: int,
-    dt: float,
-    rules: wp.vec2i,
-    shapes: Shapes,
-    bodies: Bodies,
-    state: State,
-    motions: Motions,
-    envs: Environments,
-    pairs: Pairs,
-    history: History,
-    contacts: Contacts,
-):
-    """The teams share the pairs: turn the samples kept into contact records. `rules`: how coefficients combine."""
-    bodies_per_env = bodies.shape.shape[0] / envs.failed.shape[0]
-    for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
-        start = pairs.contact_start[pair]
-        row = ContactRecord()
-        row.body_a = pairs.body_a[pair]
-        row.body_b = pairs.body_b[pair]
-        size = smaller_size(row.body_a, row.body_b, shapes, bodies)
-        for k in range(wp.tid() % lanes, pairs.contact_start[pair + 1] - start, lanes):
-            c = start + k
-            key = pairs.kept[pair, k]
-            touch = touch_again(key, row.body_a, row.body_b, shapes, bodies, state, motions)
-            if touch.gap >= FAR:
-                touch.position = motions.center[row.body_a]
-                pairs.searched[pair] = 0
-                key = GONE
-            contacts.key[c] = key
-            contacts.position[c] = touch.position
-            row.normal = touch.normal
-            row.tangent = tangent_of(touch.normal)
-            row.arm_a = touch.position - motions.center[row.body_a]
-            row.arm_b = touch.position - motions.center[row.body_b]
-            row.gap = touch.gap
-            row.bias_velocity = bias_velocity_of(touch.gap, size, dt)
-            put_contact_row(c, with_coefficients(with_masses(row, bodies, motions), rules, bodies), contacts)
-            warm = envs.warm_starting[row.body_a / bodies_per_env]
-            start_from_history(c, pairs.last[pair], row, warm, contacts, history)
+def energy_terms(c: int, then: BodyPair, now: BodyPair, contacts: Contacts):
+    """A row's part of both sums of the line search [J]: -(v0.M dv + b.dl) and dv.M dv."""
+    row = read_contact(c, contacts.rows)
+    change = impulse_of(c, IMPULSE, contacts) - impulse_of(c, START_IMPULSE, contacts)
+    impulse = world_vector(row.normal, row.tangent, change)
+    turn = impulse_of(c, ANGULAR_IMPULSE, contacts) - impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+    angular_impulse = world_vector(row.normal, row.tangent, turn)
+    before = contact_velocity(row, then)
+    spin_before = then.angular_a - then.angular_b
+    spin = now.angular_a - now.angular_b
+    slope = wp.dot(impulse, before) + wp.dot(angular_impulse, spin_before) + change[0] * row.bias_velocity
+    gained = wp.dot(impulse, contact_velocity(row, now) - before) + wp.dot(angular_impulse, spin - spin_before)
+    return wp.vec2(-slope, gained)
 
 
 @wp.func
-def store_contact(target: int, c: int, contacts: Contacts, history: History):
-    """Write a solved contact to a row of the history, its impulses in the world frame."""
-    row = contacts.rows[c]
-    history.key[target] = contacts.key[c]
-    history.impulse[target] = world_vector(row.normal, row.tangent, impulse_of(c, IMPULSE, contacts))
-    history.angular_impulse[target] = world_vector(row.normal, row.tangent, impulse_of(c, ANGULAR_IMPULSE, contacts))
-    history.position[target] = contacts.position[c]
-    history.normal[target] = row.normal
-    history.gap[target] = row.gap
-
-
-@wp.kernel
-def store_pairs(threads: int, pairs: Pairs, history: History, graph: Graph):
-    """Last stage, first half: the threads share the rows of the history and remember which pairs touched, and how."""
-    for i in range(wp.tid(), wp.max(history.pair_start.shape[0], history.contact_start.shape[0]), threads):
-        if i < history.pair_start.shape[0]:
-            history.pair_start[i] = pairs.start[i]
-        if i < pairs.start[pairs.start.shape[0] - 1]:
-            history.body_b[i] = pairs.body_b[i]
-            history.searched[i] = pairs.searched[i]
-            history.searched_orientation[i] = pairs.searched_orientation[i]
-            history.searched_position[i] = pairs.searched_position[i]
-            graph.supports_before[i] = wp.where(
-                pairs.contact_start[i + 1] > pairs.contact_start[i], graph.supports[i], -1
-            )
-            graph.colored[i] = graph.pair_color[i]
-        if i < history.contact_start.shape[0]:
-            history.contact_start[i] = pairs.contact_start[i]
-
-
-@wp.kernel
-def store_impulses(threads: int, contacts: Contacts, pairs: Pairs, history: History):
-    """Last stage, second half: the threads share the contacts and remember them."""
-    for c in range(wp.tid(), pairs.contact_start[pairs.contact_start.shape[0] - 1], threads):
-        store_contact(c, c, contacts, history)
+def blend_row(c: int, t: float, contacts: Contacts):
+    """Go from the impulses at the start a share t of the way to those of now."""
+    start = impulse_of(c, START_IMPULSE, contacts)
+    set_impulse(c, IMPULSE, start + t * (impulse_of(c, IMPULSE, contacts) - start), contacts)
+    turn = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+    set_impulse(c, ANGULAR_IMPULSE, turn + t * (impulse_of(c, ANGULAR_IMPULSE, contacts) - turn), contacts)

@@ -11,10 +11,9 @@ finds all colours taken, as on a tray that carries many, is solved one after ano
 import warp as wp
 
 from warp_rigid.kernels.common.team import any_of_team, lowest_bit, sync_team, team_of
+from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import Motion
-from warp_rigid.kernels.graph.support import touches
-from warp_rigid.kernels.schema import COLORS, Bodies, Graph, Order, PairRecord, Pairs
-from warp_rigid.kernels.solve.gauss_seidel import IN_TURN
+from warp_rigid.kernels.schema import COLORS, Bodies, Constraints, Environments, Graph, Order, OrderRecord
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,6 +21,9 @@ MOST_COLORS = wp.constant(COLORS)
 
 ALL_TAKEN = wp.constant(wp.uint32((1 << (COLORS - 1)) - 1))
 """Mask of a body at which every colour but the last is taken."""
+
+SERIAL = wp.constant(COLORS - 1)
+"""The colour of constraints that are solved one after another."""
 
 UNCOLORED = wp.constant(-1)
 
@@ -38,27 +40,27 @@ def priority(index: int):
 
 
 @wp.func
-def place_bid(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def place_bid(k: int, begin: int, bodies: Bodies, constraints: Constraints, graph: Graph):
     """Bid for a colour at both bodies, or give up where all colours of a body are taken."""
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
+    a = constraints.body_a[k]
+    b = constraints.body_b[k]
     dynamic_a = bodies.motion[a] == Motion.DYNAMIC
     dynamic_b = bodies.motion[b] == Motion.DYNAMIC
     if (dynamic_a and graph.colors[a] == ALL_TAKEN) or (dynamic_b and graph.colors[b] == ALL_TAKEN):
-        graph.pair_color[pair] = IN_TURN
+        graph.color[k] = SERIAL
         return
     if dynamic_a:
-        wp.atomic_max(graph.bid, a, priority(pair - begin))
+        wp.atomic_max(graph.bid, a, priority(k - begin))
     if dynamic_b:
-        wp.atomic_max(graph.bid, b, priority(pair - begin))
+        wp.atomic_max(graph.bid, b, priority(k - begin))
 
 
 @wp.func
-def take_color(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def take_color(k: int, begin: int, bodies: Bodies, constraints: Constraints, graph: Graph):
     """Take the lowest colour that is free at both bodies if no other bid was higher."""
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
-    own = priority(pair - begin)
+    a = constraints.body_a[k]
+    b = constraints.body_b[k]
+    own = priority(k - begin)
     dynamic_a = bodies.motion[a] == Motion.DYNAMIC
     dynamic_b = bodies.motion[b] == Motion.DYNAMIC
     if (dynamic_a and graph.bid[a] != own) or (dynamic_b and graph.bid[b] != own):
@@ -69,8 +71,8 @@ def take_color(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph
     if dynamic_b:
         taken = taken | graph.colors[b]
     color = lowest_bit(~taken)
-    graph.pair_color[pair] = color
-    if color == IN_TURN:
+    graph.color[k] = color
+    if color == SERIAL:
         return
     bit = wp.uint32(1) << wp.uint32(color)
     if dynamic_a:
@@ -80,39 +82,40 @@ def take_color(pair: int, begin: int, bodies: Bodies, pairs: Pairs, graph: Graph
 
 
 @wp.kernel
-def color_pairs(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def color_constraints(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
     """A team an environment: give each touching pair a colour that no other pair of its dynamic bodies has."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    first = env * bodies_per_env
-    begin = pairs.start[first]
-    end = pairs.start[first + bodies_per_env]
-    if graph.same[env] == 1:
-        for pair in range(begin + team.lane, end, lanes):
-            if touches(pair, pairs):
-                graph.pair_color[pair] = graph.colored[pairs.last[pair]]
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
+    begin = constraints.start[env]
+    end = constraints.start[env + 1]
+    if graph.unchanged[env] == 1:
+        for k in range(begin + team.lane, end, lanes):
+            if is_active(k, constraints):
+                graph.color[k] = graph.color_before[constraints.last[k]]
         return
-    for b in range(first + team.lane, first + bodies_per_env, lanes):
+    for b in range(first + team.lane, last, lanes):
         graph.colors[b] = wp.uint32(0)
         graph.bid[b] = NO_BID
-    for pair in range(begin + team.lane, end, lanes):
-        graph.pair_color[pair] = UNCOLORED
+    for k in range(begin + team.lane, end, lanes):
+        graph.color[k] = UNCOLORED
     left = int(1)
     while left == 1:
         sync_team(team)
-        for pair in range(begin + team.lane, end, lanes):
-            if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
-                place_bid(pair, begin, bodies, pairs, graph)
+        for k in range(begin + team.lane, end, lanes):
+            if is_active(k, constraints) and graph.color[k] == UNCOLORED:
+                place_bid(k, begin, bodies, constraints, graph)
         sync_team(team)
-        for pair in range(begin + team.lane, end, lanes):
-            if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
-                take_color(pair, begin, bodies, pairs, graph)
+        for k in range(begin + team.lane, end, lanes):
+            if is_active(k, constraints) and graph.color[k] == UNCOLORED:
+                take_color(k, begin, bodies, constraints, graph)
         sync_team(team)
-        for b in range(first + team.lane, first + bodies_per_env, lanes):
+        for b in range(first + team.lane, last, lanes):
             graph.bid[b] = NO_BID
         left = int(0)
-        for pair in range(begin + team.lane, end, lanes):
-            if touches(pair, pairs) and graph.pair_color[pair] == UNCOLORED:
+        for k in range(begin + team.lane, end, lanes):
+            if is_active(k, constraints) and graph.color[k] == UNCOLORED:
                 left = 1
         left = any_of_team(left, team)
 
@@ -124,43 +127,43 @@ def add_colors(env: int, begin: int, graph: Graph, order: Order):
     count = int(0)
     for color in range(MOST_COLORS):
         order.color_start[env, color] = at
-        pairs = graph.tally[env, color]
+        members = graph.tally[env, color]
         graph.tally[env, color] = at
-        at += pairs
-        if pairs > 0:
+        at += members
+        if members > 0:
             count = color + 1
     order.color_start[env, MOST_COLORS] = at
     order.color_count[env] = count
 
 
 @wp.func
-def write_in_order(pair: int, env: int, pairs: Pairs, graph: Graph, order: Order):
-    """Give a pair the next place of its colour."""
-    entry = PairRecord()
-    entry.pair = pair
-    entry.body_a = pairs.body_a[pair]
-    entry.body_b = pairs.body_b[pair]
-    entry.begin = pairs.contact_start[pair]
-    entry.end = pairs.contact_start[pair + 1]
+def write_in_order(k: int, env: int, constraints: Constraints, graph: Graph, order: Order):
+    """Give a constraint the next place of its colour."""
+    entry = OrderRecord()
+    entry.kind = constraints.kind[k]
+    entry.body_a = constraints.body_a[k]
+    entry.body_b = constraints.body_b[k]
+    entry.begin = constraints.first_row[k]
+    entry.end = entry.begin + constraints.row_count[k]
     entry.upper_a = wp.where(graph.level[entry.body_a] < graph.level[entry.body_b], 0, 1)
     entry.upper_b = wp.where(graph.level[entry.body_b] < graph.level[entry.body_a], 0, 1)
     wp.atomic_add(graph.support_count, entry.body_a, entry.upper_a)
     wp.atomic_add(graph.support_count, entry.body_b, entry.upper_b)
-    slot = wp.atomic_add(graph.tally, env, graph.pair_color[pair], 1)
+    slot = wp.atomic_add(graph.tally, env, graph.color[k], 1)
     order.entries[slot] = entry
 
 
 @wp.kernel
-def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph, order: Order):
+def group_constraints(lanes: int, envs: Environments, constraints: Constraints, graph: Graph, order: Order):
     """A team an environment: sort the touching pairs by colour, and find the highest level.
 
     Within a colour their order is free, but for pairs that are solved in turn.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    begin = pairs.start[env * bodies_per_env]
-    end = pairs.start[(env + 1) * bodies_per_env]
-    for b in range(env * bodies_per_env + team.lane, (env + 1) * bodies_per_env, lanes):
+    begin = constraints.start[env]
+    end = constraints.start[env + 1]
+    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], lanes):
         graph.support_count[b] = 0
     for color in range(team.lane, MOST_COLORS, lanes):
         graph.tally[env, color] = 0
@@ -168,20 +171,20 @@ def group_pairs(lanes: int, bodies_per_env: int, pairs: Pairs, graph: Graph, ord
         graph.level_count[env] = 0
     sync_team(team)
     in_turn = int(0)
-    for pair in range(begin + team.lane, end, lanes):
-        if touches(pair, pairs):
-            wp.atomic_add(graph.tally, env, graph.pair_color[pair], 1)
-            in_turn |= wp.where(graph.pair_color[pair] == IN_TURN, 1, 0)
-            upper = wp.max(graph.level[pairs.body_a[pair]], graph.level[pairs.body_b[pair]])
+    for k in range(begin + team.lane, end, lanes):
+        if is_active(k, constraints):
+            wp.atomic_add(graph.tally, env, graph.color[k], 1)
+            in_turn |= wp.where(graph.color[k] == SERIAL, 1, 0)
+            upper = wp.max(graph.level[constraints.body_a[k]], graph.level[constraints.body_b[k]])
             wp.atomic_max(graph.level_count, env, upper)
     in_turn = any_of_team(in_turn, team)
     if team.lane == 0:
         add_colors(env, begin, graph, order)
     sync_team(team)
-    for pair in range(begin + team.lane, end, lanes):
-        if touches(pair, pairs) and graph.pair_color[pair] != IN_TURN:
-            write_in_order(pair, env, pairs, graph, order)
+    for k in range(begin + team.lane, end, lanes):
+        if is_active(k, constraints) and graph.color[k] != SERIAL:
+            write_in_order(k, env, constraints, graph, order)
     if in_turn == 1 and team.lane == 0:
-        for pair in range(begin, end):
-            if touches(pair, pairs) and graph.pair_color[pair] == IN_TURN:
-                write_in_order(pair, env, pairs, graph, order)
+        for k in range(begin, end):
+            if is_active(k, constraints) and graph.color[k] == SERIAL:
+                write_in_order(k, env, constraints, graph, order)

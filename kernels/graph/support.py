@@ -16,11 +16,12 @@ they follow from the touching pairs and from who rests on whom alone, so finding
 
 import warp as wp
 
-from warp_rigid.kernels.common.packed import contact_row
+from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.constraints.records import is_active
+from warp_rigid.kernels.constraints.rows import Rows, direction_and_approach
 from warp_rigid.kernels.enums import Motion
-from warp_rigid.kernels.schema import Bodies, Contacts, Graph, History, Motions, Pairs
-from warp_rigid.kernels.solve.gauss_seidel import BodyPair, load_bodies, slip_between
+from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Motions
 
 wp.set_module_options({"enable_backward": False})
 
@@ -44,97 +45,89 @@ def presses(pull: wp.vec3, n: wp.vec3, approach: float):
 
 
 @wp.func
-def supports_of(pair: int, body_pair: BodyPair, bodies: Bodies, motions: Motions, pairs: Pairs, contacts: Contacts):
-    """Which of the two bodies rests on the other, as bits."""
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
+def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constraints: Constraints, rows: Rows):
+    """Which of the two bodies of a constraint supports the other, as bits."""
+    a = constraints.body_a[k]
+    b = constraints.body_b[k]
+    kind = constraints.kind[k]
+    first = constraints.first_row[k]
     supports = int(0)
-    for c in range(pairs.contact_start[pair], pairs.contact_start[pair + 1]):
-        row = contact_row(c, contacts)
-        approach = -wp.dot(slip_between(row, body_pair), row.normal)
-        if bodies.motion[a] == Motion.DYNAMIC and presses(motions.acceleration[a], row.normal, approach):
+    for row in range(first, first + constraints.row_count[k]):
+        found = direction_and_approach(kind, row, pair, rows)
+        n = first_three(found)
+        approach = found[3]
+        if bodies.motion[a] == Motion.DYNAMIC and presses(motions.acceleration[a], n, approach):
             supports = supports | A_ON_B
-        if bodies.motion[b] == Motion.DYNAMIC and presses(motions.acceleration[b], -row.normal, approach):
+        if bodies.motion[b] == Motion.DYNAMIC and presses(motions.acceleration[b], -n, approach):
             supports = supports | B_ON_A
     return supports
 
 
 @wp.func
-def touches(pair: int, pairs: Pairs):
-    """Whether a pair has contacts."""
-    return pairs.contact_start[pair + 1] > pairs.contact_start[pair]
-
-
-@wp.func
-def is_unchanged(last: int, place: int, supports: int, graph: Graph):
-    """Whether a touching pair touched in the last step too, at the same place of the list, and carried the same way."""
+def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, graph: Graph):
+    """Whether an active constraint was active in the last step, at the same place of the list, with these supports."""
+    place = constraints.start_before[env] + k - constraints.start[env]
+    last = constraints.last[k]
     return last >= 0 and last == place and graph.supports_before[last] == supports
 
 
 @wp.kernel
 def find_support(
-    lanes: int,
-    bodies_per_env: int,
-    bodies: Bodies,
-    motions: Motions,
-    pairs: Pairs,
-    contacts: Contacts,
-    history: History,
-    graph: Graph,
+    lanes: int, envs: Environments, bodies: Bodies, motions: Motions, rows: Rows, constraints: Constraints, graph: Graph
 ):
-    """A team an environment: which body of each pair rests on the other, and whether all is as in the last step."""
+    """A team an environment: which body of each constraint supports the other, and whether the graph is unchanged."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    first = env * bodies_per_env
-    begin = pairs.start[first]
     if team.lane == 0:
-        graph.touching[env] = 0
+        graph.active[env] = 0
+        graph.shock_sweeps[env] = 0
+        graph.push_out_sweeps[env] = 0
     sync_team(team)
     count = int(0)
     changed = int(0)
-    for pair in range(begin + team.lane, pairs.start[first + bodies_per_env], lanes):
+    for k in range(constraints.start[env] + team.lane, constraints.start[env + 1], lanes):
         supports = int(0)
-        if touches(pair, pairs):
-            body_pair = load_bodies(pairs.body_a[pair], pairs.body_b[pair], 0.0, 0.0, motions)
-            supports = supports_of(pair, body_pair, bodies, motions, pairs, contacts)
+        if is_active(k, constraints):
+            pair = load_bodies(constraints.body_a[k], constraints.body_b[k], 0.0, 0.0, motions)
+            supports = supports_of(k, pair, bodies, motions, constraints, rows)
             count += 1
-            if not is_unchanged(pairs.last[pair], history.pair_start[first] + pair - begin, supports, graph):
+            if not is_unchanged(k, env, supports, constraints, graph):
                 changed = 1
-        graph.supports[pair] = supports
-    wp.atomic_add(graph.touching, env, count)
+        graph.supports[k] = supports
+    wp.atomic_add(graph.active, env, count)
     changed = any_of_team(changed, team)
     if team.lane == 0:
-        known = graph.touching[env] + 1
-        graph.same[env] = wp.where(changed == 0 and graph.known[env] == known, 1, 0)
-        graph.known[env] = known
+        active = graph.active[env] + 1
+        graph.unchanged[env] = wp.where(changed == 0 and graph.active_before[env] == active, 1, 0)
+        graph.active_before[env] = active
 
 
 @wp.func
-def upper_of(edge: int, pairs: Pairs, graph: Graph):
-    """The body that rests on the other, -1 if it does not. Each pair has two edges, one for either direction."""
-    pair = edge / 2
+def upper_of(edge: int, constraints: Constraints, graph: Graph):
+    """The supported body, -1 if there is none. Each constraint has two edges, one for either direction."""
+    k = edge / 2
     if edge % 2 == 0:
-        return wp.where((graph.supports[pair] & A_ON_B) != 0, pairs.body_a[pair], -1)
-    return wp.where((graph.supports[pair] & B_ON_A) != 0, pairs.body_b[pair], -1)
+        return wp.where((graph.supports[k] & A_ON_B) != 0, constraints.body_a[k], -1)
+    return wp.where((graph.supports[k] & B_ON_A) != 0, constraints.body_b[k], -1)
 
 
 @wp.func
-def lower_of(edge: int, pairs: Pairs):
-    """The body on which the other rests, if it does."""
-    return wp.where(edge % 2 == 0, pairs.body_b[edge / 2], pairs.body_a[edge / 2])
+def lower_of(edge: int, constraints: Constraints):
+    """The supporting body, if it does support."""
+    return wp.where(edge % 2 == 0, constraints.body_b[edge / 2], constraints.body_a[edge / 2])
 
 
 @wp.func
-def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, constraints: Constraints, graph: Graph):
     """One round: bodies, or whole cycles, whose supports all have levels get theirs. Returns 1 if any did."""
     for b in range(first, last, team.lanes):
         graph.waiting[b] = 0
         graph.highest[b] = 0
     sync_team(team)
     for edge in range(first_edge, last_edge, team.lanes):
-        upper = upper_of(edge, pairs, graph)
+        upper = upper_of(edge, constraints, graph)
         if upper >= 0 and graph.level[upper] == UNKNOWN:
-            lower = lower_of(edge, pairs)
+            lower = lower_of(edge, constraints)
             cycle = graph.cycle[upper]
             if graph.level[lower] != UNKNOWN:
                 wp.atomic_max(graph.highest, cycle, graph.level[lower])
@@ -162,7 +155,9 @@ def is_open(b: int, graph: Graph):
 
 
 @wp.func
-def spread_labels(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+def spread_labels(
+    first_edge: int, last_edge: int, first: int, last: int, team: Team, constraints: Constraints, graph: Graph
+):
     """One round: an open body takes over the highest label among its open supports. Returns 1 if any changed.
 
     A label is a body that it reaches, so it reaches what that one reaches: labels travel in leaps.
@@ -170,8 +165,8 @@ def spread_labels(first_edge: int, last_edge: int, first: int, last: int, team: 
     changed = int(0)
     for _ in range(passes_of(team)):
         for edge in range(first_edge, last_edge, team.lanes):
-            upper = upper_of(edge, pairs, graph)
-            lower = lower_of(edge, pairs)
+            upper = upper_of(edge, constraints, graph)
+            lower = lower_of(edge, constraints)
             if upper >= 0 and is_open(upper, graph) and is_open(lower, graph):
                 if graph.cycle[lower] > graph.cycle[upper]:
                     wp.atomic_max(graph.cycle, upper, graph.cycle[lower])
@@ -184,13 +179,13 @@ def spread_labels(first_edge: int, last_edge: int, first: int, last: int, team: 
 
 
 @wp.func
-def spread_within(first_edge: int, last_edge: int, team: Team, pairs: Pairs, graph: Graph):
+def spread_within(first_edge: int, last_edge: int, team: Team, constraints: Constraints, graph: Graph):
     """One round: what the body of a label reaches with the same label is in its cycle. Returns 1 if any changed."""
     changed = int(0)
     for _ in range(passes_of(team)):
         for edge in range(first_edge, last_edge, team.lanes):
-            upper = upper_of(edge, pairs, graph)
-            lower = lower_of(edge, pairs)
+            upper = upper_of(edge, constraints, graph)
+            lower = lower_of(edge, constraints)
             if upper >= 0 and graph.within[upper] == 1 and is_open(lower, graph):
                 if graph.cycle[lower] == graph.cycle[upper]:
                     graph.within[lower] = 1
@@ -199,19 +194,21 @@ def spread_within(first_edge: int, last_edge: int, team: Team, pairs: Pairs, gra
 
 
 @wp.func
-def find_cycles(first_edge: int, last_edge: int, first: int, last: int, team: Team, pairs: Pairs, graph: Graph):
+def find_cycles(
+    first_edge: int, last_edge: int, first: int, last: int, team: Team, constraints: Constraints, graph: Graph
+):
     """Find strongly connected components among the bodies without a level, at least one.
 
     A body's label is the highest body that it reaches downwards. Those that this body reaches in turn, and that bear
     its label, are its component (Orzan 2004, colouring). What is in none that was found keeps its own name as label.
     """
-    while spread_labels(first_edge, last_edge, first, last, team, pairs, graph) == 1:
+    while spread_labels(first_edge, last_edge, first, last, team, constraints, graph) == 1:
         sync_team(team)
     for b in range(first, last, team.lanes):
         if is_open(b, graph) and graph.cycle[b] == b:
             graph.within[b] = 1
     sync_team(team)
-    while spread_within(first_edge, last_edge, team, pairs, graph) == 1:
+    while spread_within(first_edge, last_edge, team, constraints, graph) == 1:
         sync_team(team)
     for b in range(first, last, team.lanes):
         if is_open(b, graph):
@@ -220,24 +217,24 @@ def find_cycles(first_edge: int, last_edge: int, first: int, last: int, team: Te
 
 
 @wp.kernel
-def find_levels(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def find_levels(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
     """A team an environment: the level of each body, cycles collapsed."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if graph.same[env] == 1:
+    if graph.unchanged[env] == 1:
         return
-    first = env * bodies_per_env + team.lane
-    last = (env + 1) * bodies_per_env
-    first_edge = 2 * pairs.start[env * bodies_per_env] + team.lane
-    last_edge = 2 * pairs.start[last]
+    first = envs.first_body[env] + team.lane
+    last = envs.first_body[env + 1]
+    first_edge = 2 * constraints.start[env] + team.lane
+    last_edge = 2 * constraints.start[env + 1]
     for b in range(first, last, lanes):
         graph.level[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNKNOWN, 0)
         graph.cycle[b] = b
         graph.within[b] = 0
     left = int(1)
     while left == 1:
-        if climb(first_edge, last_edge, first, last, team, pairs, graph) == 0:
-            find_cycles(first_edge, last_edge, first, last, team, pairs, graph)
+        if climb(first_edge, last_edge, first, last, team, constraints, graph) == 0:
+            find_cycles(first_edge, last_edge, first, last, team, constraints, graph)
         left = int(0)
         for b in range(first, last, lanes):
             if graph.level[b] == UNKNOWN:
@@ -246,24 +243,24 @@ def find_levels(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
 
 
 @wp.kernel
-def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def find_islands(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
     """A team an environment: bodies connected through touching dynamic bodies, named by their lowest body."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if graph.same[env] == 1:
+    if graph.unchanged[env] == 1:
         return
-    first = env * bodies_per_env
-    last = first + bodies_per_env
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
     for b in range(first + team.lane, last, lanes):
         graph.island[b] = b
     changed = int(1)
     while changed == 1:
         sync_team(team)
         changed = int(0)
-        for pair in range(pairs.start[first] + team.lane, pairs.start[last], lanes):
-            a = pairs.body_a[pair]
-            b = pairs.body_b[pair]
-            if touches(pair, pairs) and bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
+        for k in range(constraints.start[env] + team.lane, constraints.start[env + 1], lanes):
+            a = constraints.body_a[k]
+            b = constraints.body_b[k]
+            if is_active(k, constraints) and bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
                 lowest = wp.min(graph.island[a], graph.island[b])
                 if graph.island[a] != graph.island[b]:
                     changed = 1
@@ -278,17 +275,17 @@ def find_islands(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, 
 
 
 @wp.kernel
-def find_depths(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, graph: Graph):
+def find_depths(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
     """A team an environment: how few supports lead from a body to the ground, and the most of any body.
 
     In a heap this is far less than the level, which counts the longest way. Bodies that lie on nothing have none.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if graph.same[env] == 1:
+    if graph.unchanged[env] == 1:
         return
-    first = env * bodies_per_env
-    last = first + bodies_per_env
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
     for b in range(first + team.lane, last, lanes):
         graph.depth[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNSUPPORTED, 0)
     if team.lane == 0:
@@ -298,9 +295,9 @@ def find_depths(lanes: int, bodies_per_env: int, bodies: Bodies, pairs: Pairs, g
         sync_team(team)
         changed = int(0)
         for _ in range(passes_of(team)):
-            for edge in range(2 * pairs.start[first] + team.lane, 2 * pairs.start[last], lanes):
-                upper = upper_of(edge, pairs, graph)
-                lower = lower_of(edge, pairs)
+            for edge in range(2 * constraints.start[env] + team.lane, 2 * constraints.start[env + 1], lanes):
+                upper = upper_of(edge, constraints, graph)
+                lower = lower_of(edge, constraints)
                 if upper >= 0 and graph.depth[lower] + 1 < graph.depth[upper]:
                     wp.atomic_min(graph.depth, upper, graph.depth[lower] + 1)
                     changed = 1

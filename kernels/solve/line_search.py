@@ -11,25 +11,12 @@ dv = M^-1 J^T dl, both sums run over contacts: v0.M dv = sum dl.(J v0) and dv.M 
 
 import warp as wp
 
-from warp_rigid.kernels.common.packed import (
-    ANGULAR_IMPULSE,
-    IMPULSE,
-    START,
-    START_ANGULAR_IMPULSE,
-    START_IMPULSE,
-    contact_row,
-    entry_at,
-    first_three,
-    impulse_of,
-    set_impulse,
-    solver_body_quad,
-    store_velocity,
-)
-from warp_rigid.kernels.common.tangents import world_vector
+from warp_rigid.kernels.common.solver_body import START, load_bodies, store_velocity, with_velocities
 from warp_rigid.kernels.common.team import sync_team, team_of
+from warp_rigid.kernels.constraints.rows import Rows, blend_row, energy_terms, store_start
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, PairRecord, State
-from warp_rigid.kernels.solve.gauss_seidel import load_bodies, slip_between
+from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord, State
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
 from warp_rigid.kernels.solve.shock import island_of, next_ineffective_steps
 
 wp.set_module_options({"enable_backward": False})
@@ -46,55 +33,39 @@ def searched(env: int, envs: Environments, graph: Graph):
 
 
 @wp.kernel
-def store_start(
+def store_before_shock(
     state: State,
     lanes: int,
-    bodies_per_env: int,
     envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """A team an environment: keep velocities and impulses as they are before the passes."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if graph.converged[env] == 1 or envs.shock_propagation[env] == ShockMode.OFF:
         return
-    first = env * bodies_per_env
-    for b in range(first + team.lane, first + bodies_per_env, lanes):
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
+    for b in range(first + team.lane, last, lanes):
         store_velocity(b, START, motions.solver_bodies[b].linear, motions.solver_bodies[b].angular, motions)
         graph.ineffective_steps[b] = state.shock_ineffective_steps[b]
-    for k in range(order.color_start[env, 0] + team.lane, order.color_start[env, order.color_count[env]], lanes):
-        for c in range(order.entries[k].begin, order.entries[k].end):
-            set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)
-            set_impulse(c, START_ANGULAR_IMPULSE, impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
+    for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
+        entry = entry_at(k, order)
+        for row in range(entry.begin, entry.end):
+            store_start(entry.kind, row, rows)
 
 
 @wp.func
-def pair_sums(entry: PairRecord, motions: Motions, contacts: Contacts):
-    """A pair's part of both sums: -(v0.M dv + b.dl) and dv.M dv."""
-    a = entry.body_a
-    b = entry.body_b
-    now = load_bodies(a, b, 0.0, 0.0, motions)
-    then = now
-    then.linear_a = first_three(solver_body_quad(motions.solver_bodies, a, START))
-    then.angular_a = first_three(solver_body_quad(motions.solver_bodies, a, START + 1))
-    then.linear_b = first_three(solver_body_quad(motions.solver_bodies, b, START))
-    then.angular_b = first_three(solver_body_quad(motions.solver_bodies, b, START + 1))
+def energy_of(entry: OrderRecord, motions: Motions, rows: Rows):
+    """A constraint's part of both sums: -(v0.M dv + b.dl) and dv.M dv."""
+    now = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
+    then = with_velocities(entry.body_a, entry.body_b, START, now, motions)
     sums = wp.vec2(0.0, 0.0)
-    for c in range(entry.begin, entry.end):
-        row = contact_row(c, contacts)
-        change = impulse_of(c, IMPULSE, contacts) - impulse_of(c, START_IMPULSE, contacts)
-        impulse = world_vector(row.normal, row.tangent, change)
-        turn = impulse_of(c, ANGULAR_IMPULSE, contacts) - impulse_of(c, START_ANGULAR_IMPULSE, contacts)
-        angular_impulse = world_vector(row.normal, row.tangent, turn)
-        before = slip_between(row, then)
-        spin_before = then.angular_a - then.angular_b
-        spin = now.angular_a - now.angular_b
-        slope = wp.dot(impulse, before) + wp.dot(angular_impulse, spin_before) + change[0] * row.bias_velocity
-        gained = wp.dot(impulse, slip_between(row, now) - before) + wp.dot(angular_impulse, spin - spin_before)
-        sums += wp.vec2(-slope, gained)
+    for row in range(entry.begin, entry.end):
+        sums += energy_terms(entry.kind, row, then, now, rows)
     return sums
 
 
@@ -109,12 +80,11 @@ def add_up(island: int, numerator: wp.int64, denominator: wp.int64, graph: Graph
 @wp.kernel
 def sum_energy(
     lanes: int,
-    bodies_per_env: int,
     envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """A team an environment: both sums of the line search for each island, and how far it would change a velocity.
 
@@ -124,41 +94,42 @@ def sum_energy(
     env = team.env
     if not searched(env, envs, graph):
         return
-    first = env * bodies_per_env
-    for body in range(first + team.lane, first + bodies_per_env, lanes):
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
+    for body in range(first + team.lane, last, lanes):
         graph.numerator[body] = wp.int64(0)
         graph.denominator[body] = wp.int64(0)
         graph.largest[body] = 1.0e-30
         graph.max_velocity_change[body] = 0.0
     sync_team(team)
-    for body in range(first + team.lane, first + bodies_per_env, lanes):
+    for body in range(first + team.lane, last, lanes):
         solver_body = motions.solver_bodies[body]
         wp.atomic_max(
             graph.max_velocity_change, graph.island[body], wp.length(solver_body.linear - solver_body.start_linear)
         )
-    begin = order.color_start[env, 0]
-    end = order.color_start[env, order.color_count[env]]
-    for k in range(begin + team.lane, end, lanes):
-        entry = entry_at(k, order.entries)
-        sums = pair_sums(entry, motions, contacts)
-        graph.pair_sums[k] = sums
+    begin = first_entry(team, order)
+    end = end_of_entries(env, order)
+    for k in range(begin, end, lanes):
+        entry = entry_at(k, order)
+        sums = energy_of(entry, motions, rows)
+        graph.energy_terms[k] = sums
         island = island_of(entry, motions, graph)
         wp.atomic_max(graph.largest, island, wp.max(wp.abs(sums[0]), wp.abs(sums[1])))
     sync_team(team)
-    last = int(-1)
+    summed = int(-1)
     numerator = wp.int64(0)
     denominator = wp.int64(0)
-    for k in range(begin + team.lane, end, lanes):
-        island = island_of(entry_at(k, order.entries), motions, graph)
-        if island != last:
-            add_up(last, numerator, denominator, graph)
+    for k in range(begin, end, lanes):
+        island = island_of(entry_at(k, order), motions, graph)
+        if island != summed:
+            add_up(summed, numerator, denominator, graph)
             numerator = wp.int64(0)
             denominator = wp.int64(0)
-            last = island
+            summed = island
         scale = FINE / wp.float64(graph.largest[island])
-        numerator += wp.int64(scale * wp.float64(graph.pair_sums[k][0]))
-        denominator += wp.int64(scale * wp.float64(graph.pair_sums[k][1]))
-    add_up(last, numerator, denominator, graph)
+        numerator += wp.int64(scale * wp.float64(graph.energy_terms[k][0]))
+        denominator += wp.int64(scale * wp.float64(graph.energy_terms[k][1]))
+    add_up(summed, numerator, denominator, graph)
 
 
 @wp.func
@@ -173,12 +144,11 @@ def accepted_share(island: int, graph: Graph):
 def accept(
     repetition: int,
     lanes: int,
-    bodies_per_env: int,
     envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
     state: State,
 ):
     """A team an environment: go the accepted share of the way, and note whether the first repetition was of use."""
@@ -186,8 +156,9 @@ def accept(
     env = team.env
     if not searched(env, envs, graph):
         return
-    first = env * bodies_per_env
-    for b in range(first + team.lane, first + bodies_per_env, lanes):
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
+    for b in range(first + team.lane, last, lanes):
         island = graph.island[b]
         t = accepted_share(island, graph)
         if repetition == 0:
@@ -199,11 +170,8 @@ def accept(
         motions.solver_bodies[b].angular = solver_body.start_angular + t * (
             solver_body.angular - solver_body.start_angular
         )
-    for k in range(order.color_start[env, 0] + team.lane, order.color_start[env, order.color_count[env]], lanes):
-        entry = entry_at(k, order.entries)
+    for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
+        entry = entry_at(k, order)
         t = accepted_share(island_of(entry, motions, graph), graph)
-        for c in range(entry.begin, entry.end):
-            start = impulse_of(c, START_IMPULSE, contacts)
-            set_impulse(c, IMPULSE, start + t * (impulse_of(c, IMPULSE, contacts) - start), contacts)
-            turn = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
-            set_impulse(c, ANGULAR_IMPULSE, turn + t * (impulse_of(c, ANGULAR_IMPULSE, contacts) - turn), contacts)
+        for row in range(entry.begin, entry.end):
+            blend_row(entry.kind, row, t, rows)

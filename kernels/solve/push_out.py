@@ -8,18 +8,24 @@ the lower body is frozen (Guendelman et al. 2003, section 8.3), so a deep stack 
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.packed import (
-    IMPACT_IMPULSE,
+from warp_rigid.kernels.common.solver_body import (
     PUSH,
-    contact_row,
-    entry_at,
-    first_three,
-    impulse_quad,
-    set_target_impulse,
-    solver_body_quad,
+    BodyPair,
+    load_bodies,
     store_velocity,
+    with_impulse,
+    with_velocities,
 )
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.constraints.contact import (
+    IMPACT_IMPULSE,
+    KIND,
+    contact_velocity,
+    read_contact,
+    read_impulse,
+    set_target_impulse,
+)
+from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import (
     Bodies,
@@ -29,18 +35,11 @@ from warp_rigid.kernels.schema import (
     Graph,
     Motions,
     Order,
-    PairRecord,
+    OrderRecord,
     Pairs,
     Shapes,
 )
-from warp_rigid.kernels.solve.gauss_seidel import (
-    BodyPair,
-    first_of_color,
-    load_bodies,
-    slip_between,
-    stride_of_color,
-    with_impulse,
-)
+from warp_rigid.kernels.solve.schedule import entry_at, first_of_color, stride_of_color
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False})
@@ -72,96 +71,93 @@ def rotate_by_spin(v: wp.vec3, spin: wp.vec3, dt: float):
 
 
 @wp.func
-def gap_after(row: ContactRecord, key: int, dt: float, body_pair: BodyPair):
+def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair):
     """Gap of a contact after the step, with its turning, which the velocities do not see; its normal goes with a face.
 
     The sample is the first body's if the key is even, and the face the second's.
     """
-    way_a = dt * body_pair.linear_a + rotate_by_spin(row.arm_a, body_pair.angular_a, dt) - row.arm_a
-    way_b = dt * body_pair.linear_b + rotate_by_spin(row.arm_b, body_pair.angular_b, dt) - row.arm_b
-    spin = body_pair.angular_b
+    way_a = dt * pair.linear_a + rotate_by_spin(row.arm_a, pair.angular_a, dt) - row.arm_a
+    way_b = dt * pair.linear_b + rotate_by_spin(row.arm_b, pair.angular_b, dt) - row.arm_b
+    spin = pair.angular_b
     if key % 2 == 1:
-        spin = body_pair.angular_a
+        spin = pair.angular_a
     return row.gap + wp.dot(way_a - way_b + dt * row.surface, rotate_by_spin(row.normal, spin, dt))
 
 
 @wp.func
-def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, motions: Motions, contacts: Contacts):
+def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, pairs: Pairs, motions: Motions, contacts: Contacts):
     """Separation speed that the contact needs [m/s], 0 if none."""
-    row = contact_row(c, contacts)
-    a = contacts.rows[c].body_a
-    b = contacts.rows[c].body_b
+    row = read_contact(c, contacts.rows)
+    a = pairs.body_a[contacts.pair[c]]
+    b = pairs.body_b[contacts.pair[c]]
     size = smaller_size(a, b, shapes, bodies)
-    body_pair = load_bodies(a, b, 0.0, 0.0, motions)
-    overlap = wp.max(-gap_after(row, contacts.key[c], dt, body_pair) - SLOP * size, 0.0)
+    pair = load_bodies(a, b, 0.0, 0.0, motions)
+    overlap = wp.max(-gap_after(row, contacts.key[c], dt, pair) - SLOP * size, 0.0)
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
     return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
 
 
 @wp.func
-def push_contact(c: int, share_a: float, share_b: float, body_pair: BodyPair, contacts: Contacts):
+def push_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
     """One visit: bring the pseudo-velocity of separation to its target; aimed[0] is the pseudo-impulse."""
-    carries = impulse_quad(contacts.impulses, c, IMPACT_IMPULSE)
-    target = carries[3]
+    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+    target = stored[3]
     if target <= 0.0:
-        return body_pair
-    row = contact_row(c, contacts)
+        return pair
+    row = read_contact(c, contacts.rows)
     k = share_a * row.normal_a + share_b * row.normal_b
     if k < 1.0e-12:
-        return body_pair
-    old = carries[0]
-    missing = target - wp.dot(slip_between(row, body_pair), row.normal)
+        return pair
+    old = stored[0]
+    missing = target - wp.dot(contact_velocity(row, pair), row.normal)
     new = wp.max(old + quotient(missing, k), 0.0)
     set_target_impulse(c, wp.vec3(new, 0.0, 0.0), target, contacts)
-    body_pair = with_impulse(row, (new - old) * row.normal, body_pair)
-    body_pair.change = wp.max(body_pair.change, k * wp.abs(new - old))
-    return body_pair
+    pair = with_impulse(row.arm_a, row.arm_b, (new - old) * row.normal, pair)
+    pair.change = wp.max(pair.change, k * wp.abs(new - old))
+    return pair
 
 
 @wp.func
-def push_pair(entry: PairRecord, freeze: int, motions: Motions, contacts: Contacts):
+def push_pair(entry: OrderRecord, freeze: int, motions: Motions, rows: Rows):
     """Visit the contacts of a pair; the bodies' pseudo-velocities stand in for their velocities."""
+    if entry.kind != KIND:
+        return 0
     a = entry.body_a
     b = entry.body_b
     share_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
     share_b = wp.where(freeze == 1, float(entry.upper_b), 1.0)
-    body_pair = load_bodies(a, b, share_a, share_b, motions)
-    body_pair.linear_a = first_three(solver_body_quad(motions.solver_bodies, a, PUSH))
-    body_pair.angular_a = first_three(solver_body_quad(motions.solver_bodies, a, PUSH + 1))
-    body_pair.linear_b = first_three(solver_body_quad(motions.solver_bodies, b, PUSH))
-    body_pair.angular_b = first_three(solver_body_quad(motions.solver_bodies, b, PUSH + 1))
+    pair = load_bodies(a, b, share_a, share_b, motions)
+    pair = with_velocities(a, b, PUSH, pair, motions)
     for c in range(entry.begin, entry.end):
-        body_pair = push_contact(c, share_a, share_b, body_pair, contacts)
-    if body_pair.inverse_mass_a > 0.0:
-        store_velocity(a, PUSH, body_pair.linear_a, body_pair.angular_a, motions)
-    if body_pair.inverse_mass_b > 0.0:
-        store_velocity(b, PUSH, body_pair.linear_b, body_pair.angular_b, motions)
-    return wp.where(body_pair.change > ENOUGH, 1, 0)
+        pair = push_contact(c, share_a, share_b, pair, rows.contacts)
+    if pair.inverse_mass_a > 0.0:
+        store_velocity(a, PUSH, pair.linear_a, pair.angular_a, motions)
+    if pair.inverse_mass_b > 0.0:
+        store_velocity(b, PUSH, pair.linear_b, pair.angular_b, motions)
+    return wp.where(pair.change > ENOUGH, 1, 0)
 
 
 @wp.kernel
 def find_overlaps(
     dt: float,
     lanes: int,
-    bodies_per_env: int,
     shapes: Shapes,
     bodies: Bodies,
     envs: Environments,
     pairs: Pairs,
     motions: Motions,
     graph: Graph,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """A team an environment: the separation speed that each contact needs, and whether any needs one."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    first = env * bodies_per_env
-    begin = pairs.contact_start[pairs.start[first]]
-    end = pairs.contact_start[pairs.start[first + bodies_per_env]]
+    begin = pairs.contact_start[pairs.start[envs.first_body[env]]]
+    end = pairs.contact_start[pairs.start[envs.first_body[env + 1]]]
     found = int(0)
     for c in range(begin + team.lane, end, lanes):
-        target = wanted_speed(c, dt, shapes, bodies, motions, contacts)
-        set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
+        target = wanted_speed(c, dt, shapes, bodies, pairs, motions, rows.contacts)
+        set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, rows.contacts)
         if target > 0.0 and envs.contact_iterations[env] > 0:
             found = 1
     found = any_of_team(found, team)
@@ -170,7 +166,7 @@ def find_overlaps(
 
 
 @wp.func
-def separate(freeze: int, most: int, team: Team, order: Order, motions: Motions, contacts: Contacts):
+def separate(freeze: int, most: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
     """Iterate all pairs, at most so many times. Returns 1 if they are not apart by then."""
     left = most
     changed = int(0)
@@ -179,22 +175,23 @@ def separate(freeze: int, most: int, team: Team, order: Order, motions: Motions,
         for color in range(order.color_count[team.env]):
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
-                changed |= push_pair(entry_at(k, order.entries), freeze, motions, contacts)
+                changed |= push_pair(entry_at(k, order), freeze, motions, rows)
             sync_team(team)
         changed = any_of_team(changed, team)
         left = changed * (left - 1)
+        if team.lane == 0:
+            graph.push_out_sweeps[team.env] += 1
     return changed
 
 
 @wp.kernel
 def push_apart(
     lanes: int,
-    bodies_per_env: int,
     envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """A team an environment: separate all pairs, each upper body against the frozen one below it.
 
@@ -207,6 +204,6 @@ def push_apart(
         return
     caught = int(1)
     if envs.shock_propagation[env] != ShockMode.OFF:
-        caught = separate(1, PUSH_OUT_SWEEPS + graph.max_depth[env], team, order, motions, contacts)
+        caught = separate(1, PUSH_OUT_SWEEPS + graph.max_depth[env], team, order, graph, motions, rows)
     if caught == 1:
-        separate(0, PUSH_OUT_SWEEPS, team, order, motions, contacts)
+        separate(0, PUSH_OUT_SWEEPS, team, order, graph, motions, rows)

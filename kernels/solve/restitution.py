@@ -16,31 +16,29 @@ stays rest; an impact too weak to come back up the gap is left to the contact st
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.packed import (
-    IMPACT_IMPULSE,
-    contact_row,
-    entry_at,
-    first_three,
-    impulse_quad,
-    set_target_impulse,
-)
+from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies, store_bodies, with_impulse
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.common.team import any_of_team, sync_team, team_of
+from warp_rigid.kernels.constraints.contact import (
+    IMPACT_IMPULSE,
+    KIND,
+    contact_velocity,
+    friction_impulse,
+    read_contact,
+    read_impulse,
+    set_target_impulse,
+)
+from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order
-from warp_rigid.kernels.solve.gauss_seidel import (
+from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
-    BodyPair,
+    entry_at,
     first_of_color,
     forget_visits,
-    friction_impulse,
     is_done,
-    load_bodies,
     note_change,
-    slip_between,
     solved_turn,
-    store_bodies,
     stride_of_color,
-    with_impulse,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -72,12 +70,12 @@ def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
 
 
 @wp.func
-def set_targets(begin: int, end: int, body_pair: BodyPair, relative_pull: wp.vec3, dt: float, contacts: Contacts):
+def set_targets(begin: int, end: int, pair: BodyPair, relative_pull: wp.vec3, dt: float, contacts: Contacts):
     """Give the pair's contacts their targets. Returns 1 if any collides."""
     colliding = int(0)
     for c in range(begin, end):
-        row = contact_row(c, contacts)
-        speed = -wp.dot(slip_between(row, body_pair), row.normal)
+        row = read_contact(c, contacts.rows)
+        speed = -wp.dot(contact_velocity(row, pair), row.normal)
         target = rebound(row, speed, wp.max(-wp.dot(relative_pull, row.normal), 0.0), dt)
         set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
         if target > NO_IMPACT:
@@ -86,18 +84,18 @@ def set_targets(begin: int, end: int, body_pair: BodyPair, relative_pull: wp.vec
 
 
 @wp.func
-def collide_contact(c: int, body_pair: BodyPair, contacts: Contacts):
+def collide_contact(c: int, pair: BodyPair, contacts: Contacts):
     """One visit inside a pair: bring the normal velocity to its target, the slip to zero within the cone."""
-    carries = impulse_quad(contacts.impulses, c, IMPACT_IMPULSE)
-    target = carries[3]
+    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+    target = stored[3]
     if target <= NO_IMPACT:
-        return body_pair
-    row = contact_row(c, contacts)
+        return pair
+    row = read_contact(c, contacts.rows)
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
-    old = first_three(carries)
-    slip = slip_between(row, body_pair)
+    old = first_three(stored)
+    slip = contact_velocity(row, pair)
     k_normal = row.normal_a + row.normal_b
     normal = wp.max(old[0] + quotient(target - wp.dot(slip, n), k_normal), 0.0)
     gained = normal - old[0]
@@ -105,11 +103,11 @@ def collide_contact(c: int, body_pair: BodyPair, contacts: Contacts):
     k = row.tangent_a + row.tangent_b
     before = wp.vec2(old[1], old[2])
     after = friction_impulse(before, sliding, k, row.friction * normal)
-    body_pair = with_impulse(row, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, body_pair)
+    pair = with_impulse(row.arm_a, row.arm_b, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, pair)
     set_target_impulse(c, wp.vec3(normal, after[0], after[1]), target, contacts)
     change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
-    body_pair.change = wp.max(body_pair.change, change)
-    return body_pair
+    pair.change = wp.max(pair.change, change)
+    return pair
 
 
 @wp.func
@@ -122,20 +120,20 @@ def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair
     linear = float(0.0)
     quadratic = float(0.0)
     for c in range(begin, end):
-        carries = impulse_quad(contacts.impulses, c, IMPACT_IMPULSE)
-        if carries[3] > NO_IMPACT:
-            row = contact_row(c, contacts)
-            impulse = world_vector(row.normal, row.tangent, first_three(carries))
-            slip = slip_between(row, before)
+        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+        if stored[3] > NO_IMPACT:
+            row = read_contact(c, contacts.rows)
+            impulse = world_vector(row.normal, row.tangent, first_three(stored))
+            slip = contact_velocity(row, before)
             linear += wp.dot(impulse, slip + lag)
-            quadratic += 0.5 * wp.dot(impulse, slip_between(row, after) - slip)
+            quadratic += 0.5 * wp.dot(impulse, contact_velocity(row, after) - slip)
     if linear + quadratic <= 0.0 or quadratic <= 0.0:
         return 1.0
     return wp.clamp(-linear / quadratic, 0.0, 1.0)
 
 
 @wp.func
-def collide_pair(
+def solve_impact(
     k: int,
     turn: int,
     solved: int,
@@ -144,11 +142,11 @@ def collide_pair(
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """Let the contacts of a pair collide together. Returns 1 if any did."""
-    entry = entry_at(k, order.entries)
-    if is_done(entry, graph):
+    entry = entry_at(k, order)
+    if entry.kind != KIND or is_done(entry, graph):
         return 0
     order.entries[k].visited = solved
     begin = entry.begin
@@ -157,16 +155,16 @@ def collide_pair(
     b = entry.body_b
     before = load_bodies(a, b, 1.0, 1.0, motions)
     relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
-    if set_targets(begin, end, before, relative_pull, dt, contacts) == 0:
+    if set_targets(begin, end, before, relative_pull, dt, rows.contacts) == 0:
         return 0
     after = before
     left = int(INNER_ITERATIONS)
     while left > 0:
         after.change = 0.0
         for c in range(begin, end):
-            after = collide_contact(c, after, contacts)
+            after = collide_contact(c, after, rows.contacts)
         left = wp.where(after.change > CONVERGED, left - 1, 0)
-    keep = energy_neutral_share(begin, end, before, after, 0.5 * dt * relative_pull, contacts)
+    keep = energy_neutral_share(begin, end, before, after, 0.5 * dt * relative_pull, rows.contacts)
     after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
     after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
     after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
@@ -179,22 +177,21 @@ def collide_pair(
 
 
 @wp.kernel
-def collide(
+def solve_impacts(
     dt: float,
     lanes: int,
-    bodies_per_env: int,
     envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """A team an environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
-    forget_visits(env * bodies_per_env, (env + 1) * bodies_per_env, team, order, graph)
+    forget_visits(envs.first_body[env], envs.first_body[env + 1], team, order, graph)
     sync_team(team)
     turn = int(1)
     while left > 0:
@@ -203,6 +200,6 @@ def collide(
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-                collided |= collide_pair(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
+                collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, rows)
             sync_team(team)
         left = any_of_team(collided, team) * (left - 1)

@@ -18,30 +18,31 @@ a row is left alone, and tried again in every eighth step.
 
 import warp as wp
 
-from warp_rigid.kernels.common.packed import (
+from warp_rigid.kernels.common.solver_body import (
     LOADED,
-    VELOCITY,
-    entry_at,
-    first_three,
+    BodyPair,
     inverse_inertia_of,
-    solver_body_quad,
+    inverse_mass_of,
+    load_bodies,
+    load_velocity,
+    store_bodies,
     store_velocity,
 )
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.constraints.rows import Rows, solve_row
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, PairRecord
-from warp_rigid.kernels.solve.gauss_seidel import (
+from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.solve.gauss_seidel import INEFFECTIVE_STEPS
+from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
-    INEFFECTIVE_STEPS,
-    BodyPair,
+    end_of_entries,
+    entry_at,
+    first_entry,
     first_of_color,
     forget_visits,
     is_done,
-    load_bodies,
     note_change,
-    solve_contact,
     solved_turn,
-    store_bodies,
     stride_of_color,
 )
 
@@ -71,7 +72,7 @@ SKIPPED = wp.constant(2**30)
 
 
 @wp.func
-def island_of(entry: PairRecord, motions: Motions, graph: Graph):
+def island_of(entry: OrderRecord, motions: Motions, graph: Graph):
     """The island of a touching pair."""
     return graph.island[wp.where(motions.solver_bodies[entry.body_a].inverse_mass > 0.0, entry.body_a, entry.body_b)]
 
@@ -96,9 +97,8 @@ def next_ineffective_steps(ineffective_steps: int, way: float, share: float):
 def skip_ineffective_islands(team: Team, order: Order, graph: Graph, motions: Motions):
     """Pass over the pairs of islands that go without shock propagation. Returns 1 if any pair remains to a lane."""
     remains = int(0)
-    begin = order.color_start[team.env, 0]
-    for k in range(begin + team.lane, order.color_start[team.env, order.color_count[team.env]], team.lanes):
-        if skips_shock(graph.ineffective_steps[island_of(entry_at(k, order.entries), motions, graph)]):
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
+        if skips_shock(graph.ineffective_steps[island_of(entry_at(k, order), motions, graph)]):
             order.entries[k].visited = SKIPPED
         else:
             remains = 1
@@ -106,40 +106,42 @@ def skip_ineffective_islands(team: Team, order: Order, graph: Graph, motions: Mo
 
 
 @wp.func
-def under_load(entry: PairRecord, body_pair: BodyPair, motions: Motions):
+def under_load(entry: OrderRecord, pair: BodyPair, motions: Motions):
     """Two bodies, the upper as it moves under its load, the lower as it was after the pass up."""
     a = entry.body_a
     b = entry.body_b
-    if body_pair.inverse_mass_a > 0.0:
-        body_pair.linear_a = first_three(solver_body_quad(motions.solver_bodies, a, LOADED))
-        body_pair.angular_a = first_three(solver_body_quad(motions.solver_bodies, a, LOADED + 1))
-    if body_pair.inverse_mass_b > 0.0:
-        body_pair.linear_b = first_three(solver_body_quad(motions.solver_bodies, b, LOADED))
-        body_pair.angular_b = first_three(solver_body_quad(motions.solver_bodies, b, LOADED + 1))
-    return body_pair
+    if pair.inverse_mass_a > 0.0:
+        pair.linear_a = load_velocity(a, LOADED, motions)
+        pair.angular_a = load_velocity(a, LOADED + 1, motions)
+    if pair.inverse_mass_b > 0.0:
+        pair.linear_b = load_velocity(b, LOADED, motions)
+        pair.angular_b = load_velocity(b, LOADED + 1, motions)
+    return pair
 
 
 @wp.func
-def store_loaded_bodies(entry: PairRecord, body_pair: BodyPair, motions: Motions):
+def store_loaded_bodies(entry: OrderRecord, pair: BodyPair, motions: Motions):
     """Store the velocities of the upper bodies as those under their load."""
-    if body_pair.inverse_mass_a > 0.0:
-        store_velocity(entry.body_a, LOADED, body_pair.linear_a, body_pair.angular_a, motions)
-    if body_pair.inverse_mass_b > 0.0:
-        store_velocity(entry.body_b, LOADED, body_pair.linear_b, body_pair.angular_b, motions)
+    if pair.inverse_mass_a > 0.0:
+        store_velocity(entry.body_a, LOADED, pair.linear_a, pair.angular_a, motions)
+    if pair.inverse_mass_b > 0.0:
+        store_velocity(entry.body_b, LOADED, pair.linear_b, pair.angular_b, motions)
 
 
 @wp.func
-def add_load(b: int, body_pair: BodyPair, motions: Motions):
+def add_load(b: int, pair: BodyPair, motions: Motions):
     """Let a frozen body feel what it did not take."""
-    inverse_mass = solver_body_quad(motions.solver_bodies, b, VELOCITY)[3]
+    inverse_mass = inverse_mass_of(b, motions)
     if inverse_mass > 0.0:
-        linear = first_three(solver_body_quad(motions.solver_bodies, b, LOADED)) + inverse_mass * body_pair.held
-        angular = first_three(solver_body_quad(motions.solver_bodies, b, LOADED + 1))
-        store_velocity(b, LOADED, linear, angular + inverse_inertia_of(b, motions) * body_pair.held_turn, motions)
+        linear = load_velocity(b, LOADED, motions) + inverse_mass * pair.frozen_impulse
+        angular = load_velocity(b, LOADED + 1, motions)
+        store_velocity(
+            b, LOADED, linear, angular + inverse_inertia_of(b, motions) * pair.frozen_angular_impulse, motions
+        )
 
 
 @wp.func
-def rounds_of(entry: PairRecord, graph: Graph):
+def rounds_of(entry: OrderRecord, graph: Graph):
     """How often a visit of a pair goes over its contacts, at most."""
     several_a = entry.upper_a == 1 and graph.support_count[entry.body_a] > 1
     several_b = entry.upper_b == 1 and graph.support_count[entry.body_b] > 1
@@ -147,35 +149,33 @@ def rounds_of(entry: PairRecord, graph: Graph):
 
 
 @wp.func
-def visit_frozen(
-    k: int, turn: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
-):
+def visit_frozen(k: int, turn: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, rows: Rows):
     """Solve the contacts of a pair, its lower body frozen if one is lower. Returns 1 if a velocity changed."""
-    entry = entry_at(k, order.entries)
+    entry = entry_at(k, order)
     if is_done(entry, graph):
         return 0
     share_a = float(entry.upper_a)
     share_b = float(entry.upper_b)
-    body_pair = load_bodies(entry.body_a, entry.body_b, share_a, share_b, motions)
+    pair = load_bodies(entry.body_a, entry.body_b, share_a, share_b, motions)
     if down == 1:
-        body_pair = under_load(entry, body_pair, motions)
+        pair = under_load(entry, pair, motions)
     changed = int(0)
     left = rounds_of(entry, graph)
     while left > 0:
-        body_pair.change = 0.0
-        for c in range(entry.begin, entry.end):
-            body_pair = solve_contact(c, share_a, share_b, body_pair, contacts)
-        left = wp.where(body_pair.change > CONVERGED, left - 1, 0)
-        changed |= wp.where(body_pair.change > CONVERGED, 1, 0)
+        pair.change = 0.0
+        for row in range(entry.begin, entry.end):
+            pair = solve_row(entry.kind, row, share_a, share_b, pair, rows)
+        left = wp.where(pair.change > CONVERGED, left - 1, 0)
+        changed |= wp.where(pair.change > CONVERGED, 1, 0)
     if down == 1:
-        store_loaded_bodies(entry, body_pair, motions)
+        store_loaded_bodies(entry, pair, motions)
     else:
-        store_bodies(entry.body_a, entry.body_b, body_pair, motions)
+        store_bodies(entry.body_a, entry.body_b, pair, motions)
     if entry.upper_a == 0:
-        add_load(entry.body_a, body_pair, motions)
+        add_load(entry.body_a, pair, motions)
     if entry.upper_b == 0:
-        add_load(entry.body_b, body_pair, motions)
-    order.entries[k].visited = wp.where(body_pair.change > CONVERGED, turn - 1, solved)
+        add_load(entry.body_b, pair, motions)
+    order.entries[k].visited = wp.where(pair.change > CONVERGED, turn - 1, solved)
     if changed == 1 and entry.upper_a + down > 0:
         note_change(entry.body_a, turn, motions, graph)
     if changed == 1 and entry.upper_b + down > 0:
@@ -193,7 +193,7 @@ def solve_levels(
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """One pass: iterate all levels together until no visit changes anything."""
     forget_visits(first, last, team, order, graph)
@@ -201,28 +201,31 @@ def solve_levels(
     if mode == ShockMode.TWO_PASS:
         remains = skip_ineffective_islands(team, order, graph, motions)
     turn = int(1)
+    sweeps = int(0)
     left = any_of_team(remains, team) * (SHOCK_SWEEPS + 3 * graph.max_depth[team.env])
     while left > 0:
         changed = int(0)
+        sweeps += 1
         for color in range(order.color_count[team.env]):
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
-                changed |= visit_frozen(k, turn, solved_turn(color, turn), down, order, graph, motions, contacts)
+                changed |= visit_frozen(k, turn, solved_turn(color, turn), down, order, graph, motions, rows)
             sync_team(team)
         left = any_of_team(changed, team) * (left - 1)
+    if team.lane == 0:
+        graph.shock_sweeps[team.env] += sweeps
 
 
 @wp.kernel
 def propagate(
     repetition: int,
     lanes: int,
-    bodies_per_env: int,
     envs: Environments,
     order: Order,
     graph: Graph,
     motions: Motions,
-    contacts: Contacts,
+    rows: Rows,
 ):
     """A team an environment: the pass up, and with two_pass the pass down."""
     team = team_of(wp.tid(), lanes, graph.gate)
@@ -230,8 +233,8 @@ def propagate(
     mode = envs.shock_propagation[env]
     if mode == ShockMode.OFF or repetition >= envs.shock_iterations[env] or graph.converged[env] == 1:
         return
-    first = env * bodies_per_env
-    last = first + bodies_per_env
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
     zero = wp.vec3(0.0, 0.0, 0.0)
     for b in range(first + team.lane, last, lanes):
         store_velocity(b, LOADED, zero, zero, motions)
@@ -241,7 +244,7 @@ def propagate(
                 solver_body = motions.solver_bodies[b]
                 linear = solver_body.linear + solver_body.loaded_linear
                 store_velocity(b, LOADED, linear, solver_body.angular + solver_body.loaded_angular, motions)
-        solve_levels(mode, down, first, last, team, order, graph, motions, contacts)
+        solve_levels(mode, down, first, last, team, order, graph, motions, rows)
     if mode == ShockMode.TWO_PASS:
         for b in range(first + team.lane, last, lanes):
             motions.solver_bodies[b].linear = motions.solver_bodies[b].loaded_linear

@@ -18,16 +18,15 @@ wp.set_module_options({"enable_backward": False})
 @wp.func
 def height_at(k: int, time: wp.float64, surfaces: Surfaces):
     """Height of vertex k at a time [m]."""
-    max_velocity_change = wp.sin(wp.float64(surfaces.frequency[k]) * time + wp.float64(surfaces.phase[k]))
-    return wp.float64(surfaces.height[k]) + wp.float64(surfaces.amplitude[k]) * max_velocity_change
+    wave = wp.sin(wp.float64(surfaces.frequency[k]) * time + wp.float64(surfaces.phase[k]))
+    return wp.float64(surfaces.height[k]) + wp.float64(surfaces.amplitude[k]) * wave
 
 
 @wp.kernel
 def move_ground(dt: wp.float64, first: int, envs: Environments, surfaces: Surfaces, shapes: Shapes):
     """One thread a vertex: height, speed, and the sample there. `first`: the first vertex's node in the pool."""
     k = wp.tid()
-    env = k / (surfaces.height.shape[0] / envs.step.shape[0])
-    time = wp.float64(envs.step[env]) * dt
+    time = wp.float64(envs.step[surfaces.env[k]]) * dt
     now = height_at(k, time, surfaces)
     shapes.grid_value[first + k] = float(now)
     surfaces.rise[k] = float((height_at(k, time + dt, surfaces) - now) / dt)
@@ -46,12 +45,12 @@ def move_ground(dt: wp.float64, first: int, envs: Environments, surfaces: Surfac
 
 
 @wp.kernel
-def drive_ground(bodies_per_env: int, shapes: Shapes, bodies: Bodies, envs: Environments, motions: Motions):
+def drive_ground(shapes: Shapes, bodies: Bodies, envs: Environments, motions: Motions):
     """One thread a body: ground that moves is driven, though its body stands still. Nothing falls asleep on it."""
     b = wp.tid()
     if shapes.shapes[bodies.shape[b]].rise > 0.0 and motions.role[b] == Role.STATIC:
         motions.role[b] = Role.KINEMATIC
-        envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
+        envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
 
 
 @wp.func
@@ -87,7 +86,6 @@ def surface_velocity(
 def set_surface_velocity(
     before: int,
     first: int,
-    bodies_per_env: int,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
@@ -100,10 +98,10 @@ def set_surface_velocity(
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return
-    a = contacts.rows[c].body_a
-    b = contacts.rows[c].body_b
+    a = pairs.body_a[contacts.pair[c]]
+    b = pairs.body_b[contacts.pair[c]]
     x = contacts.position[c]
-    earlier = before * envs.collision_first[a / bodies_per_env]
+    earlier = before * envs.collision_first[bodies.env[a]]
     v = surface_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)
     v -= surface_velocity(b, x, earlier, first, shapes, bodies, state, surfaces)
     contacts.rows[c].surface = v

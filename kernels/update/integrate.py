@@ -95,18 +95,18 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
 
 
 @wp.kernel
-def find_non_finite(bodies_per_env: int, motions: Motions, envs: Environments):
+def find_non_finite(bodies: Bodies, motions: Motions, envs: Environments):
     """One thread a body: note it if its velocity or pose is not finite; the environment's first such body counts.
 
     What was not finite before the step comes before what it has touched in it: ranks fall with the body's number.
     """
     b = wp.tid()
-    env = b / bodies_per_env
+    env = bodies.env[b]
     if motions.role[b] == Role.ABSENT:
         return
-    rank = (env + 1) * bodies_per_env - b
+    rank = envs.first_body[env + 1] - b
     if motions.is_finite[b] == 0:
-        wp.atomic_max(envs.broken, env, bodies_per_env + rank)
+        wp.atomic_max(envs.broken, env, envs.first_body[env + 1] - envs.first_body[env] + rank)
     elif not (is_finite(motions.solver_bodies[b].linear) and is_finite(motions.solver_bodies[b].angular)):
         wp.atomic_max(envs.broken, env, rank)
 
@@ -120,7 +120,6 @@ def is_inside(x: wp.vec3, lower: wp.vec3, upper: wp.vec3):
 
 @wp.kernel
 def keep_inside(
-    bodies_per_env: int,
     lower: wp.vec3,
     upper: wp.vec3,
     remove: int,
@@ -131,20 +130,21 @@ def keep_inside(
 ):
     """One thread a body: note it if its centre has left the bounds, and switch it off if that is wanted."""
     b = wp.tid()
-    env = b / bodies_per_env
+    env = bodies.env[b]
     if bodies.motion[b] == Motion.STATIC or motions.role[b] == Role.ABSENT:
         return
     center = state.position[b] + wp.quat_rotate(state.orientation[b], bodies.center_of_mass[b])
     if not is_inside(center, lower, upper):
-        wp.atomic_max(envs.strayed, env, (env + 1) * bodies_per_env - b)
+        wp.atomic_max(envs.strayed, env, envs.first_body[env + 1] - b)
         if remove == 1:
             state.active[b] = 0
 
 
 @wp.kernel
-def close_step(bodies_per_env: int, envs: Environments):
+def close_step(envs: Environments):
     """One thread an environment: halt it if a state was not finite, note who left the bounds first, count the step."""
     env = wp.tid()
+    count = envs.first_body[env + 1] - envs.first_body[env]
     strayed = envs.strayed[env]
     broken = envs.broken[env]
     envs.strayed[env] = 0
@@ -153,17 +153,17 @@ def close_step(bodies_per_env: int, envs: Environments):
         return
     if strayed > 0 and envs.outside[env] == 0:
         envs.outside[env] = 1
-        envs.outside_body[env] = bodies_per_env - strayed
+        envs.outside_body[env] = count - strayed
         envs.outside_step[env] = envs.step[env]
     if broken > 0:
         envs.failed[env] = 1
-        envs.failed_body[env] = bodies_per_env - 1 - (broken - 1) % bodies_per_env
+        envs.failed_body[env] = count - 1 - (broken - 1) % count
         envs.failed_step[env] = envs.step[env]
     envs.step[env] = envs.step[env] + 1
 
 
 @wp.func
-def without_rest(v: wp.vec3, a: wp.vec3, time: float):
+def without_added_speed(v: wp.vec3, a: wp.vec3, time: float):
     """Velocity without what an acceleration added along the way in a time in which the body does not move."""
     squared = wp.length_sq(v)
     if time == 0.0 or squared == 0.0:
@@ -172,9 +172,7 @@ def without_rest(v: wp.vec3, a: wp.vec3, time: float):
 
 
 @wp.kernel
-def integrate_positions(
-    dt: float, bodies_per_env: int, bodies: Bodies, motions: Motions, envs: Environments, state: State
-):
+def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Environments, state: State):
     """One thread a body: position and orientation follow the velocity and the push-out; angular momentum is kept.
 
     The rotation is done in float64, and what rounding leaves over is kept for the next step: it would otherwise be what
@@ -184,7 +182,8 @@ def integrate_positions(
     """
     b = wp.tid()
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
-    halted = envs.failed[b / bodies_per_env] == 1 or envs.broken[b / bodies_per_env] > 0
+    env = bodies.env[b]
+    halted = envs.failed[env] == 1 or envs.broken[env] > 0
     if bodies.motion[b] == Motion.STATIC or halted or not moves:
         return
     step = wp.float64(dt * motions.next_time_of_impact[b])
@@ -201,10 +200,10 @@ def integrate_positions(
     state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
     travel = step * wp.vec3d(motions.solver_bodies[b].linear + motions.solver_bodies[b].push_linear)
     stopped = dt * (1.0 - motions.next_time_of_impact[b])
-    state.linear_velocity[b] = without_rest(motions.solver_bodies[b].linear, motions.acceleration[b], stopped)
+    state.linear_velocity[b] = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], stopped)
     center = wp.vec3d(bodies.center_of_mass[b])
-    max_velocity_change = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
-    state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - max_velocity_change)
+    center_shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
+    state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - center_shift)
     rounded = wp.quat(wp.float32(after[0]), wp.float32(after[1]), wp.float32(after[2]), wp.float32(after[3]))
     state.orientation[b] = rounded
     remainder = after - precise(rounded, wp.vec4(0.0, 0.0, 0.0, 0.0))

@@ -79,7 +79,6 @@ def body_is_finite(b: int, state: State):
 
 @wp.kernel
 def derive_motion(
-    bodies_per_env: int,
     field_count: int,
     bodies: Bodies,
     state: State,
@@ -93,7 +92,7 @@ def derive_motion(
     motions.role[b] = role_of(b, bodies, state, sleep_state)
     motions.is_finite[b] = wp.where(body_is_finite(b, state), 1, 0)
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
+        envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
@@ -108,7 +107,7 @@ def derive_motion(
     motions.solver_bodies[b] = solver_body
     acceleration = wp.vec3(0.0, 0.0, 0.0)
     if bodies.motion[b] == Motion.DYNAMIC:
-        acceleration = envs.gravity[b / bodies_per_env] + field_acceleration(fields, field_count, center)
+        acceleration = envs.gravity[bodies.env[b]] + field_acceleration(fields, field_count, center)
     motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
     motions.spin_acceleration[b] = inverse * state.torque[b]
 
@@ -148,10 +147,10 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
 
 
 @wp.kernel
-def integrate_velocities(dt: float, when: int, bodies_per_env: int, envs: Environments, motions: Motions):
+def integrate_velocities(dt: float, when: int, bodies: Bodies, envs: Environments, motions: Motions):
     """Velocity update: add a step's acceleration where the environment's stage order is `when`."""
     b = wp.tid()
-    if envs.collision_first[b / bodies_per_env] != when or motions.role[b] != Role.FREE:
+    if envs.collision_first[bodies.env[b]] != when or motions.role[b] != Role.FREE:
         return
     motions.solver_bodies[b].linear = motions.solver_bodies[b].linear + dt * motions.acceleration[b]
     motions.solver_bodies[b].angular = motions.solver_bodies[b].angular + dt * motions.spin_acceleration[b]

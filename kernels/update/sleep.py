@@ -13,7 +13,7 @@ the narrow phase and the solver, so that the blow is felt in the same step.
 import warp as wp
 
 from warp_rigid.kernels.collide.broadphase import may_meet
-from warp_rigid.kernels.constraints.contact import store_contact
+from warp_rigid.kernels.constraints.build_contacts import store_contact
 from warp_rigid.kernels.enums import Motion, Role
 from warp_rigid.kernels.schema import (
     Bodies,
@@ -75,18 +75,18 @@ def has_changed(b: int, state: State, motions: Motions, sleep_state: SleepState)
 
 
 @wp.kernel
-def find_changed(bodies_per_env: int, state: State, motions: Motions, sleep_state: SleepState, envs: Environments):
+def find_changed(bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState, envs: Environments):
     """One thread a body: what was changed since the last step. A fixed body that was moved counts as driven.
 
     Only where bodies may sleep: elsewhere it must not matter that they do in other environments.
     """
     b = wp.tid()
     role = motions.role[b]
-    if role == Role.ABSENT or role == Role.FREE or envs.sleeping[b / bodies_per_env] == 0:
+    if role == Role.ABSENT or role == Role.FREE or envs.sleeping[bodies.env[b]] == 0:
         return
     if has_changed(b, state, motions, sleep_state):
         sleep_state.disturbed[b] = 1
-        envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
+        envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
         if role == Role.STATIC:
             motions.role[b] = Role.KINEMATIC
 
@@ -121,11 +121,11 @@ def wake_touched(pairs: Pairs, sleep_state: SleepState):
 
 
 @wp.kernel
-def wake_islands(bodies_per_env: int, motions: Motions, sleep_state: SleepState, envs: Environments):
+def wake_islands(bodies: Bodies, motions: Motions, sleep_state: SleepState, envs: Environments):
     """One thread a body: wake the islands that were named."""
     b = wp.tid()
     if sleep_state.asleep[b] == 1 and sleep_state.wake[sleep_state.island[b]] == 1:
-        envs.moving[b / bodies_per_env] = envs.step[b / bodies_per_env] + 1
+        envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
         sleep_state.asleep[b] = 0
         sleep_state.still_steps[b] = 0
         if motions.role[b] == Role.ASLEEP:
@@ -168,7 +168,7 @@ def track_motion(shapes: Shapes, bodies: Bodies, state: State, motions: Motions,
 @wp.kernel
 def test_bodies_for_sleep(
     dt: float,
-    bodies_per_env: int,
+    bodies: Bodies,
     envs: Environments,
     motions: Motions,
     graph: Graph,
@@ -177,7 +177,7 @@ def test_bodies_for_sleep(
 ):
     """One thread a body: an island with a body that is not ready stays awake."""
     b = wp.tid()
-    env = b / bodies_per_env
+    env = bodies.env[b]
     if motions.role[b] != Role.FREE:
         return
     sleep_state.still_steps[b] = sleep_state.still_steps[b] * envs.sleeping[env]

@@ -1,1 +1,1 @@
-"""Builders of stacks, piles and meshes, shared by scenes, benchmarks, validation and tests."""
+"""Parts from which scenes are built: grounds, bins, stacks, piles, meshes. Scenes, benchmarks and tests share them."""

@@ -16,7 +16,7 @@ __all__ = ["CONVEX_KINDS", "convex_solid", "convex_solids", "random_orientations
 
 MOST_SEEDS = 2**32 - 1
 SIZES = (0.75, 1.0, 1.25)
-"""A few sizes, so that thousands of bodies share a few shapes."""
+"""Few sizes, so that thousands of bodies share a small number of shapes."""
 
 _RESOLUTION = 48
 
@@ -38,7 +38,7 @@ _MAKERS: dict[str, Callable[[float], Shape]] = {
 }
 
 CONVEX_KINDS = tuple(_MAKERS)
-"""What `convex_solid` can make."""
+"""Kinds that `convex_solid` accepts."""
 
 
 def convex_solid(kind: str, radius: float) -> Shape:
@@ -46,7 +46,7 @@ def convex_solid(kind: str, radius: float) -> Shape:
 
     Args:
         kind: one of CONVEX_KINDS.
-        radius: of the ball around the origin that holds it [m].
+        radius: of the sphere about the origin that encloses it [m].
 
     Raises:
         ValueError: There is no such kind, or the radius is not greater than 0.
@@ -60,12 +60,12 @@ def _convex_solid(kind, radius):
 
 
 def convex_solids(count: int, seed: int, radius: float) -> list[Shape]:
-    """Solids of random kinds, and of three sizes around a mean one.
+    """Solids of random kinds in three sizes.
 
     Args:
-        count: how many, 1 to 100 000.
+        count: number of solids, 1 to 100 000.
         seed: 0 to 2^32 - 1; the same seed gives the same solids.
-        radius: mean radius of the balls that hold them [m].
+        radius: mean radius of the spheres that enclose them [m].
 
     Raises:
         ValueError: A number is out of its range.

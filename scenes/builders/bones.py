@@ -1,4 +1,4 @@
-"""Surfaces of three bones, made by rule: cranium, pelvis and femur, closed and nonconvex.
+"""Procedural surfaces of three bones: cranium, pelvis and femur, closed and nonconvex.
 
 Units are metres, about life size; x points forward, y to the left, z up.
 """
@@ -15,18 +15,18 @@ FEMUR_SECTIONS = (40, 16)  # 1280 triangles
 
 
 def cranium() -> tuple[np.ndarray, np.ndarray]:
-    """A skull without its jaw's openings: the eye sockets are hollows of a closed surface."""
+    """A closed surface of a skull, with eye sockets as hollows."""
     directions, faces = tessellation.geodesic(CRANIUM_FREQUENCY)
     vertices = directions * organic.skull_radius(directions)[:, None]
     return vertices * (CRANIUM_LENGTH / np.ptp(vertices, axis=0).max()), faces
 
 
 def pelvis() -> tuple[np.ndarray, np.ndarray]:
-    """A ring, thin in front and thick behind, whose sides rise and flare into two wings."""
+    """A ring, thin in front and thick behind, whose sides widen into two wings."""
     around, along = PELVIS_SECTIONS
     angle = 2.0 * np.pi * np.arange(around) / around
     turn = 2.0 * np.pi * np.arange(along) / along
-    # The angle 0 is in front, where the two halves meet; the wings stand somewhat behind the sides.
+    # The angle 0 is in front, where the two halves meet; the wings are slightly behind the sides.
     side = np.exp(-(((np.abs(_wrapped(angle)) - 1.9) / 0.55) ** 2))
     back = np.exp(-((_wrapped(angle - np.pi) / 0.5) ** 2))
     thick = 0.013 + 0.012 * back + 0.003 * side
@@ -43,7 +43,7 @@ def pelvis() -> tuple[np.ndarray, np.ndarray]:
 
 
 def femur() -> tuple[np.ndarray, np.ndarray]:
-    """A slightly bowed shaft with two condyles below, and a neck that carries a round head to the side."""
+    """A slightly bowed shaft with two condyles below, and a neck with a round head at the side."""
     along, around = FEMUR_SECTIONS
     s = np.linspace(0.0, 1.0, along)
     middle = _centerline(s)
@@ -67,7 +67,7 @@ def femur() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _wrapped(angle):
-    """The angle brought into [-pi, pi)."""
+    """The angle wrapped to [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 

@@ -20,7 +20,7 @@ def bunny(size: float = 0.2, sdf_resolution: int = 64) -> Mesh:
     """The Stanford bunny (6102 vertices, closed) from Warp's examples.
 
     The frame's axes are the principal ones, that of the smallest moment first; in the upright bunny
-    the first two point upward.
+    the first two point upwards.
 
     Args:
         size: longest side of the upright bunny [m].
@@ -102,9 +102,9 @@ def dodecahedron(radius: float = 0.1, sdf_resolution: int = 64) -> Mesh:
 
 
 def skull_like(size: float = 0.25, sdf_resolution: int = 64) -> Mesh:
-    """A skull-like shell without thickness: open eye sockets, nose, mouth and base; looks along +x.
+    """A skull-like shell without thickness, with open eye sockets, nose, mouth and base; the face points along +x.
 
-    As a body it is the solid skull with these openings lidded (see `Mesh`).
+    As a body it is the solid skull with its holes capped (see `Mesh`).
 
     Args:
         size: longest side [m].
@@ -114,7 +114,7 @@ def skull_like(size: float = 0.25, sdf_resolution: int = 64) -> Mesh:
 
 
 def brain_like(size: float = 0.18, sdf_resolution: int = 64) -> Mesh:
-    """A closed, folded surface of two halves, with a small brain below; its front is at +x.
+    """A closed, folded surface of two halves with a cerebellum; the front points along +x.
 
     Args:
         size: longest side [m].
@@ -129,7 +129,7 @@ def cranium(size: float = 0.2, sdf_resolution: int = 64) -> Mesh:
 
 
 def pelvis(size: float = 0.25, sdf_resolution: int = 64) -> Mesh:
-    """A pelvis: a bony ring with two wings, which other bones can go through; `size` is its longest side [m]."""
+    """A pelvis: a ring with two wings, through which other bones can pass; `size` is its longest side [m]."""
     return _centered(*bones.pelvis(), size, sdf_resolution)
 
 

@@ -1,7 +1,7 @@
-"""Surfaces of two organic shapes, made by rule: a skull-like shell and a brain-like solid.
+"""Procedural surfaces of two organic shapes: a skull-like shell and a brain-like solid.
 
-Both start from a sphere of directions, whose radius is shaped by ellipsoids, dents and bumps. Units
-are arbitrary; x points forward, y to the left, z up.
+Both are spheres of directions whose radius is modified by ellipsoids, dents and bumps. Units are
+arbitrary; x points forward, y to the left, z up.
 """
 
 import numpy as np
@@ -66,7 +66,7 @@ def _oval(center, half_width: float, half_height: float, taper: float = 0.0):
 
 
 def _snap(directions: np.ndarray, opening) -> np.ndarray:
-    """Move directions that lie near an opening's rim toward it, so that the cut is smooth."""
+    """Move directions near an opening's rim onto the rim, so that the cut is smooth."""
     step = 1e-4
     value = opening(directions)
     slope = np.stack([(opening(directions + step * axis) - value) / step for axis in np.eye(3)], axis=1)
@@ -96,7 +96,7 @@ def _bump(directions: np.ndarray, center, width: float, steep: int = 2) -> np.nd
     Args:
         directions: (n, 3) unit vectors.
         center: direction of the middle.
-        width: angle at which it has fallen to 1 / e [rad].
+        width: angle at which the bell has decreased to 1 / e [rad].
         steep: even power of the angle; larger makes a flatter top and steeper sides.
     """
     angle = np.arccos(np.clip(_mirrored(directions) @ _normalized(center), -1.0, 1.0))
@@ -104,7 +104,7 @@ def _bump(directions: np.ndarray, center, width: float, steep: int = 2) -> np.nd
 
 
 def _ellipsoid(directions: np.ndarray, center, semi_axes) -> np.ndarray:
-    """How far an ellipsoid reaches along each direction from the origin, which it holds."""
+    """Distance from the origin, which is inside, to the surface of an ellipsoid along each direction."""
     scaled = directions / semi_axes
     offset = np.asarray(center, dtype=np.float64) / semi_axes
     square = np.einsum("ij,ij->i", scaled, scaled)
@@ -118,7 +118,7 @@ def _smooth_union(*radii: np.ndarray, sharpness: float) -> np.ndarray:
 
 
 def skull_radius(directions: np.ndarray) -> np.ndarray:
-    """How far the skull's surface is from its middle along unit directions (n, 3), (n,)."""
+    """Distance of the skull's surface from its middle along unit directions (n, 3), (n,)."""
     cranium = _ellipsoid(directions, (-0.09, 0.0, 0.15), np.array([0.54, 0.40, 0.40]))
     face = _ellipsoid(directions, (0.20, 0.0, -0.24), np.array([0.27, 0.27, 0.41]))
     radius = _smooth_union(cranium, face, sharpness=30.0)
@@ -161,7 +161,7 @@ def _brain_radius(directions: np.ndarray) -> np.ndarray:
 
 
 def _folds(directions: np.ndarray) -> np.ndarray:
-    """A random wave field of one wavelength; its zero lines wind like the furrows of a brain."""
+    """A random wave field of one wavelength, whose zero lines are used as the furrows of the brain."""
     generator = np.random.default_rng(7)
     waves = generator.normal(size=(40, 3))
     waves *= 15.0 / np.linalg.norm(waves, axis=1, keepdims=True)

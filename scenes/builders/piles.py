@@ -1,25 +1,47 @@
-"""Where the bodies of a pile start: a lattice above the floor of an open box, jittered and turned at random."""
+"""Bodies that start apart and fall into a pile: their lattices, random starts and bins."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from warp_rigid.checks import whole_in
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scene.shapes.base import Shape
+from warp_rigid.scenes.builders import grounds
+from warp_rigid.scenes.builders.assortment import MOST_SEEDS, random_orientations
+from warp_rigid.scenes.builders.bodies import add_bodies
 
 PITCH = 0.38
 JITTER = 0.02
 LOWEST = 0.25
-WALL_HALF = 0.05
-MOST_SEEDS = 2**32 - 1
+WALL_THICKNESS = 0.1
 MOST_BODIES = 1_000_000
 
 
-def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the bodies of an environment start.
+def lattice(count: int, side: int, pitch: float, lowest: float, rise: float | None = None) -> np.ndarray:
+    """The first `count` points of a lattice centred on the z axis, (count, 3) [m]; x varies fastest, then y.
 
     Args:
-        bodies: how many, 1 to 1e6.
-        seed: of jitter and rotations, 0 to 2^32 - 1; give every environment of a batch its own.
+        count: number of points.
+        side: points along x and along y.
+        pitch: distance of neighbours along x and y [m].
+        lowest: height of the lowest layer [m].
+        rise: distance of layers [m]; `pitch` if None.
+    """
+    i = np.arange(count)
+    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
+    corner = -0.5 * (side - 1) * pitch
+    return np.array([corner, corner, lowest]) + np.array([pitch, pitch, pitch if rise is None else rise]) * cell
+
+
+def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random starts above the floor of the bin of `add_pile_bin`: jittered lattice points and random orientations.
+
+    Args:
+        bodies: number of bodies, 1 to 1e6.
+        seed: of jitter and orientations, 0 to 2^32 - 1; use a different one for each environment of a batch.
 
     Returns:
         Centres of mass (bodies, 3) [m] and unit quaternions (bodies, 4), (x, y, z, w).
@@ -29,34 +51,77 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """
     bodies = whole_in("bodies", bodies, 1, MOST_BODIES)
     rng = np.random.default_rng(whole_in("seed", seed, 0, MOST_SEEDS))
-    side, _ = _lattice(bodies)
-    i = np.arange(bodies)
-    cell = np.stack([i % side, i // side % side, i // side**2], axis=1)
-    corner = np.array([-0.5 * (side - 1) * PITCH, -0.5 * (side - 1) * PITCH, LOWEST])
-    position = corner + PITCH * cell + rng.uniform(-JITTER, JITTER, (bodies, 3))
+    position = lattice(bodies, _layout(bodies)[0], PITCH, LOWEST) + rng.uniform(-JITTER, JITTER, (bodies, 3))
     real_first = rng.normal(size=(bodies, 4))
     real_first /= np.linalg.norm(real_first, axis=1, keepdims=True)
     return position, real_first[:, [1, 2, 3, 0]]
 
 
 def inner_half(bodies: int) -> float:
-    """Half of the box's inner width [m]."""
-    return 0.5 * _lattice(bodies)[0] * PITCH + 0.02
+    """Half of the inner width of the bin of `add_pile_bin` [m]."""
+    return 0.5 * _layout(bodies)[0] * PITCH + 0.02
 
 
-def walls(bodies: int) -> list[tuple[tuple, tuple]]:
-    """Centre and half extents of the four walls [m]."""
-    inner, thickness = inner_half(bodies), WALL_HALF
-    half_height = 0.5 * max(0.8, 0.6 * _lattice(bodies)[1] * PITCH + 0.5)
-    away, length = inner + thickness, inner + 2.0 * thickness
-    along_y = (thickness, length, half_height)
-    along_x = (length, thickness, half_height)
-    return [((sign * away, 0, half_height), along_y) for sign in (-1, 1)] + [
-        ((0, sign * away, half_height), along_x) for sign in (-1, 1)
-    ]
+def add_pile_bin(scene: Scene, bodies: int, *, names: str | None = None, **surface: Any) -> list[int]:
+    """Add four walls around the starts of a pile of bodies of about 0.2 m.
+
+    Args:
+        scene: the scene.
+        bodies: number of bodies in the pile, 1 to 1e6.
+        names: prefix of the walls' names, followed by their numbers.
+        **surface: coefficients, as in `Scene.add_static`.
+
+    Returns:
+        Indices of the walls.
+    """
+    height = max(0.8, 0.6 * _layout(bodies)[1] * PITCH + 0.5)
+    return grounds.add_bin(scene, inner_half(bodies), height, WALL_THICKNESS, names=names, **surface)
 
 
-def _lattice(bodies):
-    """Cells along each side of the floor, and layers: about twice as high as wide."""
+def _layout(bodies):
+    """Lattice points along each side of the floor, and layers: about twice as high as wide."""
     side = max(2, math.ceil((bodies / 2.0) ** (1.0 / 3.0)))
     return side, math.ceil(bodies / side**2)
+
+
+def add_mixed_column(scene: Scene, generator: np.random.Generator, count: int, **coefficients: Any) -> list[int]:
+    """Add boxes and, as every fourth body, spheres of 0.05 to 0.17 m, most of them apart, one above another.
+
+    Args:
+        scene: the scene.
+        generator: of sizes, positions within 0.2 m of the z axis along x and y, and orientations.
+        count: number of bodies.
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the bodies.
+    """
+    shapes, positions, orientations = [], [], []
+    for k in range(count):
+        size = generator.uniform(0.05, 0.12)
+        shapes.append(Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.4, 3)))
+        positions.append((*generator.uniform(-0.2, 0.2, 2), 0.15 + 0.09 * k))
+        orientations.append(random_orientations(1, generator)[0])
+    return add_bodies(scene, shapes, positions, orientations, **coefficients)
+
+
+def add_mixed_layers(scene: Scene, generator: np.random.Generator, count: int, **coefficients: Any) -> list[int]:
+    """Add boxes and, as every fourth body, spheres of up to 0.1 m in layers of four, clear of one another.
+
+    Args:
+        scene: the scene.
+        generator: of sizes and positions.
+        count: number of bodies.
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the bodies.
+    """
+    shapes: list[Shape] = []
+    positions = []
+    for k in range(count):
+        size = generator.uniform(0.05, 0.09)
+        shapes.append(Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.1, 3)))
+        corner = 0.17 * np.array([2 * (k % 2) - 1, 2 * (k // 2 % 2) - 1])
+        positions.append((*(corner + generator.uniform(-0.01, 0.01, 2)), 0.2 + 0.36 * (k // 4)))
+    return add_bodies(scene, shapes, positions, **coefficients)

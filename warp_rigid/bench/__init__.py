@@ -1,1 +1,1 @@
-"""Benchmarks: scenes as data, what is measured of them, and other engines beside ours."""
+"""Benchmarks: a table of cases, the measurements of speed and quality, and the comparison with other engines."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.bench.scenes import Case, moving
+from warp_rigid.bench.cases import BenchmarkCase, moving
 from warp_rigid.bench.stage_times import stage_times
 from warp_rigid.diagnostics.machine import versions
 from warp_rigid.engine.cores import usable_cores
@@ -20,7 +20,7 @@ from warp_rigid.engine.simulator import Simulator
 
 FPS = 60
 STAGE_STEPS = 32
-"""Steps over which the times of the stages are averaged."""
+"""Number of steps over which the times of the stages are averaged."""
 OURS = "warp_rigid"
 
 
@@ -29,11 +29,11 @@ class Conditions:
     """How a case is run.
 
     Attributes:
-        envs: environments.
-        substeps: steps in a frame of 1/60 s.
-        settle: frames that are not timed, before those that are.
-        frames: frames that are timed.
-        sleeping: whether bodies at rest may fall asleep; those of other engines do what their defaults say.
+        envs: number of environments.
+        substeps: steps per frame of 1/60 s.
+        settle: frames before the timed ones.
+        frames: timed frames.
+        sleeping: whether bodies at rest may fall asleep; other engines use their defaults.
     """
 
     envs: int
@@ -43,11 +43,11 @@ class Conditions:
     sleeping: bool = False
 
 
-def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, Any], Simulator]:
+def measure(case: BenchmarkCase, conditions: Conditions, device: Any) -> tuple[dict[str, Any], Simulator]:
     """Run a case and measure it.
 
-    Times are of the clock: `seconds` of the timed frames, with nothing between them, and `processor_seconds` of all
-    threads of this process meanwhile, which another program on the machine does not stretch.
+    `seconds` is the wall-clock time of the timed frames; `processor_seconds` is the processor time of all threads of
+    this process in the same period, which does not depend on other programs on the machine.
 
     Returns:
         Figures, ready for JSON, and the simulator at the end of the timed frames.
@@ -61,7 +61,7 @@ def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, 
     _advance(sim, conditions.substeps * conditions.settle)
     seconds, processor_seconds = _advance(sim, conditions.substeps * conditions.frames)
     rows = moving(sim.scene)
-    told = {
+    figures = {
         "engine": OURS,
         "scene": case.name,
         "bodies": case.bodies,
@@ -79,11 +79,11 @@ def measure(case: Case, conditions: Conditions, device: Any) -> tuple[dict[str, 
         "failed_envs": int((sim.status()["status"] != "ok").sum()),
         "stage_seconds": stage_times(sim, STAGE_STEPS),
     }
-    return told, sim
+    return figures, sim
 
 
-def rates(case: Case, conditions: Conditions, seconds: float, processor_seconds: float) -> dict[str, float]:
-    """Frames, steps and steps of bodies a second over all environments, and frames a second of a processor."""
+def rates(case: BenchmarkCase, conditions: Conditions, seconds: float, processor_seconds: float) -> dict[str, float]:
+    """Frames, steps and body steps per wall-clock second over all environments, and frames per processor second."""
     frames = conditions.envs * conditions.frames
     return {
         "seconds": seconds,
@@ -96,7 +96,7 @@ def rates(case: Case, conditions: Conditions, seconds: float, processor_seconds:
 
 
 def work(sim: Simulator) -> dict[str, Any]:
-    """Contacts and levels of the last step, and the part of each pool that was ever used."""
+    """Contacts and levels of the last step, and the largest fraction of each pool's capacity used so far."""
     counts = sim.counts()
     return {
         "contacts": counts["contacts"],
@@ -107,34 +107,34 @@ def work(sim: Simulator) -> dict[str, Any]:
     }
 
 
-def quality(case: Case, sim: Simulator, position: np.ndarray, velocity: np.ndarray) -> dict[str, Any]:
-    """The same figures for every engine, from final states alone; lengths in metres.
+def quality(case: BenchmarkCase, sim: Simulator, position: np.ndarray, velocity: np.ndarray) -> dict[str, Any]:
+    """Quality of the final states, by the same measures for every engine; lengths in metres.
 
     Args:
-        case: what was simulated.
-        sim: a simulator in the state that is judged: it measures the overlap, with its own samples.
+        case: the simulated case.
+        sim: a simulator in the state that is judged; it measures the overlap with its samples.
         position: (envs, bodies, 3) of the dynamic bodies.
-        velocity: likewise.
+        velocity: (envs, bodies, 3) of the dynamic bodies.
 
     Returns:
-        "deepest_overlap" of any environment, "median_overlap" of the deepest of each, and "max_speed", None where a
-        body is not a number; "escaped"; for a stack "height_error" (largest of any cube), "top_height_error" (mean of
-        the top cubes) and "drift".
+        "deepest_overlap" of all environments, "median_overlap" (median over environments of the deepest) and
+        "max_speed", which are None if a state is not finite; "escaped"; for a stack also "height_error" (largest of
+        all cubes), "top_height_error" (mean of the top cubes) and "drift".
     """
     whole = bool(np.isfinite(position).all() and np.isfinite(velocity).all())
     overlap = sim.penetration() if whole else None
-    told: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "deepest_overlap": None if overlap is None else float(overlap.max()),
         "median_overlap": None if overlap is None else float(np.median(overlap)),
         "max_speed": float(np.linalg.norm(velocity, axis=-1).max()) if whole else None,
         "escaped": case.escaped(position),
     }
-    if case.name == "stack" and whole:
-        error = case.height_error(position.astype(np.float64))
-        told["height_error"] = float(np.abs(error).max())
-        told["top_height_error"] = float(error[:, -1].mean())
-        told["drift"] = float(case.drift(position).max())
-    return told
+    error = case.height_error(position.astype(np.float64))
+    if error is not None and whole:
+        figures["height_error"] = float(np.abs(error).max())
+        figures["top_height_error"] = float(error[:, -1].mean())
+        figures["drift"] = float(case.drift(position).max())
+    return figures
 
 
 def surroundings(device: Any) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def surroundings(device: Any) -> dict[str, Any]:
 
 
 def commit() -> str:
-    """The commit of the checkout that runs, with a + if files differ from it; "" where there is none."""
+    """Commit of the checkout, with a + if files differ from it; "" if there is no checkout."""
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return ""
@@ -161,9 +161,9 @@ def commit() -> str:
 
 
 def compare(rows: Sequence[dict[str, Any]]) -> None:
-    """Note in every row of another engine how many times faster ours was under the same conditions.
+    """Add to the row of every other engine the ratio of its time to ours under the same conditions.
 
-    By the clock where one of the two ran on a GPU, else by the processor's seconds.
+    The ratio is of wall-clock times if one of the two ran on a GPU, else of processor times.
     """
     ours = {_conditions(row): row for row in rows if row["engine"] == OURS}
     for row in rows:
@@ -178,7 +178,7 @@ def _conditions(row: dict[str, Any]) -> tuple:
 
 
 def _advance(sim: Simulator, steps: int) -> tuple[float, float]:
-    """Seconds that steps take by the clock and of the process."""
+    """Wall-clock and processor time that steps take [s]."""
     start, begin = time.process_time(), time.perf_counter()
     sim.step(steps)
     wp.synchronize_device(sim.device)

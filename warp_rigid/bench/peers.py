@@ -1,7 +1,7 @@
-"""Other engines on the same start, each in a process and an environment of its own.
+"""Other engines from the same start, each in a separate process and Python environment.
 
-A program of benchmarks/peers reads a problem (.npz), simulates it, and writes what came out; speed is timed there, but
-quality is judged here, by the same figures as ours.
+A program of benchmarks/peers reads a problem (.npz), simulates it, and writes its results. The program measures its
+speed; quality is measured here, with the same measures for all engines.
 """
 
 import json
@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid.bench.cases import BenchmarkCase, moving
 from warp_rigid.bench.measure import FPS, Conditions, quality, rates
-from warp_rigid.bench.scenes import Case, moving
 from warp_rigid.checks import one_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
@@ -31,18 +31,19 @@ TIMEOUT = 3600.0
 
 
 def choose_peers(names: str | None, pythons: list[str] | None) -> dict[str, str]:
-    """Which engines to run, and the interpreter of each.
+    """Engines to run, and the interpreter of each.
 
     Args:
-        names: separated by commas.
-        pythons: texts "name=interpreter"; the others run with this process's own.
+        names: names of engines, separated by commas.
+        pythons: texts "name=interpreter"; engines that are not listed run with this process's interpreter.
 
     Raises:
-        ValueError: a name is unknown, an interpreter is given for no engine, or the programs are not here.
+        ValueError: A name is unknown, the programs are missing, or an interpreter is given for an engine that does not
+            run.
     """
     chosen = {one_of("--peers", name.strip(), NAMES): sys.executable for name in names.split(",")} if names else {}
     if chosen and not FOLDER.is_dir():
-        raise ValueError(f"--peers: needs {FOLDER}, which a checkout of the repository has")
+        raise ValueError(f"--peers: needs {FOLDER}, which is part of a checkout of the repository")
     for text in pythons or ():
         name, _, interpreter = text.partition("=")
         one_of("--peer-python", name, tuple(chosen) or ("an engine of --peers",))
@@ -52,29 +53,29 @@ def choose_peers(names: str | None, pythons: list[str] | None) -> dict[str, str]
     return chosen
 
 
-def run_peer(name: str, python: str, case: Case, conditions: Conditions, sim: Simulator) -> dict[str, Any]:
-    """Run one engine on the start that the simulator had.
+def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions, sim: Simulator) -> dict[str, Any]:
+    """Run one engine from the start of a case.
 
     Args:
-        name: the engine.
+        name: of the engine.
         python: its interpreter.
-        case: what to simulate.
-        conditions: how.
-        sim: a simulator of the case; afterwards it is in the state that the engine reached.
+        case: the case to simulate.
+        conditions: how to run it.
+        sim: a simulator of the case; afterwards it is in the final state of the engine.
 
     Returns:
-        Figures as those of `measure`, as far as the engine tells them; only "engine" and "fault" where it gave none.
+        Figures as those of `measure`, as far as the engine reports them; only "engine" and "fault" if it failed.
     """
     with tempfile.TemporaryDirectory() as folder:
         problem, result = Path(folder) / "problem.npz", Path(folder) / "result.npz"
         write_problem(problem, case, conditions, sim)
         command = [python, str(FOLDER / f"run_{name}.py"), str(problem), str(result)]
-        # Nothing of our own environment may reach the other interpreter's imports.
+        # The variables of this Python environment must not affect the other interpreter's imports.
         surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, env=surroundings)
         except subprocess.TimeoutExpired:
-            return _fault(name, case, conditions, f"not done after {TIMEOUT:.0f} s")
+            return _fault(name, case, conditions, f"no result after {TIMEOUT:.0f} s")
         if done.returncode or not result.is_file():
             lines = done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"]
             missing = done.returncode == NOT_INSTALLED
@@ -83,8 +84,8 @@ def run_peer(name: str, python: str, case: Case, conditions: Conditions, sim: Si
             return _read_result(case, conditions, sim, {key: found[key] for key in found.files})
 
 
-def write_problem(path: Path, case: Case, conditions: Conditions, sim: Simulator) -> None:
-    """Write a case as plain arrays: starts, the bodies' common shape, mass and inertia, and all that stands still."""
+def write_problem(path: Path, case: BenchmarkCase, conditions: Conditions, sim: Simulator) -> None:
+    """Write a case as plain arrays: starts, the bodies' common shape, mass and inertia, and the static bodies."""
     scene = case.build()
     body = scene.bodies[moving(scene)[0]]
     sim.reset()
@@ -101,7 +102,7 @@ def write_problem(path: Path, case: Case, conditions: Conditions, sim: Simulator
         arrays |= {"vertices": body.shape.vertices, "faces": body.shape.faces}
     elif isinstance(body.shape, Box):
         arrays["half_extents"] = np.array(body.shape.half_extents)
-    told = {
+    figures = {
         "mass": body.mass,
         "density": density,
         "friction": body.friction,
@@ -115,11 +116,11 @@ def write_problem(path: Path, case: Case, conditions: Conditions, sim: Simulator
         "device": str(sim.device),
         "cache": str(cache_folder()),
     }
-    np.savez(path, told=json.dumps(told), **arrays)
+    np.savez(path, figures=json.dumps(figures), **arrays)
 
 
 def _fixed(scene: Scene) -> list[dict[str, Any]]:
-    """What stands on the ground plane z = 0, which every scene has."""
+    """Static bodies on the ground plane z = 0, which every scene has."""
     fixed: list[dict[str, Any]] = []
     for body in scene.bodies:
         if body.mass > 0.0:
@@ -134,26 +135,28 @@ def _fixed(scene: Scene) -> list[dict[str, Any]]:
     return fixed
 
 
-def _read_result(case: Case, conditions: Conditions, sim: Simulator, found: Mapping[str, Any]) -> dict[str, Any]:
-    """The engine's figures; the simulator takes over its final state and measures the overlap."""
-    told = json.loads(str(found["told"]))
+def _read_result(
+    case: BenchmarkCase, conditions: Conditions, sim: Simulator, found: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The engine's figures; the simulator is set to its final state and measures the overlap."""
+    figures = json.loads(str(found["figures"]))
     rows = moving(sim.scene)
     position, velocity = found["position"].astype(np.float32), found["linear_velocity"].astype(np.float32)
     if np.isfinite(position).all() and np.isfinite(found["orientation"]).all():
         sim.set("position", position, bodies=rows)
         sim.set("orientation", found["orientation"], bodies=rows)
-    seconds, processor_seconds = told.pop("seconds"), told.pop("processor_seconds")
+    seconds, processor_seconds = figures.pop("seconds"), figures.pop("processor_seconds")
     return {
         **_head(case, conditions),
-        **told,
+        **figures,
         **rates(case, conditions, seconds, processor_seconds),
         "quality": quality(case, sim, position, velocity),
     }
 
 
-def _fault(name: str, case: Case, conditions: Conditions, text: str) -> dict[str, Any]:
+def _fault(name: str, case: BenchmarkCase, conditions: Conditions, text: str) -> dict[str, Any]:
     return {**_head(case, conditions), "engine": name, "fault": text}
 
 
-def _head(case: Case, conditions: Conditions) -> dict[str, Any]:
+def _head(case: BenchmarkCase, conditions: Conditions) -> dict[str, Any]:
     return {"scene": case.name, "bodies": case.bodies, **vars(conditions)}

@@ -1,4 +1,4 @@
-"""What each stage of a step takes: the step recorded with marks where one stage gives way to another."""
+"""Time of each stage of a step, from a recorded step with marks between its stages."""
 
 import time
 from collections.abc import Callable
@@ -10,19 +10,19 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step import STAGES, Stages, ignore_stage
 
 Measure = Callable[[], list[tuple[str, float]]]
-"""Does a step, and tells which stages it went through and the seconds that each took."""
+"""Does a step, and returns the stages in their order with the time of each [s]."""
 
 
 def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
     """Seconds that each stage takes in one step of all environments, in the present state.
 
-    The steps are undone; one before them, which warms up, is not timed. On the CPU these are seconds of the processor,
-    which other programs do not stretch, and a graph is recorded for each stage; on CUDA the step stays one graph with
-    events in it.
+    The steps are undone afterwards; a warm-up step before them is not timed. On the CPU the times are processor times,
+    which do not depend on other programs, and each stage is recorded as a separate graph. On CUDA the step is one graph
+    that contains events.
 
     Args:
         sim: the simulator.
-        steps: to average over, at least 1.
+        steps: number of steps to average over, at least 1.
 
     Returns:
         Stages by name, in their order.
@@ -64,12 +64,12 @@ def _record_on_cpu(stages: Stages) -> Measure:
             wp.capture_begin(stages.device, force_module_load=False)
 
     def measure() -> list[tuple[str, float]]:
-        told = []
+        measured = []
         for name, graph in parts:
             start = time.process_time()
             wp.capture_launch(graph)
-            told.append((name, time.process_time() - start))
-        return told
+            measured.append((name, time.process_time() - start))
+        return measured
 
     walk(stages, switch)
     return measure

@@ -1,4 +1,4 @@
-"""What the first frame of a new process costs; `python -m warp_rigid.bench.startup stack:8 cpu` tells it as JSON."""
+"""Cost of the first frame of a new process; `python -m warp_rigid.bench.startup stack:8 cpu` prints it as JSON."""
 
 import json
 import os
@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 KERNELS, GRIDS = "WARP_CACHE_PATH", "WARP_RIGID_CACHE"
-"""Variables that name the folders of compiled kernels and of distance grids."""
+"""Environment variables for the folders of compiled kernels and of distance grids."""
 
 
 def start_up(case: str, device: str) -> dict[str, dict[str, Any]]:
-    """Cost of the first frame with empty caches ("cold") and once more with what that left in them ("warm")."""
+    """Cost of the first frame with empty caches ("cold"), and again with the caches filled by that run ("warm")."""
     with tempfile.TemporaryDirectory() as folder:
         caches = {KERNELS: str(Path(folder) / "kernels"), GRIDS: str(Path(folder) / "grids")}
         return {name: first_frame(case, device, caches) for name in ("cold", "warm")}
@@ -26,14 +26,14 @@ def first_frame(case: str, device: str, variables: dict[str, str] | None = None)
     Args:
         case: such as "stack:8".
         device: name of a Warp device.
-        variables: of its environment, beside those of this process.
+        variables: environment variables, in addition to those of this process.
 
     Returns:
-        "seconds" from the start of the process to the end of the frame, "processor_seconds" of it and the compilers it
-        ran, and "modules": how many modules of kernels it loaded.
+        "seconds" from the start of the process to the end of the frame, "processor_seconds" of the process and its
+        compilers, and "modules", the number of kernel modules that it loaded.
 
     Raises:
-        RuntimeError: the process failed.
+        RuntimeError: The process failed.
     """
     root = Path(__file__).resolve().parents[2]
     places = [str(root), os.environ.get("PYTHONPATH", "")]
@@ -51,7 +51,7 @@ def _main(case: str, device: str) -> None:
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    from warp_rigid.bench.scenes import find_case
+    from warp_rigid.bench.cases import find_case
     from warp_rigid.engine.settings import Settings
     from warp_rigid.engine.simulator import Simulator
 

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from warp_rigid.bench.scenes import STANDARD, find_case
+from warp_rigid.bench.cases import STANDARD, find_case
 from warp_rigid.commands.terminal import check_outputs, console, note, progress
 from warp_rigid.engine.simulator import choose_device
 
@@ -118,10 +118,10 @@ def _append(rows: list[dict[str, Any]], json_lines: str | None) -> None:
 
 
 def _draw(rows: list[dict[str, Any]], output: str) -> None:
-    from warp_rigid.bench.picture import save_picture
+    from warp_rigid.bench.chart import save_chart
 
     Path(output).parent.mkdir(parents=True, exist_ok=True)
-    save_picture(rows, output)
+    save_chart(rows, output)
 
 
 def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]) -> None:

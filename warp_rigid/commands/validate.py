@@ -116,15 +116,15 @@ class _Writer:
         self.files: list[str] = []
 
     def draw(self, case, device: str, traces) -> None:
-        from warp_rigid.validation import plots
+        from warp_rigid.validation import figures
 
-        self.files.append(str(plots.save_case(case, device, traces, self.folder)))
+        self.files.append(str(figures.save_case(case, device, traces, self.folder)))
 
     def finish(self, findings, devices) -> list[str]:
         """Write the overview, the table and the results; returns the paths of all files."""
-        from warp_rigid.validation import plots, report
+        from warp_rigid.validation import figures, report
 
-        self.files.append(str(plots.save_overview(findings, self.folder)))
+        self.files.append(str(figures.save_overview(findings, self.folder)))
         texts = {
             "table.md": report.markdown(findings),
             "results.json": json.dumps(report.as_json(findings, devices), indent=1),

@@ -7,8 +7,9 @@ import typer
 import warp as wp
 
 from warp_rigid.commands.terminal import console, progress
+from warp_rigid.engine.loading import EVERYTHING, load_kernels
 from warp_rigid.engine.simulator import choose_device
-from warp_rigid.engine.step import EVERYTHING, WARP, load_kernels
+from warp_rigid.engine.teams import WARP
 from warp_rigid.kernels.common import team
 
 

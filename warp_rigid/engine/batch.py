@@ -8,7 +8,7 @@ import numpy as np
 
 from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.engine.memory import MemoryLimit, pool_bytes
-from warp_rigid.engine.model import Model
+from warp_rigid.engine.model import Model, other_constraints
 from warp_rigid.engine.pools import LARGEST, NAMES, Pools
 from warp_rigid.engine.shard import Shard
 from warp_rigid.errors import CapacityError
@@ -58,7 +58,7 @@ def plan(scene: Scene, num_envs: int, room: dict[str, int], device: Any) -> list
 
     def sizes(first: int, end: int) -> dict[str, int]:
         part = {name: max(1, all_ * end // num_envs - all_ * first // num_envs) for name, all_ in room.items()}
-        return Pools.sizes_for(end - first, len(scene.bodies), **part)
+        return Pools.sizes_for(end - first, len(scene.bodies), other_constraints(scene), **part)
 
     bounds = [num_envs * k // count for k in range(count + 1)]
     return [Range(first, end, sizes(first, end)) for first, end in zip(bounds, bounds[1:], strict=False)]

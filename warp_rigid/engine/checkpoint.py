@@ -19,7 +19,7 @@ from warp_rigid.engine.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, c
 from warp_rigid.engine.shard import Shard
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.narrowphase import BY_CENTER
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.version import __version__
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 KIND = "checkpoint"
 VERSION = 5  # raise whenever older files could no longer be read
 
-FROM_SCENE = ("shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
+FROM_SCENE = ("env", "shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scene."""
 
 log = logging.getLogger("warp_rigid")
@@ -123,10 +123,10 @@ def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[st
 def _whole(sim: "Simulator") -> dict[str, wp.array]:
     """Device arrays of all environments that are stored as they are."""
     owners = [
-        (schema.Bodies, sim._model.bodies, [n for n in schema.field_names(schema.Bodies) if n not in FROM_SCENE]),
-        (schema.State, sim._state, schema.field_names(schema.State)),
-        (schema.SleepState, sim._sleep_state, [n for n in schema.field_names(schema.SleepState) if n != "island"]),
-        (schema.Environments, sim._envs, schema.field_names(schema.Environments)),
+        (schema.Bodies, sim._model.bodies, [n for n in declare.field_names(schema.Bodies) if n not in FROM_SCENE]),
+        (schema.State, sim._state, declare.field_names(schema.State)),
+        (schema.SleepState, sim._sleep_state, [n for n in declare.field_names(schema.SleepState) if n != "island"]),
+        (schema.Environments, sim._envs, [n for n in declare.field_names(schema.Environments) if n != "first_body"]),
     ]
     return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
 
@@ -148,14 +148,14 @@ def _first_bodies(sim: "Simulator") -> np.ndarray:
 
 def _history(sim: "Simulator") -> dict[str, np.ndarray]:
     """The contacts of the last step, shard after shard; only rows that are in use."""
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in schema.field_names(schema.History)}
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in declare.field_names(schema.History)}
     last = {"pair_start": 0, "contact_start": 0}
     for shard in sim._shards:
         history = shard.pools.history
         pairs, contacts = int(history.pair_start.numpy()[-1]), int(history.contact_start.numpy()[-1])
         used = {"bodies": shard.end_body - shard.first_body, "pairs": pairs, "contacts": contacts}
         shift = {**last, "body_b": shard.first_body}
-        for name, field in schema.LAYOUTS["History"].items():
+        for name, field in declare.LAYOUTS["History"].items():
             rows = getattr(history, name).numpy()[: used[_counted_by(field)]]
             parts[name].append(rows + np.int32(shift[name]) if name in shift else rows)
         last = {"pair_start": last["pair_start"] + pairs, "contact_start": last["contact_start"] + contacts}
@@ -164,7 +164,7 @@ def _history(sim: "Simulator") -> dict[str, np.ndarray]:
     return {name: np.concatenate(some) for name, some in parts.items()}
 
 
-def _counted_by(field: schema.Field) -> str:
+def _counted_by(field: declare.Field) -> str:
     """What there is a row for; sums have one more."""
     return field.shape.partition(" + ")[0]
 
@@ -174,7 +174,7 @@ def _checked(
 ) -> np.ndarray:
     """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
     struct, _, last = name.partition(".")
-    counted = _counted_by(schema.LAYOUTS[struct][last])
+    counted = _counted_by(declare.LAYOUTS[struct][last])
     count = used[counted] + last.endswith("_start") if counted in used else len(own)
     rows = shaped(arrays, name, own.dtype, (count, *own.shape[1:]))
     if last in PER_ENVIRONMENT:
@@ -248,7 +248,7 @@ def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.
     bounds = {"bodies": bodies, "pairs": pairs, "contacts": contacts}
     shift = {"pair_start": pairs[0], "contact_start": contacts[0], "body_b": bodies[0]}
     part = {}
-    for name, field in schema.LAYOUTS["History"].items():
+    for name, field in declare.LAYOUTS["History"].items():
         first, end = bounds[_counted_by(field)]
         own = rows[f"History.{name}"][first : end + name.endswith("_start")]
         part[name] = own - np.int32(shift[name]) if name in shift else own

@@ -9,7 +9,7 @@ import warp as wp
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.engine.model import body_sizes
 from warp_rigid.errors import CapacityError
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Mesh, Shape
 from warp_rigid.scene.shapes.distance_grid import grid_layout
@@ -19,15 +19,24 @@ LARGEST_LIMIT = 2**50
 
 def pool_bytes(sizes: dict[str, int]) -> int:
     """Bytes of all that is sized with the pools: lists, contacts, the last step's contacts twice, graph, orders."""
-    structs = (schema.Pairs, schema.Contacts, schema.History, schema.History, schema.Graph, schema.Order, schema.Order)
-    return sum(schema.byte_size(struct, sizes) for struct in structs)
+    structs = (
+        schema.Constraints,
+        schema.Pairs,
+        schema.Contacts,
+        schema.History,
+        schema.History,
+        schema.Graph,
+        schema.Order,
+        schema.Order,
+    )
+    return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 
 def body_bytes(scene: Scene, num_envs: int) -> int:
     """Bytes of all that is sized with bodies and environments: parameters, state and its copies, settings."""
     sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
     structs = (schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments)
-    return sum(schema.byte_size(struct, sizes) for struct in structs)
+    return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 
 def shape_bytes(scene: Scene) -> int:

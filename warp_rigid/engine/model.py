@@ -8,7 +8,8 @@ import warp as wp
 
 from warp_rigid.engine.moving_ground import build_surfaces, with_copies
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import COMBINE_RULES, Body, Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
@@ -37,9 +38,9 @@ class Model:
         field_count: how many there are.
         combine_rules: how friction and restitution combine.
         small: (n,) bodies of an environment that go into the hash grid.
-        wide: (n,) the others.
+        oversized: (n,) the others.
         grid_radius: cell width of the hash grid [m].
-        bodies_of_shape: for each pooled shape, the bodies of an environment that have it.
+        constraint_rows: arrays of the kinds of constraints besides contacts, by name.
     """
 
     scene: Scene
@@ -52,23 +53,27 @@ class Model:
     fields: Any
     field_count: int
     combine_rules: wp.vec2i
-    small: wp.array
-    oversized: wp.array
+    small: np.ndarray
+    oversized: np.ndarray
     grid_radius: float
-    bodies_of_shape: list[list[int]]
+    constraint_rows: dict[str, Any]
 
     def part(self, first: int, end: int) -> "Model":
         """The model of the environments from `first` to before `end`, over the same arrays."""
-        bodies, vertices = len(self.scene.bodies), self.surface_vertices // self.num_envs
+        vertices = self.surface_vertices // self.num_envs
         return replace(
             self,
             num_envs=end - first,
-            bodies=schema.part(self.bodies, "bodies", first * bodies, end * bodies),
-            surfaces=schema.part(self.surfaces, "vertices", first * vertices, end * vertices)
+            bodies=declare.part(self.bodies, env_ranges(self.scene, first, end)),
+            surfaces=declare.part(self.surfaces, {"vertices": (first * vertices, end * vertices), "envs": (first, end)})
             if vertices
             else self.surfaces,
             surface_vertices=(end - first) * vertices,
             surface_node=self.surface_node + first * vertices,
+            constraint_rows={
+                kind.NAME: declare.part(self.constraint_rows[kind.NAME], env_ranges(self.scene, first, end))
+                for kind in OTHER_KINDS
+            },
         )
 
 
@@ -76,9 +81,9 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
     """Upload a scene for `num_envs` environments."""
     shapes, shape_of_body = _unique_shapes(scene.bodies)
     pooled, place, step = with_copies(shapes, num_envs)
-    pool, surfaces, surface_vertices = _pool_shapes(pooled, _exact_reach(scene.bodies), device)
+    pool, surfaces, surface_vertices = _pool_shapes(pooled, _exact_reach(scene.bodies), num_envs, device)
     small, oversized, grid_radius = _split_by_size(scene.bodies)
-    fields = schema.allocate(schema.FieldForces, {"fields": len(scene.force_fields)}, device)
+    fields = declare.allocate(schema.FieldForces, {"fields": len(scene.force_fields)}, device)
     if scene.force_fields:
         _upload_fields(fields, scene.force_fields)
     return Model(
@@ -94,16 +99,16 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
         combine_rules=wp.vec2i(
             COMBINE_RULES.index(scene.friction_combine), COMBINE_RULES.index(scene.restitution_combine)
         ),
-        small=wp.array(np.array(small, np.int32), dtype=int, device=device),
-        oversized=wp.array(np.array(oversized, np.int32), dtype=int, device=device),
+        small=np.array(small, np.int32),
+        oversized=np.array(oversized, np.int32),
         grid_radius=grid_radius,
-        bodies_of_shape=[[b for b, s in enumerate(shape_of_body) if s == k] for k in range(len(shapes))],
+        constraint_rows={kind.NAME: kind.upload(scene, num_envs, device) for kind in OTHER_KINDS},
     )
 
 
 def initial_state(scene: Scene, num_envs: int, device: Any) -> Any:
     """The state in which every environment starts."""
-    state = schema.allocate(schema.State, {"bodies": num_envs * len(scene.bodies)}, device)
+    state = declare.allocate(schema.State, {"bodies": num_envs * len(scene.bodies)}, device)
     for name in ("position", "orientation", "linear_velocity", "angular_velocity"):
         rows = np.array([getattr(body, name) for body in scene.bodies], np.float32)
         getattr(state, name).assign(np.tile(rows, (num_envs, 1)))
@@ -113,7 +118,8 @@ def initial_state(scene: Scene, num_envs: int, device: Any) -> Any:
 
 def initial_environments(scene: Scene, settings: Settings, num_envs: int, device: Any) -> Any:
     """Gravity and settings of every environment."""
-    envs = schema.allocate(schema.Environments, {"envs": num_envs}, device)
+    envs = declare.allocate(schema.Environments, {"envs": num_envs}, device)
+    envs.first_body.assign(len(scene.bodies) * np.arange(num_envs + 1, dtype=np.int32))
     envs.gravity.assign(np.tile(np.array(scene.gravity, np.float32), (num_envs, 1)))
     for name in PER_ENVIRONMENT:
         getattr(envs, name).fill_(check_setting(name, getattr(settings, name)))
@@ -167,7 +173,18 @@ def _extent(shape: Shape) -> np.ndarray:
 def body_sizes(scene: Scene, num_envs: int) -> dict[str, int]:
     """How long the arrays of Bodies are."""
     count = len(scene.bodies)
-    return {"bodies": num_envs * count, "env_bodies": count, "filtered": 2 * len(scene.filtered_pairs)}
+    return {"bodies": num_envs * count, "filtered": 2 * num_envs * len(scene.filtered_pairs)}
+
+
+def other_constraints(scene: Scene) -> int:
+    """Constraints of other kinds than contact in a scene."""
+    return sum(len(kind.definitions(scene)) for kind in OTHER_KINDS)
+
+
+def env_ranges(scene: Scene, first: int, end: int) -> dict[str, tuple[int, int]]:
+    """Rows of the environments from `first` to before `end`, by the symbol that counts them."""
+    sizes = {"envs": 1, **body_sizes(scene, 1)} | {kind.NAME: len(kind.definitions(scene)) for kind in OTHER_KINDS}
+    return {symbol: (first * size, end * size) for symbol, size in sizes.items()}
 
 
 def _filtered(scene: Scene) -> list[list[int]]:
@@ -195,10 +212,11 @@ def _upload_bodies(
     """Write one environment's rows and repeat them; each environment's shape lies `step` further than the last's."""
     bodies = scene.bodies
     filtered = _filtered(scene)
-    rows = schema.allocate(schema.Bodies, body_sizes(scene, num_envs), device)
-    rows.filtered_start.assign(_starts([len(others) for others in filtered]))
+    rows = declare.allocate(schema.Bodies, body_sizes(scene, num_envs), device)
+    rows.env.assign(np.repeat(np.arange(num_envs, dtype=np.int32), len(bodies)))
+    rows.filtered_start.assign(_starts(num_envs * [len(others) for others in filtered]))
     if scene.filtered_pairs:
-        rows.filtered.assign(np.concatenate(filtered).astype(np.int32))
+        rows.filtered.assign(np.tile(np.concatenate(filtered).astype(np.int32), num_envs))
     host: dict[str, np.ndarray] = {
         "motion": np.array([int(body.motion) for body in bodies], np.int32),
         "oversized": np.isin(np.arange(len(bodies)), oversized).astype(np.int32),
@@ -235,7 +253,7 @@ def _exact_reach(bodies: list[Body]) -> float:
     return reach
 
 
-def _pool_shapes(shapes: list[Shape], exact_reach: float, device: Any) -> tuple[Any, Any, int]:
+def _pool_shapes(shapes: list[Shape], exact_reach: float, num_envs: int, device: Any) -> tuple[Any, Any, int]:
     """Concatenate parts, grids, clusters and samples of all shapes; and the vertices of those that move."""
     parts = [shape.parts() for shape in shapes]
     samples = [shape.samples() for shape in shapes]
@@ -247,7 +265,7 @@ def _pool_shapes(shapes: list[Shape], exact_reach: float, device: Any) -> tuple[
     pool.clusters = wp.array(_cluster_rows(samples), dtype=schema.ClusterRecord, device=device)
     pool.samples = wp.array(_sample_rows(samples), dtype=schema.SampleRecord, device=device)
     pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
-    return pool, *build_surfaces(shapes, _starts([len(s.kind) for s in samples]), device)
+    return pool, *build_surfaces(shapes, _starts([len(s.kind) for s in samples]), num_envs, device)
 
 
 def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:

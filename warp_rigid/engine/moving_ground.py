@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield, moves
 
@@ -25,12 +25,13 @@ def with_copies(shapes: list[Shape], num_envs: int) -> tuple[list[Shape], np.nda
     return alike + copied * num_envs, place.astype(np.int32), moving * len(copied)
 
 
-def build_surfaces(pooled: list[Shape], sample_start: np.ndarray, device: Any) -> tuple[Any, int]:
+def build_surfaces(pooled: list[Shape], sample_start: np.ndarray, num_envs: int, device: Any) -> tuple[Any, int]:
     """The vertices of all moving fields, in the order of their nodes in the pool of grids.
 
     Args:
         pooled: as from `with_copies`.
         sample_start: (shapes + 1,) first sample of each pooled shape.
+        num_envs: environments, each with its own copy of the fields.
         device: a Warp device.
 
     Returns:
@@ -44,8 +45,9 @@ def build_surfaces(pooled: list[Shape], sample_start: np.ndarray, device: Any) -
         for name, values in _vertices(shape, int(sample_start[index])).items():
             columns[name].append(values)
         count += shape.heights.size
-    surfaces = schema.allocate(schema.Surfaces, {"vertices": count}, device)
+    surfaces = declare.allocate(schema.Surfaces, {"vertices": count}, device)
     if count:
+        surfaces.env.assign(np.repeat(np.arange(num_envs, dtype=np.int32), count // num_envs))
         for name, parts in columns.items():
             getattr(surfaces, name).assign(np.concatenate(parts))
     return surfaces, count

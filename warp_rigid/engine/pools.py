@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 
 NAMES = ("pairs", "contacts")
 """What is counted, in the order of `wanted` on the device."""
@@ -28,10 +28,11 @@ class Pools:
     Attributes:
         sizes: symbols of the data layout and their values.
         pairs: candidate pairs.
-        contacts: contact records.
+        contacts: contact rows.
         history: contacts of the last step.
+        constraints: all constraints of the step.
         graph: contact graph.
-        order: touching pairs by colour.
+        order: active constraints by colour.
         turn: (1,) row of `wanted` that belongs to the step at hand.
         wanted: (CHUNK, 2) pairs and contacts wanted, step by step.
     """
@@ -40,31 +41,38 @@ class Pools:
     pairs: Any
     contacts: Any
     history: Any
+    constraints: Any
     graph: Any
     order: Any
     turn: wp.array
     wanted: wp.array
 
     @staticmethod
-    def sizes_for(num_envs: int, bodies_per_env: int, pairs: int, contacts: int) -> dict[str, int]:
-        """Symbols of the data layout and their values."""
+    def sizes_for(num_envs: int, num_bodies: int, others: int, pairs: int, contacts: int) -> dict[str, int]:
+        """Symbols of the data layout and their values, with so many bodies and other constraints an environment."""
         return {
             "envs": num_envs,
-            "bodies": num_envs * bodies_per_env,
+            "bodies": num_envs * num_bodies,
+            "others": num_envs * others,
             "pairs": pairs,
             "contacts": contacts,
+            "constraints": pairs + num_envs * others,
         }
 
     @classmethod
     def allocate(cls, sizes: dict[str, int], device: Any) -> "Pools":
         """Make empty pools of these sizes."""
+        envs = sizes["envs"]
+        constraints = declare.allocate(schema.Constraints, sizes, device)
+        constraints.other_start.assign(sizes["others"] // envs * np.arange(envs + 1, dtype=np.int32))
         return cls(
             sizes=sizes,
-            pairs=schema.allocate(schema.Pairs, sizes, device),
-            contacts=schema.allocate(schema.Contacts, sizes, device),
-            history=schema.allocate(schema.History, sizes, device),
-            graph=schema.allocate(schema.Graph, sizes, device),
-            order=schema.allocate(schema.Order, sizes, device),
+            pairs=declare.allocate(schema.Pairs, sizes, device),
+            contacts=declare.allocate(schema.Contacts, sizes, device),
+            history=declare.allocate(schema.History, sizes, device),
+            constraints=constraints,
+            graph=declare.allocate(schema.Graph, sizes, device),
+            order=declare.allocate(schema.Order, sizes, device),
             turn=wp.zeros(1, dtype=int, device=device),
             wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
         )
@@ -81,7 +89,7 @@ class Pools:
 
     def forget_graph(self) -> None:
         """Let the next step find its graph anew: what it has for the last step is of another one."""
-        self.graph.known.zero_()
+        self.graph.active_before.zero_()
 
     def wanted_by_environment(self, name: str) -> np.ndarray:
         """What each environment wanted of a pool in the step at hand, (envs,), whether it fitted or not."""
@@ -95,7 +103,9 @@ class Pools:
 
     def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
         """Sizes with room for what was wanted, and more."""
-        return {**self.sizes, **{name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}}
+        larger = {name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}
+        pairs = larger.get("pairs", self.sizes["pairs"])
+        return {**self.sizes, **larger, "constraints": pairs + self.sizes["others"]}
 
     def grown(self, sizes: dict[str, int]) -> "Pools":
         """Larger pools that remember the same last step."""
@@ -115,6 +125,6 @@ def expected_capacity(num_envs: int, dynamic: int) -> tuple[int, int]:
 
 def copy_arrays(source: Any, target: Any, struct: Any) -> None:
     """Copy all arrays of a struct into the beginning of another's."""
-    for name in schema.field_names(struct):
+    for name in declare.field_names(struct):
         array = getattr(source, name)
         wp.copy(getattr(target, name), array, count=array.size)

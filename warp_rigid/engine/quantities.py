@@ -9,7 +9,7 @@ from warp_rigid.checks import shown
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.shard import Shard
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Motion
 
@@ -379,5 +379,5 @@ _DERIVE = {
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
 assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "shock_ineffective_steps"} == set(
-    schema.field_names(schema.State)
+    declare.field_names(schema.State)
 )

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.engine.model import Model
+from warp_rigid.engine.loading import OVERLAP, load_kernels
+from warp_rigid.engine.model import Model, env_ranges
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.step import OVERLAP, Stages, load_kernels
-from warp_rigid.kernels import schema
+from warp_rigid.engine.step import Stages
+from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 
 WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
 """What a step notes of an environment; undone with it, and cleared by a reset."""
@@ -52,12 +54,13 @@ class Shard:
         self.first, self.end = first, end
         self.num_envs, self.num_bodies = end - first, len(model.scene.bodies)
         self._model = model.part(first, end)
-        self._state = schema.part(state, "bodies", self.first_body, self.end_body)
-        self._sleep_state = schema.part(sleep_state, "bodies", self.first_body, self.end_body)
-        self._envs = schema.part(envs, "envs", first, end)
+        ranges = env_ranges(model.scene, first, end)
+        self._state = declare.part(state, ranges)
+        self._sleep_state = declare.part(sleep_state, ranges)
+        self._envs = declare.part(envs, ranges)
         self._device: Any = envs.step.device
-        self._saved_state = schema.allocate(schema.State, sizes, self._device)
-        self._saved_sleep_state = schema.allocate(schema.SleepState, sizes, self._device)
+        self._saved_state = declare.allocate(schema.State, sizes, self._device)
+        self._saved_sleep_state = declare.allocate(schema.SleepState, sizes, self._device)
         self._saved_envs = [(array, wp.clone(array)) for array in (getattr(self._envs, name) for name in WATCHED)]
         self._saved_in: int | None = None
         self.pools = Pools.allocate(sizes, self._device)
@@ -134,6 +137,11 @@ class Shard:
         """What a step changes for the next one or for a reader, and the copies that undo it."""
         structs = [(schema.State, self._state, self._saved_state)]
         structs += [(schema.SleepState, self._sleep_state, self._saved_sleep_state)] if sleeping else []
-        structs += [(schema.History, pools.history, schema.allocate(schema.History, pools.sizes, self._device))]
-        both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in schema.field_names(struct)]
+        structs += [(schema.History, pools.history, declare.allocate(schema.History, pools.sizes, self._device))]
+        both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in declare.field_names(struct)]
+        both += [
+            (array, wp.clone(array))
+            for kind in OTHER_KINDS
+            for array in (getattr(self._model.constraint_rows[kind.NAME], n) for n in declare.field_names(kind.ROWS))
+        ]
         return both + self._saved_envs + [(some, wp.clone(some)) for some in pools.levels.values()]

@@ -10,14 +10,15 @@ import warp as wp
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.engine import checkpoint, pools, quantities
 from warp_rigid.engine.batch import Shards, plan
+from warp_rigid.engine.loading import GRIDS, STEP, load_kernels
 from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.engine.model import build_model, initial_environments, initial_state
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.shard import WATCHED
-from warp_rigid.engine.step import GRIDS, STEP, load_kernels, team_sizes
+from warp_rigid.engine.teams import team_sizes
 from warp_rigid.errors import NonFiniteError
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Compound, Mesh
 
@@ -92,7 +93,7 @@ class Simulator:
         self._model = build_model(scene, num_envs, self.device)
         self._state = initial_state(scene, num_envs, self.device)
         self._start = initial_state(scene, num_envs, self.device)
-        self._sleep_state = schema.allocate(schema.SleepState, {"bodies": num_envs * self.num_bodies}, self.device)
+        self._sleep_state = declare.allocate(schema.SleepState, {"bodies": num_envs * self.num_bodies}, self.device)
         self._envs = initial_environments(scene, self.settings, num_envs, self.device)
         self._shards = Shards(
             ranges,
@@ -160,12 +161,12 @@ class Simulator:
             envs: indices of the environments; None for all, which also resets the time.
         """
         chosen = quantities.env_indices(self, envs)
-        for name in schema.field_names(schema.State):
+        for name in declare.field_names(schema.State):
             rows = getattr(self._state, name).numpy().reshape(self.num_envs, self.num_bodies, -1)
             start = getattr(self._start, name).numpy().reshape(rows.shape)
             rows[chosen] = start[chosen]
             getattr(self._state, name).assign(rows.reshape(getattr(self._state, name).numpy().shape))
-        for name in schema.field_names(schema.SleepState):
+        for name in declare.field_names(schema.SleepState):
             values = getattr(self._sleep_state, name).numpy()
             values.reshape(self.num_envs, self.num_bodies, -1)[chosen] = 0
             getattr(self._sleep_state, name).assign(values)

@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.engine.memory import body_bytes, device_memory, pool_bytes
+from warp_rigid.engine.model import other_constraints
 from warp_rigid.engine.pools import Pools, expected_capacity
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.sweep.design import Run
@@ -30,7 +31,9 @@ MAX_ENVS_ON_GPU = 16384
 def bytes_per_environment(scene: Scene) -> int:
     """Initial device memory per environment of a simulator [bytes]."""
     pairs, contacts = expected_capacity(1, sum(body.motion == Motion.DYNAMIC for body in scene.bodies))
-    return body_bytes(scene, 1) + pool_bytes(Pools.sizes_for(1, len(scene.bodies), pairs, contacts))
+    return body_bytes(scene, 1) + pool_bytes(
+        Pools.sizes_for(1, len(scene.bodies), other_constraints(scene), pairs, contacts)
+    )
 
 
 def free_memory(device: Any) -> int:

@@ -1,4 +1,4 @@
-"""Cases: what is simulated or computed, which quantities are read from it, and what they are compared with."""
+"""Validation cases: a simulation or computation, the measured quantities and their reference values."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ Measure = Callable[[Any], Values]
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a value may be from its reference.
+    """Permitted deviation of a value from its reference.
 
     Attributes:
         kind: "relative" (error over reference), "absolute", "at_most" (only an excess counts),
             "at_least" (only a shortfall counts) or "outcome" (0 or 1, must be equal).
-        limit: largest error that passes, in the quantity's unit; a ratio if relative.
+        limit: largest permitted error, in the quantity's unit; a ratio if relative.
     """
 
     kind: str
@@ -36,39 +36,39 @@ class Tolerance:
 
 
 def relative(limit: float) -> Tolerance:
-    """Within a part of the reference."""
+    """Error relative to the reference of at most `limit`."""
     return Tolerance("relative", limit)
 
 
 def absolute(limit: float) -> Tolerance:
-    """Within so much of the reference, in the quantity's unit."""
+    """Error of at most `limit`, in the quantity's unit."""
     return Tolerance("absolute", limit)
 
 
 def at_most(limit: float) -> Tolerance:
-    """No more than so much above the reference, in the quantity's unit."""
+    """At most `limit` above the reference, in the quantity's unit."""
     return Tolerance("at_most", limit)
 
 
 def at_least(limit: float) -> Tolerance:
-    """No more than so much below the reference, in the quantity's unit."""
+    """At most `limit` below the reference, in the quantity's unit."""
     return Tolerance("at_least", limit)
 
 
 AT_LEAST = at_least(0.0)
 """No less than the reference."""
 OUTCOME = Tolerance("outcome", 0.0)
-"""Happens (1) or does not (0), as the reference says."""
+"""An event that occurs (1) or does not (0), exactly as in the reference."""
 
 
 @dataclass(frozen=True)
 class Miss:
-    """A reference that is known not to be met.
+    """A known deviation beyond the tolerance.
 
     Attributes:
-        reason: why, in one sentence.
-        at_most: error that was measured, rounded up; a larger one is a failure.
-        always: whether it is missed on every run; False where the last bits of a chaotic motion decide.
+        reason: its cause, in one sentence.
+        at_most: measured error, rounded up; a larger error is a failure.
+        always: whether every run exceeds the tolerance; False if this depends on rounding in a chaotic motion.
     """
 
     reason: str
@@ -77,17 +77,17 @@ class Miss:
 
 
 @dataclass(frozen=True)
-class Check:
-    """A quantity that has a reference.
+class ReferenceCheck:
+    """A quantity and its reference value.
 
     Attributes:
-        quantity: what it is.
+        quantity: its name.
         unit: its unit, "" for a ratio.
-        measure: reads it from the case's subject, one value for each variant.
-        reference: the value it must have, one for all variants or one for each; or reads them from the subject.
-        tolerance: how far it may be off.
-        labels: names of the variants; those of the experiments' environments if there are none.
-        miss: set where the tolerance is known not to be met.
+        measure: function(subject of the case) -> one value for each variant.
+        reference: expected value, one for all variants or one for each; or a function of the subject.
+        tolerance: permitted deviation.
+        labels: names of the variants; if empty, those of the experiments' environments.
+        miss: set if the tolerance is known to be exceeded.
     """
 
     quantity: str
@@ -101,13 +101,13 @@ class Check:
 
 @dataclass(frozen=True)
 class Curve:
-    """What a plot of a case shows: a series for each variant, over time.
+    """Contents of a plot of a case: a series for each variant over time.
 
     Attributes:
-        quantity: what it is.
+        quantity: its name.
         unit: its unit.
-        series: reads (records, envs) from a trace.
-        exact: the reference, (records, envs), from a trace; None if there is none.
+        series: function(trace) -> (records, envs).
+        exact: function(trace) -> reference values (records, envs); None if there is no reference.
     """
 
     quantity: str
@@ -117,38 +117,38 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Case:
+class ValidationCase:
     """One case of the validation.
 
     Attributes:
         id: such as V23; cases of one family share it.
-        title: what is done.
-        source: where the reference is from.
-        checks: what is compared.
-        experiments: what is simulated; the checks get the tuple of its traces.
-        compute: for cases without a simulation: computes the checks' subject on a device.
-        on_device: whether a device takes part; if not, the case runs once, whatever the devices.
-        curve: what its plot shows.
+        title: short description.
+        source: of the reference values.
+        checks: compared quantities.
+        experiments: simulations; the subject of the checks is the tuple of their traces.
+        compute: function(device) -> subject of the checks, for cases without a simulation.
+        on_device: whether the case uses a device; if not, it runs once, independently of the devices.
+        curve: contents of its plot.
     """
 
     id: str
     title: str
     source: str
-    checks: tuple[Check, ...]
+    checks: tuple[ReferenceCheck, ...]
     experiments: tuple[Experiment, ...] = ()
     compute: Callable[[str], Any] | None = None
     on_device: bool = True
     curve: Curve | None = None
 
     def subject(self, device: str) -> Any:
-        """Simulate or compute on a device what the checks read."""
+        """Simulate or compute the subject of the checks on a device."""
         if self.compute:
             return self.compute(device)
         return tuple(experiment.run(device) for experiment in self.experiments)
 
 
 def each(measure: Callable[[Trace], Values]) -> Measure:
-    """A measure of one trace, taken of all traces of a case, one value for each environment; NaN where one failed."""
+    """Apply a measure to all traces of a case: one value per environment, NaN for failed environments."""
 
     def measure_all(traces: tuple[Trace, ...]) -> np.ndarray:
         values = [np.where(trace.failed, np.nan, np.asarray(measure(trace), np.float64)) for trace in traces]
@@ -158,22 +158,22 @@ def each(measure: Callable[[Trace], Values]) -> Measure:
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """A check's result on a device; arrays have one entry for each variant.
 
     Attributes:
         case: the case.
         check: the check.
-        device: where it ran.
+        device: on which the case ran.
         labels: names of the variants.
-        value: measured.
-        reference: what it must be.
-        error: by the tolerance's rule.
-        fault: why there is no value, "" if there is one.
+        value: measured values.
+        reference: reference values.
+        error: errors as defined by the tolerance.
+        fault: reason for missing values, "" if there are values.
     """
 
-    case: Case
-    check: Check
+    case: ValidationCase
+    check: ReferenceCheck
     device: str
     labels: tuple[str, ...]
     value: np.ndarray
@@ -183,7 +183,7 @@ class Finding:
 
     @property
     def worst(self) -> int:
-        """The variant with the largest error; one without a finite value comes first."""
+        """Index of the variant with the largest error; an error that is not finite counts as the largest."""
         return int(np.argmax(np.where(np.isfinite(self.error), self.error, np.inf)))
 
     @property
@@ -193,7 +193,7 @@ class Finding:
 
     @property
     def verdict(self) -> str:
-        """PASS, MISS (known, and no worse than known), FAIL, or ERROR where nothing could be measured."""
+        """PASS, MISS (a known deviation, not larger than known), FAIL, or ERROR if nothing could be measured."""
         if self.fault:
             return "ERROR"
         if self.passed:
@@ -203,27 +203,29 @@ class Finding:
 
     @property
     def note(self) -> str:
-        """What to say about the verdict; empty for a plain pass."""
+        """Explanation of the verdict; empty for a pass without a known deviation."""
         if self.fault:
             return self.fault
         miss = self.check.miss
         if miss and self.passed:
-            return f"listed as a miss, but met here: {miss.reason}"
+            return f"listed as a miss, but within the tolerance here: {miss.reason}"
         return miss.reason if miss else ""
 
 
-def judge(case: Case, device: str) -> tuple[Any, list[Finding]]:
-    """Run a case on a device; its subject (None if that failed), and a finding for each check."""
+def judge(case: ValidationCase, device: str) -> tuple[Any, list[CheckResult]]:
+    """Run a case on a device. Returns its subject (None if it failed) and a result for each check."""
     try:
         subject = case.subject(device)
         return subject, [_find(case, check, device, subject) for check in case.checks]
-    except Exception as error:  # one broken case must not cost the others their results
+    except Exception as error:  # the other cases must still run
         fault = f"{type(error).__name__}: {' '.join(str(error).split())}"
         nothing = np.full(1, np.nan)
-        return None, [Finding(case, check, device, ("",), nothing, nothing, nothing, fault) for check in case.checks]
+        return None, [
+            CheckResult(case, check, device, ("",), nothing, nothing, nothing, fault) for check in case.checks
+        ]
 
 
-def _find(case: Case, check: Check, device: str, subject: Any) -> Finding:
+def _find(case: ValidationCase, check: ReferenceCheck, device: str, subject: Any) -> CheckResult:
     """Measure and compare."""
     value = np.atleast_1d(np.asarray(check.measure(subject), np.float64))
     given = check.reference(subject) if callable(check.reference) else check.reference
@@ -231,4 +233,4 @@ def _find(case: Case, check: Check, device: str, subject: Any) -> Finding:
     labels = tuple(check.labels) or tuple(label for trace in subject for label in trace.labels)
     if len(labels) != len(value):
         raise ValueError(f"{case.id} {check.quantity}: {len(value)} values for {len(labels)} labels")
-    return Finding(case, check, device, labels, value, reference, check.tolerance.error(value, reference))
+    return CheckResult(case, check, device, labels, value, reference, check.tolerance.error(value, reference))

@@ -1,33 +1,23 @@
-"""What several sections share: scenes on level ground, gravity on an incline, and readings of a trace."""
+"""Helpers of several sections: gravity on an incline, rotations, and measurements of a trace."""
 
 import numpy as np
 
-from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Plane
 from warp_rigid.validation.experiment import Start, Trace
 
 G = 9.81
-GROUND = Plane(normal=(0.0, 0.0, 1.0), offset=0.0)
 NO_GRAVITY = (0.0, 0.0, 0.0)
 RESTING = 1e-3
-"""Below this speed a body counts as stopped [m/s]."""
-
-
-def level_ground(gravity=(0.0, 0.0, -G), **material) -> Scene:
-    """A scene with nothing but level ground, which is body 0."""
-    scene = Scene(gravity=gravity)
-    scene.add_static(GROUND, **material)
-    return scene
+"""Speed below which a body counts as stopped [m/s]."""
 
 
 def downhill(degrees: float, gravity: float = G) -> tuple[float, float, float]:
-    """Gravity as seen on an incline that falls along x [m/s^2]."""
+    """Gravity in the frame of an incline that descends along x [m/s^2]."""
     slope = np.radians(degrees)
     return gravity * np.sin(slope), 0.0, -gravity * np.cos(slope)
 
 
 def turn_about(axis, degrees) -> np.ndarray:
-    """Quaternion (..., 4) of rotations about an axis by one angle or several."""
+    """Quaternions (..., 4) of rotations about an axis by one or several angles."""
     axis = np.asarray(axis, np.float64) / np.linalg.norm(axis)
     half = 0.5 * np.radians(np.asarray(degrees, np.float64))[..., None]
     return np.concatenate([np.sin(half) * axis, np.cos(half)], axis=-1)
@@ -45,7 +35,7 @@ def per_env(name: str, values) -> Start:
 
 
 def first_time(trace: Trace, happened: np.ndarray) -> np.ndarray:
-    """Time of the first record from which on something has happened, (envs,); infinite if it never did."""
+    """Time of the first record in which a condition holds, (envs,); infinite if there is none."""
     return np.where(happened.any(axis=0), trace.time[happened.argmax(axis=0)], np.inf)
 
 
@@ -57,5 +47,5 @@ def at_time(trace: Trace, series: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def largest_rise(series: np.ndarray) -> np.ndarray:
-    """How far a series (records, envs) ever climbs above its least value so far, (envs,)."""
+    """Largest increase of a series (records, envs) above its running minimum, (envs,)."""
     return (series - np.minimum.accumulate(series, axis=0)).max(axis=0)

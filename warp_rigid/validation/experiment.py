@@ -1,4 +1,4 @@
-"""Experiments: a scene simulated in as many environments as there are variants, and the record of their motion."""
+"""Experiments: a scene simulated with one environment per variant, and the record of the motion."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -13,7 +13,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
 DT = 1.0 / 240.0
-"""Time step of a case unless it says otherwise [s]."""
+"""Default time step of an experiment [s]."""
 
 
 @dataclass(frozen=True)
@@ -27,17 +27,17 @@ class Start:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One batch: a scene, what its environments differ in, and how long it runs.
+    """One batch: a scene, the differences between its environments, and its duration.
 
     Attributes:
-        scene: makes the scene.
+        scene: function that builds the scene.
         duration: simulated time [s].
         variants: a label for each environment.
-        starts: what is set before the first step, by environment.
+        starts: quantities that are set before the first step, by environment.
         dt: time step [s].
-        every: steps between two records.
-        settings: settings that differ from the defaults, the same in all environments.
-        label: what tells this experiment from the others of its case.
+        every: steps between records.
+        settings: differences from the default settings, the same in all environments.
+        label: distinguishes this experiment from others of its case.
         watch_overlap: whether the deepest overlap is measured at each record.
     """
 
@@ -90,7 +90,7 @@ STATES = ("position", "orientation", "linear_velocity", "angular_velocity")
 
 @dataclass(frozen=True)
 class Trace:
-    """The record of an experiment, in float64: (records, environments, bodies, ...), the start included.
+    """The record of an experiment, in float64: (records, environments, bodies, ...), including the start.
 
     Attributes:
         experiment: what was run.
@@ -100,12 +100,12 @@ class Trace:
         orientation: (records, envs, bodies, 4).
         linear_velocity: (records, envs, bodies, 3) [m/s].
         angular_velocity: (records, envs, bodies, 3) [rad/s].
-        mass: (envs, bodies) [kg], 0 for what is not moved by forces.
+        mass: (envs, bodies) [kg], 0 for bodies that are not dynamic.
         gravity: (envs, 3) [m/s^2].
-        overlap: (records or 1, envs) deepest overlap; one record, the last, unless it was watched [m].
+        overlap: (records or 1, envs) deepest overlap [m]; only of the last record unless `watch_overlap` is set.
         contacts: contact records of the last step.
         failed: (envs,) whether the environment stopped with a non-finite state.
-        seconds: wall time of the steps and their recording [s].
+        seconds: wall-clock time of the steps and their recording [s].
     """
 
     experiment: Experiment
@@ -124,13 +124,13 @@ class Trace:
 
     @property
     def labels(self) -> list[str]:
-        """A label for each environment, with the experiment's own."""
+        """A label for each environment, including the experiment's label."""
         names = (", ".join(filter(None, (self.experiment.label, variant))) for variant in self.experiment.variants)
         return list(names)
 
     @property
     def dynamic(self) -> np.ndarray:
-        """Indices of the bodies that forces move."""
+        """Indices of the dynamic bodies."""
         return np.flatnonzero(self.mass[0] > 0.0)
 
     @cached_property
@@ -173,21 +173,21 @@ class Trace:
 
     @cached_property
     def kinetic_energy(self) -> np.ndarray:
-        """Of all bodies that forces move, (records, envs) [J]."""
+        """Kinetic energy of all dynamic bodies, (records, envs) [J]."""
         linear = np.einsum("eb,nebi,nebi->ne", self.mass, self.linear_velocity, self.linear_velocity)
         return 0.5 * (linear + np.einsum("nebi,ebij,nebj->ne", self.body_spin, self.inertia, self.body_spin))
 
     @cached_property
     def energy(self) -> np.ndarray:
-        """Kinetic and potential energy of all bodies that forces move, (records, envs) [J]."""
+        """Kinetic and potential energy of all dynamic bodies, (records, envs) [J]."""
         return self.kinetic_energy - np.einsum("eb,nebi,ei->ne", self.mass, self.center, self.gravity)
 
     @cached_property
     def work_free_energy(self) -> np.ndarray:
-        """Kinetic energy less the work of gravity along the velocities, (records, envs) [J]; every step is needed.
+        """Kinetic energy less the work of gravity along the velocities, (records, envs) [J].
 
-        Unlike `energy` it does not see positions that push-out changed: dissipative impulses can only lower it,
-        and free flight lowers it by m g^2 dt^2 / 2 a step.
+        Requires `every` = 1. Unlike `energy` it is independent of position changes by push-out: dissipative impulses
+        can only lower it, and free flight lowers it by m g^2 dt^2 / 2 per step.
         """
         power = np.einsum("eb,nebi,ei->ne", self.mass, self.linear_velocity[1:], self.gravity)
         work = np.cumsum(power * self.experiment.dt, axis=0)

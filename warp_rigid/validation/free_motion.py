@@ -1,16 +1,16 @@
-"""Section B: bodies that nothing touches."""
+"""Section B: motion of free bodies."""
 
 import numpy as np
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.validation.case import Case, Check, Curve, Miss, absolute, at_most, each, relative
+from warp_rigid.validation.case import Curve, Miss, ReferenceCheck, ValidationCase, absolute, at_most, each, relative
 from warp_rigid.validation.common import NO_GRAVITY, G, random_turns, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
 EULER = "Euler's equations, closed form"
 FLAT = 1e-3
-"""Half the thickness of plates that stand for ideal ones [m]."""
+"""Half the thickness of plates that approximate ideal ones [m]."""
 PLATE = Box((1.0, 1.0, FLAT))
 """Moments of inertia as 1 : 1 : 2."""
 ROD = Box((1.0, 1.0, np.sqrt(3.0)))
@@ -19,7 +19,7 @@ BRICK = Box((np.sqrt(2.0), 1.0, FLAT))
 """Moments of inertia as 1 : 2 : 3."""
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; shorter if quick."""
     return [
         symmetric_top("plate, I 1 : 1 : 2", PLATE),
@@ -32,12 +32,12 @@ def cases(quick: bool) -> list[Case]:
 
 
 def moments(shape) -> np.ndarray:
-    """Principal moments over the mass, along the shape's own axes, (3,) [m^2]."""
+    """Principal moments over the mass, along the shape's axes, (3,) [m^2]."""
     return np.diag(np.asarray(shape.inertia, np.float64)) / shape.volume
 
 
 def spinning(shape, spins, turns=None, **options) -> Experiment:
-    """Experiment: a free body in environments that differ in spin (n, 3), in its own frame, and orientation (n, 4)."""
+    """Experiment: a free body in environments that differ in spin (n, 3) in the body frame and orientation (n, 4)."""
     spins = np.asarray(spins, np.float64)
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(spins), 1)) if turns is None else np.asarray(turns)
     axis, w = turns[:, :3], turns[:, 3:]
@@ -53,7 +53,7 @@ def spinning(shape, spins, turns=None, **options) -> Experiment:
 
 
 def symmetric_top(name, shape):
-    """The symmetry axis goes round the angular momentum at L / I1, at a constant angle to it."""
+    """The symmetry axis precesses about the angular momentum at L / I1, at a constant angle."""
     side, _, axial = moments(shape)
     spin = np.array([1.0, 0.0, 10.0])
     turns = np.concatenate([[[0, 0, 0, 1]], random_turns(np.random.default_rng(1), 3)])
@@ -79,16 +79,20 @@ def symmetric_top(name, shape):
         return np.abs(np.polyfit(trace.time, azimuth, 1)[0])
 
     tilt = np.degrees(np.arctan2(side * spin[0], axial * spin[2]))
-    return Case(
+    return ValidationCase(
         "V10",
         f"torque-free symmetric top, {name}, spin (1, 0, 10) rad/s",
         f"{EULER}; Landau and Lifshitz, Mechanics, sections 33 to 36",
         (
-            Check("precession in space", "rad/s", each(precession), np.linalg.norm(total) / side, relative(1e-3)),
-            Check(
+            ReferenceCheck(
+                "precession in space", "rad/s", each(precession), np.linalg.norm(total) / side, relative(1e-3)
+            ),
+            ReferenceCheck(
                 "precession in the body", "rad/s", each(body_rate), abs(axial - side) / side * spin[2], relative(1e-3)
             ),
-            Check("angle farthest from its start", "deg", each(farthest_angle), tilt, relative(1e-3)),
+            ReferenceCheck(
+                "angle with the largest deviation from the start", "deg", each(farthest_angle), tilt, relative(1e-3)
+            ),
         ),
         (spinning(shape, np.tile(spin, (4, 1)), turns, duration=10.0, variants=("upright", "turned", "2nd", "3rd")),),
     )
@@ -140,20 +144,20 @@ def flip(duration):
 
     ten = round(10.0 / DT) + 1
     names = tuple(f"spin {' '.join(f'{w:g}' for w in spin)} rad/s" for spin in spins)
-    return Case(
+    return ValidationCase(
         "V11",
         "Dzhanibekov's flip, I 1 : 2 : 3",
         "elliptic integral of Euler's equations",
         (
-            Check("time between flips", "s", each(mean), exact, relative(2e-3)),
-            Check(
+            ReferenceCheck("time between flips", "s", each(mean), exact, relative(2e-3)),
+            ReferenceCheck(
                 "energy error over 10 s",
                 "",
                 each(lambda t: np.abs(t.kinetic_energy[:ten] / t.kinetic_energy[0] - 1).max(axis=0)),
                 0.0,
                 at_most(2e-4),
             ),
-            Check(
+            ReferenceCheck(
                 "error of |L| over 10 s",
                 "",
                 each(lambda t: np.abs(size(t)[:ten] / size(t)[0] - 1).max(axis=0)),
@@ -167,8 +171,8 @@ def flip(duration):
 
 
 def stable_axes(duration):
-    """Spins about the largest and the least axis of an ellipsoid's inertia stay, one about the middle axis flips."""
-    # A box has moments in the same proportion as the ellipsoid with its half extents as semi-axes.
+    """Spin about the axes of largest and smallest inertia is stable; spin about the middle axis flips."""
+    # The moments of a box are in the same proportion as those of the ellipsoid with its half extents as semi-axes.
     ellipsoid = Box((2.0, 1.0, 0.5))
     spin = np.radians(180.0)
     axes = np.array([0, 2])
@@ -180,13 +184,13 @@ def stable_axes(duration):
 
     names = "long axis", "short axis"
     middle = spin * np.array([1e-3, 1.0, 2e-3])
-    return Case(
+    return ValidationCase(
         "V12",
         f"axes of an ellipsoid 2 x 1 x 0.5, 180 degrees/s, {duration:g} s",
         "stability of Euler's equations; rigid-ipc",
         (
-            Check("wander of the axis", "deg", lambda s: wander(s[0]), 0.0, at_most(0.5), names),
-            Check(
+            ReferenceCheck("deviation of the axis", "deg", lambda s: wander(s[0]), 0.0, at_most(0.5), names),
+            ReferenceCheck(
                 "time between flips about the middle axis",
                 "s",
                 lambda s: np.diff(flips(s[1])[0])[:1],
@@ -217,13 +221,13 @@ def momentum_kept():
         unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
         return np.linalg.norm(unit - unit[0], axis=-1).max(axis=0)
 
-    return Case(
+    return ValidationCase(
         "V12",
         "angular momentum of tumbling bodies over 10 000 steps",
         "conservation",
         (
-            Check("error of |L|", "", each(change), 0.0, absolute(1e-5)),
-            Check("turn of L", "rad", each(turn), 0.0, at_most(5e-5)),
+            ReferenceCheck("error of |L|", "", each(change), 0.0, absolute(1e-5)),
+            ReferenceCheck("rotation of L", "rad", each(turn), 0.0, at_most(5e-5)),
         ),
         (
             spinning(
@@ -239,7 +243,7 @@ def momentum_kept():
 
 
 def free_fall():
-    """Symplectic Euler falls by g dt^2 n (n + 1) / 2, which is what is demanded; the rest of the motion is uniform."""
+    """Symplectic Euler must fall by g dt^2 n (n + 1) / 2; the other components of the motion are uniform."""
     rates = (60, 240, 1000)
     velocity = np.array([[0.0, 0.0, 0.0], [3.0, -2.0, 4.0]])
 
@@ -265,23 +269,23 @@ def free_fall():
 
     coarse = tuple(f"{name}, dt 1/{rate}" for rate in rates[:2] for name in ("fall", "throw"))
     fine = tuple(f"{name}, dt 1/{rates[2]}" for name in ("fall", "throw"))
-    return Case(
+    return ValidationCase(
         "V14",
         "free fall and throw, 1 s",
         "the sum of symplectic Euler steps",
         (
-            Check(
+            ReferenceCheck(
                 "height", "m", lambda s: each(height)(s[:2]), lambda s: each(discrete)(s[:2]), absolute(1e-5), coarse
             ),
-            Check("distance from its place", "m", lambda s: each(off)(s[:2]), 0.0, at_most(1e-5), coarse),
-            Check(
-                "distance from its place",
+            ReferenceCheck("position error", "m", lambda s: each(off)(s[:2]), 0.0, at_most(1e-5), coarse),
+            ReferenceCheck(
+                "position error",
                 "m",
                 lambda s: off(s[2]),
                 0.0,
                 at_most(1e-5),
                 fine,
-                Miss("a thousand sums in float32, each rounded to 2e-7 m/s or m, add up", 6e-5),
+                Miss("rounding of a thousand sums in float32, each to 2e-7 m/s or m", 6e-5),
             ),
         ),
         tuple(experiment(rate) for rate in rates),

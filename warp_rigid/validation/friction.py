@@ -4,7 +4,18 @@ import numpy as np
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh
-from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import (
+    OUTCOME,
+    Curve,
+    Miss,
+    ReferenceCheck,
+    ValidationCase,
+    absolute,
+    at_most,
+    each,
+    relative,
+)
 from warp_rigid.validation.common import (
     RESTING,
     G,
@@ -12,7 +23,6 @@ from warp_rigid.validation.common import (
     downhill,
     first_time,
     largest_rise,
-    level_ground,
     per_env,
     turn_about,
 )
@@ -23,7 +33,7 @@ COULOMB = "Coulomb's law, closed form"
 CUBE, SLAB, SMALL = Box((0.5, 0.5, 0.5)), Box((0.2, 0.2, 0.05)), Box((0.05, 0.05, 0.05))
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """Cases of sliding; shorter if quick."""
     return [
         sticks(5.0),
@@ -38,7 +48,7 @@ def cases(quick: bool) -> list[Case]:
 
 
 def block_on_incline(block, degrees, friction, start=None, restitution=0.0, gravity=G, mesh=False, **options):
-    """Experiment: a block on inclines that fall along x, one environment for each entry of the lists.
+    """Experiment: a block on inclines that descend along x, one environment for each entry of the lists.
 
     Args:
         block: its shape.
@@ -60,7 +70,7 @@ def block_on_incline(block, degrees, friction, start=None, restitution=0.0, grav
 
     def scene():
         if not mesh:
-            made = level_ground(restitution=restitution)
+            made = level_scene(restitution=restitution)
         else:
             made = Scene(gravity=(0, 0, -gravity))
             vertices, faces = cube()
@@ -99,10 +109,10 @@ def directions(degrees) -> np.ndarray:
 
 
 def along(trace, which=0):
-    """Distance gone downhill (0) or away from the incline (1), (records, envs) [m]."""
+    """Displacement downhill (0) or away from the incline (1), (records, envs) [m]."""
     moved = trace.position[:, :, 1] - trace.position[0, :, 1]
     turn = trace.turns[0, :, 0]
-    # The incline is body 0: a turned mesh, or level ground under tilted gravity.
+    # The incline is body 0: a tilted mesh, or level ground under tilted gravity.
     axis = turn[:, :, 0] if which == 0 else turn[:, :, 2]
     return np.einsum("nei,ei->ne", moved, axis)
 
@@ -124,7 +134,7 @@ def inclines(make):
 
 
 def sticks(duration):
-    """At rest at e = 0 and at e = 1: the order of the stages must not turn gravity into bounces."""
+    """A block at rest with e = 0 and e = 1; the order of the stages must not cause bounces by gravity."""
 
     def make(block, mesh, restitution):
         return block_on_incline(
@@ -139,14 +149,14 @@ def sticks(duration):
         )
 
     experiments = tuple(one for e in (0.0, 1.0) for one in inclines(lambda block, mesh, e=e: make(block, mesh, e)))
-    return Case(
+    return ValidationCase(
         "V22",
         "block that sticks on an incline, 20 degrees, mu 0.5",
         COULOMB,
         (
-            Check("slip", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),
-            Check("lift", "m", each(lambda t: np.abs(along(t, 1)).max(axis=0)), 0.0, at_most(1e-4)),
-            Check("speed", "m/s", each(lambda t: speed(t).max(axis=0)), 0.0, at_most(1e-3)),
+            ReferenceCheck("slip", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),
+            ReferenceCheck("lift", "m", each(lambda t: np.abs(along(t, 1)).max(axis=0)), 0.0, at_most(1e-4)),
+            ReferenceCheck("speed", "m/s", each(lambda t: speed(t).max(axis=0)), 0.0, at_most(1e-3)),
         ),
         experiments,
         curve=Curve("slip", "m", along),
@@ -155,11 +165,11 @@ def sticks(duration):
 
 def creeps_not(duration):
     """Static friction holds without drift."""
-    return Case(
+    return ValidationCase(
         "V22",
         f"creep on an incline, 25 degrees, mu 0.6, {duration:g} s",
         COULOMB,
-        (Check("creep", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),),
+        (ReferenceCheck("creep", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),),
         inclines(lambda block, mesh: block_on_incline(block, 25.0, 0.6, mesh=mesh, duration=duration, every=24)),
         curve=Curve("slip", "m", along),
     )
@@ -168,43 +178,45 @@ def creeps_not(duration):
 def slides():
     """Uniform acceleration."""
     distance = 0.5 * pull(30.0, 0.3)
-    return Case(
+    return ValidationCase(
         "V22",
         "block that slides down an incline from rest, 30 degrees, mu 0.3",
         COULOMB,
-        (Check("way after 1 s", "m", each(lambda t: along(t)[-1]), distance, relative(5e-3)),),
+        (ReferenceCheck("distance after 1 s", "m", each(lambda t: along(t)[-1]), distance, relative(5e-3)),),
         inclines(lambda block, mesh: block_on_incline(block, 30.0, 0.3, mesh=mesh, duration=1.0, every=4)),
         curve=Curve("way", "m", along, lambda t: distance * t.time[:, None] ** 2),
     )
 
 
 def stop_time(trace):
-    """When the block stops, (envs,) [s]."""
+    """Time at which the block stops, (envs,) [s]."""
     return first_time(trace, (speed(trace) < RESTING) & (trace.time > 0.0)[:, None])
 
 
 def moved_after_stop(trace):
-    """How far the block moves once it has stopped, (envs,) [m]."""
+    """Displacement of the block after it has stopped, (envs,) [m]."""
     way, stopped = along(trace), stop_time(trace)
     return np.abs(way[-1] - at_time(trace, way, stopped))
 
 
 def stopping_checks(time, distance, limit):
-    """Time and distance of a stop, and rest ever after."""
+    """Checks of time and distance of a stop, and of rest after it."""
     return (
-        Check("time to stop", "s", each(stop_time), time, relative(limit)),
-        Check("way to stop", "m", each(lambda t: at_time(t, along(t), stop_time(t))), distance, relative(limit)),
-        Check("way after the stop", "m", each(moved_after_stop), 0.0, at_most(1e-4)),
+        ReferenceCheck("time to stop", "s", each(stop_time), time, relative(limit)),
+        ReferenceCheck(
+            "distance to stop", "m", each(lambda t: at_time(t, along(t), stop_time(t))), distance, relative(limit)
+        ),
+        ReferenceCheck("motion after the stop", "m", each(moved_after_stop), 0.0, at_most(1e-4)),
     )
 
 
 def stops():
-    """A block that is thrown downhill stops, and stays."""
+    """A block with an initial speed downhill stops and stays at rest."""
     degrees, friction, start = np.array([20.0, 10.0]), np.array([0.5, 0.3]), np.array([2.0, 1.0])
     time = start / -pull(degrees, friction)
     every = np.tile(time, 3)
     way = 0.5 * every * np.tile(start, 3)
-    return Case(
+    return ValidationCase(
         "V22",
         "block that slides downhill and stops",
         COULOMB,
@@ -219,28 +231,32 @@ def stops():
 
 
 def authors_incline():
-    """The two blocks of the 2003 authors' own accuracy test, g = 9.8, e = 1."""
+    """The two blocks of the accuracy test by the authors of the 2003 method, g = 9.8, e = 1."""
     slowing = -pull(20.0, 0.5, 9.8)
     options = {"restitution": 1.0, "gravity": 9.8}
     first = block_on_incline(SMALL, 20.0, 0.5, 1.25, duration=3.0, label="block 1", **options)
     second = block_on_incline(SMALL, 20.0, 0.25, duration=2.0, label="block 2", **options)
     slid = 0.5 * pull(20.0, 0.25, 9.8) * 2.0**2
-    return Case(
+    return ValidationCase(
         "V22",
         "the 2003 authors' two blocks on an incline, 20 degrees, e 1",
         "PhysBAM Sliding_Test, and Coulomb's law",
         (
-            Check("time to stop", "s", lambda s: stop_time(s[0]), 1.25 / slowing, relative(0.01), ("block 1",)),
-            Check(
-                "way to stop",
+            ReferenceCheck(
+                "time to stop", "s", lambda s: stop_time(s[0]), 1.25 / slowing, relative(0.01), ("block 1",)
+            ),
+            ReferenceCheck(
+                "distance to stop",
                 "m",
                 lambda s: at_time(s[0], along(s[0]), stop_time(s[0])),
                 1.25**2 / (2 * slowing),
                 relative(0.01),
                 ("block 1",),
             ),
-            Check("way after the stop", "m", lambda s: moved_after_stop(s[0]), 0.0, at_most(1e-4), ("block 1",)),
-            Check("way after 2 s", "m", lambda s: along(s[1])[-1], slid, relative(0.01), ("block 2",)),
+            ReferenceCheck(
+                "motion after the stop", "m", lambda s: moved_after_stop(s[0]), 0.0, at_most(1e-4), ("block 1",)
+            ),
+            ReferenceCheck("distance after 2 s", "m", lambda s: along(s[1])[-1], slid, relative(0.01), ("block 2",)),
         ),
         (first, second),
         curve=Curve("way", "m", along),
@@ -248,7 +264,7 @@ def authors_incline():
 
 
 def incline_grid():
-    """All slopes against all frictions in one batch, and two degrees on either side of each friction angle."""
+    """All combinations of slope and friction in one batch, and two degrees on either side of each friction angle."""
     frictions = (0.1, 0.3, 0.5, 0.7, 1.0)
     cells = [(mu, degrees) for mu in frictions for degrees in (3, 10, 20, 30, 40)]
     cells += [(mu, np.degrees(np.arctan(mu)) + side) for mu in frictions for side in (-2, 2)]
@@ -257,28 +273,28 @@ def incline_grid():
     sliding = way > 0.0
     experiment = block_on_incline(SLAB, degrees, friction, duration=1.0, every=24)
     labels = np.array(experiment.variants)
-    return Case(
+    return ValidationCase(
         "V22",
-        "grid of 25 slopes and frictions, and 2 degrees off each friction angle",
+        "grid of 25 slopes and frictions, and 2 degrees from each friction angle",
         COULOMB,
         (
-            Check("slides", "", each(lambda t: along(t)[-1] > 1e-4), sliding, OUTCOME),
-            Check(
-                "way after 1 s",
+            ReferenceCheck("slides", "", each(lambda t: along(t)[-1] > 1e-4), sliding, OUTCOME),
+            ReferenceCheck(
+                "distance after 1 s",
                 "m",
                 lambda s: along(s[0])[-1, sliding],
                 way[sliding],
                 relative(5e-3),
                 labels[sliding],
             ),
-            Check("slip", "m", lambda s: along(s[0])[-1, ~sliding], 0.0, absolute(1e-5), labels[~sliding]),
+            ReferenceCheck("slip", "m", lambda s: along(s[0])[-1, ~sliding], 0.0, absolute(1e-5), labels[~sliding]),
         ),
         (experiment,),
         curve=Curve("way", "m", along),
     )
 
 
-HALVED = "the first step already brakes: v0 dt / 2 is lost, 1.4 % here, and half of it at dt 1/480"
+HALVED = "friction acts during all of the first step: the distance is v0 dt / 2 short, 1.4 % here, 0.7 % at dt 1/480"
 
 
 def stopping_distance():
@@ -287,7 +303,7 @@ def stopping_distance():
     start, friction, limit = rows.T
 
     def scene():
-        made = level_ground()
+        made = level_scene()
         made.add_body(Box((0.25, 0.25, 0.25)), position=(0, 0, 0.25))
         return made
 
@@ -306,8 +322,8 @@ def stopping_distance():
     experiments = experiment(240), experiment(480)
 
     def check(pick, tolerance, miss=None):
-        return Check(
-            "way to stop",
+        return ReferenceCheck(
+            "distance to stop",
             "m",
             lambda s: np.array([s[run].position[-1, env, 1, 0] for run, env in pick]),
             exact[[env for _, env in pick]],
@@ -316,7 +332,7 @@ def stopping_distance():
             miss,
         )
 
-    return Case(
+    return ValidationCase(
         "V23",
         "stopping distance on level ground",
         COULOMB,
@@ -324,7 +340,7 @@ def stopping_distance():
             check([(0, 0), (0, 1), (1, 0), (1, 1), (1, 2)], 0.01),
             check([(0, 2)], 0.01, Miss(HALVED, 0.0145)),
             check([(0, 3), (1, 3)], 0.005),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
         ),
         experiments,
         curve=Curve("way", "m", lambda t: t.position[:, :, 1, 0]),
@@ -332,18 +348,18 @@ def stopping_distance():
 
 
 def painleve():
-    """A rod whose tip drags over the ground towards Painleve's paradox, where Coulomb's law has no rigid solution.
+    """A rod whose tip drags over the ground into Painleve's paradox, where Coulomb's law has no rigid solution.
 
-    Whatever an engine does then, it must stay finite and gain no energy. The paradox begins at
-    mu = (1 + 3 cos^2) / (3 sin cos), which is 4/3 at the least, for a slope of 63.4 degrees.
+    An engine must then stay finite and gain no energy. The paradox begins at
+    mu = (1 + 3 cos^2) / (3 sin cos), which has its minimum 4/3 at a slope of 63.4 degrees.
     """
     angle, friction = np.radians(63.4), np.array([1.0, 1.5, 2.0])
     rod = Capsule(0.01, 0.49)
     tip = 0.49 * np.array([np.cos(angle), 0.0, np.sin(angle)])
 
     def scene():
-        made = level_ground()
-        # The rod leans forward over its dragging tip, as a chalk that is pushed over a board.
+        made = level_scene()
+        # The rod leans forward over its dragging tip, as chalk pushed over a board.
         turn = turn_about((0, 1, 0), -(90 - np.degrees(angle)))
         made.add_body(
             rod, mass=1.0, position=(-tip[0], 0, tip[2] + 0.01), orientation=turn, linear_velocity=(1.0, 0, 0)
@@ -355,22 +371,22 @@ def painleve():
         moving = trace.linear_velocity[:, :, 1] + np.cross(trace.angular_velocity[:, :, 1], -0.49 * along_rod)
         return moving[:, :, 0]
 
-    return Case(
+    return ValidationCase(
         "V32",
         "rod whose tip drags at 1 m/s, 63.4 degrees: Painleve's paradox from mu 4/3 on",
-        "Coulomb's law: energy is never gained, and friction never reverses the slip at once",
+        "Coulomb's law: no gain of energy, no reversal of the slip within a step",
         (
-            Check(
-                "energy gained, of that at the start",
+            ReferenceCheck(
+                "energy gained, relative to the start",
                 "",
                 each(lambda t: largest_rise(t.work_free_energy) / t.kinetic_energy[0]),
                 0.0,
                 at_most(1e-3),
             ),
-            Check(
+            ReferenceCheck(
                 "speed of the tip backwards", "m/s", each(lambda t: -tip_speed(t).min(axis=0)), 0.0, at_most(G / 240)
             ),
-            Check("largest speed", "m/s or rad/s", each(lambda t: t.speed.max(axis=0)), 20.0, at_most(0.0)),
+            ReferenceCheck("largest speed", "m/s or rad/s", each(lambda t: t.speed.max(axis=0)), 20.0, at_most(0.0)),
         ),
         (Experiment(scene, 0.1, tuple(f"mu {mu:g}" for mu in friction), (per_env("friction", friction),)),),
         curve=Curve("speed of the tip", "m/s", tip_speed),

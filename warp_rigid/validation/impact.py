@@ -4,13 +4,13 @@ import numpy as np
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
-from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, absolute, at_most, each, relative
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import OUTCOME, Curve, ReferenceCheck, ValidationCase, absolute, at_most, each, relative
 from warp_rigid.validation.common import (
     NO_GRAVITY,
     RESTING,
     G,
     largest_rise,
-    level_ground,
     per_env,
     random_turns,
     turn_about,
@@ -19,10 +19,10 @@ from warp_rigid.validation.experiment import DT, Experiment, Start
 
 NEWTON = "Newton's law of impact, closed form"
 RATES = (60, 240, 1000)
-"""Steps a second at which the bounces are measured."""
+"""Steps per second at which the bounces are measured."""
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; shorter and fewer if quick."""
     listed = [
         bounce_heights(),
@@ -40,10 +40,10 @@ def cases(quick: bool) -> list[Case]:
 
 
 def dropped_ball(restitution, duration, rate):
-    """Experiment: a ball of 0.05 m that falls by a metre; one environment for each restitution."""
+    """Experiment: a ball of radius 0.05 m that falls by 1 m; one environment for each restitution."""
 
     def scene():
-        made = level_ground()
+        made = level_scene()
         made.add_body(Sphere(0.05), position=(0, 0, 1.05))
         return made
 
@@ -62,7 +62,7 @@ def climb(trace):
 
 
 def exact_height(trace):
-    """Height of a ball that bounces without end, (records, envs) [m]."""
+    """Exact height of a bouncing ball, (records, envs) [m]."""
     restitution = trace.experiment.starts[0].value[:, 0]
     speed = np.full(len(restitution), np.sqrt(2 * G))
     since = trace.time[:, None] - speed / G
@@ -76,7 +76,7 @@ def exact_height(trace):
 
 
 def peak(trace, number):
-    """Height of the peak after so many bounces, (envs,) [m]; NaN where there is none."""
+    """Height of the peak after `number` bounces, (envs,) [m]; NaN if there is none."""
     found = []
     for high, up in zip(height(trace).T, climb(trace).T, strict=True):
         turn = np.flatnonzero((up[:-1] > 0.0) & (up[1:] <= 0.0))
@@ -85,20 +85,20 @@ def peak(trace, number):
 
 
 def bounce_heights():
-    """The impact is centred in time, so that no height is lost at any step."""
+    """The impact is centred in time, so that no height is lost at any step size."""
     restitution = np.array([1.0, 0.8, 0.5])
     experiments = tuple(dropped_ball(restitution, 2.3, rate) for rate in RATES)
     exact = restitution**2
     third = tuple(f"e 0.8, dt 1/{rate}" for rate in RATES)
-    return Case(
+    return ValidationCase(
         "V17",
         "bounces of a ball dropped from 1 m",
         NEWTON,
         (
-            Check("first peak", "m", each(lambda t: peak(t, 1)), np.tile(exact, 3), relative(0.01)),
-            Check("second peak", "m", each(lambda t: peak(t, 2)), np.tile(exact**2, 3), relative(0.01)),
-            Check("third peak", "m", lambda s: [peak(t, 3)[1] for t in s], 0.8**6, relative(0.01), third),
-            Check("greatest height", "m", each(lambda t: height(t).max(axis=0)), 1.0, at_most(1e-4)),
+            ReferenceCheck("first peak", "m", each(lambda t: peak(t, 1)), np.tile(exact, 3), relative(0.01)),
+            ReferenceCheck("second peak", "m", each(lambda t: peak(t, 2)), np.tile(exact**2, 3), relative(0.01)),
+            ReferenceCheck("third peak", "m", lambda s: [peak(t, 3)[1] for t in s], 0.8**6, relative(0.01), third),
+            ReferenceCheck("greatest height", "m", each(lambda t: height(t).max(axis=0)), 1.0, at_most(1e-4)),
         ),
         experiments,
         curve=Curve("height", "m", height, exact_height),
@@ -112,7 +112,7 @@ def contact_times(trace):
 
 
 def bounce_times():
-    """First order in the step: the error at least halves with it, but for what rounding to whole steps adds."""
+    """First order in the time step: the error halves with it, except for the rounding to whole steps."""
     rates = (60, 120, 240, 480, 1000)
     first = np.sqrt(2 / G)
     exact = first * (1 + 2 * np.cumsum([0.8, 0.64, 0.512]))
@@ -120,12 +120,12 @@ def bounce_times():
     def errors(s):
         return np.array([np.abs(contact_times(t) - exact).max() for t in s])
 
-    return Case(
+    return ValidationCase(
         "V17",
         "times of the second to fourth contact, e 0.8",
         NEWTON,
         (
-            Check(
+            ReferenceCheck(
                 "contact time at dt 1/1000",
                 "s",
                 lambda s: contact_times(s[-1]),
@@ -133,8 +133,8 @@ def bounce_times():
                 relative(5e-3),
                 ("second", "third", "fourth"),
             ),
-            Check(
-                "error over that at twice the step",
+            ReferenceCheck(
+                "error relative to that at twice the step",
                 "",
                 lambda s: errors(s)[1:4] / errors(s)[:3],
                 0.6,
@@ -147,28 +147,28 @@ def bounce_times():
 
 
 def bounce_end(restitution):
-    """Infinitely many bounces end in a finite time, in rest."""
+    """Infinitely many bounces end at rest after a finite time."""
     e = np.array(restitution)
     total = np.sqrt(2 / G) * (1 + e) / (1 - e)
 
     def last(t):
         return [t.time[np.flatnonzero(np.abs(up) > 1e-3)[-1]] for up in climb(t).T]
 
-    return Case(
+    return ValidationCase(
         "V17",
         "end of the bouncing, dt 1/1000",
         NEWTON,
         (
-            Check("time of the last motion", "s", each(last), total, relative(0.02)),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-50:].max(axis=0)), 0.0, at_most(1e-3)),
-            Check("height at the end", "m", each(lambda t: height(t)[-1]), 0.0, absolute(1e-4)),
+            ReferenceCheck("time of the last motion", "s", each(last), total, relative(0.02)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-50:].max(axis=0)), 0.0, at_most(1e-3)),
+            ReferenceCheck("height at the end", "m", each(lambda t: height(t)[-1]), 0.0, absolute(1e-4)),
         ),
         (dropped_ball(e, 1.1 * total.max(), 1000),),
     )
 
 
 def head_on():
-    """Two spheres meet; some steps end just short of the contact."""
+    """Two spheres collide; in some environments a step ends just before the contact."""
     cells = [(e, apart) for apart in (1.2, 0.8512, 0.7, 0.9) for e in (0.0, 0.25, 0.5, 0.75, 1.0)]
     restitution, apart = np.array(cells).T
 
@@ -180,13 +180,15 @@ def head_on():
 
     place = np.zeros((len(cells), 2, 3))
     place[:, 0, 0], place[:, 1, 0] = -apart, apart
-    return Case(
+    return ValidationCase(
         "V17",
         "head-on collision of two spheres at +-1 m/s",
         "Chrono's CorNormal; e = speed after over speed before",
         (
-            Check("speed after", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), restitution, absolute(1e-3)),
-            Check("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0]), 0.0, absolute(1e-6)),
+            ReferenceCheck(
+                "speed after", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), restitution, absolute(1e-3)
+            ),
+            ReferenceCheck("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0]), 0.0, absolute(1e-6)),
         ),
         (
             Experiment(
@@ -201,7 +203,7 @@ def head_on():
 
 
 def successive_impacts(masses, velocities, restitution):
-    """Velocities after a row of balls has hit one another, two at a time, until none approach any more."""
+    """Velocities of a row of balls after impacts of two balls at a time, until no two approach."""
     m, v = np.asarray(masses, np.float64), np.array(velocities, np.float64)
     while (closing := v[:-1] - v[1:]).max() > 1e-12:
         if restitution == 0.0 and closing.max() < 1e-9:
@@ -214,7 +216,7 @@ def successive_impacts(masses, velocities, restitution):
 
 
 def row_of_balls(masses, rows):
-    """Experiment and exact velocities of rows of balls; `rows` holds (velocities, restitution, gap)."""
+    """Experiment and exact velocities of rows of balls; `rows` contains (velocities, restitution, gap)."""
     count = len(masses)
 
     def scene():
@@ -238,7 +240,7 @@ def row_of_balls(masses, rows):
 
 
 def row_checks(exact):
-    """The balls leave as after successive impacts; where e < 1 and a gap delays them, only the last must."""
+    """The balls leave as after successive impacts; with e < 1 and gaps this holds for the last ball only."""
 
     def along(t):
         return t.linear_velocity[-1, :, :, 0]
@@ -250,24 +252,24 @@ def row_checks(exact):
         return np.einsum("eb,eb->e", t.mass, t.linear_velocity[0, :, :, 0])
 
     return (
-        Check("speed of the last ball", "m/s", each(lambda t: along(t)[:, -1]), exact[:, -1], absolute(1e-3)),
-        Check(
-            "energy above that of successive impacts",
+        ReferenceCheck("speed of the last ball", "m/s", each(lambda t: along(t)[:, -1]), exact[:, -1], absolute(1e-3)),
+        ReferenceCheck(
+            "energy in excess of successive impacts",
             "J",
             each(lambda t: kinetic(t, along(t)) - kinetic(t, exact)),
             0.0,
             at_most(1e-3),
         ),
-        Check("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0] - start(t)), 0.0, absolute(1e-5)),
-        Check(
+        ReferenceCheck("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0] - start(t)), 0.0, absolute(1e-5)),
+        ReferenceCheck(
             "speed across", "m/s", each(lambda t: np.abs(t.linear_velocity[..., 1:]).max((0, 2, 3))), 0, at_most(1e-6)
         ),
     )
 
 
 def every_ball(exact, chosen, experiment):
-    """All balls of the chosen rows."""
-    return Check(
+    """Check of all balls of the chosen rows."""
+    return ReferenceCheck(
         "largest error of a ball's speed",
         "m/s",
         lambda s: np.abs(s[0].linear_velocity[-1, chosen, :, 0] - exact[chosen]).max(axis=1),
@@ -286,9 +288,9 @@ def cradle():
     rows = [(before, 1.0, gap) for gap in GAPS for before in CRADLE]
     rows += [(CRADLE[0], e, gap) for gap in GAPS for e in (0.9, 0.0)]
     experiment, exact = row_of_balls([1.0] * 5, rows)
-    # Elastic rows and touching ones have one answer; with gaps and losses the order of later impacts decides.
+    # Elastic rows and touching rows have a unique result; with gaps and losses it depends on the order of impacts.
     sure = [row for row, (_, e, gap) in enumerate(rows) if e in (0.0, 1.0) or gap == 0.0]
-    return Case(
+    return ValidationCase(
         "V18",
         "cradle of five balls",
         "successive impacts of two balls at a time",
@@ -301,7 +303,7 @@ def chain():
     """Masses 1, 1/2, 1/4, 1/8."""
     rows = [((1, 0, 0, 0), e, gap) for gap in GAPS for e in (1.0, 0.9)]
     experiment, exact = row_of_balls([1.0, 0.5, 0.25, 0.125], rows)
-    return Case(
+    return ValidationCase(
         "V18",
         "chain of four balls, each half as heavy as the one before",
         "successive impacts of two balls at a time",
@@ -319,7 +321,7 @@ def superball_after(tangential, spin, normal, restitution, friction, radius=0.1)
 
 
 def superball():
-    """A spinning sphere hits a plane: it sticks, it slips, and the border between the two."""
+    """A spinning sphere hits a plane: sticking, slipping, and the limit between the two."""
     border = 2 / 7 * 2.0 / (1.8 * 3.0)
     rows = [
         (2, 0, -3, 0.8, 0.30),
@@ -332,7 +334,7 @@ def superball():
     exact = np.array([superball_after(*row) for row in rows])
 
     def scene():
-        made = level_ground(gravity=NO_GRAVITY)
+        made = level_scene(gravity=NO_GRAVITY)
         made.add_body(Sphere(0.1), position=(0, 0, 0.1))
         return made
 
@@ -348,23 +350,25 @@ def superball():
     def slides(t):
         return np.abs(t.linear_velocity[-1, :, 1, 0] - 0.1 * t.angular_velocity[-1, :, 1, 1]) > 1e-5
 
-    return Case(
+    return ValidationCase(
         "V19",
         "oblique impact of a spinning sphere on a plane",
         "Garwin's superball, closed form",
         (
-            Check(
+            ReferenceCheck(
                 "normal velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), exact[:, 0], relative(1e-4)
             ),
-            Check(
+            ReferenceCheck(
                 "tangential velocity",
                 "m/s",
                 each(lambda t: t.linear_velocity[-1, :, 1, 0]),
                 exact[:, 1],
                 relative(1e-4),
             ),
-            Check("spin", "rad/s", each(lambda t: t.angular_velocity[-1, :, 1, 1]), exact[:, 2], relative(1e-4)),
-            Check("still slides", "", each(slides), [0, 1, 0, 1, 0], OUTCOME),
+            ReferenceCheck(
+                "spin", "rad/s", each(lambda t: t.angular_velocity[-1, :, 1, 1]), exact[:, 2], relative(1e-4)
+            ),
+            ReferenceCheck("still slides", "", each(slides), [0, 1, 0, 1, 0], OUTCOME),
         ),
         (Experiment(scene, DT, names, starts),),
     )
@@ -379,7 +383,7 @@ def eccentric():
     impulse = (1 + restitution) / (1 + arm**2 / inertia)
 
     def scene():
-        made = level_ground(gravity=NO_GRAVITY, friction=0.0, restitution=restitution)
+        made = level_scene(gravity=NO_GRAVITY, friction=0.0, restitution=restitution)
         made.add_body(
             rod,
             mass=1.0,
@@ -391,13 +395,15 @@ def eccentric():
         )
         return made
 
-    return Case(
+    return ValidationCase(
         "V20",
         "eccentric impact of a thin rod at 30 degrees, e 0.5",
         "Newton's law of impact at the tip, closed form",
         (
-            Check("velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), impulse - 1, relative(1e-3)),
-            Check(
+            ReferenceCheck(
+                "velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), impulse - 1, relative(1e-3)
+            ),
+            ReferenceCheck(
                 "spin",
                 "rad/s",
                 each(lambda t: np.abs(t.angular_velocity[-1, :, 1, 1])),
@@ -410,7 +416,7 @@ def eccentric():
 
 
 def random_impacts(count):
-    """Boxes thrown at each other at random, with every restitution and friction: no impact gains energy."""
+    """Random impacts of boxes with all restitutions and frictions; no impact may gain energy."""
     draw = np.random.default_rng(0)
 
     def scene():
@@ -438,20 +444,20 @@ def random_impacts(count):
     def scale(t):
         return (t.mass * np.linalg.norm(t.linear_velocity[0], axis=2)).sum(axis=1)
 
-    return Case(
+    return ValidationCase(
         "V62",
         "impacts of three boxes thrown at random, every restitution and friction",
         "energy and momentum",
         (
-            Check(
-                "energy gained, of that at the start",
+            ReferenceCheck(
+                "energy gained, relative to the start",
                 "",
                 each(lambda t: largest_rise(t.kinetic_energy) / t.kinetic_energy[0]),
                 0.0,
                 at_most(1e-4),
             ),
-            Check("momentum gained, of all", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
-            Check(
+            ReferenceCheck("relative gain of momentum", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
+            ReferenceCheck(
                 "share of the throws that met", "", lambda s: (lost(s[0]) > 1e-3).mean(), 1.0, absolute(0.2), ("all",)
             ),
         ),
@@ -461,10 +467,10 @@ def random_impacts(count):
 
 
 def gas(duration):
-    """216 elastic balls fall, hit the ground and one another, and keep their energy."""
+    """216 elastic balls hit the ground and one another, and conserve their energy."""
 
     def scene():
-        made = level_ground(friction=0.0, restitution=1.0)
+        made = level_scene(friction=0.0, restitution=1.0)
         jitter = 1e-3 * np.random.default_rng(1).uniform(-1, 1, (6, 6, 6, 3))
         for cell in np.ndindex(6, 6, 6):
             place = 0.21 * np.array(cell) + jitter[cell] + [0, 0, 1.101]
@@ -481,10 +487,10 @@ def gas(duration):
 
 
 def drop_of_49():
-    """49 elastic balls fall by 5 m, again and again."""
+    """49 elastic balls bounce from a height of 5 m."""
 
     def scene():
-        made = level_ground(friction=0.0, restitution=1.0)
+        made = level_scene(friction=0.0, restitution=1.0)
         for x, y in np.ndindex(7, 7):
             place = (0.3 * x, 0.3 * y, 5.0)
             made.add_body(Sphere(0.1), mass=10.0, position=place, friction=0.0, restitution=1.0)
@@ -500,24 +506,24 @@ def drop_of_49():
 
 
 def elastic(title, source, scene, duration, limit):
-    """Energy of elastic balls against that at the start."""
+    """Checks of the energy of elastic balls relative to the start."""
 
     def off(t):
         return t.energy / t.energy[0] - 1.0
 
-    return Case(
+    return ValidationCase(
         "V21",
         title,
         source,
         (
-            Check(
+            ReferenceCheck(
                 "energy error, root mean square",
                 "",
                 each(lambda t: np.sqrt((off(t) ** 2).mean(axis=0))),
                 0,
                 at_most(limit),
             ),
-            Check("energy gained", "", each(lambda t: off(t).max(axis=0)), 0.0, at_most(limit)),
+            ReferenceCheck("energy gained", "", each(lambda t: off(t).max(axis=0)), 0.0, at_most(limit)),
         ),
         (Experiment(scene, duration, dt=1e-3, every=10),),
         curve=Curve("energy over that at the start", "", lambda t: t.energy / t.energy[0]),

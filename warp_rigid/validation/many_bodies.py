@@ -1,32 +1,29 @@
-"""Section G: granular heaps, whose order and trend are known."""
+"""Section G: granular piles, for which order and trend are known."""
 
 import numpy as np
 
-from warp_rigid.scene.shapes import Sphere
-from warp_rigid.validation.case import AT_LEAST, Case, Check, at_least, at_most
-from warp_rigid.validation.common import level_ground, per_env
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import AT_LEAST, ReferenceCheck, ValidationCase, at_least, at_most
+from warp_rigid.validation.common import per_env
 from warp_rigid.validation.experiment import Experiment
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; none is quick."""
     return [] if quick else [heap()]
 
 
 def heap(base=6):
-    """Square pyramids of balls: without friction nothing is left of one, and the more there is the higher they stay."""
+    """Square pyramids of balls collapse without friction; more friction preserves more of the height."""
     radius = 0.05
     friction = np.array([0.0, 0.1, 0.2, 0.6, 0.6])
     rolling = np.array([0.0, 0.0, 0.0, 0.0, 1e-2])
     names = tuple(f"mu {mu:g}, rolling {1e3 * c:g} mm" for mu, c in zip(friction, rolling, strict=True))
 
     def scene():
-        made = level_ground()
-        for layer in range(base):
-            middle = 0.5 * (base - layer - 1)
-            for x, y in np.ndindex(base - layer, base - layer):
-                place = 2 * radius * np.array([x - middle, y - middle, layer / 2**0.5 + 0.5])
-                made.add_body(Sphere(radius), position=place)
+        made = level_scene()
+        stacks.add_ball_pyramid(made, base, radius)
         return made
 
     def kept(trace):
@@ -34,21 +31,21 @@ def heap(base=6):
         return height[-1] / height[0]
 
     count = base * (base + 1) * (2 * base + 1) // 6
-    return Case(
+    return ValidationCase(
         "V60",
         f"heaps of {count} balls, 3 s from a square pyramid",
         "Zhou 2001 and 2002: order and trend",
         (
-            Check("height kept without friction", "", lambda s: kept(s[0])[:1], 0.0, at_most(0.05), names[:1]),
-            Check(
-                "height kept over that with less friction",
+            ReferenceCheck("height kept without friction", "", lambda s: kept(s[0])[:1], 0.0, at_most(0.05), names[:1]),
+            ReferenceCheck(
+                "increase of the kept height over less friction",
                 "",
                 lambda s: np.diff(kept(s[0])),
                 0.0,
                 at_least(1e-3),
                 names[1:],
             ),
-            Check("height kept with most friction", "", lambda s: kept(s[0])[-1:], 0.9, AT_LEAST, names[-1:]),
+            ReferenceCheck("height kept with most friction", "", lambda s: kept(s[0])[-1:], 0.9, AT_LEAST, names[-1:]),
         ),
         (
             Experiment(

@@ -8,13 +8,13 @@ from warp_rigid.scene.shapes.base import Grid, frozen_array
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation import solids
-from warp_rigid.validation.case import AT_LEAST, Case, Check, Miss, absolute, at_most, relative
+from warp_rigid.validation.case import AT_LEAST, Miss, ReferenceCheck, ValidationCase, absolute, at_most, relative
 
 BAND = 3.0
 """Half the width of the band around a surface where distances are compared [cells]."""
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; coarser if quick."""
     cells = (32, 64) if quick else (32, 64, 128)
     return [
@@ -84,16 +84,16 @@ def polyhedra():
         exact = [table[name][3] for name in names]
         return [np.abs(mesh.inertia - e).max() / np.abs(e).max() for mesh, e in zip(shapes, exact, strict=True)]
 
-    return Case(
+    return ValidationCase(
         "V01",
         "mass properties of polyhedra",
         "closed forms and Steiner's rule; Mirtich 1996",
         (
-            Check(
+            ReferenceCheck(
                 "volume", "m^3", lambda s: [m.volume for m in s], [table[n][1] for n in names], relative(1e-6), names
             ),
-            Check("centre of mass, off", "m", center_error, 0.0, at_most(1e-6), names),
-            Check("inertia, off, of the largest entry", "", inertia_error, 0.0, at_most(1e-6), names),
+            ReferenceCheck("error of the centre of mass", "m", center_error, 0.0, at_most(1e-6), names),
+            ReferenceCheck("inertia error relative to the largest entry", "", inertia_error, 0.0, at_most(1e-6), names),
         ),
         compute=compute,
         on_device=False,
@@ -101,7 +101,7 @@ def polyhedra():
 
 
 def torus_of_triangles(major, minor, around, across) -> tuple[float, float, float]:
-    """Volume, Ix and Iz of a torus whose section is a regular polygon and whose rings are polygons too.
+    """Volume, Ix and Iz of a torus whose section is a regular polygon and whose rings are polygons.
 
     Each sector between two sections is cut by lines parallel to their chord, and its moments are those of the
     isosceles triangles that a strip of the section sweeps.
@@ -116,7 +116,7 @@ def torus_of_triangles(major, minor, around, across) -> tuple[float, float, floa
 
 
 def torus():
-    """A mesh has the values of its polyhedron, and these tend to the smooth solid's at second order."""
+    """A mesh has the values of its polyhedron, which converge to those of the smooth solid at second order."""
     major, minor = 1.0, 0.3
     volume = 2 * np.pi**2 * major * minor**2
     smooth = np.array([volume, volume * (4 * major**2 + 5 * minor**2) / 8, volume * (major**2 + 0.75 * minor**2)])
@@ -134,12 +134,12 @@ def torus():
 
     names = "volume", "Ix", "Iz"
     steps = tuple(f"{name}, {a} to {b} segments" for a, b in zip(fine[:-1], fine[1:], strict=True) for name in names)
-    return Case(
+    return ValidationCase(
         "V02",
         "mass properties of a torus of triangles, R 1, r 0.3",
         "closed forms of the polyhedron and of the torus",
         (
-            Check(
+            ReferenceCheck(
                 "64 x 32 mesh",
                 "m^3 or m^5",
                 lambda s: values(s[1]),
@@ -147,7 +147,7 @@ def torus():
                 relative(1e-6),
                 names,
             ),
-            Check("order of convergence", "", order, 2.0, absolute(0.05), steps),
+            ReferenceCheck("order of convergence", "", order, 2.0, absolute(0.05), steps),
         ),
         compute=compute,
         on_device=False,
@@ -155,14 +155,14 @@ def torus():
 
 
 def grid_on(device, mesh: Mesh, cells: int) -> Grid:
-    """A mesh's distance grid, computed on a device and not read from the cache."""
+    """A mesh's distance grid, computed on a device without the cache."""
     origin, spacing, shape = distance_grid.grid_layout(mesh.vertices, cells)
     values = distance_grid.bake(mesh.vertices, mesh.faces, origin, spacing, shape, True, wp.get_device(device))
     return Grid(tuple(origin.tolist()), spacing, frozen_array(values, np.float32))
 
 
 def points_near(distance, half, width, count) -> np.ndarray:
-    """Random points within `width` of a surface that lies in a box of some half extents, (count, 3)."""
+    """Random points within `width` of a surface inside a box with the given half extents, (count, 3)."""
     draw = np.random.default_rng(4)
     found = np.zeros((0, 3))
     while len(found) < count:
@@ -172,7 +172,7 @@ def points_near(distance, half, width, count) -> np.ndarray:
 
 
 def sphere_distance(cells, count, frequency):
-    """Distances and normals of a ball of triangles, against those of the sphere."""
+    """Distances and normals of a triangulated ball, compared with those of the sphere."""
     radius = 0.5
 
     def distance(points):
@@ -199,8 +199,8 @@ def sphere_distance(cells, count, frequency):
     fine = [k for k, n in enumerate(cells) if n > 64]
     half = cells.index(64)
     checks = [
-        Check("largest error within 3 cells", "m", lambda s: s[:, 0], lambda s: s[:, 1], at_most(0.0), names),
-        Check(
+        ReferenceCheck("largest error within 3 cells", "m", lambda s: s[:, 0], lambda s: s[:, 1], at_most(0.0), names),
+        ReferenceCheck(
             "largest error of the normals, h = R / 32",
             "deg",
             lambda s: s[[half], 2],
@@ -208,18 +208,20 @@ def sphere_distance(cells, count, frequency):
             at_most(1.0),
             ("64 cells",),
             Miss(
-                "a trilinear gradient is that of the cell's middle: h / (2 r) off in each of two directions, 1.27 deg",
+                "a trilinear gradient is that at the cell's centre: an error of h / (2 r) in two directions, 1.27 deg",
                 1.4,
             ),
         ),
     ]
     if fine:
         labels = [names[k] for k in fine]
-        checks.append(Check("largest error of the normals", "deg", lambda s: s[fine, 2], 0.0, at_most(1.0), labels))
-    return Case(
+        checks.append(
+            ReferenceCheck("largest error of the normals", "deg", lambda s: s[fine, 2], 0.0, at_most(1.0), labels)
+        )
+    return ValidationCase(
         "V05",
         "distance grid of a sphere, R 0.5",
-        "bound of trilinear interpolation, h^2 / (4 r), and the mesh's own sag",
+        "bound of trilinear interpolation, h^2 / (4 r), and the mesh's sag",
         tuple(checks),
         compute=compute,
     )
@@ -246,22 +248,26 @@ def box_distance(cells, count):
         return np.array(rows)
 
     names = tuple(f"{n} cells" for n in cells)
-    return Case(
+    return ValidationCase(
         "V05",
         "distance grid of a box, half extents 0.5, 0.3, 0.2",
         "closed form; first order at edges",
         (
-            Check("largest error where one face is nearest", "m", lambda s: s[:, 0], 0.0, at_most(2e-6), names),
-            Check("largest error outside", "cells", lambda s: s[:, 1], 0.0, at_most(0.3), names),
-            Check("largest error inside", "cells", lambda s: s[:, 2], 0.0, at_most(0.4), names),
-            Check("depth of the centre, off (V06)", "cells", lambda s: s[:, 3], 0.0, absolute(1.0), names),
+            ReferenceCheck(
+                "largest error where one face is nearest", "m", lambda s: s[:, 0], 0.0, at_most(2e-6), names
+            ),
+            ReferenceCheck("largest error outside", "cells", lambda s: s[:, 1], 0.0, at_most(0.3), names),
+            ReferenceCheck("largest error inside", "cells", lambda s: s[:, 2], 0.0, at_most(0.4), names),
+            ReferenceCheck(
+                "error of the depth at the centre (V06)", "cells", lambda s: s[:, 3], 0.0, absolute(1.0), names
+            ),
         ),
         compute=compute,
     )
 
 
 def eikonal(count):
-    """The gradient has unit length but where creases of the distance field cross a cell."""
+    """The gradient has unit length except where creases of the distance field cross a cell."""
     smooth = {
         "cube": lambda: Mesh(*solids.cube()),
         "torus": lambda: meshes.torus(segments=128),
@@ -286,7 +292,7 @@ def eikonal(count):
         return (np.abs(length - 1) < 0.05).mean()
 
     def check(names, miss=None):
-        return Check(
+        return ReferenceCheck(
             "share of gradients of length 1 +- 0.05 within 3 cells",
             "",
             lambda s: [s[name] for name in names],
@@ -296,8 +302,8 @@ def eikonal(count):
             miss,
         )
 
-    crease = "where two faces are equally near, the cell holds a crease and its mean gradient is shorter"
-    return Case(
+    crease = "a cell with points equidistant from two faces contains a crease, where the mean gradient is shorter"
+    return ValidationCase(
         "V06",
         "gradient of distance grids",
         "eikonal equation",
@@ -307,7 +313,7 @@ def eikonal(count):
 
 
 def signs(count):
-    """Points in a box twice the mesh: inside or not, by the winding number in float64."""
+    """Sign of the distance of points in a box twice as large as the mesh, against the winding number in float64."""
     sharp = {
         "spike": solids.spike(),
         "wedge": solids.wedge(),
@@ -330,17 +336,17 @@ def signs(count):
         return [wrong(*sharp[name], simple, device) for name in sharp for simple in (True, False)]
 
     rules = tuple(f"{name}, {rule}" for name in sharp for rule in ("pseudonormals", "winding number"))
-    return Case(
+    return ValidationCase(
         "V07",
         f"sign at sharp features, {count} points around each mesh",
         "winding number in float64; Baerentzen and Aanaes 2005",
-        (Check("points with the wrong sign", "", lambda s: s, 0, absolute(0.0), rules),),
+        (ReferenceCheck("points with the wrong sign", "", lambda s: s, 0, absolute(0.0), rules),),
         compute=compute,
     )
 
 
 def coverage(count):
-    """No place of a surface is farther from a sample than the stated spacing."""
+    """No point of a surface is farther from a sample than the stated spacing."""
     made = {
         "cube": lambda: Mesh(*solids.cube()),
         "L prism": lambda: Mesh(*solids.l_prism()),
@@ -368,13 +374,13 @@ def coverage(count):
         return np.linalg.norm(arm - along[:, :, None] * slide, axis=2).min(axis=1)
 
     names = tuple(made)
-    return Case(
+    return ValidationCase(
         "V09",
         "samples of mesh surfaces",
         "the stated spacing, a sixteenth of the longest side",
         (
-            Check(
-                "farthest place from a sample, over the spacing",
+            ReferenceCheck(
+                "largest distance of a surface point from a sample, over the spacing",
                 "",
                 lambda s: [farthest(mesh) for mesh in s],
                 1.0,

@@ -6,21 +6,35 @@ from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Mesh, Sphere
 from warp_rigid.scenes.builders import meshes
+from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation import solids
-from warp_rigid.validation.case import AT_LEAST, OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
-from warp_rigid.validation.common import NO_GRAVITY, level_ground, random_turns, turn_about
+from warp_rigid.validation.case import (
+    AT_LEAST,
+    OUTCOME,
+    Curve,
+    Miss,
+    ReferenceCheck,
+    ValidationCase,
+    absolute,
+    at_most,
+    each,
+    relative,
+)
+from warp_rigid.validation.common import NO_GRAVITY, random_turns, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
-SHARP = "edges that meet at 6 m/s come 60 mm nearer in a step of 0.01 s; their overlap is gone five steps later"
+SHARP = "edges that approach at 6 m/s move by 60 mm in a step of 0.01 s; the overlap disappears within five steps"
 OVER = 1e-4
-"""Height of a tip above what it is dropped on [m]."""
+"""Initial gap below a dropped tip [m]."""
 
 
-def cases(quick: bool) -> list[Case]:
-    """All cases of the section; the cheap ones if quick."""
+def cases(quick: bool) -> list[ValidationCase]:
+    """All cases of the section; only the fast ones if quick."""
     listed = [sliding_tips(), tips_on_tips(), internal_edges(0.5 if quick else 2.0), push_out()]
-    slow = "where a corner slides along an edge, the last 0.2 mm take longer: 1 of 2485 pairs on a GPU, none on a CPU"
+    slow = (
+        "a corner that slides along an edge needs longer for the last 0.2 mm: 1 of 2485 pairs on a GPU, none on a CPU"
+    )
     lost = Miss(slow, 0.014, always=False)
     if quick:
         return [*listed, random_overlaps(256, lost)]
@@ -41,11 +55,11 @@ OVERTURNED = turn_about((0, 1, 0), 180.0)
 
 
 def sliding_tips():
-    """A tip that slides over a plane meets nothing to snag on."""
+    """A tip that slides over a plane must not snag."""
 
     def experiment(name, shape):
         def scene():
-            made = level_ground(gravity=NO_GRAVITY, friction=0.0)
+            made = level_scene(gravity=NO_GRAVITY, friction=0.0)
             made.add_body(
                 shape(), position=(0, 0, 3.0 + OVER), orientation=OVERTURNED, linear_velocity=(10, 0, 0), friction=0.0
             )
@@ -53,13 +67,13 @@ def sliding_tips():
 
         return Experiment(scene, 1.0, dt=0.01, label=name)
 
-    return Case(
+    return ValidationCase(
         "V49",
         "spike and wedge that slide on their tip, 10 m/s, no gravity",
         ERLEBEN,
         (
-            Check("way in 1 s", "m", each(lambda t: t.position[-1, :, 1, 0]), 10.0, absolute(1e-4)),
-            Check(
+            ReferenceCheck("distance in 1 s", "m", each(lambda t: t.position[-1, :, 1, 0]), 10.0, absolute(1e-4)),
+            ReferenceCheck(
                 "turn", "rad/s", each(lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1)), 0.0, at_most(1e-4)
             ),
         ),
@@ -68,7 +82,7 @@ def sliding_tips():
 
 
 def tips_on_tips():
-    """A tip dropped on a tip slides off it, without going in."""
+    """A tip dropped on a tip slides off it without penetration."""
 
     def experiment(name, below, above):
         def scene():
@@ -79,12 +93,12 @@ def tips_on_tips():
 
         return Experiment(scene, 1.25, dt=0.01, label=name, watch_overlap=True)
 
-    return Case(
+    return ValidationCase(
         "V49",
         "spikes and wedges dropped tip on tip, 1.25 s",
         ERLEBEN,
         (
-            Check(
+            ReferenceCheck(
                 "deepest overlap, 1 % of the width allowed",
                 "m",
                 each(lambda t: t.overlap.max(axis=0)),
@@ -93,7 +107,7 @@ def tips_on_tips():
                 (),
                 Miss(SHARP, 0.06, always=False),
             ),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 20.0, at_most(0.0)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 20.0, at_most(0.0)),
         ),
         (
             experiment("spike on spike", spike_mesh, spike_mesh),
@@ -104,7 +118,7 @@ def tips_on_tips():
 
 
 def internal_edges(duration):
-    """A cube on a slab of many triangles, and one whose faces end where the slab does: it rests flat."""
+    """A cube rests flat on a slab of many triangles, also where its faces are flush with those of the slab."""
 
     def slab(pieces):
         corners, faces = solids.cube()
@@ -125,21 +139,23 @@ def internal_edges(duration):
 
         return Experiment(scene, duration, label=name, every=2)
 
-    return Case(
+    return ValidationCase(
         "V49",
         "cube dropped on a slab with interior edges, and flush with its rim",
         ERLEBEN,
         (
-            Check("height at the end, off", "m", each(rest_height), 0.0, absolute(1e-3)),
-            Check("drift", "m", each(lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1)), 0.0, at_most(1e-3)),
-            Check(
+            ReferenceCheck("height error at the end", "m", each(rest_height), 0.0, absolute(1e-3)),
+            ReferenceCheck(
+                "drift", "m", each(lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1)), 0.0, at_most(1e-3)
+            ),
+            ReferenceCheck(
                 "tilt",
                 "deg",
                 each(lambda t: np.degrees(np.arccos(np.clip(t.turns[-1, :, 1, 2, 2], -1, 1)))),
                 0.0,
                 at_most(0.1),
             ),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
         ),
         (
             experiment("12 triangles", (0.5, 0.5, 0.5), 1),
@@ -155,7 +171,7 @@ def rest_height(trace):
 
 
 def push_out():
-    """Two bodies that start within each other part within half a second, and keep no velocity of it."""
+    """Two overlapping bodies separate within half a second without gaining velocity."""
     cube = Box((0.1, 0.1, 0.1))
     bunny = meshes.bunny
     rows = {
@@ -191,14 +207,14 @@ def push_out():
     crossing = Experiment(crossing_boxes, 0.5, ("two boxes whose edges cross",), watch_overlap=True)
 
     def check(measure, labels, miss=None):
-        return Check("overlap after 0.5 s", "m", measure, 0.0, at_most(0.2 * CONTACT_DISTANCE), labels, miss)
+        return ReferenceCheck("overlap after 0.5 s", "m", measure, 0.0, at_most(0.2 * CONTACT_DISTANCE), labels, miss)
 
-    return Case(
+    return ValidationCase(
         "V63",
-        "bodies that start within each other",
-        "they part within 0.5 s and are at rest",
+        "bodies that start with overlap",
+        "they separate within 0.5 s and are at rest",
         (
-            Check(
+            ReferenceCheck(
                 "overlap at the start",
                 "m",
                 lambda s: each(lambda t: t.overlap[0])(s[:-2]),
@@ -209,14 +225,14 @@ def push_out():
             check(lambda s: each(lambda t: t.overlap[-1])(s[:-2]), names(experiments)),
             check(lambda s: s[-2].overlap[-1], names((stuck,))),
             check(lambda s: s[-1].overlap[-1], crossing.variants),
-            Check("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-6)),
+            ReferenceCheck("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-6)),
         ),
         (*experiments, stuck, crossing),
     )
 
 
 def crossing_boxes() -> Scene:
-    """Two boxes of a pile that have slid 2 mm into each other, edge over edge."""
+    """Two boxes of a pile whose edges cross with an overlap of 2 mm."""
     made = Scene(gravity=NO_GRAVITY)
     for half, place, turn in (
         ((0.084392, 0.06487, 0.066778), (0.241749, -0.229452, 0.064856), (-0.70698, -0.013248, -0.013241, -0.706985)),
@@ -227,7 +243,7 @@ def crossing_boxes() -> Scene:
 
 
 def random_overlaps(count, miss=None):
-    """Pairs of boxes that start a little within each other, in every position."""
+    """Pairs of boxes that start with a small overlap in random positions."""
     draw = np.random.default_rng(11)
     away = draw.normal(size=(count, 3))
     away *= (draw.uniform(0.09, 0.16, count) / np.linalg.norm(away, axis=1))[:, None]
@@ -244,17 +260,17 @@ def random_overlaps(count, miss=None):
     )
 
     def parted(s):
-        """Share of the pairs that overlap at first, by 1 to 20 mm, and no longer."""
+        """Share of the pairs with an initial overlap of 1 to 20 mm that no longer overlap."""
         begun = (s[0].overlap[0] > 1e-3) & (s[0].overlap[0] < 0.02)
         return [(s[0].overlap[-1, begun] < 0.2 * CONTACT_DISTANCE).mean()]
 
-    return Case(
+    return ValidationCase(
         "V63",
-        f"{count} random pairs of boxes, those that start 1 to 20 mm within each other",
-        "they part within 0.5 s",
+        f"{count} random pairs of boxes, those that start with an overlap of 1 to 20 mm",
+        "they separate within 0.5 s",
         (
-            Check("share that parts", "", parted, 1.0, AT_LEAST, ("all",), miss),
-            Check("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-5)),
+            ReferenceCheck("share of separated pairs", "", parted, 1.0, AT_LEAST, ("all",), miss),
+            ReferenceCheck("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-5)),
         ),
         (Experiment(scene, 0.5, tuple(f"pair {k}" for k in range(count)), starts, every=60, watch_overlap=True),),
     )
@@ -266,12 +282,12 @@ def names(experiments) -> list[str]:
 
 
 def bypass(dt):
-    """A fast square flies at a thin bar: it is hit by whatever lies within its width, at every phase of the step.
+    """A fast square approaches a thin bar and must hit it within the bar's width, at every phase of the step.
 
     The bar is 20 m long and 0.1 m thick, the square 2 m wide, its depth is 0.2 m, and it crosses many times the bar's
-    thickness in a step. Where its centre is above the bar, it stays there. Where only its border is, it flies on past
-    the end, turning, as a plate that is struck at an arm r without restitution: the impulse leaves it the part
-    1 - 1 / (1 + r^2 / k^2) of its speed, k being its radius of gyration.
+    thickness in a step. If its centre is above the bar, the square comes to rest on it. If only its border is, it
+    continues past the end with rotation, as a plate that is struck at an arm r without restitution: it keeps the
+    fraction 1 - 1 / (1 + r^2 / k^2) of its speed, where k is its radius of gyration.
     """
     speed, phases = 75.0, 8
     sides = {
@@ -302,13 +318,15 @@ def bypass(dt):
         dt=dt,
     )
     above, struck, beside = slice(2 * phases), slice(2 * phases, 3 * phases), slice(3 * phases, None)
-    return Case(
+    return ValidationCase(
         "V56",
         f"square 0.2 m deep at 75 m/s against a bar 0.1 m thick, dt 1/{1 / dt:.3g}",
-        "rigid-ipc bypass, extruded; impact of a plate off its centre",
+        "rigid-ipc bypass, extruded; eccentric impact of a plate",
         (
-            Check("goes through the bar", "", lambda s: passed(s[0])[above], 0, OUTCOME, experiment.variants[above]),
-            Check(
+            ReferenceCheck(
+                "goes through the bar", "", lambda s: passed(s[0])[above], 0, OUTCOME, experiment.variants[above]
+            ),
+            ReferenceCheck(
                 "speed past the end after it was struck 0.8 m off its centre",
                 "m/s",
                 lambda s: -s[0].linear_velocity[-1, struck, 1, 2],
@@ -316,7 +334,7 @@ def bypass(dt):
                 relative(0.01),
                 experiment.variants[struck],
             ),
-            Check(
+            ReferenceCheck(
                 "goes past the bar's end", "", lambda s: passed(s[0])[beside], 1, OUTCOME, experiment.variants[beside]
             ),
         ),

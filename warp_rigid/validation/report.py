@@ -1,4 +1,4 @@
-"""Findings as a table for the terminal, as Markdown and as JSON, and the exit status that they mean."""
+"""Results of checks as a table for the terminal, as Markdown and as JSON, and the exit status."""
 
 import itertools
 import math
@@ -11,24 +11,24 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from warp_rigid.validation.case import Case, Finding
+from warp_rigid.validation.case import CheckResult, ValidationCase
 
 FAILED = 1
-"""Exit status where a check failed or could not be done."""
+"""Exit status if a check failed or could not be done."""
 
 COLUMNS = ("quantity", "value", "reference", "error", "tolerance", "verdict")
 WIDTHS = (46, 18, 18, 13, 13, 7)
-"""Of the columns on a terminal; the sum and the gaps between them fill 120 characters."""
+"""Widths of the columns on a terminal, 120 characters with the gaps."""
 COLORS = {"PASS": "green", "MISS": "yellow", "FAIL": "bold red", "ERROR": "bold red"}
 
 
-def exit_status(findings: Sequence[Finding]) -> int:
-    """0 if every check passed or is a known miss that is no worse than known, else 1."""
+def exit_status(findings: Sequence[CheckResult]) -> int:
+    """0 if every check passed or is a known miss that is not larger than known, else 1."""
     return FAILED if any(finding.verdict in ("FAIL", "ERROR") for finding in findings) else 0
 
 
-def print_table(findings: Sequence[Finding], out: Console) -> None:
-    """One line a check, with the variant that is worst; a heading for each case, and what to say about misses."""
+def print_table(findings: Sequence[CheckResult], out: Console) -> None:
+    """Print one line per check, for the variant with the largest error, a heading per case, and notes on misses."""
     with_device = len({finding.device for finding in findings}) > 1
     _grid(out, COLUMNS)
     last = None
@@ -44,7 +44,7 @@ def print_table(findings: Sequence[Finding], out: Console) -> None:
 
 
 def _grid(out: Console, cells: Sequence[str]) -> None:
-    """A line of the table, its columns at their places; long texts go on below."""
+    """Print a line of the table; long texts wrap within their columns."""
     line = Table.grid(padding=(0, 1, 0, 0))
     for width in WIDTHS:
         line.add_column(width=width)
@@ -52,7 +52,7 @@ def _grid(out: Console, cells: Sequence[str]) -> None:
     out.print(line, highlight=False)
 
 
-def markdown(findings: Sequence[Finding]) -> str:
+def markdown(findings: Sequence[CheckResult]) -> str:
     """The same as a Markdown table; each case names the source of its references."""
     with_device = len({finding.device for finding in findings}) > 1
     columns = ("case", *COLUMNS)
@@ -70,7 +70,7 @@ def markdown(findings: Sequence[Finding]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def row(finding: Finding, with_device: bool) -> list[str]:
+def row(finding: CheckResult, with_device: bool) -> list[str]:
     """A check's cells, in the order of COLUMNS."""
     worst, check = finding.worst, finding.check
     place = finding.labels[worst]
@@ -84,7 +84,12 @@ def row(finding: Finding, with_device: bool) -> list[str]:
     unit = f" {check.unit}" if check.unit else ""
     if check.tolerance.kind == "outcome":
         agree = int((finding.error == 0.0).sum())
-        words = [f"{agree} of {len(finding.labels)} as due", "all as due", str(len(finding.labels) - agree), "0"]
+        words = [
+            f"{agree} of {len(finding.labels)} as expected",
+            "all as expected",
+            str(len(finding.labels) - agree),
+            "0",
+        ]
     else:
         reference = f"{figure(finding.reference[worst])}{unit}"
         if check.tolerance.kind in ("at_most", "at_least") and finding.reference[worst] != 0.0:
@@ -99,7 +104,7 @@ def row(finding: Finding, with_device: bool) -> list[str]:
 
 
 def figure(value: float) -> str:
-    """A number at six significant digits."""
+    """A number with six significant digits."""
     return f"{value:.6g}"
 
 
@@ -107,37 +112,37 @@ def _error(value: float, kind: str, unit: str) -> str:
     return f"{100 * value:.3g} %" if kind == "relative" else f"{value:.3g}{unit}"
 
 
-def summary(findings: Sequence[Finding]) -> str:
-    """How many checks there are of each verdict, in a line."""
+def summary(findings: Sequence[CheckResult]) -> str:
+    """The number of checks with each verdict, in one line."""
     counts = {verdict: sum(f.verdict == verdict for f in findings) for verdict in COLORS}
     names = {"PASS": "passed", "MISS": "known misses", "FAIL": "failed", "ERROR": "not measured"}
-    told = [f"{counts[verdict]} {name}" for verdict, name in names.items() if counts[verdict] or verdict == "PASS"]
-    return f"{len(findings)} checks: {', '.join(told)}"
+    parts = [f"{counts[verdict]} {name}" for verdict, name in names.items() if counts[verdict] or verdict == "PASS"]
+    return f"{len(findings)} checks: {', '.join(parts)}"
 
 
 def agreement(checks: Sequence[dict[str, Any]]) -> list[str]:
-    """A line on how many verdicts are the same on all devices, and one on each that is not.
+    """A line with the number of equal verdicts on all devices, and a line for each difference.
 
     Args:
-        checks: of one or of several `as_json`; those that ran on one device alone do not count.
+        checks: from one or several results of `as_json`; checks that ran on one device only do not count.
     """
     verdicts: dict[tuple, dict[str, str]] = {}
     for check in checks:
         device, name = check["device"], (check["case"], check["title"], check["quantity"])
-        # A case may check a quantity more than once, against different references.
+        # A case may check a quantity several times, against different references.
         number = next(k for k in itertools.count() if device not in verdicts.get((*name, k), {}))
         verdicts.setdefault((*name, number), {})[device] = check["verdict"]
-    shared = {check: told for check, told in verdicts.items() if len(told) > 1}
-    differ = {check: told for check, told in shared.items() if len(set(told.values())) > 1}
-    devices = sorted({device for told in shared.values() for device in told})
+    shared = {check: found for check, found in verdicts.items() if len(found) > 1}
+    differ = {check: found for check, found in shared.items() if len(set(found.values())) > 1}
+    devices = sorted({device for found in shared.values() for device in found})
     lines = [f"{' and '.join(devices)}: {len(shared) - len(differ)} of {len(shared)} verdicts are the same"]
-    for (case, _, quantity, _), told in differ.items():
-        lines.append(f"{case} {quantity}: {', '.join(f'{verdict} on {device}' for device, verdict in told.items())}")
+    for (case, _, quantity, _), found in differ.items():
+        lines.append(f"{case} {quantity}: {', '.join(f'{verdict} on {device}' for device, verdict in found.items())}")
     return lines if shared else []
 
 
-def as_json(findings: Sequence[Finding], devices: Sequence[str]) -> dict[str, Any]:
-    """Everything, as one JSON object; numbers that are not finite become null."""
+def as_json(findings: Sequence[CheckResult], devices: Sequence[str]) -> dict[str, Any]:
+    """All results as one JSON object; numbers that are not finite become null."""
     return {
         "devices": list(devices),
         "passed": exit_status(findings) == 0,
@@ -146,8 +151,8 @@ def as_json(findings: Sequence[Finding], devices: Sequence[str]) -> dict[str, An
     }
 
 
-def _record(finding: Finding) -> dict[str, Any]:
-    case: Case = finding.case
+def _record(finding: CheckResult) -> dict[str, Any]:
+    case: ValidationCase = finding.case
     rows = zip(finding.labels, finding.value, finding.reference, finding.error, strict=True)
     return {
         "case": case.id,
@@ -169,5 +174,5 @@ def _record(finding: Finding) -> dict[str, Any]:
 
 
 def number(value: float | np.floating) -> float | None:
-    """A float that JSON can hold."""
+    """A float, or None if it is not finite, because JSON has no such numbers."""
     return float(value) if math.isfinite(value) else None

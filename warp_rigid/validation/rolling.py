@@ -3,14 +3,14 @@
 import numpy as np
 
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
-from warp_rigid.validation.case import OUTCOME, Case, Check, Curve, at_most, each, relative
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import OUTCOME, Curve, ReferenceCheck, ValidationCase, at_most, each, relative
 from warp_rigid.validation.common import (
     RESTING,
     G,
     at_time,
     downhill,
     first_time,
-    level_ground,
     per_env,
     turn_about,
 )
@@ -19,7 +19,7 @@ from warp_rigid.validation.experiment import Experiment, Start
 COULOMB = "Coulomb's law, closed form"
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """Cases of rolling and spinning; shorter if quick."""
     return [
         slide_to_roll(),
@@ -37,7 +37,7 @@ def ball(radius=0.1, **options):
     """Experiment: a ball on level ground; options as for Experiment."""
 
     def scene():
-        made = level_ground()
+        made = level_scene()
         made.add_body(Sphere(radius), position=(0, 0, radius))
         return made
 
@@ -50,17 +50,17 @@ def slip_speed(trace, radius):
 
 
 def rolling_time(trace):
-    """When the ball of 0.1 m starts to roll, (envs,) [s]."""
+    """Time at which the ball of 0.1 m starts to roll, (envs,) [s]."""
     return first_time(trace, slip_speed(trace, 0.1) < 1e-4)
 
 
 def stop_time(trace):
-    """When the ball neither rolls nor spins any more, (envs,) [s]."""
+    """Time at which the ball neither rolls nor spins any more, (envs,) [s]."""
     return first_time(trace, (trace.speed < RESTING) & (trace.time > 0.0)[:, None])
 
 
 def forward(trace):
-    """Way of the ball along x, (records, envs) [m]."""
+    """Position of the ball along x, (records, envs) [m]."""
     return trace.position[:, :, 1, 0]
 
 
@@ -68,7 +68,7 @@ MASSES = (0.01, 1.0, 1000.0)
 
 
 def over_masses(*starts, **options):
-    """A ball in environments that differ in its mass alone, by five powers of ten."""
+    """A ball in environments that differ only in its mass, by five powers of ten."""
     return ball(
         variants=tuple(f"{mass:g} kg" for mass in MASSES),
         starts=(Start("mass", np.array(MASSES)[:, None], bodies=[1]), *starts),
@@ -77,23 +77,25 @@ def over_masses(*starts, **options):
 
 
 def slide_to_roll():
-    """A ball that slides until its lowest point stands still; it then coasts for ever."""
+    """A ball that slides until its lowest point is at rest, and then rolls without loss."""
     v0, mu = 5.0, 0.2
     time = 2 * v0 / (7 * mu * G)
-    return Case(
+    return ValidationCase(
         "V24",
         "ball that slides until it rolls, v0 5 m/s, mu 0.2",
         COULOMB,
         (
-            Check("time until it rolls", "s", each(rolling_time), time, relative(5e-3)),
-            Check(
-                "way until it rolls",
+            ReferenceCheck("time until it rolls", "s", each(rolling_time), time, relative(5e-3)),
+            ReferenceCheck(
+                "distance until it rolls",
                 "m",
                 each(lambda t: at_time(t, forward(t), rolling_time(t))),
                 v0 * time - 0.5 * mu * G * time**2,
                 relative(5e-3),
             ),
-            Check("speed 1 s later", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), 5 * v0 / 7, relative(5e-3)),
+            ReferenceCheck(
+                "speed 1 s later", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), 5 * v0 / 7, relative(5e-3)
+            ),
         ),
         (
             over_masses(
@@ -107,17 +109,17 @@ def slide_to_roll():
 
 
 def backspin():
-    """A ball whose spin takes all of its speed: it stops dead."""
+    """A ball with backspin that removes all of its speed."""
     v0, mu = 2.0, 0.2
     time = v0 / (mu * G)
-    return Case(
+    return ValidationCase(
         "V24",
-        "ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops dead",
+        "ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops",
         COULOMB,
         (
-            Check("time to stop", "s", each(stop_time), time, relative(5e-3)),
-            Check("way to stop", "m", each(lambda t: forward(t)[-1]), 0.5 * v0 * time, relative(5e-3)),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+            ReferenceCheck("time to stop", "s", each(stop_time), time, relative(5e-3)),
+            ReferenceCheck("distance to stop", "m", each(lambda t: forward(t)[-1]), 0.5 * v0 * time, relative(5e-3)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
         ),
         (
             over_masses(
@@ -132,14 +134,14 @@ def backspin():
 
 
 def rolling_race():
-    """Down 30 degrees: rolling above the friction that it needs, slipping below."""
+    """A slope of 30 degrees: bodies roll with enough friction, and slip with less."""
     slope, shares = np.radians(30.0), np.array([0.8, 1.25, 3.0])
     experiments, ways = [], []
     for name, shape, inertia in (("sphere", Sphere(0.1), 0.4), ("cylinder", Cylinder(0.1, 0.3), 0.5)):
         needed = np.tan(slope) * inertia / (1 + inertia)
 
         def scene(shape=shape):
-            made = level_ground()
+            made = level_scene()
             made.add_body(shape, position=(0, 0, 0.1), orientation=turn_about((1, 0, 0), 90))
             return made
 
@@ -148,25 +150,29 @@ def rolling_race():
         experiments.append(Experiment(scene, 1.0, variants, starts, every=4))
         slipping = G * (np.sin(slope) - shares * needed * np.cos(slope))
         ways.append(0.5 * np.where(shares < 1.0, slipping, G * np.sin(slope) / (1 + inertia)))
-    return Case(
+    return ValidationCase(
         "V25",
         "rolling race down 30 degrees",
         "a = g sin / (1 + k), or g (sin - mu cos) where it slips",
-        (Check("way after 1 s", "m", each(lambda t: forward(t)[-1]), np.concatenate(ways), relative(0.01)),),
+        (
+            ReferenceCheck(
+                "distance after 1 s", "m", each(lambda t: forward(t)[-1]), np.concatenate(ways), relative(0.01)
+            ),
+        ),
         tuple(experiments),
         curve=Curve("way", "m", forward),
     )
 
 
 def authors_rolling():
-    """The 2003 authors' sphere on inclines of k 4.5 degrees, which never slips."""
+    """The sphere of the authors of the 2003 method on inclines of k 4.5 degrees, which never slips."""
     degrees = 4.5 * np.arange(1, 11)
-    return Case(
+    return ValidationCase(
         "V25",
         "sphere without slip on ten inclines from 4.5 to 45 degrees",
         "PhysBAM sphere on an incline: (5/14) g t^2 sin^2",
         (
-            Check(
+            ReferenceCheck(
                 "height lost in 1 s",
                 "m",
                 each(lambda t: forward(t)[-1] * np.sin(np.radians(degrees))),
@@ -190,17 +196,21 @@ def rolling_friction():
     """Torque = c N slows a rolling ball by c g / (R (1 + 2/5)), whatever its mass."""
     radius, c = 0.5, 0.01
     slowing = c * G / (1.4 * radius)
-    return Case(
+    return ValidationCase(
         "V29",
         "rolling friction, R 0.5 m, c 0.01 m, from 1 m/s, over five powers of ten of mass",
         "torque = c N, closed form",
         (
-            Check("time to stop", "s", each(stop_time), 1 / slowing, relative(0.02)),
-            Check(
-                "way to stop", "m", each(lambda t: at_time(t, forward(t), stop_time(t))), 0.5 / slowing, relative(0.02)
+            ReferenceCheck("time to stop", "s", each(stop_time), 1 / slowing, relative(0.02)),
+            ReferenceCheck(
+                "distance to stop",
+                "m",
+                each(lambda t: at_time(t, forward(t), stop_time(t))),
+                0.5 / slowing,
+                relative(0.02),
             ),
-            Check(
-                "way after the stop",
+            ReferenceCheck(
+                "motion after the stop",
                 "m",
                 each(lambda t: np.abs(forward(t)[-1] - at_time(t, forward(t), stop_time(t)))),
                 0.0,
@@ -222,14 +232,14 @@ def rolling_friction():
 
 
 def rolling_friction_holds():
-    """Below tan = c / R a ball does not start to roll, above it does."""
+    """A ball starts to roll above tan = c / R and stays at rest below."""
     shares = np.array([0.5, 0.9, 1.1, 2.0])
     slopes = [downhill(np.degrees(np.arctan(share * 0.01 / 0.5))) for share in shares]
-    return Case(
+    return ValidationCase(
         "V29",
         "rolling friction on a slope, R 0.5 m, c 0.01 m",
-        "starts above tan = c / R",
-        (Check("rolls", "", each(lambda t: forward(t)[-1] > 1e-3), shares > 1.0, OUTCOME),),
+        "rolls above tan = c / R",
+        (ReferenceCheck("rolls", "", each(lambda t: forward(t)[-1] > 1e-3), shares > 1.0, OUTCOME),),
         (
             ball(
                 0.5,
@@ -243,16 +253,16 @@ def rolling_friction_holds():
 
 
 def spinning_friction():
-    """Torque = c N slows a ball that spins on the spot by c N / I = 5 c g / (2 R^2), whatever its mass."""
+    """Torque = c N slows a ball that spins in place by c N / I = 5 c g / (2 R^2), whatever its mass."""
     radius, c, spin = 0.5, 0.01, 10.0
     time = spin / (c * G / (0.4 * radius**2))
-    return Case(
+    return ValidationCase(
         "V30",
         "spinning friction, R 0.5 m, c 0.01 m, from 10 rad/s, over five powers of ten of mass",
         "torque = c N, closed form",
         (
-            Check("time to stop", "s", each(stop_time), time, relative(0.02)),
-            Check("drift", "m", each(lambda t: t.displacement[-1]), 0.0, at_most(1e-4)),
+            ReferenceCheck("time to stop", "s", each(stop_time), time, relative(0.02)),
+            ReferenceCheck("drift", "m", each(lambda t: t.displacement[-1]), 0.0, at_most(1e-4)),
         ),
         (
             over_masses(
@@ -269,13 +279,13 @@ def spinning_friction():
 
 
 def force_direction(duration):
-    """A force that exceeds friction by 9 % drags a box with 25 balls on it: a 5 % error of the cone is 50 % here."""
+    """A force 9 % above friction drags a box with 25 balls on it; a 5 % error of the friction cone becomes 50 %."""
     mass, balls, mu, force = 10.0, 25, 0.4, 150.0
     angles = np.array([0.0, 30.0, 45.0, 60.0])
     box_rate = (force - mu * (mass + balls) * G) / (mass + 2 / 7 * balls)
 
     def scene():
-        made = level_ground(friction=mu)
+        made = level_scene(friction=mu)
         made.add_body(Box((10, 10, 0.5)), position=(0, 0, 0.5), mass=mass, friction=0.8)
         for x in range(-4, 5, 2):
             for y in range(-4, 5, 2):
@@ -290,19 +300,19 @@ def force_direction(duration):
         rolling = trace.linear_velocity[:, :, 2] - 2 / 7 * exact
         return ((box**2).sum(axis=-1) + (rolling**2).sum(axis=-1)).mean(axis=0)
 
-    return Case(
+    return ValidationCase(
         "V33",
         "box with 25 balls dragged in four directions by 1.09 of its friction",
         "SimBenchmark rolling; a = (F - mu N) / (M + 2 m n / 7)",
         (
-            Check(
+            ReferenceCheck(
                 "acceleration of the box",
                 "m/s^2",
                 each(lambda t: np.einsum("ei,ei->e", t.linear_velocity[-1, :, 1], heading) / t.time[-1]),
                 box_rate,
                 relative(0.01),
             ),
-            Check("mean squared error of the speeds", "m^2/s^2", each(deviation), 0.0, at_most(1e-4)),
+            ReferenceCheck("mean squared error of the speeds", "m^2/s^2", each(deviation), 0.0, at_most(1e-4)),
         ),
         (
             Experiment(

@@ -1,4 +1,4 @@
-"""Shock propagation and its alternatives on the structures that tell them apart, in one table."""
+"""A table of shock propagation and its alternatives on structures where their results differ."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.scene.shapes import Box
-from warp_rigid.validation.common import level_ground
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation.experiment import DT, Experiment, Trace
-from warp_rigid.validation.stacks import HALF, leaning, piles, pyramid_scene, stack_scene
+from warp_rigid.validation.towers import HALF, falling_piles, leaning, pyramid_scene, stack_scene
 
 SCHEMES: dict[str, dict[str, Any]] = {
     "two_pass (default)": {},
@@ -24,20 +24,20 @@ SCHEMES: dict[str, dict[str, Any]] = {
     "off, 50 sweeps": {"shock_propagation": "off", "contact_iterations": 50},
     "off, dt 1/960": {"shock_propagation": "off", "dt": 1 / 960},
 }
-"""Settings that differ from the default ones, and the time step."""
+"""Differences from the default settings, and the time step."""
 
 
 @dataclass(frozen=True)
 class Structure:
-    """A structure, and what must become of it.
+    """A structure and its correct behaviour.
 
     Attributes:
         name: heading of its column.
-        experiment: what is run.
-        measure: reads the figure that decides from the trace.
+        experiment: its simulation.
+        measure: function(trace) -> the decisive figure.
         unit: of the figure.
-        limit: the largest figure that is right.
-        must_fall: right only if it is larger instead.
+        limit: largest correct figure.
+        must_fall: whether a figure is correct only above the limit instead.
     """
 
     name: str
@@ -48,12 +48,12 @@ class Structure:
     must_fall: bool = False
 
     def right(self, value: float) -> bool:
-        """Whether a figure is as it must be."""
+        """Whether a figure is correct."""
         return bool(value > self.limit) if self.must_fall else bool(value <= self.limit)
 
 
 def structures(quick: bool) -> list[Structure]:
-    """What is compared; lower and shorter if quick."""
+    """The compared structures; smaller and shorter if quick."""
     duration = 2.0 if quick else 5.0
     tall, layers, count = (20, 8, 20) if quick else (50, 20, 40)
 
@@ -68,13 +68,11 @@ def structures(quick: bool) -> list[Structure]:
         return float(trace.displacement[-1].max())
 
     def three():
-        scene = level_ground()
-        for k in range(4):
-            mass = 8000.0 if k == 3 else 8.0
-            scene.add_body(Box((HALF,) * 3), position=(0, 0, HALF * (2 * k + 1)), mass=mass)
+        scene = level_scene()
+        stacks.add_stack(scene, 4, masses=[8.0, 8.0, 8.0, 8000.0])
         return scene
 
-    pile = piles(2.0 * duration, count).experiments[0]
+    pile = falling_piles(2.0 * duration, count).experiments[0]
     one_pile = replace(pile, variants=("",), starts=(replace(pile.starts[0], value=pile.starts[0].value[:1]),))
     return [
         Structure("10 high", Experiment(lambda: stack_scene(10), duration), displaced, "m", 1e-4),
@@ -93,8 +91,8 @@ class Cell:
 
     Attributes:
         value: the structure's figure; NaN if the state did not stay finite.
-        right: whether it is as it must be.
-        milliseconds: wall time for a simulated step of 1/240 s.
+        right: whether it is correct.
+        milliseconds: wall-clock time per 1/240 s of simulated time.
     """
 
     value: float
@@ -103,7 +101,7 @@ class Cell:
 
 
 def compare(device: str, quick: bool, on_cell: Callable[[], None] | None = None) -> dict[str, dict[str, Cell]]:
-    """Run every scheme on every structure, one at a time, so that each has its own time.
+    """Run every scheme on every structure, one at a time, so that each is timed separately.
 
     Returns:
         For each scheme and structure by name, its cell.
@@ -115,7 +113,7 @@ def compare(device: str, quick: bool, on_cell: Callable[[], None] | None = None)
 def _cell(structure: Structure, scheme: dict[str, Any], device: str, on_cell) -> Cell:
     dt = scheme.get("dt", DT)
     settings = {name: value for name, value in scheme.items() if name != "dt"}
-    # The scheme is the whole batch's; what the experiment says of its environments' settings must not undo it.
+    # The scheme applies to the whole batch; settings of single environments must not override it.
     starts = tuple(start for start in structure.experiment.starts if start.name in ("position", "orientation"))
     every = max(1, round(0.05 / dt))
     trace = replace(structure.experiment, settings=settings, starts=starts, dt=dt, every=every).run(device)
@@ -137,7 +135,7 @@ def rows(table: dict[str, dict[str, Cell]], quick: bool) -> list[list[str]]:
 
 
 def _text(structure: Structure, cell: Cell) -> str:
-    """A cell in words."""
+    """Text of a cell."""
     if structure.must_fall:
         words = "falls" if cell.right else "STANDS"
     elif structure.unit == "m" and cell.value > HALF:

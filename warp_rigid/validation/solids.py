@@ -41,7 +41,7 @@ def extrude(polygon, triangles, height) -> Triangles:
 
 
 def cube(half=0.5, inward=False) -> Triangles:
-    """Cube around the origin: vertices, faces; facing inward if asked."""
+    """Cube around the origin: vertices, faces; facing inward if `inward`."""
     corners = half * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     faces = np.array(quads)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
@@ -49,7 +49,7 @@ def cube(half=0.5, inward=False) -> Triangles:
 
 
 def hollow_cube(outer=0.5, inner=0.4) -> Triangles:
-    """Cube with a cubic cavity, whose faces point into the hollow."""
+    """Cube with a cubic cavity, whose faces point into the cavity."""
     wall, hollow = cube(outer), cube(inner, inward=True)
     return np.concatenate([wall[0], hollow[0]]), np.concatenate([wall[1], hollow[1] + 8])
 
@@ -85,7 +85,7 @@ def wedge(height=3.0, length=2.0) -> Triangles:
 
 
 def in_portions(function, points, triangles):
-    """Apply a function of (p, 1, 3) points and (m, 3, 3) triangles to points, a portion at a time."""
+    """Apply a function of (p, 1, 3) points and (m, 3, 3) triangles to points, in portions that limit the memory."""
     portion = max(1, 400_000 // len(triangles))
     parts = [points[i : i + portion, None] for i in range(0, len(points), portion)]
     return np.concatenate([function(part, triangles) for part in parts])

@@ -1,4 +1,4 @@
-"""The suite: all cases in the order of their sections, chosen by name, and run on devices."""
+"""The suite: all cases in the order of their sections, their selection by name, and runs on devices."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,24 +11,24 @@ from warp_rigid.validation import (
     mass_and_distance,
     nonconvex,
     rolling,
-    stacks,
+    towers,
 )
-from warp_rigid.validation.case import Case, Finding, judge
+from warp_rigid.validation.case import CheckResult, ValidationCase, judge
 
-SECTIONS = (mass_and_distance, free_motion, impact, friction, rolling, stacks, nonconvex, many_bodies)
+SECTIONS = (mass_and_distance, free_motion, impact, friction, rolling, towers, nonconvex, many_bodies)
 CPU = "cpu"
 
 
-def all_cases(quick: bool = False) -> list[Case]:
-    """Every case; with `quick` those that take a second or two each, at sizes that keep them so."""
+def all_cases(quick: bool = False) -> list[ValidationCase]:
+    """All cases; with `quick` only those that take one or two seconds at reduced sizes."""
     return [case for section in SECTIONS for case in section.cases(quick)]
 
 
-def choose(cases: Sequence[Case], names: Sequence[str]) -> list[Case]:
+def choose(cases: Sequence[ValidationCase], names: Sequence[str]) -> list[ValidationCase]:
     """The cases of some families, such as V10 or V22.
 
     Raises:
-        ValueError: there is no such family.
+        ValueError: There is no such family.
     """
     known = list(dict.fromkeys(case.id for case in cases))
     for name in names:
@@ -38,16 +38,16 @@ def choose(cases: Sequence[Case], names: Sequence[str]) -> list[Case]:
 
 
 def run_suite(
-    cases: Sequence[Case],
+    cases: Sequence[ValidationCase],
     devices: Sequence[str],
-    on_case: Callable[[Case, str, Any, list[Finding]], None] | None = None,
-) -> list[Finding]:
-    """Run cases on devices, each case on all of them in turn.
+    on_case: Callable[[ValidationCase, str, Any, list[CheckResult]], None] | None = None,
+) -> list[CheckResult]:
+    """Run cases on devices, one case after another on all devices.
 
     Args:
-        cases: what to run.
-        devices: names of Warp devices. Cases that no device takes part in run once.
-        on_case: told of each case when it is done, with its subject (None if it could not be had) and findings.
+        cases: cases to run.
+        devices: names of Warp devices. Cases that use no device run once.
+        on_case: called after each case with the case, the device, its subject (None if it failed) and its results.
     """
     findings = []
     for case in cases:

@@ -1,4 +1,4 @@
-"""A picture of a benchmark: throughput against environments, and where the time of a step goes."""
+"""Chart of a benchmark: throughput over the number of environments, and the time of each stage of a step."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,12 +6,12 @@ from typing import Any
 from warp_rigid.bench.measure import OURS
 
 MARKERS = "oxsd^v"
-"""Of the engines, ours first."""
+"""Markers of the engines, this one first."""
 SMALL = 0.02
-"""Stages below this part of a step are drawn as one."""
+"""Stages below this fraction of a step are merged in the chart."""
 
 
-def save_picture(rows: Sequence[dict[str, Any]], path: str) -> None:
+def save_chart(rows: Sequence[dict[str, Any]], path: str) -> None:
     """Draw rows of `measure` and `run_peer` as a PNG."""
     from matplotlib.figure import Figure
 
@@ -38,7 +38,7 @@ def _draw_throughput(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
             color=f"C{scenes.index((scene, bodies)) % 10}",
             marker=MARKERS[engines.index(engine) % len(MARKERS)],
             ls="-" if engine == OURS else "--",
-            label=f"{scene}:{bodies}, {substeps} steps a frame" + ("" if engine == OURS else f", {engine}"),
+            label=f"{scene}:{bodies}, {substeps} steps/frame" + ("" if engine == OURS else f", {engine}"),
         )
     axes.set(xscale="log", yscale="log", xlabel="environments", ylabel="environments × frames / second")
     axes.grid(alpha=0.3)
@@ -60,10 +60,10 @@ def _draw_stages(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
             axes.barh(i, 100.0 * share / total, left=ends[i], color=f"C{k % 10}", hatch="//" * (k // 10), label=label)
             ends[i] += 100.0 * share / total
     labels = [
-        f"{r['scene']}:{r['bodies']} × {r['envs']}\n{_duration(t)} a step" for r, t in zip(rows, totals, strict=True)
+        f"{r['scene']}:{r['bodies']} × {r['envs']}\n{_duration(t)} per step" for r, t in zip(rows, totals, strict=True)
     ]
     axes.set_yticks(range(len(rows)), labels, fontsize=7)
-    axes.set(xlabel="part of a step [%]", xlim=(0, 100))
+    axes.set(xlabel="share of a step [%]", xlim=(0, 100))
     axes.invert_yaxis()
     axes.legend(fontsize=7, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 

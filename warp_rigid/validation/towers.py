@@ -1,23 +1,38 @@
-"""Section E: stacks, towers, pyramids and what their weight does, with and without shock propagation."""
+"""Section E: stacks, towers, pyramids and piles, with and without shock propagation."""
 
 from typing import Any
 
 import numpy as np
 
-from warp_rigid.scene.shapes import Box, Plane, Sphere
-from warp_rigid.validation.case import AT_LEAST, OUTCOME, Case, Check, Curve, Miss, absolute, at_most, each, relative
-from warp_rigid.validation.common import G, largest_rise, level_ground, random_turns, turn_about
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders import grounds, piles, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import (
+    AT_LEAST,
+    OUTCOME,
+    Curve,
+    Miss,
+    ReferenceCheck,
+    ValidationCase,
+    absolute,
+    at_most,
+    each,
+    relative,
+)
+from warp_rigid.validation.common import G, largest_rise, random_turns
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
 STATICS = "statics, closed form"
 MODES = ("two_pass", "one_pass", "off")
 HALF = 0.1
-"""Half the width of most boxes [m]; they weigh 8 kg."""
+"""Half the width of most boxes [m], whose mass is 8 kg."""
 OWN = 1e-4
-"""What a stack may move [m]."""
+"""Permitted displacement of a stack [m]."""
 
 
-def cases(quick: bool) -> list[Case]:
+def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; lower and shorter if quick."""
     listed = [
         heavy_on_light(1.0 if quick else 10.0),
@@ -28,33 +43,39 @@ def cases(quick: bool) -> list[Case]:
         leaning_towers(2.0 if quick else 5.0),
         pyramid(8 if quick else 20, 1.0 if quick else 10.0),
         falling_towers(2.0 if quick else 6.0),
-        piles(6.0 if quick else 12.0, 20 if quick else 40),
+        falling_piles(6.0 if quick else 12.0, 20 if quick else 40),
         card_house(2, 1.0 if quick else 2.0),
     ]
     return listed if quick else [*listed, beams(10.0), balls_that_spread(10.0)]
 
 
-def stack_scene(count, half=HALF, friction=0.5, **options):
-    """A straight stack of equal cubes, which are bodies 1 to `count`."""
-    scene = level_ground(friction=friction)
-    for k in range(count):
-        scene.add_body(Box((half,) * 3), position=(0, 0, half * (2 * k + 1)), friction=friction, **options)
+def stack_scene(count: int, half: float = HALF, friction: float = 0.5) -> Scene:
+    """A straight stack of equal cubes on level ground; the cubes are bodies 1 to `count`."""
+    scene = level_scene(friction=friction)
+    stacks.add_stack(scene, count, Box((half,) * 3), friction=friction)
+    return scene
+
+
+def pyramid_scene(rows: int) -> Scene:
+    """A pyramid of cubes of 0.2 m on level ground."""
+    scene = level_scene()
+    stacks.add_pyramid(scene, rows)
     return scene
 
 
 def drift(trace: Trace) -> np.ndarray:
-    """Largest way of a body across, at any time, (envs,) [m]."""
+    """Largest horizontal displacement of a body at any time, (envs,) [m]."""
     moved = (trace.position - trace.position[0])[:, :, trace.dynamic, :2]
     return np.linalg.norm(moved, axis=-1).max(axis=(0, 2))
 
 
 def sink(trace: Trace) -> np.ndarray:
-    """Largest way of a body down, at any time, (envs,) [m]."""
+    """Largest downward displacement of a body at any time, (envs,) [m]."""
     return (trace.position[0] - trace.position)[:, :, trace.dynamic, 2].max(axis=(0, 2))
 
 
 def rise(trace: Trace) -> np.ndarray:
-    """Largest way of a body up, at any time, (envs,) [m]."""
+    """Largest upward displacement of a body at any time, (envs,) [m]."""
     return (trace.position - trace.position[0])[:, :, trace.dynamic, 2].max(axis=(0, 2))
 
 
@@ -90,14 +111,16 @@ def heavy_on_light(duration):
     def top(t):
         return t.position[0, :, 2, 2] - t.position[-1, :, 2, 2]
 
-    return Case(
+    return ValidationCase(
         "V35",
         "heavy cube on a light one, 1 m, dt 1/60",
         f"{STATICS}; other engines: 2 to 98 mm at 1000 : 1",
         (
-            Check("height lost by the top", "m", lambda s: top(s[0])[kept], 0.0, at_most(5e-4), names),
-            Check("speed at the end", "m/s", lambda s: s[0].speed[-1, kept], 0.0, at_most(1e-3), names),
-            Check("height lost without shock propagation", "m", lambda s: top(s[0])[cold], 5e-3, AT_LEAST, names_cold),
+            ReferenceCheck("height lost by the top", "m", lambda s: top(s[0])[kept], 0.0, at_most(5e-4), names),
+            ReferenceCheck("speed at the end", "m/s", lambda s: s[0].speed[-1, kept], 0.0, at_most(1e-3), names),
+            ReferenceCheck(
+                "height lost without shock propagation", "m", lambda s: top(s[0])[cold], 5e-3, AT_LEAST, names_cold
+            ),
         ),
         (experiment,),
         curve=Curve("height lost", "m", lambda t: t.position[0, :, 2, 2] - t.position[:, :, 2, 2]),
@@ -105,21 +128,21 @@ def heavy_on_light(duration):
 
 
 def heavy_dropped_on_light(duration):
-    """A cube of 1 m falls by 0.1 m, one of 10 m and a thousand times its mass onto it."""
+    """A cube of 1 m falls by 0.1 m, and a cube of 10 m with 1000 times its mass falls on it."""
 
     def scene():
-        made = level_ground()
+        made = level_scene()
         made.add_body(Box((0.5,) * 3), position=(0, 0, 0.6))
         made.add_body(Box((5.0,) * 3), position=(0, 0, 6.5))
         return made
 
-    return Case(
+    return ValidationCase(
         "V35",
         "cube of 10 m dropped on one of 1 m, 1000 : 1, dt 1/100",
         "statics; rigid-ipc large-mass-ratio",
         (
-            Check("height of the top cube", "m", each(lambda t: t.position[-1, :, 2, 2]), 6.0, absolute(5e-4)),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+            ReferenceCheck("height of the top cube", "m", each(lambda t: t.position[-1, :, 2, 2]), 6.0, absolute(5e-4)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
         ),
         (Experiment(scene, duration, dt=0.01, every=5),),
         curve=Curve("height of the top cube", "m", lambda t: t.position[:, :, 2, 2]),
@@ -127,7 +150,7 @@ def heavy_dropped_on_light(duration):
 
 
 def column(counts, duration):
-    """Unit cubes at two restitutions: the ground carries their weight, and nothing moves."""
+    """Unit cubes with two restitutions: the ground supports their weight, and nothing moves."""
 
     def experiment(count):
         return Experiment(
@@ -140,15 +163,15 @@ def column(counts, duration):
         )
 
     weight = np.repeat([count * 1000.0 * G for count in counts], 2)
-    return Case(
+    return ValidationCase(
         "V37",
         "column of unit cubes",
         f"{STATICS}; other engines sink by 0.5 to 58 mm",
         (
-            Check("force on the ground", "N", each(load_on_ground), weight, relative(1e-3)),
-            Check("sink", "m", each(sink), 0.0, at_most(OWN)),
-            Check("drift", "m", each(drift), 0.0, at_most(OWN)),
-            Check("tilt", "deg", each(tilt), 0.0, at_most(0.1)),
+            ReferenceCheck("force on the ground", "N", each(load_on_ground), weight, relative(1e-3)),
+            ReferenceCheck("sink", "m", each(sink), 0.0, at_most(OWN)),
+            ReferenceCheck("drift", "m", each(drift), 0.0, at_most(OWN)),
+            ReferenceCheck("tilt", "deg", each(tilt), 0.0, at_most(0.1)),
         ),
         tuple(experiment(count) for count in counts),
     )
@@ -156,15 +179,15 @@ def column(counts, duration):
 
 def tall_stack(count, duration):
     """Fifty cubes of 0.2 m."""
-    return Case(
+    return ValidationCase(
         "V37",
         f"straight stack of {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
         (
-            Check("drift", "m", each(drift), 0.0, at_most(OWN)),
-            Check("sink", "m", each(sink), 0.0, at_most(OWN)),
-            Check("rise", "m", each(rise), 0.0, at_most(OWN)),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+            ReferenceCheck("drift", "m", each(drift), 0.0, at_most(OWN)),
+            ReferenceCheck("sink", "m", each(sink), 0.0, at_most(OWN)),
+            ReferenceCheck("rise", "m", each(rise), 0.0, at_most(OWN)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
         ),
         (Experiment(lambda: stack_scene(count), duration, every=24),),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
@@ -172,34 +195,23 @@ def tall_stack(count, duration):
 
 
 def spheres(duration):
-    """Five spheres of 1 m on top of one another: an unstable balance, kept by symmetry."""
+    """Five spheres of radius 1 m on top of one another: an unstable equilibrium that symmetry preserves."""
 
     def scene():
-        made = level_ground()
-        for k in range(5):
-            made.add_body(Sphere(1.0), position=(0, 0, 2 * k + 1))
+        made = level_scene()
+        stacks.add_stack(made, 5, Sphere(1.0))
         return made
 
-    return Case(
+    return ValidationCase(
         "V37",
         "column of five spheres, R 1",
         "Chrono's SMC stacking",
         (
-            Check("drift from the axis", "m", each(drift), 0.0, at_most(1e-6)),
-            Check("sink", "m", each(sink), 0.0, at_most(OWN)),
+            ReferenceCheck("drift from the axis", "m", each(drift), 0.0, at_most(1e-6)),
+            ReferenceCheck("sink", "m", each(sink), 0.0, at_most(OWN)),
         ),
         (Experiment(scene, duration, every=24),),
     )
-
-
-def tower_falls(count, offset) -> bool:
-    """Whether some upper part of a leaning tower has its centre of mass beyond the edge of what it stands on.
-
-    `offset` is each cube's step over its width; the lowest cube stands on the ground with all of its face.
-    """
-    place = offset * np.arange(count)
-    edges = np.concatenate([[0.5], place[:-1] + 0.5])
-    return any(place[k:].mean() > edges[k] + 1e-9 for k in range(count))
 
 
 WAYS: dict[str, dict[str, Any]] = {
@@ -208,11 +220,11 @@ WAYS: dict[str, dict[str, Any]] = {
     "off": {"shock_propagation": "off"},
     "one_pass, cold": {"shock_propagation": "one_pass", "warm_starting": False},
 }
-"""Settings under which towers are compared: the default, and those of 2003."""
+"""Settings under which towers are compared: the default, and those of the 2003 method."""
 
 
 def way_starts(names) -> tuple[Start, ...]:
-    """Settings of a list of ways, by environment."""
+    """Settings of a list of keys of WAYS, by environment."""
     ways = [WAYS[name] for name in names]
     return (
         Start("shock_propagation", [way.get("shock_propagation", "two_pass") for way in ways]),
@@ -221,10 +233,8 @@ def way_starts(names) -> tuple[Start, ...]:
 
 
 def leaning(offsets, ways, duration, **options) -> Experiment:
-    """Experiment: towers of ten cubes of 0.2 m, each environment with its offset over the width and its settings."""
-    place = np.zeros((len(offsets), 10, 3))
-    place[:, :, 0] = 2 * HALF * np.outer(offsets, np.arange(10))
-    place[:, :, 2] = HALF * (2 * np.arange(10) + 1)
+    """Experiment: towers of ten cubes of 0.2 m; environments differ in relative offset and settings."""
+    place = np.array([stacks.column(10, lean=2 * HALF * offset) for offset in offsets])
     return Experiment(
         lambda: stack_scene(10),
         duration,
@@ -235,12 +245,12 @@ def leaning(offsets, ways, duration, **options) -> Experiment:
 
 
 def leaning_towers(duration):
-    """The first flaw of the 2003 method: one pass holds up what must fall."""
-    # One pass from cold starts holds everything up; the others must follow statics.
+    """The first flaw of the 2003 method: one pass keeps towers standing that must topple."""
+    # One pass without warm starting keeps every tower standing; the other settings must follow statics.
     ways = ("default", "two_pass, cold", "off")
     cells = [(offset, way) for offset in (0.05, 0.08, 0.15, 0.2) for way in ways] + [(0.15, "one_pass, cold")]
     offsets, names = zip(*cells, strict=True)
-    due = [tower_falls(10, offset) for offset in offsets]
+    due = [stacks.leaning_tower_falls(offset * np.arange(10), 0.5) for offset in offsets]
 
     def fell(t):
         return t.position[-1, :, 10, 2] < 10 * HALF
@@ -250,12 +260,12 @@ def leaning_towers(duration):
     ]
     standing = [row for row in sure if not due[row]]
     experiment = leaning(offsets, names, duration, every=24)
-    return Case(
+    return ValidationCase(
         "V61",
         "leaning towers of ten cubes",
-        "the centre of mass of all that is above a joint lies over it, or not",
+        "statics: whether the centre of mass above each joint lies over the joint",
         (
-            Check(
+            ReferenceCheck(
                 "falls",
                 "",
                 lambda s: fell(s[0])[sure],
@@ -263,16 +273,16 @@ def leaning_towers(duration):
                 OUTCOME,
                 [experiment.variants[k] for k in sure],
             ),
-            Check(
-                "falls with one pass (flaw of 2003: it must not, though statics says so)",
+            ReferenceCheck(
+                "falls with one pass (flaw of the 2003 method: it stands, against statics)",
                 "",
                 lambda s: fell(s[0])[-1:],
                 0,
                 OUTCOME,
                 (experiment.variants[-1],),
             ),
-            Check(
-                "displacement of those that stand",
+            ReferenceCheck(
+                "displacement of standing towers",
                 "m",
                 lambda s: s[0].displacement[:, standing].max(axis=0),
                 0.0,
@@ -285,29 +295,20 @@ def leaning_towers(duration):
     )
 
 
-def pyramid_scene(rows, half=HALF, gap=0.0):
-    """Rows of cubes, each with one cube less than that below and half a cube aside."""
-    scene = level_ground()
-    width = 2 * half + gap
-    for row in range(rows):
-        for k in range(rows - row):
-            x = width * (k - 0.5 * (rows - row - 1))
-            scene.add_body(Box((half,) * 3), position=(x, 0, half * (2 * row + 1)))
-    return scene
-
-
 def pyramid(rows, duration):
-    """It keeps its place, at rest, and no energy comes from nowhere."""
+    """A pyramid stays in place, at rest, without a gain of energy."""
     count = rows * (rows + 1) // 2
-    return Case(
+    return ValidationCase(
         "V43",
         f"pyramid of {rows} rows, {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
         (
-            Check("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(OWN)),
-            Check("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-            Check("energy gained, of that of a fall", "", each(gained(lambda t: t.energy)), 0.0, at_most(1e-6)),
-            Check("force on the ground", "N", each(load_on_ground), count * 8.0 * G, relative(1e-3)),
+            ReferenceCheck("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(OWN)),
+            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
+            ReferenceCheck(
+                "energy gained, relative to a fall", "", each(gained(lambda t: t.energy)), 0.0, at_most(1e-6)
+            ),
+            ReferenceCheck("force on the ground", "N", each(load_on_ground), count * 8.0 * G, relative(1e-3)),
         ),
         (Experiment(lambda: pyramid_scene(rows), duration, every=24),),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
@@ -315,14 +316,14 @@ def pyramid(rows, duration):
 
 
 SWEEPS = (
-    "ten warm-started sweeps stop short of their fixed point while a structure comes apart; "
-    "a tower gains less than 1e-7 of its energy with 160, and nothing from cold starts"
+    "ten warm-started sweeps do not converge while a structure falls; "
+    "with 160 sweeps a tower gains less than 1e-7 of its energy, without warm starting nothing"
 )
-LIFTED = "push-out lifts bodies that a step has driven into each other, which counts as energy here"
+LIFTED = "push-out lifts overlapping bodies, which counts as an energy gain here"
 
 
 def gained(series):
-    """Measure: how far an energy climbs above its least value so far, over what a fall to the ground sets free."""
+    """Measure: largest increase of an energy above its running minimum, relative to the energy of a fall to z = 0."""
 
     def measure(trace):
         scale = (trace.mass * G * np.abs(trace.center[0, :, :, 2])).sum(axis=1)
@@ -332,18 +333,18 @@ def gained(series):
 
 
 def energy_checks(warm, cold, names):
-    """Energy gained by impulses, from cold and warm starts, and with what push-out adds; all over that of a fall.
+    """Energy gained by impulses without and with warm starting, and with push-out, relative to a fall.
 
     Args:
         warm: environments with the default settings.
-        cold: environments where every step starts from zero impulses.
+        cold: environments without warm starting.
         names: labels of all environments.
     """
 
     def check(quantity, series, rows, limit, miss=None):
         measure = gained(series)
-        return Check(
-            f"energy gained {quantity}, of that of a fall",
+        return ReferenceCheck(
+            f"energy gained {quantity}, relative to a fall",
             "",
             lambda s: measure(s[0])[rows],
             0.0,
@@ -353,17 +354,17 @@ def energy_checks(warm, cold, names):
         )
 
     return (
-        check("by impulses from cold starts", lambda t: t.work_free_energy, cold, 1e-6),
+        check("by impulses without warm starting", lambda t: t.work_free_energy, cold, 1e-6),
         check("by impulses", lambda t: t.work_free_energy, warm, 1e-4, Miss(SWEEPS, 1e-3, always=False)),
         check("by impulses and push-out", lambda t: t.energy, warm, 1e-4, Miss(LIFTED, 1e-3, always=False)),
     )
 
 
 def falling_towers(duration):
-    """Shock propagation at work in structures that fall: impulses only ever take energy away."""
+    """Shock propagation in falling structures: impulses must not add energy."""
     offsets = [offset for offset in (0.15, 0.25, 0.4) for _ in range(2)]
     experiment = leaning(offsets, ["default", "two_pass, cold"] * 3, duration)
-    return Case(
+    return ValidationCase(
         "V62",
         "energy of falling towers of ten cubes",
         "conservation",
@@ -373,45 +374,39 @@ def falling_towers(duration):
     )
 
 
-def pile_scene(count, draw):
-    """Boxes and spheres in layers of four above level ground between four walls, clear of one another."""
-    rough: dict[str, Any] = {"friction": 0.6, "rolling_friction": 2e-3, "spinning_friction": 2e-3}
-    scene = level_ground(**rough)
-    for normal in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
-        scene.add_static(Plane(normal=normal, offset=-0.35), **rough)
-    for k in range(count):
-        size = draw.uniform(0.05, 0.09)
-        shape = Sphere(size) if k % 4 == 0 else Box(size * draw.uniform(0.6, 1.1, 3))
-        corner = 0.17 * np.array([2 * (k % 2) - 1, 2 * (k // 2 % 2) - 1])
-        place = (*(corner + draw.uniform(-0.01, 0.01, 2)), 0.2 + 0.36 * (k // 4))
-        scene.add_body(shape, position=place, **rough)
+def pile_scene(count: int) -> Scene:
+    """Boxes and spheres above level ground between four walls, clear of one another."""
+    surface: dict[str, Any] = {"friction": 0.6, "rolling_friction": 2e-3, "spinning_friction": 2e-3}
+    scene = level_scene(**surface)
+    grounds.add_plane_bin(scene, 0.35, **surface)
+    piles.add_mixed_layers(scene, np.random.default_rng(8), count, **surface)
     return scene
 
 
-def piles(duration, count):
-    """Piles that fall together, and come to rest; each start from other orientations."""
+def falling_piles(duration, count):
+    """Bodies that fall into a pile and come to rest; environments differ in orientations."""
     starts = (
         Start("orientation", random_turns(np.random.default_rng(7), 4, count), bodies=list(range(5, 5 + count))),
         *way_starts(["default", "default", "default", "two_pass, cold"]),
     )
     names = ("pile 1", "pile 2", "pile 3", "pile 4, cold")
     warm = [0, 1, 2]
-    return Case(
+    return ValidationCase(
         "V62",
         f"piles of {count} boxes and balls that fall into a box",
         "conservation; a pile comes to rest",
         (
             *energy_checks(warm, [3], names),
-            Check(
+            ReferenceCheck(
                 "largest speed in the last half second",
                 "m/s",
                 lambda s: np.linalg.norm(s[0].linear_velocity[-120:, warm], axis=-1).max(axis=(0, 2)),
                 0.0,
                 at_most(0.01),
                 names[:3],
-                Miss("some piles creep for seconds, at millimetres a second, before they rest", 0.1, always=False),
+                Miss("some piles creep at a few mm/s for seconds before they rest", 0.1, always=False),
             ),
-            Check(
+            ReferenceCheck(
                 "deepest overlap at the end",
                 "m",
                 lambda s: s[0].overlap[-1, warm],
@@ -419,48 +414,33 @@ def piles(duration, count):
                 at_most(5e-4),
                 names[:3],
                 Miss(
-                    "two boxes can slide into each other where their edges cross, unseen by any sample (V63)",
+                    "crossing edges of two boxes can interpenetrate without contact at any sample (V63)",
                     3e-3,
                     always=False,
                 ),
             ),
         ),
-        (Experiment(lambda: pile_scene(count, np.random.default_rng(8)), duration, names, starts),),
+        (Experiment(lambda: pile_scene(count), duration, names, starts),),
         curve=Curve("energy", "J", lambda t: t.energy),
     )
 
 
 def card_house(levels, duration):
     """Pairs of cards that lean on each other, with level cards between the storeys."""
-    length, thickness, angle = 0.2, 0.004, np.radians(25.0)
-    card = Box((0.5 * thickness, 0.05, 0.5 * length))
-    storey = length * np.cos(angle) + thickness * np.sin(angle)
-    foot = length * np.sin(angle) + thickness * np.cos(angle)
 
     def scene():
-        made = level_ground(friction=0.7)
-        for level in range(levels):
-            base = level * (storey + thickness)
-            for pair in range(levels - level):
-                middle = 2 * foot * (pair - 0.5 * (levels - level - 1))
-                for side in (-1, 1):
-                    place = (middle + side * 0.5 * foot, 0, base + 0.5 * storey)
-                    turn = turn_about((0, 1, 0), -side * np.degrees(angle))
-                    made.add_body(card, position=place, orientation=turn, friction=0.7)
-            for gap in range(levels - level - 1):
-                middle = 2 * foot * (gap - 0.5 * (levels - level - 2))
-                flat = (middle, 0, base + storey + 0.5 * thickness)
-                made.add_body(card, position=flat, orientation=turn_about((0, 1, 0), 90), friction=0.7)
+        made = level_scene(friction=0.7)
+        stacks.add_card_house(made, levels, np.radians(25.0), friction=0.7)
         return made
 
     def dropped(t):
         return (1 - t.position[-1][:, t.dynamic, 2] / t.position[0][:, t.dynamic, 2]).max(axis=1)
 
-    return Case(
+    return ValidationCase(
         "V39",
         f"card house of {levels} storeys, 65 degrees, thickness 0.02 of the length",
         "rigid-ipc and box3d: no card drops by 5 % of its height in 2 s",
-        (Check("largest drop, of the height", "", each(dropped), 0.0, at_most(0.05)),),
+        (ReferenceCheck("largest drop relative to the height", "", each(dropped), 0.0, at_most(0.05)),),
         (Experiment(scene, duration, every=4),),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
@@ -470,30 +450,26 @@ def beams(duration):
     """Thirty crossed layers of two beams."""
 
     def scene():
-        made = level_ground(rolling_friction=0.05)
-        for layer in range(30):
-            for side in (-0.9, 0.9):
-                across = (side, 0, 0.1 + 0.2 * layer) if layer % 2 else (0, side, 0.1 + 0.2 * layer)
-                half = (0.1, 1.0, 0.1) if layer % 2 else (1.0, 0.1, 0.1)
-                made.add_body(Box(half), position=across, rolling_friction=0.05)
+        made = level_scene(rolling_friction=0.05)
+        stacks.add_crossed_layers(made, 30, rolling_friction=0.05)
         return made
 
-    return Case(
+    return ValidationCase(
         "V45",
         "tower of thirty crossed layers of two beams, 10 s",
-        "box3d: it stands",
-        (Check("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(0.01)),),
+        "box3d: the tower stands",
+        (ReferenceCheck("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(0.01)),),
         (Experiment(scene, duration, every=24),),
     )
 
 
 def balls_that_spread(duration):
-    """A cube of 216 frictionless balls collapses: overlaps stay small."""
+    """A cube of 216 frictionless balls collapses; overlaps must stay small."""
 
     def scene():
-        made = level_ground(friction=0.0)
-        for cell in np.ndindex(6, 6, 6):
-            made.add_body(Sphere(0.1), mass=10.0, position=0.21 * np.array(cell) + [0, 0, 0.101], friction=0.0)
+        made = level_scene(friction=0.0)
+        cells = np.array(list(np.ndindex(6, 6, 6)))
+        add_bodies(made, Sphere(0.1), 0.21 * cells + [0, 0, 0.101], mass=10.0, friction=0.0)
         return made
 
     def squares(trace):
@@ -504,10 +480,10 @@ def balls_that_spread(duration):
             sums.append((inside**2).sum() + (np.minimum(place[:, 2] - 0.1, 0.0) ** 2).sum())
         return [np.mean(sums)]
 
-    return Case(
+    return ValidationCase(
         "V44",
         "216 frictionless balls that collapse, 10 s, dt 1/1000",
         "SimBenchmark 666; other engines: 1.35e-4 to 0.38 m^2",
-        (Check("sum of squared overlaps, mean over time", "m^2", each(squares), 0.0, at_most(1e-3)),),
+        (ReferenceCheck("sum of squared overlaps, mean over time", "m^2", each(squares), 0.0, at_most(1e-3)),),
         (Experiment(scene, duration, dt=1e-3, every=20),),
     )

@@ -1,4 +1,4 @@
-"""Plots of cases over time, and of how much of its tolerance each check takes."""
+"""Plots of cases over time, and of the error of each check relative to its tolerance."""
 
 import re
 from collections.abc import Sequence
@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_rigid.validation.case import Case, Finding
+from warp_rigid.validation.case import CheckResult, ValidationCase
 from warp_rigid.validation.experiment import Trace
 from warp_rigid.validation.report import COLORS
 
 MOST_LINES = 12
-"""So many variants get a line in a plot; they are picked evenly."""
+"""Largest number of variants in a plot, which are chosen at equal intervals."""
 SMALLEST = 1e-6
-"""Errors below this part of the tolerance are drawn as this."""
+"""Smallest ratio of error and tolerance in the overview."""
 INK = {"PASS": "tab:green", "MISS": "tab:orange", "FAIL": "tab:red", "ERROR": "tab:red"}
 assert set(INK) == set(COLORS)
 
 
-def save_case(case: Case, device: str, traces: tuple[Trace, ...], folder: Path) -> Path:
+def save_case(case: ValidationCase, device: str, traces: tuple[Trace, ...], folder: Path) -> Path:
     """Draw a case's curve for its variants; returns the PNG's path."""
     from matplotlib.figure import Figure
 
@@ -43,8 +43,8 @@ def save_case(case: Case, device: str, traces: tuple[Trace, ...], folder: Path) 
     return path
 
 
-def save_overview(findings: Sequence[Finding], folder: Path) -> Path:
-    """Draw the worst error of every check as a part of its tolerance; returns the PNG's path."""
+def save_overview(findings: Sequence[CheckResult], folder: Path) -> Path:
+    """Draw the largest error of every check relative to its tolerance; returns the PNG's path."""
     from matplotlib.figure import Figure
 
     shown = [f for f in findings if not f.fault and f.check.tolerance.limit > 0.0]

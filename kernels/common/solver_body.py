@@ -1,0 +1,150 @@
+"""Bodies as the solver sees them: velocities, inverse masses, and the two bodies of a constraint in registers.
+
+On a GPU a lane waits for memory most of the time. So the records that the solver reads often are packed in groups of
+four words (declare.py), and read by such groups.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader
+from warp_rigid.kernels.schema import Motions, OrderRecord, SolverBodyRecord
+
+wp.set_module_options({"enable_backward": False})
+
+read_solver_body = group_reader(SolverBodyRecord)
+write_solver_body = group_writer(SolverBodyRecord)
+
+read_entry = record_reader(OrderRecord)
+"""An entry of the order of solving: (k, entries)."""
+
+VELOCITY = wp.constant(group_of(SolverBodyRecord, "linear"))
+INERTIA = wp.constant(group_of(SolverBodyRecord, "inverse_inertia_xx"))
+PUSH = wp.constant(group_of(SolverBodyRecord, "push_linear"))
+START = wp.constant(group_of(SolverBodyRecord, "start_linear"))
+LOADED = wp.constant(group_of(SolverBodyRecord, "loaded_linear"))
+"""Where the velocities begin: a linear velocity, then the angular one."""
+
+
+@wp.struct
+class BodyPair:
+    """The two bodies of a constraint in registers. A body that is not moved has no inverse mass.
+
+    Nor does one that is frozen; `frozen_impulse` and `frozen_angular_impulse` are what it did not take [N s, N m s].
+    `change` is the largest change of a velocity by a row so far [m/s].
+    """
+
+    linear_a: wp.vec3
+    angular_a: wp.vec3
+    linear_b: wp.vec3
+    angular_b: wp.vec3
+    inverse_mass_a: float
+    inverse_mass_b: float
+    inverse_inertia_a: wp.mat33
+    inverse_inertia_b: wp.mat33
+    frozen_impulse: wp.vec3
+    frozen_angular_impulse: wp.vec3
+    change: float
+
+
+@wp.func
+def first_three(q: wp.vec4):
+    """The vector in a group of four words."""
+    return wp.vec3(q[0], q[1], q[2])
+
+
+@wp.func
+def inverse_mass_of(b: int, motions: Motions):
+    """A body's inverse mass [1/kg], 0 unless it is dynamic."""
+    return read_solver_body(motions.solver_bodies, b, VELOCITY)[3]
+
+
+@wp.func
+def inverse_inertia_of(b: int, motions: Motions):
+    """A body's inverse inertia tensor in the world frame [1/(kg m^2)]."""
+    q = read_solver_body(motions.solver_bodies, b, INERTIA)
+    r = read_solver_body(motions.solver_bodies, b, INERTIA + 1)
+    return wp.mat33(q[0], q[1], q[2], q[1], q[3], r[0], q[2], r[0], r[1])
+
+
+@wp.func
+def load_velocity(b: int, which: int, motions: Motions):
+    """One of a body's linear velocities: VELOCITY, PUSH, START or LOADED; the angular one is at `which` + 1."""
+    return first_three(read_solver_body(motions.solver_bodies, b, which))
+
+
+@wp.func
+def store_velocity(b: int, which: int, linear: wp.vec3, angular: wp.vec3, motions: Motions):
+    """Store one of a body's other velocities: PUSH, START or LOADED."""
+    write_solver_body(motions.solver_bodies, b, which, linear, 0.0)
+    write_solver_body(motions.solver_bodies, b, which + 1, angular, 0.0)
+
+
+@wp.func
+def load_bodies(a: int, b: int, share_a: float, share_b: float, motions: Motions):
+    """Load two bodies; one whose share is 0 is frozen."""
+    pair = BodyPair()
+    q = read_solver_body(motions.solver_bodies, a, VELOCITY)
+    pair.linear_a = first_three(q)
+    pair.inverse_mass_a = wp.where(share_a > 0.0, q[3], 0.0)
+    pair.angular_a = load_velocity(a, VELOCITY + 1, motions)
+    q = read_solver_body(motions.solver_bodies, b, VELOCITY)
+    pair.linear_b = first_three(q)
+    pair.inverse_mass_b = wp.where(share_b > 0.0, q[3], 0.0)
+    pair.angular_b = load_velocity(b, VELOCITY + 1, motions)
+    if share_a > 0.0:
+        pair.inverse_inertia_a = inverse_inertia_of(a, motions)
+    if share_b > 0.0:
+        pair.inverse_inertia_b = inverse_inertia_of(b, motions)
+    return pair
+
+
+@wp.func
+def with_velocities(a: int, b: int, which: int, pair: BodyPair, motions: Motions):
+    """The pair with other velocities of its bodies: PUSH, START or LOADED."""
+    pair.linear_a = load_velocity(a, which, motions)
+    pair.angular_a = load_velocity(a, which + 1, motions)
+    pair.linear_b = load_velocity(b, which, motions)
+    pair.angular_b = load_velocity(b, which + 1, motions)
+    return pair
+
+
+@wp.func
+def store_bodies(a: int, b: int, pair: BodyPair, motions: Motions):
+    """Store the velocities of the bodies that are moved."""
+    if pair.inverse_mass_a > 0.0:
+        write_solver_body(motions.solver_bodies, a, VELOCITY, pair.linear_a, pair.inverse_mass_a)
+        write_solver_body(motions.solver_bodies, a, VELOCITY + 1, pair.angular_a, 0.0)
+    if pair.inverse_mass_b > 0.0:
+        write_solver_body(motions.solver_bodies, b, VELOCITY, pair.linear_b, pair.inverse_mass_b)
+        write_solver_body(motions.solver_bodies, b, VELOCITY + 1, pair.angular_b, 0.0)
+
+
+@wp.func
+def relative_velocity(arm_a: wp.vec3, arm_b: wp.vec3, pair: BodyPair):
+    """Velocity of the first body relative to the second, at arms from their centres of mass [m/s]."""
+    va = pair.linear_a + wp.cross(pair.angular_a, arm_a)
+    return va - pair.linear_b - wp.cross(pair.angular_b, arm_b)
+
+
+@wp.func
+def with_impulse(arm_a: wp.vec3, arm_b: wp.vec3, impulse: wp.vec3, pair: BodyPair):
+    """The bodies after a world impulse on the first at its arm, and the opposite one on the second [N s]."""
+    pair.linear_a += pair.inverse_mass_a * impulse
+    pair.angular_a += pair.inverse_inertia_a * wp.cross(arm_a, impulse)
+    pair.linear_b -= pair.inverse_mass_b * impulse
+    pair.angular_b -= pair.inverse_inertia_b * wp.cross(arm_b, impulse)
+    return pair
+
+
+@wp.func
+def with_angular_impulse(angular_impulse: wp.vec3, pair: BodyPair):
+    """The bodies after a world angular impulse on the first, and the opposite one on the second [N m s]."""
+    pair.angular_a += pair.inverse_inertia_a * angular_impulse
+    pair.angular_b -= pair.inverse_inertia_b * angular_impulse
+    return pair
+
+
+@wp.func
+def inverse_effective_mass(arm: wp.vec3, d: wp.vec3, e: wp.vec3, inverse_mass: float, inverse_inertia: wp.mat33):
+    """Entry d . K e of the collision matrix K = 1/m + [r]^T I^-1 [r] of one body (Guendelman 2003, section 7)."""
+    return inverse_mass * wp.dot(d, e) + wp.dot(wp.cross(arm, d), inverse_inertia * wp.cross(arm, e))

@@ -1,0 +1,67 @@
+"""Constraint rows of all kinds: the solver calls these functions, and they call those of the kind.
+
+A kind of constraint is a file beside this one. It declares its arrays and has a KIND and the device functions called
+below; `contact` is the example. Kinds besides contacts also have the host functions that `OTHER_KINDS` states.
+"""
+
+from types import ModuleType
+
+import warp as wp
+
+from warp_rigid.kernels.common.solver_body import BodyPair
+from warp_rigid.kernels.constraints import contact
+from warp_rigid.kernels.schema import Contacts
+
+wp.set_module_options({"enable_backward": False})
+
+OTHER_KINDS: tuple[ModuleType, ...] = ()
+"""Kinds besides contacts. Each module has NAME, that of its member in `Rows`, ROWS, the layout of its arrays, and
+
+`definitions(scene)`: the constraints of this kind in a scene;
+`upload(scene, num_envs, device)`: its arrays, sized by the symbol NAME, environment by environment;
+`build(arrays, constraints, model, state, motions, dt, device)`: launch the kernel that writes the rows and the
+entries in `Constraints` (constraints/records.py) of a step.
+"""
+
+
+@wp.struct
+class Rows:
+    """The rows of all constraints, by kind."""
+
+    contacts: Contacts
+
+
+@wp.func
+def solve_row(kind: int, row: int, share_a: float, share_b: float, pair: BodyPair, rows: Rows):
+    """Solve one row for the velocities of a pair; a body whose share is 0 is frozen."""
+    return contact.solve_row(row, share_a, share_b, pair, rows.contacts)
+
+
+@wp.func
+def apply_row(kind: int, row: int, pair: BodyPair, rows: Rows):
+    """The bodies after the impulse that a row starts from."""
+    return contact.apply_row(row, pair, rows.contacts)
+
+
+@wp.func
+def direction_and_approach(kind: int, row: int, pair: BodyPair, rows: Rows):
+    """Direction in which a row pushes the first body, a unit vector, and the speed of approach against it [m/s]."""
+    return contact.direction_and_approach(row, pair, rows.contacts)
+
+
+@wp.func
+def store_start(kind: int, row: int, rows: Rows):
+    """Keep the impulse from which the line search starts."""
+    contact.store_start(row, rows.contacts)
+
+
+@wp.func
+def energy_terms(kind: int, row: int, then: BodyPair, now: BodyPair, rows: Rows):
+    """A row's part of both sums of the line search [J]."""
+    return contact.energy_terms(row, then, now, rows.contacts)
+
+
+@wp.func
+def blend_row(kind: int, row: int, t: float, rows: Rows):
+    """Go from the impulse at the start a share t of the way to that of now."""
+    contact.blend_row(row, t, rows.contacts)

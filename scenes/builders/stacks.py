@@ -1,0 +1,182 @@
+"""Structures whose bodies start in contact: stacks, leaning towers, pyramids, crossed layers, card houses."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scene.shapes.base import Shape
+from warp_rigid.scenes.builders.bodies import add_bodies
+
+CUBE = Box((0.1, 0.1, 0.1))
+"""Cube of 0.2 m, which has a mass of 8 kg at the default density."""
+
+
+def column(
+    count: int, shape: Shape = CUBE, *, bottom: float = 0.0, gap: float = 0.0, lean: float = 0.0, zigzag: float = 0.0
+) -> np.ndarray:
+    """Positions of equal bodies on top of one another, lowest first, (count, 3) [m].
+
+    Args:
+        count: number of bodies.
+        shape: of every body, centred on its frame's origin.
+        bottom: height of the support [m].
+        gap: vertical distance below every body [m].
+        lean: offset of every body along x from the one below [m].
+        zigzag: offset along x, positive and negative alternately [m].
+    """
+    half = shape.bounds[1][2]
+    level = np.arange(count)
+    x = lean * level + zigzag * np.where(level % 2 == 0, 1.0, -1.0)
+    z = bottom + half + gap + level * (2.0 * half + gap)
+    return np.stack([x, np.zeros(count), z], axis=1)
+
+
+def add_stack(
+    scene: Scene,
+    count: int,
+    shape: Shape = CUBE,
+    *,
+    x: float = 0.0,
+    bottom: float = 0.0,
+    gap: float = 0.0,
+    lean: float = 0.0,
+    zigzag: float = 0.0,
+    twist: float = 0.0,
+    names: str | None = None,
+    **coefficients: Any,
+) -> list[int]:
+    """Add equal bodies on top of one another, lowest first: a stack or a leaning tower.
+
+    Args:
+        scene: the scene.
+        count: number of bodies.
+        shape: of every body, centred on its frame's origin.
+        x: of the stack's axis [m].
+        bottom: height of the support [m].
+        gap: vertical distance below every body [m].
+        lean: offset of every body along x from the one below [m].
+        zigzag: offset along x, positive and negative alternately [m].
+        twist: angle of every body about z to the one below [rad].
+        names: prefix of the bodies' names, followed by their numbers.
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the bodies.
+    """
+    positions = column(count, shape, bottom=bottom, gap=gap, lean=lean, zigzag=zigzag) + [x, 0.0, 0.0]
+    angle = 0.5 * twist * np.arange(count)
+    orientations = np.stack([0.0 * angle, 0.0 * angle, np.sin(angle), np.cos(angle)], axis=1)
+    return add_bodies(scene, shape, positions, orientations, names=names, **coefficients)
+
+
+def leaning_tower_falls(x: Sequence[float] | np.ndarray, half: float) -> bool:
+    """Whether statics demands that a tower of equal cubes on wide ground topples towards +x.
+
+    It topples if the cubes above some joint have their common centre of mass beyond the edge of the joint: of the
+    overlap of two cubes, or of the lowest cube's whole face.
+
+    Args:
+        x: position of each cube along x, lowest first [m].
+        half: half of a cube's width [m].
+    """
+    x = np.asarray(x, np.float64)
+    edge = half + np.minimum(x, np.concatenate([x[:1], x[:-1]]))
+    return any(x[k:].mean() > edge[k] + 1e-9 for k in range(len(x)))
+
+
+def add_pyramid(scene: Scene, rows: int, half: float = 0.1, **coefficients: Any) -> list[int]:
+    """Add rows of cubes in the plane y = 0, each with one cube less than the row below.
+
+    Args:
+        scene: the scene.
+        rows: number of rows, which is also the number of cubes in the lowest one.
+        half: half of a cube's width [m].
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the cubes, row by row from the ground up.
+    """
+    width = 2 * half
+    positions = [
+        (width * (k - 0.5 * (rows - row - 1)), 0, half * (2 * row + 1))
+        for row in range(rows)
+        for k in range(rows - row)
+    ]
+    return add_bodies(scene, Box((half,) * 3), positions, **coefficients)
+
+
+def add_ball_pyramid(scene: Scene, base: int, radius: float, **coefficients: Any) -> list[int]:
+    """Add square layers of touching balls, each of which lies in the hollow between four balls of the layer below.
+
+    Args:
+        scene: the scene.
+        base: balls along a side of the lowest layer.
+        radius: of the balls [m].
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the balls, layer by layer from the ground up.
+    """
+    positions = []
+    for layer in range(base):
+        middle = 0.5 * (base - layer - 1)
+        for x, y in np.ndindex(base - layer, base - layer):
+            positions.append(2 * radius * np.array([x - middle, y - middle, layer / 2**0.5 + 0.5]))
+    return add_bodies(scene, Sphere(radius), positions, **coefficients)
+
+
+def add_crossed_layers(scene: Scene, layers: int, **coefficients: Any) -> list[int]:
+    """Add layers of two parallel beams of 2 x 0.2 x 0.2 m, each layer at right angles to the one below.
+
+    Args:
+        scene: the scene.
+        layers: number of layers.
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the beams, layer by layer from the ground up.
+    """
+    along_x, along_y = Box((1.0, 0.1, 0.1)), Box((0.1, 1.0, 0.1))
+    shapes: list[Shape] = []
+    positions = []
+    for layer in range(layers):
+        for side in (-0.9, 0.9):
+            shapes.append(along_y if layer % 2 else along_x)
+            across = (side, 0) if layer % 2 else (0, side)
+            positions.append((*across, 0.1 + 0.2 * layer))
+    return add_bodies(scene, shapes, positions, **coefficients)
+
+
+def add_card_house(scene: Scene, storeys: int, angle: float, **coefficients: Any) -> list[int]:
+    """Add pairs of cards that lean on each other, with level cards between the storeys.
+
+    A card measures 0.2 x 0.1 x 0.004 m.
+
+    Args:
+        scene: the scene.
+        storeys: number of storeys, which is also the number of pairs in the lowest one.
+        angle: of the leaning cards to the vertical [rad].
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the cards, storey by storey from the ground up, leaning cards before level ones.
+    """
+    length, thickness = 0.2, 0.004
+    height = length * np.cos(angle) + thickness * np.sin(angle)
+    foot = length * np.sin(angle) + thickness * np.cos(angle)
+    flat = (0.0, np.sin(0.25 * np.pi), 0.0, np.cos(0.25 * np.pi))
+    positions, orientations = [], []
+    for storey in range(storeys):
+        base, pairs = storey * (height + thickness), storeys - storey
+        for pair in range(pairs):
+            middle = 2 * foot * (pair - 0.5 * (pairs - 1))
+            for side in (-1, 1):
+                positions.append((middle + side * 0.5 * foot, 0, base + 0.5 * height))
+                orientations.append((0.0, -side * np.sin(0.5 * angle), 0.0, np.cos(0.5 * angle)))
+        for gap in range(pairs - 1):
+            positions.append((2 * foot * (gap - 0.5 * (pairs - 2)), 0, base + height + 0.5 * thickness))
+            orientations.append(flat)
+    return add_bodies(scene, Box((0.5 * thickness, 0.05, 0.5 * length)), positions, orientations, **coefficients)

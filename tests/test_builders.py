@@ -1,0 +1,97 @@
+"""Builders: bodies start where geometry demands, touch without overlap, and are returned by index."""
+
+import numpy as np
+import pytest
+
+from tests.scene_oracles import body_separation
+from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scenes.builders import grounds, piles, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
+
+
+def separations(scene, bodies):
+    """Gap of each pair of bodies [m]."""
+    return [body_separation(scene.bodies[a], scene.bodies[b]) for k, a in enumerate(bodies) for b in bodies[k + 1 :]]
+
+
+def test_bodies_are_returned_by_index_and_named_by_number():
+    scene = grounds.level_scene(name="ground")
+    rows = add_bodies(scene, [Sphere(0.1), Sphere(0.2)], [(0, 0, 1), (0, 0, 2)], masses=[1.0, 2.0], names="ball")
+    assert rows == [1, 2]
+    assert [(scene.bodies[i].name, scene.bodies[i].mass) for i in rows] == [("ball_0", 1.0), ("ball_1", 2.0)]
+    with pytest.raises(ValueError):
+        add_bodies(scene, Sphere(0.1), [(0, 0, 1), (0, 0, 2)], masses=[1.0])
+
+
+@pytest.mark.parametrize("shape", [Box((0.2, 0.1, 0.05)), Sphere(0.3)])
+def test_a_stack_stands_on_its_support_with_equal_gaps(shape):
+    scene = grounds.level_scene()
+    rows = stacks.add_stack(scene, 4, shape, bottom=0.5, gap=0.01, lean=0.02, zigzag=0.003)
+    position = np.array([scene.bodies[i].position for i in rows])
+    half = 0.05 if isinstance(shape, Box) else 0.3
+    np.testing.assert_allclose(position[:, 2] - half, [0.51 + k * (2 * half + 0.01) for k in range(4)])
+    np.testing.assert_allclose(position[:, 0], [0.003, 0.017, 0.043, 0.057])
+
+
+def test_a_twisted_stack_turns_by_the_angle():
+    scene = grounds.level_scene()
+    stacks.add_stack(scene, 3, twist=0.3)
+    angles = [2.0 * np.arctan2(body.orientation[2], body.orientation[3]) for body in scene.bodies[1:]]
+    np.testing.assert_allclose(angles, [0.0, 0.3, 0.6])
+
+
+@pytest.mark.parametrize("count", [2, 5, 10])
+def test_the_steepest_tower_that_stands_has_harmonic_overhangs(count):
+    """From the top, each cube may overhang by 1 / (2 k) of its width, k counting from 1."""
+    steps = 1.0 / (2.0 * np.arange(count, 0, -1))[1:]
+    places = np.concatenate([[0.0], np.cumsum(steps)])
+    assert not stacks.leaning_tower_falls(0.999 * places, 0.5)
+    assert stacks.leaning_tower_falls(1.001 * places, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("add", "count"),
+    [
+        (lambda scene: stacks.add_pyramid(scene, 4), 10),
+        (lambda scene: stacks.add_crossed_layers(scene, 4), 8),
+        (lambda scene: stacks.add_card_house(scene, 2, np.radians(25.0)), 7),
+    ],
+)
+def test_structures_of_boxes_touch_without_overlap(add, count):
+    scene = grounds.level_scene()
+    rows = add(scene)
+    gaps = separations(scene, rows)
+    lowest = min(np.asarray(scene.bodies[i].position)[2] for i in rows)
+    assert len(rows) == count and lowest > 0.0
+    assert min(gaps) > -1e-12
+    assert sum(abs(gap) < 1e-12 for gap in gaps) >= count - 1
+
+
+def test_balls_of_a_pyramid_touch_four_below():
+    scene = grounds.level_scene()
+    rows = stacks.add_ball_pyramid(scene, 3, 0.1)
+    place = np.array([scene.bodies[i].position for i in rows])
+    distance = np.linalg.norm(place[:, None] - place[None], axis=-1)
+    below = (np.abs(distance - 0.2) < 1e-12) & (place[None, :, 2] < place[:, None, 2] - 1e-9)
+    assert len(rows) == 14 and distance[np.triu_indices(14, 1)].min() > 0.2 - 1e-12
+    assert below.sum(axis=1).tolist() == [0] * 9 + [4] * 5
+
+
+def test_walls_of_a_bin_enclose_its_inner_square():
+    scene = grounds.level_scene()
+    rows = grounds.add_bin(scene, 0.4, 1.0, 0.1)
+    points = np.random.default_rng(0).uniform(-0.6, 0.6, (500, 3)) + [0, 0, 0.5]
+    inside = np.abs(points[:, :2]).max(axis=1) < 0.4
+    covered = np.abs(points[:, :2]).max(axis=1) < 0.5
+    height = (points[:, 2] > 0.0) & (points[:, 2] < 1.0)
+    within = np.zeros(500, bool)
+    for i in rows:
+        distance, _ = scene.bodies[i].shape.signed_distance(points - scene.bodies[i].position)
+        within |= distance < 0.0
+    np.testing.assert_array_equal(within, covered & ~inside & height)
+
+
+def test_a_lattice_is_centred_and_fills_layer_by_layer():
+    points = piles.lattice(5, 2, 0.4, 0.3, rise=0.1)
+    square = [(-0.2, -0.2), (0.2, -0.2), (-0.2, 0.2), (0.2, 0.2)]
+    np.testing.assert_allclose(points, [*((x, y, 0.3) for x, y in square), (-0.2, -0.2, 0.4)])

@@ -1,0 +1,162 @@
+"""Benchmark cases: a table of scenes, each with its builder, the starts of its environments and where bodies belong."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from warp_rigid.checks import one_of, whole_in
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes.base import Shape
+from warp_rigid.scenes import rings_on_poles
+from warp_rigid.scenes.builders import grounds, meshes, piles, stacks
+from warp_rigid.scenes.builders.bodies import add_bodies
+from warp_rigid.scenes.demo import start_apart
+
+STANDARD = ("stack:10", "pile_box:32", "pile_torus:16", "pile_bunny:8", "rings:12")
+"""Cases that are measured by default."""
+EDGE, GAP = 0.2, 0.001
+"""Edge of a cube, and vertical distance of the cubes of a stack at the start [m]."""
+FRICTION, DENSITY = 0.5, 1000.0
+FIRST_SEED = 1000
+"""The start of environment e of a pile is drawn from seed FIRST_SEED + e."""
+MARGIN = 0.05
+"""A body has escaped if it is this far outside its bin [m]."""
+
+Starts = tuple[np.ndarray, np.ndarray]
+"""Positions (bodies, 3) [m] and orientations (bodies, 4) of the dynamic bodies."""
+
+
+@dataclass(frozen=True)
+class BenchmarkScene:
+    """One row of the table of scenes.
+
+    Attributes:
+        build: function(bodies) -> Scene; the start is that of environment 0.
+        half_width: function(bodies) -> distance from the z axis along x or y beyond which a body has escaped [m].
+        starts: function(bodies, env) -> starts of an environment; None if all environments start alike.
+        rest_heights: function(bodies) -> (bodies,) heights of the bodies at rest [m]; None where they are not known.
+        max_bodies: largest number of bodies.
+    """
+
+    build: Callable[[int], Scene]
+    half_width: Callable[[int], float]
+    starts: Callable[[int, int], Starts] | None = None
+    rest_heights: Callable[[int], np.ndarray] | None = None
+    max_bodies: int = piles.MOST_BODIES
+
+
+@dataclass(frozen=True)
+class BenchmarkCase:
+    """One scene at one size.
+
+    Attributes:
+        name: key of SCENES.
+        bodies: dynamic bodies in an environment.
+    """
+
+    name: str
+    bodies: int
+
+    def __str__(self) -> str:
+        """As on the command line."""
+        return f"{self.name}:{self.bodies}"
+
+    def build(self) -> Scene:
+        """The scene, with the start of environment 0."""
+        return SCENES[self.name].build(self.bodies)
+
+    def scatter(self, sim: Simulator) -> None:
+        """Give each environment a different start, where the scene has several."""
+        starts = SCENES[self.name].starts
+        if starts is not None:
+            start_apart(sim, moving(sim.scene), partial(starts, self.bodies))
+
+    def escaped(self, position: np.ndarray) -> int:
+        """Number of bodies outside the region that the scene allows; a position that is NaN counts as outside.
+
+        Args:
+            position: (envs, bodies, 3) of the dynamic bodies [m].
+        """
+        scene = SCENES[self.name]
+        if scene.rest_heights is not None:
+            inside = np.abs(self.drift(position)) < scene.half_width(self.bodies)
+        else:
+            inside = np.abs(position[..., :2]).max(axis=-1) < scene.half_width(self.bodies)
+            inside &= position[..., 2] > -MARGIN
+        return int((~inside).sum())
+
+    def drift(self, position: np.ndarray) -> np.ndarray:
+        """Horizontal distance of the bodies from the z axis, (envs, bodies) [m]."""
+        return np.linalg.norm(position[..., :2], axis=-1)
+
+    def height_error(self, position: np.ndarray) -> np.ndarray | None:
+        """Height of the bodies above their height at rest, (envs, bodies) [m]; None where that is not known."""
+        rest_heights = SCENES[self.name].rest_heights
+        return None if rest_heights is None else position[..., 2] - rest_heights(self.bodies)
+
+
+def find_case(text: str) -> BenchmarkCase:
+    """Parse a case such as "stack:10".
+
+    Raises:
+        ValueError: There is no such scene, or the number of bodies is missing or out of range.
+    """
+    name, _, count = text.partition(":")
+    one_of("SCENE", name, tuple(SCENES))
+    if not count.isdigit():
+        raise ValueError(f"SCENE: must be a name and a number of bodies, such as stack:10, got {text!r}")
+    return BenchmarkCase(name, whole_in(f"SCENE: bodies of {name}", int(count), 1, SCENES[name].max_bodies))
+
+
+def moving(scene: Scene) -> list[int]:
+    """Indices of the dynamic bodies."""
+    return [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
+
+
+def _stack(bodies: int) -> Scene:
+    scene = grounds.level_scene(friction=FRICTION)
+    stacks.add_stack(scene, bodies, bottom=0.0, gap=GAP, density=DENSITY, friction=FRICTION)
+    return scene
+
+
+def _pile(shape: Callable[[], Shape], bodies: int) -> Scene:
+    scene = grounds.level_scene(friction=FRICTION)
+    piles.add_pile_bin(scene, bodies, friction=FRICTION)
+    add_bodies(scene, shape(), *_pile_starts(bodies, 0), density=DENSITY, friction=FRICTION)
+    return scene
+
+
+def _pile_starts(bodies: int, env: int) -> Starts:
+    return piles.starts(bodies, FIRST_SEED + env)
+
+
+def _pile_of(shape: Callable[[], Shape]) -> BenchmarkScene:
+    return BenchmarkScene(partial(_pile, shape), lambda bodies: piles.inner_half(bodies) + MARGIN, _pile_starts)
+
+
+def _poles_a_side(rings: int) -> int:
+    """The 5 x 5 poles of the 2003 paper from 500 rings on, fewer for fewer rings."""
+    return max(2, min(5, math.ceil(math.sqrt(rings / 20.0))))
+
+
+SCENES: dict[str, BenchmarkScene] = {
+    "stack": BenchmarkScene(
+        _stack,
+        half_width=lambda cubes: 0.5 * EDGE,
+        rest_heights=lambda cubes: EDGE * (np.arange(cubes) + 0.5),
+    ),
+    "pile_box": _pile_of(lambda: stacks.CUBE),
+    "pile_torus": _pile_of(meshes.torus),
+    "pile_bunny": _pile_of(lambda: meshes.bunny(EDGE)),
+    "rings": BenchmarkScene(
+        lambda rings: rings_on_poles.build(rings, _poles_a_side(rings) ** 2),
+        half_width=lambda rings: rings_on_poles.LOST * rings_on_poles.CYLINDER_A_SIDE * _poles_a_side(rings),
+        starts=lambda rings, env: rings_on_poles.starts(rings, _poles_a_side(rings), env),
+        max_bodies=2000,
+    ),
+}
+"""Scenes by name."""
