@@ -9,11 +9,11 @@ from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
-from warp_rigid.usd.bodies import Bodies
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.options import UsdOptions
+from warp_rigid.usd.rigid_bodies import Bodies
 from warp_rigid.usd.specs import SampleWriter, define, open_layer, save_layer, set_attribute, stage_metadata
 
 __all__ = ["UsdWriter"]
