@@ -1,4 +1,4 @@
-"""How much friction makes a heap? A column of cubes collapses, and the slope of what is left is measured."""
+"""Angle of repose as a function of friction: a column of cubes collapses, and the slope of the heap is measured."""
 
 import argparse
 from pathlib import Path
@@ -11,12 +11,12 @@ HALF = 0.05
 
 
 def column(friction: float = 0.5, grains: int = 48, seed: int = 0) -> wr.Scene:
-    """Cubes of 0.1 m, turned at random, in layers of four; no layer lies straight above another, or cubes would stack.
+    """Randomly oriented cubes of 0.1 m in layers of four, offset between layers so that the cubes do not stack.
 
     Args:
-        friction: of cubes and ground.
-        grains: how many.
-        seed: of their orientations.
+        friction: friction of cubes and ground.
+        grains: number of cubes.
+        seed: seed of their orientations.
     """
     rng = np.random.default_rng(seed)
     scene = wr.Scene()
@@ -26,15 +26,15 @@ def column(friction: float = 0.5, grains: int = 48, seed: int = 0) -> wr.Scene:
         layer, place = divmod(i, 4)
         center = np.array([place % 2 + 0.5 * (layer % 2), place // 2 + 0.5 * (layer // 2 % 2), layer + 0.5])
         center[:2] += rng.uniform(-0.06, 0.06, 2)
-        turned = rng.normal(size=4)
+        orientation = rng.normal(size=4)
         scene.add_body(
-            wr.Box((HALF,) * 3), position=pitch * center, orientation=turned, friction=friction, name=f"grain_{i}"
+            wr.Box((HALF,) * 3), position=pitch * center, orientation=orientation, friction=friction, name=f"grain_{i}"
         )
     return scene
 
 
 def slope(sim):
-    """Slope of the heap [degree], (envs,): that of the cone whose volume lies as high and as far out on average.
+    """Slope of the heap [degree], (envs,): that of a cone with the same mean height and mean distance from the axis.
 
     In a cone of height h and radius r the mean height is h / 4 and the mean distance from the axis r / 2.
     """
@@ -45,10 +45,10 @@ def slope(sim):
 
 
 def main(arguments=None):
-    """Sweep the friction, three heaps each, and draw slope against friction."""
+    """Sweep the friction with three heaps per value, and plot the slope against friction."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--size", type=int, default=10, help="values of the friction")
-    parser.add_argument("--grains", type=int, default=48, help="cubes in a heap")
+    parser.add_argument("--size", type=int, default=10, help="number of friction values")
+    parser.add_argument("--grains", type=int, default=48, help="cubes per heap")
     parser.add_argument("--duration", type=float, default=3.0, help="simulated seconds")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     options = parser.parse_args(arguments)

@@ -1,4 +1,4 @@
-"""Drop a bunny into a bowl 512 times, and export only the drop after which it sits best."""
+"""Drop a bunny into a bowl 512 times, and export the drop after which it sits most upright."""
 
 import argparse
 from functools import lru_cache
@@ -10,12 +10,12 @@ import warp_rigid as wr
 from warp_rigid.scenes.builders import meshes
 
 UP = np.array([0.592, 0.797, -0.118])
-"""The way up of an upright bunny, in its mesh's frame, whose axes are the principal ones."""
+"""Up direction of the bunny in its mesh frame, which has the principal axes."""
 
 
 @lru_cache
 def bowl(radius: float = 0.3, thickness: float = 0.03, segments: int = 48) -> wr.Mesh:
-    """Bottom of a thick spherical shell about the origin, up to 45 degrees below the horizon [m]."""
+    """Bottom of a thick spherical shell centred at the origin, up to 45 degrees below the horizon [m]."""
     arc = np.linspace(-0.5 * np.pi, -0.25 * np.pi, 9)
     profile = [
         r * np.stack([np.cos(a), np.sin(a)], axis=1) for r, a in ((radius + thickness, arc), (radius, arc[::-1]))
@@ -37,10 +37,10 @@ def bowl(radius: float = 0.3, thickness: float = 0.03, segments: int = 48) -> wr
 
 
 def drop(seed: int = 0) -> wr.Scene:
-    """A bunny above a bowl, turned and shifted at random.
+    """A bunny above a bowl, with a random orientation and position.
 
     Args:
-        seed: of the turn and the shift.
+        seed: seed of the orientation and the position.
     """
     rng = np.random.default_rng(seed)
     scene = wr.Scene()
@@ -60,16 +60,16 @@ def drop(seed: int = 0) -> wr.Scene:
 
 
 def upright(sim):
-    """Cosine between the bunny's way up and the world's, (envs,)."""
+    """Cosine between the up direction of the bunny and the world z axis, (envs,)."""
     x, y, z, w = np.moveaxis(sim.get("orientation")[:, -1].astype(float), -1, 0)
     to_world_z = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
     return to_world_z @ UP / np.linalg.norm(UP)
 
 
 def main(arguments=None):
-    """Sweep the seeds, choose the bunny that sits most upright and at rest, run it again and export it."""
+    """Sweep the seeds, select the most upright bunny at rest, simulate it again and export it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--size", type=int, default=512, help="drops")
+    parser.add_argument("--size", type=int, default=512, help="number of drops")
     parser.add_argument("--duration", type=float, default=3.0, help="simulated seconds")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     options = parser.parse_args(arguments)
@@ -91,7 +91,7 @@ def main(arguments=None):
     wr.export_usd(recording, options.out / "best_drop.usdc")
 
     from warp_rigid.render.film import film_from_usd
-    from warp_rigid.render.picture import save_picture
+    from warp_rigid.render.images import save_picture
 
     save_picture(film_from_usd(options.out / "best_drop.usdc"), options.out / "best_drop.png")
     return result, best

@@ -1,4 +1,4 @@
-"""Which friction and restitution has a ball that was thrown and ended there? Found from its final pose alone."""
+"""Estimate the friction and restitution of a thrown ball from its final position."""
 
 import argparse
 from pathlib import Path
@@ -11,11 +11,11 @@ TRUE = {"friction": 0.22, "restitution": 0.55}
 
 
 def throw(friction: float = 0.5, restitution: float = 0.5) -> wr.Scene:
-    """A ball of 0.2 m, thrown at 5 m/s from a height of 0.6 m, that slides when it first bounces.
+    """A ball of 0.2 m, thrown at 5 m/s from a height of 0.6 m, which slides during its first bounce.
 
     Args:
-        friction: of ball and ground.
-        restitution: of ball and ground.
+        friction: friction of ball and ground.
+        restitution: restitution of ball and ground.
     """
     scene = wr.Scene()
     surface = {"friction": friction, "restitution": restitution}
@@ -25,9 +25,9 @@ def throw(friction: float = 0.5, restitution: float = 0.5) -> wr.Scene:
 
 
 def main(arguments=None):
-    """Make a final pose with materials that are then forgotten, and find them again."""
+    """Simulate a final position with known material, and search for the material that reproduces it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--size", type=int, default=256, help="trials")
+    parser.add_argument("--size", type=int, default=256, help="number of trials")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     options = parser.parse_args(arguments)
 
@@ -42,7 +42,7 @@ def main(arguments=None):
     found = study.best_params
     for name, value in TRUE.items():
         print(f"{name}: {found[name]:.3f} found, {value:.3f} used")
-    print(f"the ball ends {1e3 * study.best_value:.1f} mm from where it should, after {len(study.trials)} throws")
+    print(f"final position error {1e3 * study.best_value:.1f} mm after {len(study.trials)} throws")
 
     from matplotlib.figure import Figure
 
@@ -51,7 +51,7 @@ def main(arguments=None):
     tried = np.array([[trial.params["friction"], trial.params["restitution"]] for trial in study.trials])
     points = axes.scatter(*tried.T, c=np.arange(len(tried)), s=10)
     axes.plot(*TRUE.values(), "r+", markersize=14)
-    axes.set(xlabel="friction", ylabel="restitution", title="where the search looked; + is the truth")
+    axes.set(xlabel="friction", ylabel="restitution", title="trials of the search; + marks the true material")
     figure.colorbar(points, label="trial")
     options.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(options.out / "fit.png")

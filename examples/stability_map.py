@@ -1,6 +1,6 @@
-"""At which lean does a tower fall, and what does each way of shock propagation make of it?
+"""Stability of a leaning tower with each mode of shock propagation.
 
-Statics has the answer: N boxes of width w, each shifted by d over the one below, balance while N d <= w.
+By statics, N boxes of width w, each shifted by d relative to the one below, are stable while N d <= w.
 """
 
 import argparse
@@ -12,10 +12,10 @@ import warp_rigid as wr
 
 
 def main(arguments=None):
-    """Sweep offset and height for the three modes, and draw a map of each with the prediction of statics."""
+    """Sweep offset and height for the three modes, and plot a map of each with the prediction of statics."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--size", type=int, default=24, help="offsets")
-    parser.add_argument("--heights", type=int, nargs="+", default=[3, 4, 5, 6, 8, 10, 12, 15], help="boxes")
+    parser.add_argument("--size", type=int, default=24, help="number of offsets")
+    parser.add_argument("--heights", type=int, nargs="+", default=[3, 4, 5, 6, 8, 10, 12, 15], help="numbers of boxes")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     options = parser.parse_args(arguments)
 
@@ -41,7 +41,7 @@ def main(arguments=None):
     for mode in ("off", "one_pass", "two_pass"):
         rows = [row for row in result.rows if row["shock_propagation"] == mode]
         right = sum(row["toppled"] == (row["height"] * row["offset"] > 1.0) for row in rows)
-        print(f"{mode}: {right} of {len(rows)} towers do what statics says")
+        print(f"{mode}: {right} of {len(rows)} towers agree with statics")
     return result
 
 

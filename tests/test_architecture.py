@@ -155,6 +155,6 @@ def test_cycles_are_found():
 
 def test_layers_are_kept_apart():
     assert may_import("warp_rigid.engine.step", "warp_rigid.kernels.schema")
-    assert may_import("warp_rigid.sweep.run", "warp_rigid.sweep.table")
+    assert may_import("warp_rigid.sweep.execution", "warp_rigid.sweep.table")
     assert not may_import("warp_rigid.kernels.schema", "warp_rigid.engine.step")
-    assert not may_import("warp_rigid.sweep.run", "warp_rigid.bench.measure")
+    assert not may_import("warp_rigid.sweep.execution", "warp_rigid.bench.measure")

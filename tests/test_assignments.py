@@ -52,8 +52,8 @@ def test_one_value_is_the_scenes_and_a_list_the_environments():
         (["heihgt=3"], "--set heihgt: unknown name; did you mean height?"),
         (["zzz=3"], "--set zzz: unknown name; known: height, friction, skull, dt"),
         (["height=3", "height=4"], "--set height: given twice"),
-        (["height=3,4"], "--set height: is a parameter of the scene and takes one value"),
-        (["dt=0.01,0.02"], "--set dt: is one for the whole simulation"),
+        (["height=3,4"], "--set height: is a scene parameter and takes one value"),
+        (["dt=0.01,0.02"], "--set dt: is shared by all environments"),
         (["mass=1,2", "friction=1,2,3"], "mass has 2, friction has 3"),
     ],
 )

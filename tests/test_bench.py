@@ -253,12 +253,12 @@ def test_table_fits_and_tells_the_cold_start(capsys, monkeypatch, fake_peer):
     arguments = ["stack:2", "--frames", "1", "--settle", "0", "--cold", "--device", "cpu", "--peers", "mujoco"]
     assert cli.main(["bench", *arguments]) == 0
     out = capsys.readouterr().out
-    assert "first frame of stack:2: cold 9.00 s (1.50 s of processor), warm 4.50 s" in out and "17 modules" in out
+    assert "first frame of stack:2: cold 9.00 s (1.50 s processor time), warm 4.50 s" in out and "17 modules" in out
     # Both found the same folders for their caches, empty ones for the first.
     assert len(asked) == 2 and asked[0] == asked[1]
     assert "…" not in out and max(map(len, out.splitlines())) <= 120
     heading, own, other = out.splitlines()[:3]
-    assert heading.split()[-1] == "ours" and own.split()[3] == "warp_rigid" and other.split()[3] == "mujoco"
+    assert heading.split()[-1] == "ratio" and own.split()[3] == "warp_rigid" and other.split()[3] == "mujoco"
 
 
 @pytest.mark.parametrize(
@@ -267,8 +267,8 @@ def test_table_fits_and_tells_the_cold_start(capsys, monkeypatch, fake_peer):
         (["tower:3"], "SCENE: must be one of stack, pile_box"),
         (["stack"], "SCENE: must be a name and a number of bodies, such as stack:10, got 'stack'"),
         (["stack:0"], "SCENE: bodies of stack: must be a whole number from 1"),
-        (["stack:1", "--envs", "1,x"], "--envs: must be whole numbers from 1 on"),
-        (["stack:1", "--substeps", "0"], "--substeps: must be whole numbers from 1 on"),
+        (["stack:1", "--envs", "1,x"], "--envs: must be whole numbers >= 1"),
+        (["stack:1", "--substeps", "0"], "--substeps: must be whole numbers >= 1"),
         (["stack:1", "--frames", "0"], "--frames: must be >= 1, got 0"),
         (["stack:1", "--settle", "-1"], "--settle: must be >= 0, got -1"),
         (["stack:1", "-o", "bench.pdf"], "bench.pdf: must end in .png"),

@@ -97,8 +97,8 @@ def test_film_holds_the_chosen_environments(capsys, scene_file, tmp_path):
 
     assert envs("--usd-envs", "5,19")[0] == [5, 19]
     assert envs("--usd-envs", "all")[0] == list(range(20))
-    first, told = envs()
-    assert first == list(range(16)) and "recording the first 16 environments" in told
+    first, messages = envs()
+    assert first == list(range(16)) and "recording the first 16 environments" in messages
 
 
 def test_compare_prints_variants_and_expectations(capsys):
@@ -147,7 +147,7 @@ def test_lists_run_side_by_side(capsys, scene_file):
         (["run", "box_stack", "--device", "cuda:99"], "device: must be one of"),
         (["run", "box_stack", "--set", "heigth=3"], "did you mean height?"),
         (["run", "box_stack", "--set", "height=0"], "height: must be"),
-        (["run", "box_stack", "--fps", "7"], "fps: a frame at 7 frames/s"),
+        (["run", "box_stack", "--fps", "7"], "fps: a frame must be a whole number of steps"),
         (["run", "box_stack", "-o", "film.mp4"], "-o: must end in"),
         (["run", "box_stack", "--picture", "film.bmp"], "film.bmp: must end in .png"),
         (["run", "box_stack", "--film", "film.avi"], "film.avi: must end in .gif or .mp4"),
@@ -161,7 +161,7 @@ def test_lists_run_side_by_side(capsys, scene_file):
         (["run", "box_stack", "--film", "a.gif", "--usd-envs", "x"], "--usd-envs: must be numbers"),
         (["run", "missing.py"], "missing.py: no such file"),
         (["inspect", "missing.obj"], "missing.obj: no such file"),
-        (["inspect", "bunny", "--slice", "z=0"], "--slice: needs -o"),
+        (["inspect", "bunny", "--slice", "z=0"], "--slice: requires -o"),
         (["inspect", "bunny", "--slice", "w=0", "-o", "a.png"], "--slice: must be x=, y= or z="),
         (["inspect", "bunny", "--slice", "z=9", "-o", "a.png"], "--slice: z must be from"),
         (["inspect", "bunny", "--sdf-resolution", "1"], "sdf_resolution: must be"),
@@ -269,6 +269,6 @@ def test_ready_made_meshes_have_names(capsys):
 
 
 @pytest.mark.parametrize(("module", "extra"), [("viser", "viewer"), ("imageio_ffmpeg", "picture"), ("PIL", "picture")])
-def test_a_missing_library_is_told_with_its_extra(module, extra):
-    told = explain(ModuleNotFoundError(f"No module named {module!r}", name=module))
-    assert told == f"{module} is not installed; pip install 'warp-rigid[{extra}]' brings it"
+def test_a_missing_library_is_named_with_its_extra(module, extra):
+    message = explain(ModuleNotFoundError(f"No module named {module!r}", name=module))
+    assert message == f"{module} is not installed; install it with: pip install 'warp-rigid[{extra}]'"

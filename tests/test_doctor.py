@@ -77,7 +77,7 @@ def test_doctor_tells_what_to_do(capsys, monkeypatch, tmp_path):
     assert status == 1
     assert "FAIL no-such-library: not installed" in out and "pip install 'warp-rigid'" in out
     assert f"FAIL grid cache: {file / 'cache'}: Not a directory" in out and "set WARP_RIGID_CACHE" in out
-    assert "FAIL temporary files" in out and "make room on this disk" in out
+    assert "FAIL temporary files" in out and "free space on this disk" in out
     assert "FAIL self-test on cpu: CUDA error 999" in out
 
 
@@ -86,12 +86,12 @@ def test_a_self_test_that_hangs_or_computes_wrongly_is_told(monkeypatch):
         raise subprocess.TimeoutExpired("x", 1)
 
     monkeypatch.setattr(machine.subprocess, "run", hangs)
-    assert "not done after" in machine._device("cuda:0").found
+    assert "not finished after" in machine._device("cuda:0").found
     wrong = json.dumps({"checks": {"a": True, "b": False}, "compile_seconds": 1, "steps_per_second": 1})
     done = subprocess.CompletedProcess([], 0, wrong + "\n", "")
     monkeypatch.setattr(machine.subprocess, "run", lambda *_, **__: done)
     check = machine._device("cuda:0")
-    assert not check.passed and check.found == "not so: b" and "driver" in check.advice
+    assert not check.passed and check.found == "failed: b" and "driver" in check.advice
     silent = subprocess.CompletedProcess([], -9, "", "")
     monkeypatch.setattr(machine.subprocess, "run", lambda *_, **__: silent)
     assert "status -9" in machine._device("cuda:0").found and "--device cpu" in machine._device("cuda:0").advice
@@ -132,9 +132,7 @@ def test_a_kernel_cache_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     done = fresh("run", "incline", WARP_CACHE_PATH=str(tmp_path / "file" / "x"))
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.splitlines()[-1].endswith(
-        "x: Not a directory; WARP_CACHE_PATH must name a folder that can be written"
-    )
+    assert done.stderr.splitlines()[-1].endswith("x: Not a directory; WARP_CACHE_PATH must be a writable folder")
     assert len(done.stderr.splitlines()) == 1
 
 
@@ -264,7 +262,7 @@ def test_a_home_without_room_for_kernels_is_one_line():
     environment["HOME"] = "/proc/nowhere"
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and done.stdout == ""
-    assert "WARP_CACHE_PATH must name a folder that can be written" in done.stderr.splitlines()[-1]
+    assert "WARP_CACHE_PATH must be a writable folder" in done.stderr.splitlines()[-1]
 
 
 def test_caches_have_a_place_on_every_system(monkeypatch):

@@ -9,7 +9,7 @@ from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, Simulator, Sphere
 from warp_rigid.render.appearance import level_colors, speed_colors
 from warp_rigid.render.film import colored, film_from_recording, film_from_usd
-from warp_rigid.render.picture import fit_camera, points_to_see, save_contact_sheet, save_film, save_picture
+from warp_rigid.render.images import fit_camera, points_to_see, save_contact_sheet, save_film, save_picture
 from warp_rigid.render.raycast import RayCaster, on_screen
 from warp_rigid.runs.recording import record
 from warp_rigid.scenes.builders import stacks
@@ -270,7 +270,7 @@ def test_bad_arguments_are_named(two_envs, tmp_path):
     with pytest.raises(ValueError, match=r"bad.usdc: not a readable USD file"):
         film_from_usd(tmp_path / "bad.usdc")
     (tmp_path / "empty.usda").write_text("#usda 1.0\n")
-    with pytest.raises(ValueError, match=r"empty.usda: holds no environment"):
+    with pytest.raises(ValueError, match=r"empty.usda: must have an environment"):
         film_from_usd(tmp_path / "empty.usda")
 
 

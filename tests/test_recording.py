@@ -60,8 +60,8 @@ def test_some_environments_only(scene):
     [
         ({"frames": -1}, "frames: must be >= 0"),
         ({"frames": 1, "fps": 0.0}, "fps: must be a finite number > 0"),
-        ({"frames": 1, "fps": 100.0}, "nearest rate that is: 120"),
-        ({"frames": 1, "fps": 1000.0}, "nearest rate that is: 240"),
+        ({"frames": 1, "fps": 100.0}, "nearest valid rate: 120"),
+        ({"frames": 1, "fps": 1000.0}, "nearest valid rate: 240"),
         ({"frames": 1, "envs": [2]}, "envs: must be from 0 to 1"),
     ],
 )
@@ -78,7 +78,7 @@ def test_steps_per_frame(dt, fps, steps):
 def test_labels_belong_to_environments(scene):
     sim = FakeSimulator(scene, num_envs=2)
     assert Recorder(sim, 60, envs=[1], labels=["b"]).labels == ("b",)
-    with pytest.raises(ValueError, match="labels: 1 for 2"):
+    with pytest.raises(ValueError, match="labels: must be 2, one per environment, got 1"):
         Recorder(sim, 60, labels=["a"])
 
 

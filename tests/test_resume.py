@@ -58,7 +58,7 @@ def test_events_take_place_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "difference"),
     [
         ({"fps": 30.0}, "fps was 60.0, is 30.0"),
         ({"num_envs": 2}, "envs was 1, is 2"),
@@ -66,10 +66,10 @@ def test_events_take_place_once(tmp_path):
         ({"seed": 3}, "seed was 0, is 3"),
     ],
 )
-def test_another_run_is_not_gone_on_with(tmp_path, options, told):
+def test_checkpoint_of_a_different_run_is_refused(tmp_path, options, difference):
     path = tmp_path / "a.ckpt"
     runner.execute(plan("incline", 2), checkpoints=Checkpoints(path, every=1))
-    with pytest.raises(ValueError, match=f"^--resume: .*another run: {told}"):
+    with pytest.raises(ValueError, match=f"^--resume: .*different run: {difference}"):
         runner.execute(plan("incline", 4, **options), checkpoints=Checkpoints(path, resuming=True))
     with pytest.raises(ValueError, match="frame: must be a whole number from 1 to 1"):
         runner.execute(plan("incline", 1), checkpoints=Checkpoints(path, resuming=True))
@@ -137,7 +137,7 @@ def test_a_usd_film_goes_on_with_the_run(tmp_path, monkeypatch):
 def test_resume_without_a_checkpoint_starts_and_says_so(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["run", "incline", "--frames", "2", "--device", "cpu", "--resume", "--checkpoint-every", "2"]) == 0
-    assert "incline.ckpt: no checkpoint yet" in capsys.readouterr().err
+    assert "incline.ckpt: no checkpoint found" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["incline.ckpt"]
 
 
@@ -164,5 +164,5 @@ def test_what_an_outcome_may_keep_comes_back():
     arrays = {}
     again = _from_plain(json.loads(json.dumps(_to_plain("x", kept, arrays))), arrays)
     assert repr(again) == repr(kept)
-    with pytest.raises(ValueError, match="^x: must be plain data to be kept in a checkpoint, got set"):
+    with pytest.raises(ValueError, match="^x: must be plain data to be stored in a checkpoint, got set"):
         _to_plain("x", {1, 2}, arrays)

@@ -137,8 +137,8 @@ def test_bodies_are_chosen_by_name_pattern_or_index():
     np.testing.assert_allclose(plan.sim.get("restitution")[0], [0.9, 0, 0], rtol=1e-6)
     assert plan_run(build, ["position[left]=(0,0,5)"], device="cpu").sim.get("position")[0, 1].tolist() == [0, 0, 5]
     for text, message in (
-        ("mass[up]=1", "chooses no body; there are ground, left, right"),
-        ("dt[left]=1", "cannot choose"),
+        ("mass[up]=1", "selects no body; bodies are ground, left, right"),
+        ("dt[left]=1", "cannot select"),
     ):
         with pytest.raises(ValueError, match=message):
             plan_run(build, [text], device="cpu")
@@ -178,12 +178,12 @@ def test_substeps_set_the_time_step():
     ("arguments", "message"),
     [
         ({"num_envs": 0}, "--envs: must be >= 1"),
-        ({"num_envs": 3, "compare": True}, "--envs: 3, but there are 2"),
-        ({"num_envs": 3, "assignments": ["friction=1,2"]}, "--envs: 3, but there are 2"),
-        ({"compare": True, "assignments": ["mass=1,2"]}, "--compare: must not be given with a list for mass"),
+        ({"num_envs": 3, "compare": True}, "--envs: must be 2, the number of values to compare, got 3"),
+        ({"num_envs": 3, "assignments": ["friction=1,2"]}, "--envs: must be 2, the number of values to compare, got 3"),
+        ({"compare": True, "assignments": ["mass=1,2"]}, "--compare: cannot be combined with a list for mass"),
         ({"substeps": 0}, "--substeps: must be >= 1"),
         ({"substeps": 4, "assignments": ["dt=0.01"]}, "--substeps: sets dt"),
-        ({"fps": 100.0}, "fps: a frame at 100 frames/s is no whole number"),
+        ({"fps": 100.0}, "fps: a frame must be a whole number of steps of dt"),
         ({"frames": -1}, "--frames: must be >= 0"),
         ({"assignments": ["dt=2"]}, "dt: must be"),
         ({"assignments": ["friction=-1"]}, "friction: must be"),

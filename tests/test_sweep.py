@@ -7,7 +7,7 @@ import warp_rigid as wr
 from warp_rigid import scenes
 from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.scenes import Demo
-from warp_rigid.sweep import batch as batch_module
+from warp_rigid.sweep import batch_run as batch_module
 from warp_rigid.sweep.job import resolve_scene
 from warp_rigid.sweep.table import BOOKKEEPING
 
@@ -254,8 +254,8 @@ def test_scenes_come_in_five_forms(tmp_path):
         ({"friction": [-1.0]}, {}, "friction: must be a finite number >= 0"),
         ({"restitution": [2.0]}, {}, "restitution: must be a number from 0 to 1"),
         ({"mass[ball]": [0.0]}, {}, "must be a finite number > 0"),
-        ({"mass[cone]": [1.0]}, {}, r"mass\[cone\]: chooses no body; there are ground, ball"),
-        ({"dt[ball]": [0.1]}, {}, "cannot choose bodies"),
+        ({"mass[cone]": [1.0]}, {}, r"mass\[cone\]: selects no body; bodies are ground, ball"),
+        ({"dt[ball]": [0.1]}, {}, "cannot select bodies"),
         ({"shock_propagation": ["on"]}, {}, "shock_propagation: must be one of"),
         ({"count": [1, 0.5]}, {}, "'float' object cannot be interpreted|count"),
         ({"height": [1]}, {"duration": 0.0}, "duration: must be"),

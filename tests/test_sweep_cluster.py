@@ -59,7 +59,7 @@ def test_workers_with_several_threads_are_refused():
 
 
 def test_mistakes_are_named(tmp_path):
-    with pytest.raises(ValueError, match="workers: is for the local cluster"):
+    with pytest.raises(ValueError, match="workers: applies to the local cluster"):
         wr.sweep(ball, AXES, cluster="tcp://127.0.0.1:1", workers=2)
     with pytest.raises(FileNotFoundError):
         cluster_of_file(str(tmp_path / "none.py"))

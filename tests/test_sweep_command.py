@@ -50,7 +50,7 @@ def test_a_sweep_writes_its_table_and_picture(run, tmp_path):
     )
     status, out, err = run("sweep", "ball.py", *arguments, "--plot", "out/t.png", *SMALL)
     assert status == 0 and "6 runs, 0 failed" in out and "drift: " in out and "wrote out/t.png" in out
-    assert "6 runs in 1 batches of at most 6, each about" in err
+    assert "6 runs in 1 batches of at most 6; at most" in err
     table = read("out/t.parquet")
     assert table.column("height").tolist() == [1, 1, 1.5, 1.5, 2, 2] and table.about["fixed"] == {"friction": 0.2}
     assert (tmp_path / "out" / "t.png").stat().st_size > 1000
@@ -63,7 +63,7 @@ def test_resume_and_json(run):
     assert run(*first)[0] == 2
     status, out, err = run(*first, "--resume", "--json", "--metrics", ",".join(read("t.parquet").about["metrics"]))
     told = json.loads(out)
-    assert status == 0 and told["runs"] == 2 and len(told["rows"]) == 2 and "2 of 2 runs are finished already" in err
+    assert status == 0 and told["runs"] == 2 and len(told["rows"]) == 2 and "2 of 2 runs are already finished" in err
     assert run(*first, "--overwrite")[0] == 0
 
 
@@ -79,7 +79,7 @@ def test_shards_are_merged(run):
     for i in (1, 2):
         assert run(*common, "--shard", f"{i}/2", "-o", f"{i}.parquet")[0] == 0
     status, out, err = run("merge", "1.parquet", "-o", "part.parquet")
-    assert status == 5 and "2 of 5 runs are in none of the tables" in err
+    assert status == 5 and "2 of 5 runs are missing from the tables" in err
     status, out, err = run("merge", "1.parquet", "2.parquet", "-o", "all.parquet", "--plot", "all.svg", "--json")
     assert status == 0 and json.loads(out)["runs"] == 5
     assert read("all.parquet").column("run").tolist() == [0, 1, 2, 3, 4]
@@ -94,8 +94,8 @@ def test_shards_are_merged(run):
         (["--vary", "height"], "--vary: must be name=value"),
         (["--vary", "height=1", "--vary", "height=2"], "--vary height: given twice"),
         (["--vary", "heigth=1"], "did you mean height"),
-        (["--vary", "height=1", "--set", "friction=1,2"], "--set friction: takes one value here"),
-        (["--vary", "height=1", "--set", "height=2"], "height: is fixed and an axis"),
+        (["--vary", "height=1", "--set", "friction=1,2"], "--set friction: takes one value; use --vary"),
+        (["--vary", "height=1", "--set", "height=2"], "height: must be either fixed or an axis"),
         (["--vary", "height=1", "--shard", "3/2"], "--shard: must be I/N"),
         (["--vary", "height=1", "--batch", "many"], "batch: must be a whole number"),
         (["--vary", "height=1", "--plot", "a.bmp"], "plot: must end in"),

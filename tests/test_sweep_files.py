@@ -18,7 +18,7 @@ import zarr
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
 from warp_rigid.files import atomic
-from warp_rigid.sweep import batch as batch_module
+from warp_rigid.sweep import batch_run as batch_module
 from warp_rigid.sweep import merge, read
 from warp_rigid.sweep import table as table_module
 from warp_rigid.sweep.table import SweepResult, write
@@ -87,17 +87,17 @@ def test_other_sweeps_are_not_mixed(tmp_path, runs_done):
     quick(AXES, output=path)
     before, _ = path.read_bytes(), runs_done.clear()
     for options, message in (
-        ({}, "exists already; resume it, overwrite it"),
-        ({"resume": True, "duration": 0.2}, "holds another sweep: duration is 0.1 there, 0.2 here"),
-        ({"resume": True, "fixed": {"mass": 2.0}}, "holds another sweep: fixed"),
-        ({"resume": True, "metrics": ["drift"]}, "holds another sweep: metrics"),
+        ({}, "already exists; resume it, overwrite it"),
+        ({"resume": True, "duration": 0.2}, "holds a different sweep: duration is 0.1 there, 0.2 here"),
+        ({"resume": True, "fixed": {"mass": 2.0}}, "holds a different sweep: fixed"),
+        ({"resume": True, "metrics": ["drift"]}, "holds a different sweep: metrics"),
     ):
         with pytest.raises(ValueError, match=message):
             quick(AXES, output=path, **options)
-    with pytest.raises(ValueError, match="holds 4 runs that are not of this design"):
+    with pytest.raises(ValueError, match="holds 4 runs of a different design"):
         quick({"height": [0.1], "friction": [0.2, 0.8]}, output=path, resume=True)
     (tmp_path / "no.parquet").write_text("nothing")
-    with pytest.raises(ValueError, match="holds no rows of a sweep"):
+    with pytest.raises(ValueError, match="not a table of a sweep"):
         quick(AXES, output=tmp_path / "no.parquet", resume=True)
     assert path.read_bytes() == before and runs_done == []
     assert len(quick({"height": [0.1]}, output=path, overwrite=True)) == 1
@@ -169,7 +169,7 @@ def test_shards_merge_to_the_whole(tmp_path):
     assert values(merged) == values(quick(AXES)) and merged.about["runs"] == 6
     assert len(merge(paths[:2])) == 4
     quick({"height": [0.1]}, output=tmp_path / "other.parquet")
-    with pytest.raises(ValueError, match="other.parquet: holds a shard of another design"):
+    with pytest.raises(ValueError, match="other.parquet: holds a shard of a different design"):
         merge([paths[0], tmp_path / "other.parquet"])
     with pytest.raises(FileNotFoundError):
         merge([tmp_path / "none.parquet"])
@@ -207,10 +207,10 @@ def _stop():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"about": []}, "what is told beside the rows must be named"),
-        ({"scene": 7}, "scene: must be told beside the rows as str, got 7"),
-        ({"axes": ["height", 1]}, "axes: must be told beside the rows as list"),
-        ({"parameters": ["width"]}, "width: is an axis, but no column"),
+        ({"about": []}, "metadata: must be a JSON object"),
+        ({"scene": 7}, "scene: must be str in the metadata, got 7"),
+        ({"axes": ["height", 1]}, "axes: must be list in the metadata"),
+        ({"parameters": ["width"]}, "width: is an axis without a column"),
         ({"without": "run"}, "run: must be int in every row, got None"),
         ({"without": "status"}, "status: must be str in every row, got None"),
     ],
@@ -223,7 +223,7 @@ def test_what_is_no_table_of_a_sweep_is_refused(tmp_path, change, message):
     path = tmp_path / "t.parquet"
     told = {table_module.METADATA: json.dumps(about, default=str).encode()}
     pyarrow.parquet.write_table(table.replace_schema_metadata(told), path)
-    with pytest.raises(ValueError, match=f"^{path}: holds no rows of a sweep .{message}"):
+    with pytest.raises(ValueError, match=f"^{path}: not a table of a sweep: {message}"):
         read(path)
 
 
@@ -245,12 +245,12 @@ def test_a_damaged_table_or_one_of_endless_rows_is_refused(tmp_path, monkeypatch
     content = bytearray(path.read_bytes())
     content[4:40] = bytes(36)
     (tmp_path / "bad.parquet").write_bytes(content)
-    with pytest.raises(ValueError, match="bad.parquet: holds no rows of a sweep") as error:
+    with pytest.raises(ValueError, match="bad.parquet: not a table of a sweep") as error:
         read(tmp_path / "bad.parquet")
     assert "\n" not in str(error.value)
-    monkeypatch.setattr(table_module, "MOST_RUNS", 1)
+    monkeypatch.setattr(table_module, "MAX_RUNS", 1)
     monkeypatch.setattr(pyarrow.parquet, "read_table", lambda _: pytest.fail("was read"))
-    with pytest.raises(ValueError, match="at most 1 rows can be read, not 2"):
+    with pytest.raises(ValueError, match="must have at most 1 rows, got 2"):
         read(path)
 
 
@@ -258,7 +258,9 @@ def test_tables_that_tell_too_little_are_not_merged(tmp_path):
     row = quick({"height": [1.0]}).rows[0]
     write(SweepResult([row], {"axes": ["height"]}), tmp_path / "t.parquet")
     for use in (lambda: merge([tmp_path / "t.parquet"]), lambda: read(tmp_path / "t.parquet").replay(row, ball)):
-        with pytest.raises(ValueError, match="^(design_id|scene): must be t"):
+        with pytest.raises(
+            ValueError, match="^(design_id: must be str in the metadata|scene: must be that of the rows)"
+        ):
             use()
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warp_rigid.sweep.plots import plot
+from warp_rigid.sweep.result_plots import plot
 from warp_rigid.sweep.table import SweepResult
 
 
@@ -76,14 +76,14 @@ def test_words_are_an_axis_too(tmp_path, figures):
     [
         ({"y": "totl"}, "column: must be one of"),
         ({"x": "b"}, "column: must be one of"),
-        ({"y": "word"}, "y must be a column of numbers"),
+        ({"y": "word"}, "y must be a numeric column"),
         ({"kind": "pie"}, "kind: must be one of"),
-        ({"kind": "heatmap"}, "needs two axes of numbers"),
+        ({"kind": "heatmap"}, "requires two numeric axes"),
         ({"path": "p.bmp"}, "plot: must end in"),
     ],
 )
 def test_mistakes_are_named(arguments, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         plot(table(["a"], [(1,), (2,)]), **{"path": tmp_path / "p.png"} | arguments)
-    with pytest.raises(ValueError, match="no rows or no axes"):
+    with pytest.raises(ValueError, match="requires at least one row and one axis"):
         plot(table(["a"], []), tmp_path / "p.png")

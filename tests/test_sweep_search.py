@@ -5,7 +5,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.test_sweep import ball
-from warp_rigid.sweep import batch as batch_module
+from warp_rigid.sweep import batch_run as batch_module
 
 
 def test_a_speed_is_found_from_where_the_ball_ended(monkeypatch):
@@ -39,10 +39,10 @@ def test_failed_runs_are_failed_trials_and_metrics_objectives():
 
 
 def test_mistakes_are_named():
-    with pytest.raises(ValueError, match="speed: a search needs"):
+    with pytest.raises(ValueError, match="speed: must be a list, Uniform"):
         wr.search(ball, {"speed": wr.Normal(1, 1)}, "drift")
     with pytest.raises(ValueError, match="direction: must be"):
         wr.search(ball, {"speed": np.array([1, 2])}, "drift", direction="up")
-    for arguments, message in (({"seed": -1}, "seed: must be"), ({"axes": {}}, "axes: a search needs at least one")):
+    for arguments, message in (({"seed": -1}, "seed: must be"), ({"axes": {}}, "axes: must have at least one axis")):
         with pytest.raises(ValueError, match=message):
             wr.search(ball, **{"axes": {"speed": [1.0]}, "objective": "drift", **arguments})

@@ -46,7 +46,7 @@ FAULTY = {
         rigid(
             "Solid", "Mesh", TETRAHEDRON + 'uniform token physics:approximation = "sdf"', ["PhysicsMeshCollisionAPI"]
         ),
-        "sdf is none of",
+        ", is sdf",
     ),
     "MaterialOnCollider": (
         'def Material "M" (\n prepend apiSchemas = ["PhysicsMaterialAPI"]\n)\n{\n}\n'
@@ -54,7 +54,7 @@ FAULTY = {
         ' rel material:binding:physics = </World/M>\n def Cube "C" (\n'
         ' prepend apiSchemas = ["PhysicsCollisionAPI"]\n)\n'
         "{\n float3[] extent = [(-1, -1, -1), (1, 1, 1)]\n}\n}\n",
-        "must be bound on the collider",
+        "must be bound to the collider",
     ),
 }
 

@@ -90,8 +90,8 @@ def test_a_scale_that_bends_a_primitive_makes_a_mesh_and_says_so(stage):
     assert isinstance(scene.bodies[0].shape, wr.Mesh)
     np.testing.assert_allclose(_world_bounds(scene.bodies[0])[1], (0.1, 0.1, 0.2), rtol=1e-2)
     (finding,) = scene.import_report.changed
-    assert finding.path == "/World/Egg" and "becomes a mesh" in finding.reason
-    with pytest.raises(ValueError, match="/World/Egg: changed: a Sphere with this scale becomes a mesh"):
+    assert finding.path == "/World/Egg" and "converted to a mesh" in finding.reason
+    with pytest.raises(ValueError, match="/World/Egg: changed: a Sphere with this scale is converted to a mesh"):
         stage(text)
 
 
@@ -126,7 +126,7 @@ def test_grids_follow_the_schemas_resolution(stage):
         (body,) = stage(rigid("Solid", "Mesh", TETRAHEDRON + text, api)).bodies
         assert body.shape.sdf_resolution == resolution
     scene = stage(rigid("Solid", "Mesh", TETRAHEDRON + "uniform float newton:sdfPadding = 0.1", api), strict=False)
-    assert "sdfPadding has no meaning" in scene.import_report.changed[0].reason
+    assert "sdfPadding is ignored" in scene.import_report.changed[0].reason
 
 
 @pytest.mark.parametrize(("token", "told"), [("sdf", False), ("none", False), ("convexHull", True)])
@@ -274,7 +274,7 @@ def test_a_filter_between_some_colliders_only_is_told(stage):
     with pytest.warns(UserWarning, match="see scene.import_report"):
         scene = stage(text, strict=False)
     assert scene.filtered_pairs == set()
-    assert "some of its colliders pass through" in scene.import_report.left_out[0].reason
+    assert "filter between some of its colliders" in scene.import_report.left_out[0].reason
 
 
 def test_what_cannot_be_taken_over_is_listed(stage):

@@ -258,14 +258,14 @@ def test_options_are_checked_before_anything_is_written(recording, tmp_path):
         ({"profile": "film"}, "profile: must be one of auto, animation, scene"),
         ({"color": "mood"}, "color: must be one of body"),
         ({"layout": "pile"}, "layout: must be one of single"),
-        ({"contacts": True}, "contacts: were not recorded"),
-        ({"color": "speed"}, "color: speed needs velocities"),
-        ({"velocities": True}, "velocities: were not recorded"),
-        ({"velocities": True, "profile": "scene"}, "velocities: only instances"),
+        ({"contacts": True}, "contacts: requires recorded contacts"),
+        ({"color": "speed"}, "color: requires recorded velocities"),
+        ({"velocities": True}, "velocities: requires recorded velocities"),
+        ({"velocities": True, "profile": "scene"}, "velocities: requires profile animation"),
     ):
         with pytest.raises(ValueError, match=message):
             wr.export_usd(bare, tmp_path / "film.usdc", **options)
-    with pytest.raises(ValueError, match="layout: a .usdz is one file"):
+    with pytest.raises(ValueError, match="layout: must be single for .usdz"):
         wr.export_usd(recording, tmp_path / "film.usdz", layout="clips")
     assert list(tmp_path.iterdir()) == []
 

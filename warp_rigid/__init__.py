@@ -1,4 +1,4 @@
-"""warp_rigid: batched simulation of nonconvex rigid bodies with stacking, on NVIDIA Warp.
+"""warp_rigid: GPU-parallel batched simulation of nonconvex rigid bodies with stacking, on NVIDIA Warp.
 
 import warp_rigid as wr
 

@@ -1,7 +1,7 @@
-"""Checks of a caller's numbers: each returns the clean value or refuses it in one line.
+"""Validation of arguments: each function returns the converted value or raises a ValueError of one line.
 
-Numbers must also survive the simulator's single precision, so that 1e39 is refused here instead
-of turning into an infinity on the device.
+Numbers must also be representable in single precision: 1e39 is rejected here and does not become infinite on the
+device.
 """
 
 import math
@@ -25,10 +25,10 @@ LONGEST = 80
 
 
 def shown(value):
-    """A caller's value for a message: on one line, and cut where it is long."""
+    """Format a caller's value for a message: on one line, truncated if long."""
     try:
         text = " ".join(repr(value).split())
-    except ValueError:  # a whole number of thousands of digits
+    except ValueError:  # an integer of thousands of digits
         return f"a {type(value).__name__} too long to show"
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
@@ -37,9 +37,9 @@ def finite_vector(name, value, length=3):
     """Check a vector.
 
     Args:
-        name: what the value is called in the message.
+        name: name of the value in the message.
         value: `length` numbers.
-        length: how many numbers there must be.
+        length: required number of components.
 
     Returns:
         The vector as a tuple of floats.
@@ -55,17 +55,17 @@ def finite_vector(name, value, length=3):
 
 
 def box_corners(name, value):
-    """Check a box: its lower and upper corner, which may be infinite.
+    """Check the lower and upper corner of a box. Corners may be infinite.
 
     Args:
-        name: what the value is called in the message.
+        name: name of the value in the message.
         value: two corners of three numbers each.
 
     Returns:
         The two corners as tuples of floats.
 
     Raises:
-        ValueError: The value is not of that form, or the lower corner is not below the upper one.
+        ValueError: The value has another form, or the lower corner is not below the upper one.
     """
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -77,25 +77,25 @@ def box_corners(name, value):
 
 
 def finite_number(name, value):
-    """Check a number: returns it as a float; ValueError when it is not one finite number."""
+    """Check that a value is one finite number and return it as a float; else raise ValueError."""
     return number_in(name, value)
 
 
 def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):
-    """Check a number and its range.
+    """Check that a value is a finite number within a range.
 
     Args:
-        name: what the value is called in the message.
+        name: name of the value in the message.
         value: one number.
         low: smallest value allowed.
         high: largest value allowed.
-        above: where given, the value must be larger than this (instead of `low`).
+        above: exclusive lower bound, used instead of `low`.
 
     Returns:
         The number as a float.
 
     Raises:
-        ValueError: The value is not a finite number or outside the range.
+        ValueError: The value is not a finite number or is outside the range.
     """
     array = _array(value)
     if array is None or array.shape != ():
@@ -108,7 +108,10 @@ def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):
 
 
 def number_array(name, value):
-    """Check an array of numbers of any shape, NaN and infinity included: returns it as float64; else ValueError."""
+    """Check that a value is an array of numbers and return it as float64; else raise ValueError.
+
+    Any shape is accepted, and so are NaN and infinity.
+    """
     array = _array(value)
     if array is None:
         raise ValueError(f"{name}: must be an array of numbers, got {shown(value)}")
@@ -116,7 +119,7 @@ def number_array(name, value):
 
 
 def whole_in(name, value, low, high):
-    """Check a whole number in low <= value <= high: returns it as an int; else ValueError."""
+    """Check that a value is an integer with low <= value <= high and return it as an int; else raise ValueError."""
     ok = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not ok or not low <= value <= high:
         raise ValueError(f"{name}: must be a whole number from {low} to {high}, got {shown(value)}")
@@ -124,21 +127,21 @@ def whole_in(name, value, low, high):
 
 
 def one_of(name, value, choices):
-    """Check that a word is one of `choices`: returns it; else ValueError."""
+    """Check that a string is one of `choices` and return it; else raise ValueError."""
     if not isinstance(value, str) or value not in choices:
         raise ValueError(f"{name}: must be one of {', '.join(choices)}, got {shown(value)}")
     return value
 
 
 def unit_quaternion(name, value):
-    """Check a rotation.
+    """Check a rotation and normalise it.
 
     Args:
-        name: what the value is called in the message.
-        value: (x, y, z, w) of any length that is not zero.
+        name: name of the value in the message.
+        value: quaternion (x, y, z, w) of nonzero length.
 
     Returns:
-        The quaternion scaled to unit length, a tuple of floats.
+        The unit quaternion, a tuple of floats.
 
     Raises:
         ValueError: The value is not four finite numbers, or all are zero.
@@ -147,12 +150,12 @@ def unit_quaternion(name, value):
     length = math.hypot(*quaternion)
     if length < 1e-6:
         raise ValueError(f"{name}: must be a quaternion (x, y, z, w) of length > 0, got {shown(value)}")
-    # One that is unit already stays the same to the last bit.
+    # A unit quaternion is returned bit for bit.
     return quaternion if abs(length - 1.0) <= 1e-15 else tuple(x / length for x in quaternion)
 
 
 def _array(value):
-    """Numbers as a float64 array; None if they are none."""
+    """Convert to a float64 array; None if the value is not numeric."""
     try:
         array = np.asarray(value)
     except (ValueError, TypeError, OverflowError):

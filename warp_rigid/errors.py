@@ -1,40 +1,40 @@
-"""Errors of a running simulation, beside ValueError for bad input."""
+"""Errors raised by a running simulation. Bad input raises ValueError instead."""
 
 __all__ = ["CapacityError", "NonFiniteError"]
 
 
 class CapacityError(RuntimeError):
-    """Something does not fit, and may not grow.
+    """A buffer is too small and may not grow, or memory is exhausted.
 
-    The simulator stays at the last step that fitted, so that nothing is lost.
+    The simulator keeps the state of the last completed step.
 
     Attributes:
-        pool: what does not fit: "pairs", "contacts" or "memory".
-        wanted: entries wanted, or bytes.
-        had: entries there are, or bytes allowed.
-        env: the environment that wanted most of it; None where that is not known.
-        step: the step of that environment that did not fit; None where that is not known.
+        pool: the exhausted resource: "pairs", "contacts" or "memory".
+        wanted: required capacity, in entries or bytes.
+        had: available capacity, in entries or bytes.
+        env: the environment with the largest requirement; None if unknown.
+        step: the step of that environment that exceeded the capacity; None if unknown.
     """
 
     def __init__(
         self, message: str, pool: str, wanted: int, had: int, env: int | None = None, step: int | None = None
     ) -> None:
-        """Keep the numbers beside the message."""
+        """Store the numbers along with the message."""
         super().__init__(message)
         self.pool, self.wanted, self.had, self.env, self.step = pool, wanted, had, env, step
 
 
 class NonFiniteError(RuntimeError):
-    """The state of an environment is no longer finite, and `on_nonfinite="raise"` was asked for.
+    """The state of an environment is no longer finite; raised with `on_nonfinite="raise"`.
 
     Attributes:
         env: the first such environment.
-        step: the step of that environment in which it was met.
-        time: the time of that step, counted from the environment's start [s].
-        body: the body in which it was met.
+        step: the step of that environment in which the state became non-finite.
+        time: the time of that step since the start of the environment [s].
+        body: the first body with a non-finite state.
     """
 
     def __init__(self, env: int, step: int, time: float, body: int) -> None:
-        """Say where and when."""
+        """Compose the message."""
         super().__init__(f"environment {env}: body {body} is not finite since step {step} ({time:.6g} s)")
         self.env, self.step, self.time, self.body = env, step, time, body

@@ -55,7 +55,7 @@ class Target:
 wp.init()  # what Warp does at its start, such as asking for the processor's name, is not a case's doing
 
 
-class Watch:
+class MetricRecorder:
     """Notes what the running case does to the system; there is one for the process, since hooks cannot be removed."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class Watch:
         return any(c in mode for c in "wax+") if isinstance(mode, str) else bool(flags & (os.O_WRONLY | os.O_RDWR))
 
 
-WATCH = Watch()
+WATCH = MetricRecorder()
 
 
 @contextlib.contextmanager

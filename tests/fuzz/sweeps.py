@@ -16,12 +16,12 @@ from tests.fuzz.files import PLAIN, change
 from tests.fuzz.harness import NUMBERS, ODDITIES, Target, damaged
 from tests.fuzz.settings import WORD
 from warp_rigid.commands import cli
-from warp_rigid.sweep import Choice, Integers, LogUniform, Normal, Uniform, merge, read, run, search
+from warp_rigid.sweep import Choice, Integers, LogUniform, Normal, Uniform, execution, merge, read, search
 from warp_rigid.sweep.axes import clean_axes, parse_axis
 from warp_rigid.sweep.design import DESIGNS, make_points
 from warp_rigid.sweep.table import METADATA
 
-run._commit()  # asks git once
+execution._commit()  # runs git once
 
 NAMES = ["angle", "friction", "dt", "shock_propagation", "mass[box]", "gravity", "seed", "status", "x", ""]
 

@@ -1,1 +1,1 @@
-"""The commands of the command line, one a file; `cli` puts them together."""
+"""The commands of the command line, one per module; `cli` assembles them."""

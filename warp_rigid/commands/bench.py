@@ -1,4 +1,4 @@
-"""`warp-rigid bench`: speed, work and quality of scenes at several batch sizes, beside other engines if wanted."""
+"""`warp-rigid bench`: throughput and solution quality of scenes at several batch sizes, optionally of other engines."""
 
 import itertools
 import json
@@ -19,31 +19,32 @@ def bench_command(
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
-            help=f"Scenes and bodies: stack, pile_box, pile_torus, pile_bunny, rings. [{', '.join(STANDARD)}]"
+            help="Scenes with their number of bodies: stack, pile_box, pile_torus, pile_bunny, rings. "
+            f"[{', '.join(STANDARD)}]"
         ),
     ] = None,
-    envs: Annotated[str, typer.Option(help="Environments, such as 1024,4096.")] = "1",
-    substeps: Annotated[str, typer.Option(help="Steps in a frame of 1/60 s, such as 1,4.")] = "4",
-    frames: Annotated[int, typer.Option(help="Frames that are timed.")] = 60,
-    settle: Annotated[int, typer.Option(help="Frames before them.")] = 120,
-    sleeping: Annotated[bool, typer.Option("--sleeping", help="Let bodies at rest fall asleep.")] = False,
-    device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
-    json_lines: Annotated[str | None, typer.Option(help="Append a JSON line for every run to this file.")] = None,
-    output: Annotated[str | None, typer.Option("-o", "--output", help="Picture (.png) of all runs.")] = None,
+    envs: Annotated[str, typer.Option(help="Numbers of environments, such as 1024,4096.")] = "1",
+    substeps: Annotated[str, typer.Option(help="Numbers of steps per frame of 1/60 s, such as 1,4.")] = "4",
+    frames: Annotated[int, typer.Option(help="Number of timed frames.")] = 60,
+    settle: Annotated[int, typer.Option(help="Number of untimed frames before them.")] = 120,
+    sleeping: Annotated[bool, typer.Option("--sleeping", help="Enable sleeping.")] = False,
+    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
+    json_lines: Annotated[str | None, typer.Option(help="Append one JSON line per run to this file.")] = None,
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Plot of all runs, .png.")] = None,
     peers: Annotated[
-        str | None, typer.Option(help="Other engines: newton, mujoco_warp, mujoco, rapier, pybullet.")
+        str | None, typer.Option(help="Engines to compare with: newton, mujoco_warp, mujoco, rapier, pybullet.")
     ] = None,
     peer_python: Annotated[
-        list[str] | None, typer.Option(help="Interpreter that has an engine, as name=path; repeatable.")
+        list[str] | None, typer.Option(help="Python interpreter of an engine, as name=path; repeatable.")
     ] = None,
-    cold: Annotated[bool, typer.Option("--cold", help="Also time the first frame of a new process.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    cold: Annotated[bool, typer.Option("--cold", help="Also time the first frame in a new process.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Measure scenes: frames, steps and steps of bodies a second, time per stage, contacts, room used, and quality.
+    """Measure scenes: environment frames/s, body steps/s, time per stage, contacts, capacity used, solution quality.
 
-    Nothing sleeps unless you say so, and what a pile does while it falls is not timed. Other engines simulate the same
-    starts for as many frames; the overlap of their final states is measured as ours is. On the CPU ours takes all
-    cores, the others one, and ratios are those of processor time, summed over the cores.
+    Sleeping is off by default. The settling frames are not timed. Other engines simulate the same initial states for
+    the same number of frames, and the penetration of their final states is measured with the same code. On the CPU
+    this engine uses all cores and the others one; ratios there compare processor time summed over cores.
     """
     from warp_rigid.bench import measure
     from warp_rigid.bench import peers as other
@@ -56,7 +57,7 @@ def bench_command(
     chosen = other.choose_peers(peers, peer_python)
     check_outputs(None, {output: (".png",)} if output else {})
     found = choose_device(device)
-    told = measure.surroundings(found)
+    machine = measure.surroundings(found)
     rows: list[dict[str, Any]] = []
     started = {str(case): _start_up(str(case), str(found)) for case in cases} if cold else {}
     runs = [
@@ -65,7 +66,7 @@ def bench_command(
     ]
     with progress("bench", len(runs) * (1 + len(chosen))) as advance:
         for case, conditions in runs:
-            done = [{**told, **row} for row in _engines(case, conditions, found, chosen)]
+            done = [{**machine, **row} for row in _engines(case, conditions, found, chosen)]
             measure.compare(done)
             _append(done, json_lines)
             rows += done
@@ -84,7 +85,7 @@ def bench_command(
 def _numbers(name: str, text: str) -> list[int]:
     parts = text.split(",")
     if not all(part.isdigit() and int(part) > 0 for part in parts):
-        raise ValueError(f"{name}: must be whole numbers from 1 on such as 1,4, got {text!r}")
+        raise ValueError(f"{name}: must be whole numbers >= 1 such as 1,4, got {text!r}")
     return [int(part) for part in parts]
 
 
@@ -95,7 +96,7 @@ def _start_up(case: str, device: str) -> dict[str, Any]:
 
 
 def _engines(case: Any, conditions: Any, device: Any, chosen: dict[str, str]) -> Iterator[dict[str, Any]]:
-    """Rows of our engine and of the others; the simulator's memory is free before the next run takes its own."""
+    """Rows of this engine and of the others; the simulator is released before the next run allocates memory."""
     from warp_rigid.bench import measure
     from warp_rigid.bench import peers as other
 
@@ -109,7 +110,7 @@ def _engines(case: Any, conditions: Any, device: Any, chosen: dict[str, str]) ->
 
 
 def _append(rows: list[dict[str, Any]], json_lines: str | None) -> None:
-    """Write the rows at once: a run that is broken off keeps what it has measured."""
+    """Append the rows immediately, so that an interrupted benchmark keeps its measurements."""
     if json_lines:
         Path(json_lines).parent.mkdir(parents=True, exist_ok=True)
         with open(json_lines, "a") as file:
@@ -125,17 +126,18 @@ def _draw(rows: list[dict[str, Any]], output: str) -> None:
 
 def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]) -> None:
     out = console()
-    names = ("scene", "envs", "steps", "engine", "frames/s", "a core", "body·steps/s", "contacts", "room")
+    names = ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used")
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in (*names, "overlap", "error", "lost", "m/s", "ours"):
+    for name in (*names, "overlap", "error", "lost", "m/s", "ratio"):
         table.add_column(name, no_wrap=True, justify="left" if name in ("scene", "engine") else "right")
     for row in rows:
         if "fault" not in row:
             table.add_row(*(escape(cell) for cell in _cells(row)))
     out.print(table, highlight=False)
     out.print(
-        "frames/s: of all environments; a core: in a second of processor time; room: most used of a pool; overlap: "
-        "deepest [mm]; error: largest in the height of a stack [mm]; lost: bodies; ours: our speed over theirs",
+        "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
+        "buffer; overlap: maximum penetration [mm]; error: maximum error of stack height [mm]; lost: escaped bodies; "
+        "ratio: speed of warp_rigid over that engine",
         style="dim",
         markup=False,
         highlight=False,
@@ -144,17 +146,17 @@ def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]
         if "stage_seconds" in row:
             out.print(_stages(row), highlight=False, markup=False)
     for case, cost in started.items():
-        told = ", ".join(
-            f"{k} {v['seconds']:.2f} s ({v['processor_seconds']:.2f} s of processor)" for k, v in cost.items()
+        costs = ", ".join(
+            f"{k} {v['seconds']:.2f} s ({v['processor_seconds']:.2f} s processor time)" for k, v in cost.items()
         )
-        out.print(f"first frame of {case}: {told}, {cost['warm']['modules']} modules", highlight=False, markup=False)
+        out.print(f"first frame of {case}: {costs}, {cost['warm']['modules']} modules", highlight=False, markup=False)
     for path in files:
         out.print(f"wrote {path}", highlight=False, markup=False)
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
     judged = row["quality"]
-    room = max(row.get(name, 0.0) for name in ("pair_capacity_used", "contact_capacity_used"))
+    used = max(row.get(name, 0.0) for name in ("pair_capacity_used", "contact_capacity_used"))
     return [
         f"{row['scene']}:{row['bodies']}",
         str(row["envs"]),
@@ -164,7 +166,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
         "" if "cuda" in row["device"] else _short(row["env_frames_per_processor_second"]),
         _short(row["body_steps_per_second"]),
         str(row.get("contacts", "")),
-        f"{room:.0%}" if room else "",
+        f"{used:.0%}" if used else "",
         _millimetres(judged["deepest_overlap"]),
         _millimetres(judged.get("height_error")),
         str(judged["escaped"]),
@@ -174,7 +176,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 
 def _short(number: float) -> str:
-    """Three figures, with k or M for thousands and millions."""
+    """Format to three significant digits, with k or M for thousands and millions."""
     for size, letter in ((1e6, "M"), (1e3, "k")):
         if number >= size:
             return f"{number / size:.3g}{letter}"
@@ -190,4 +192,4 @@ def _stages(row: dict[str, Any]) -> str:
     largest = sorted(row["stage_seconds"].items(), key=lambda item: -item[1])
     parts = ", ".join(f"{name} {seconds / total:.0%}" for name, seconds in largest if seconds >= 0.02 * total)
     case = f"{row['scene']}:{row['bodies']} × {row['envs']}, {row['substeps']} steps"
-    return f"{case}, {row['levels']} levels: {1e6 * total:.4g} µs a step: {parts}"
+    return f"{case}, {row['levels']} levels: {1e6 * total:.4g} µs/step: {parts}"

@@ -1,7 +1,7 @@
-"""Command line: `warp-rigid COMMAND`; the commands are in `commands`, one a file.
+"""Command line `warp-rigid COMMAND`; each command has its own module in this package.
 
-Results go to stdout, everything else to stderr. Exit status: 0 done, 1 a device that does not work or a failed check,
-2 usage or bad input, 3 capacity, 4 non-finite state, 5 a sweep with failed runs, 130 interrupted.
+Results go to stdout, everything else to stderr. Exit status: 0 success, 1 device failure or failed check, 2 usage or
+bad input, 3 capacity exceeded, 4 non-finite state, 5 sweep with failed runs, 130 interrupted.
 """
 
 import sys
@@ -16,7 +16,7 @@ from warp_rigid.commands.merge import merge_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
 from warp_rigid.commands.sweep import sweep_command
-from warp_rigid.commands.terminal import explain, messages_on_stderr, note, of_device, start_warp
+from warp_rigid.commands.terminal import explain, is_device_error, messages_on_stderr, note, start_warp
 from warp_rigid.commands.usd import usd_app
 from warp_rigid.commands.validate import validate_command
 from warp_rigid.commands.view import view_command
@@ -40,7 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run a command line and return its exit status.
 
     Args:
-        argv: the arguments; None takes those of the process.
+        argv: the arguments; None uses those of the process.
     """
     try:
         with messages_on_stderr():
@@ -56,9 +56,9 @@ def main(argv: list[str] | None = None) -> int:
     except (ValueError, FileNotFoundError, ModuleNotFoundError, OSError) as error:
         return _fail(USAGE, explain(error))
     except RuntimeError as error:
-        if not of_device(error):
+        if not is_device_error(error):
             raise
-        return _fail(DEVICE, f"{explain(error)}; `warp-rigid doctor` tells what works on this machine")
+        return _fail(DEVICE, f"{explain(error)}; run `warp-rigid doctor` to test this machine")
 
 
 @app.callback()
@@ -66,7 +66,7 @@ def common(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
-    """Options without a command."""
+    """Handle the options that need no command."""
     if version:
         print(f"warp-rigid {__version__}")
     elif context.invoked_subcommand is None:

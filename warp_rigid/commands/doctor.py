@@ -1,4 +1,4 @@
-"""`warp-rigid doctor`: what works on this machine, and what to do about what does not."""
+"""`warp-rigid doctor`: test the installation and the devices of this machine."""
 
 import json
 from typing import Annotated
@@ -12,9 +12,9 @@ FAULTY = 1
 
 def doctor_command(
     device: Annotated[str | None, typer.Option(help="Test only this device, such as cpu or cuda:0.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Show versions, devices and caches, test each device, and tell what to do about what fails."""
+    """Show versions, devices and caches, test each device, and suggest a fix for each failure."""
     from warp_rigid.diagnostics.machine import examine
     from warp_rigid.engine.simulator import choose_device
 

@@ -1,4 +1,4 @@
-"""`warp-rigid inspect`: how the simulator sees a mesh."""
+"""`warp-rigid inspect`: the collision representation of a mesh."""
 
 import json
 import os
@@ -14,15 +14,17 @@ from warp_rigid.scenes.builders import meshes
 
 
 def inspect_command(
-    mesh: Annotated[str, typer.Argument(help="A mesh file, or a shape such as bunny or torus.")],
-    output: Annotated[str | None, typer.Option("-o", "--output", help="Picture of a slice, .png.")] = None,
-    cut: Annotated[str | None, typer.Option("--slice", help="Where, such as z=0.05; else through the middle.")] = None,
-    sdf_resolution: Annotated[int, typer.Option(help="Cells along the longest side.")] = 64,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    mesh: Annotated[str, typer.Argument(help="Mesh file, or built-in mesh such as bunny or torus.")],
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Image of a slice, .png.")] = None,
+    cut: Annotated[
+        str | None, typer.Option("--slice", help="Plane of the slice, such as z=0.05. Default: the middle in z.")
+    ] = None,
+    sdf_resolution: Annotated[int, typer.Option(help="Grid cells along the longest side.")] = 64,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Tell how the simulator sees a mesh: solid, repairs, samples, error of its distances."""
+    """Report mass properties, repairs, surface samples and signed distance error of a mesh."""
     if cut and not output:
-        raise ValueError("--slice: needs -o FILE.png for the picture")
+        raise ValueError("--slice: requires -o FILE.png")
     check_outputs(None, {output: (".png",)} if output else {})
     solid = _find_mesh(mesh, sdf_resolution)
     if output:
@@ -37,7 +39,7 @@ def inspect_command(
 
 
 def _find_mesh(name: str, sdf_resolution: int) -> Mesh:
-    """A mesh file, or one of the ready-made meshes."""
+    """Load a mesh file or a built-in mesh."""
     ready: Any = getattr(meshes, name, None)
     if getattr(ready, "__module__", None) == meshes.__name__ and not name.startswith("_"):
         return ready(sdf_resolution=sdf_resolution)
@@ -61,7 +63,7 @@ def _print_mesh(name: str, figures: dict[str, Any]) -> None:
         "samples": ", ".join(f"{n} {kind}" for kind, n in figures["samples"].items() if n),
         "distance grid": f"{triple(*figures['grid'])} nodes, cell {1e3 * cell:.3g} mm, {figures['grid_seconds']:.2g} s",
         "distance error": f"mean {figures['distance_error_mean'] / cell:.2g}, "
-        f"largest {figures['distance_error_largest'] / cell:.2g} cells; "
+        f"maximum {figures['distance_error_largest'] / cell:.2g} cells; "
         f"{figures['wrong_signs']} wrong signs",
     }
     table = Table(box=None, show_header=False, pad_edge=False)

@@ -1,4 +1,4 @@
-"""`warp-rigid run`: a scene, its outcome, films and pictures of it."""
+"""`warp-rigid run`: simulate a scene, evaluate its outcome and write animations and images."""
 
 import json
 from pathlib import Path
@@ -16,53 +16,58 @@ from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
 CAPACITY, NON_FINITE = 3, 4
-MOST_RECORDED = 16
-"""So many environments go into a film unless told otherwise."""
-MOST_COLUMNS = 8
-"""Up to so many environments have a column each in the table of verdicts."""
+MAX_RECORDED = 16
+"""Default maximum number of recorded environments."""
+MAX_COLUMNS = 8
+"""Maximum number of environments with a column of their own in the table of verdicts."""
 
 
 def run_command(
-    scene: Annotated[str, typer.Argument(help="A built-in scene, a USD file, or a .py file with scene().")],
-    envs: Annotated[int | None, typer.Option(help="Environments.")] = None,
-    frames: Annotated[int | None, typer.Option(help="Frames; the scene's own if left out.")] = None,
+    scene: Annotated[str, typer.Argument(help="Built-in scene, USD file, or .py file with a function scene().")],
+    envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
-    substeps: Annotated[int | None, typer.Option(help="Steps a frame; sets dt.")] = None,
-    device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the scene's random numbers.")] = None,
+    substeps: Annotated[int | None, typer.Option(help="Steps per frame; sets dt.")] = None,
+    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the random numbers of the scene.")] = None,
     assignments: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="NAME=VALUE",
-            help="A scene's parameter, a setting or a property of the bodies; repeatable. "
-            "A list NAME=A,B,C gives one value to each environment.",
+            help="Scene parameter, setting or body property; repeatable. "
+            "A list NAME=A,B,C sets one value per environment.",
         ),
     ] = None,
-    compare: Annotated[bool, typer.Option("--compare", help="One environment for each variant of the scene.")] = False,
-    output: Annotated[str | None, typer.Option("-o", "--output", help="Film: .usdc, .usda, .usdz or .glb.")] = None,
-    usd_envs: Annotated[str | None, typer.Option(help="Environments in films and pictures: 0,5,7 or all.")] = None,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Simulate one environment per variant of the scene.")
+    ] = False,
+    output: Annotated[
+        str | None, typer.Option("-o", "--output", help="Animation: .usdc, .usda, .usdz or .glb.")
+    ] = None,
+    usd_envs: Annotated[str | None, typer.Option(help="Environments in animations and images: 0,5,7 or all.")] = None,
     usd_profile: Annotated[
-        str, typer.Option(help="animation (instances), scene (with physics) or auto (a scene up to 2000 bodies).")
+        str, typer.Option(help="animation (instances), scene (with physics) or auto (scene for up to 2000 bodies).")
     ] = "auto",
     usd_layout: Annotated[
-        str, typer.Option(help="single (one file), payloads (one an environment) or clips (one for each 24 frames).")
+        str,
+        typer.Option(help="single (one file), payloads (one file per environment) or clips (one file per 24 frames)."),
     ] = "single",
-    usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Draw contacts and impulses.")] = False,
-    picture: Annotated[str | None, typer.Option(help="The last frame, .png.")] = None,
-    film: Annotated[str | None, typer.Option(help="The film, .gif or .mp4.")] = None,
-    contact_sheet: Annotated[str | None, typer.Option(help="Eight frames, .png.")] = None,
-    html: Annotated[str | None, typer.Option(help="A page that plays the film without a server, .html.")] = None,
-    color: Annotated[str, typer.Option(help="What colours tell: body, environment, level, speed or asleep.")] = "body",
-    checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file; SCENE.ckpt if left out.")] = None,
-    checkpoint_every: Annotated[int | None, typer.Option(help="Write it whenever so many frames are done.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint, if there is one.")] = False,
+    usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Include contact points and impulses.")] = False,
+    picture: Annotated[str | None, typer.Option(help="Image of the last frame, .png.")] = None,
+    film: Annotated[str | None, typer.Option(help="Video, .gif or .mp4.")] = None,
+    contact_sheet: Annotated[str | None, typer.Option(help="Image of eight frames, .png.")] = None,
+    html: Annotated[str | None, typer.Option(help="Standalone page that plays the animation, .html.")] = None,
+    color: Annotated[str, typer.Option(help="Colour bodies by body, environment, level, speed or asleep.")] = "body",
+    checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file. Default: SCENE.ckpt.")] = None,
+    checkpoint_every: Annotated[int | None, typer.Option(help="Write a checkpoint every so many frames.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint if it exists.")] = False,
     memory_limit: Annotated[
-        str | None, typer.Option(help="Bytes such as 8000000000, or a fraction such as 0.5 of the device's memory.")
+        str | None, typer.Option(help="Bytes such as 8000000000, or a fraction of the device memory such as 0.5.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Run a scene, measure its outcome, and write films and pictures of it."""
+    """Simulate a scene, evaluate its outcome, and write animations and images."""
     pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
     check_outputs(output, {path: endings for path, endings in pictures.items() if path})
     one_of("--color", color, COLORINGS)
@@ -86,11 +91,11 @@ def run_command(
         whole_in("--checkpoint-every", checkpoint_every, 1, 10**9)
     checkpoints = Checkpoints(Path(checkpoint or f"{plan.demo.name}.ckpt"), checkpoint_every, resume)
     if resume and not checkpoints.path.exists():
-        note(f"{checkpoints.path}: no checkpoint yet, starting from the beginning")
+        note(f"{checkpoints.path}: no checkpoint found, starting from the beginning")
     written = [path for path in (output, picture, film, contact_sheet, html) if path]
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
-    _tell_import(plan.scene.import_report)
-    # A resumed run writes its film from the beginning, so a run with checkpoints keeps the frames in them.
+    _print_import_report(plan.scene.import_report)
+    # A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
     if output and to_usd and checkpoint_every is None and not resume:
         result = _execute_to_usd(plan, output, chosen, usd)
     else:
@@ -111,7 +116,7 @@ def run_command(
 
 
 def _memory_limit(text: str | None) -> int | float | None:
-    """Bytes, or a fraction where the number has a point; None where none is given."""
+    """Parse bytes, or a fraction if the number has a decimal point; None if not given."""
     if text is None:
         return None
     try:
@@ -121,7 +126,7 @@ def _memory_limit(text: str | None) -> int | float | None:
 
 
 def _execute_to_usd(plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions) -> runner.Result:
-    """Run with each frame going into the file at once, so that a long run needs no memory and can be cut short."""
+    """Run and stream each frame to the file, so that memory stays constant and an interrupted run keeps its frames."""
     labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
     with UsdStream(plan.sim, path, plan.fps, envs, labels, **vars(options)) as stream:
         with progress(plan.demo.name, plan.frames) as advance:
@@ -134,19 +139,19 @@ def _execute_to_usd(plan: runner.Plan, path: str, envs: list[int] | None, option
             return runner.execute(plan, [], on_frame)
 
 
-def _tell_import(report: ImportReport | None) -> None:
-    """Everything that the scene has not or has otherwise than its file."""
+def _print_import_report(report: ImportReport | None) -> None:
+    """Print each difference between the scene and its file."""
     for finding in report.findings if report is not None else ():
         note(str(finding))
 
 
 def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
-    """Which environments films and pictures show; None for all."""
-    if text == "all" or (text is None and num_envs <= MOST_RECORDED):
+    """Environments in animations and images; None for all."""
+    if text == "all" or (text is None and num_envs <= MAX_RECORDED):
         return None
     if text is None:
-        note(f"recording the first {MOST_RECORDED} environments; --usd-envs chooses others")
-        return list(range(MOST_RECORDED))
+        note(f"recording the first {MAX_RECORDED} environments; use --usd-envs to choose others")
+        return list(range(MAX_RECORDED))
     try:
         return [int(part) for part in text.split(",")]
     except ValueError:
@@ -154,7 +159,7 @@ def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
 
 
 def _export(recording, path: str, options: UsdOptions) -> None:
-    """Write the film of a run that is done."""
+    """Export a finished recording."""
     if path.endswith(".glb"):
         from warp_rigid.render.gltf import export_gltf
 
@@ -164,7 +169,7 @@ def _export(recording, path: str, options: UsdOptions) -> None:
 
 
 def _film(recording, usd: str | None, color: str):
-    """What is drawn: the exported file where there is one, so that pictures show what was written."""
+    """The film to draw: read from the USD file if there is one, so that images show the file's content."""
     from warp_rigid.render.film import colored, film_from_recording, film_from_usd
 
     if usd:
@@ -173,8 +178,8 @@ def _film(recording, usd: str | None, color: str):
 
 
 def _draw(drawn, picture, film, contact_sheet, html) -> None:
-    """Write the pictures, films and pages that were asked for."""
-    from warp_rigid.render.picture import save_contact_sheet, save_film, save_picture
+    """Write the requested images, videos and pages."""
+    from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
 
     for save, path in ((save_picture, picture), (save_film, film), (save_contact_sheet, contact_sheet)):
         if path:
@@ -192,10 +197,10 @@ def _print_summary(summary: dict[str, Any]) -> None:
     lines = [
         f"{summary['scene']}: {summary['envs']} environment(s) of {summary['bodies']} bodies, "
         f"{summary['frames']} frames ({summary['time']:.4g} s) on {summary['device']}",
-        f"{summary['contacts']} contacts, {summary['levels']} levels; deepest overlap "
-        f"{1e3 * deepest:.3g} mm, at the end {1e3 * at_end:.3g} mm",
-        f"{summary['env_frames_per_second']:.4g} env-frames/s, {_frame_seconds(summary):.3g} s a frame "
-        f"(set-up {summary['setup_seconds']:.2g} s)",
+        f"{summary['contacts']} contacts, {summary['levels']} levels; maximum penetration "
+        f"{1e3 * deepest:.3g} mm, final {1e3 * at_end:.3g} mm",
+        f"{summary['env_frames_per_second']:.4g} environment frames/s, {_frame_seconds(summary):.3g} s/frame "
+        f"(setup {summary['setup_seconds']:.2g} s)",
     ]
     lines += [
         f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
@@ -211,15 +216,15 @@ def _print_summary(summary: dict[str, Any]) -> None:
 
 
 def _frame_seconds(summary: dict[str, Any]) -> float:
-    """What a frame of all environments takes [s]; 0 if there was none."""
+    """Wall-clock time per frame of all environments [s]; 0 without frames."""
     rate = summary["env_frames_per_second"]
     return summary["envs"] / rate if rate > 0.0 else 0.0
 
 
 def _verdict_table(summary: dict[str, Any]) -> Table:
-    """A row for each verdict; a column for each environment, if they are few."""
+    """One row per verdict; one column per environment if there are at most MAX_COLUMNS."""
     table = Table("verdict", "condition", box=None, pad_edge=False)
-    few = summary["envs"] <= MOST_COLUMNS
+    few = summary["envs"] <= MAX_COLUMNS
     if few:
         for env, label in enumerate(summary["labels"]):
             table.add_column(label or (f"env {env}" if summary["envs"] > 1 else "measured"))
@@ -250,7 +255,7 @@ def _cell(value: float, passed: bool, expected: bool | None) -> str:
 
 
 def _conclusion(verdicts: list[dict[str, Any]]) -> str:
-    """How many verdicts are as the scene expects them."""
+    """Summarise how many verdicts are as expected."""
     judged = [
         passed == expected
         for verdict in verdicts
@@ -258,7 +263,7 @@ def _conclusion(verdicts: list[dict[str, Any]]) -> str:
         if expected is not None
     ]
     if not judged:
-        return "nothing is expected of changed settings or a shortened run"
+        return "no verdict is expected with changed settings or a shortened run"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"
 
 

@@ -1,4 +1,4 @@
-"""`warp-rigid scenes`: the built-in scenes."""
+"""`warp-rigid scenes`: list the built-in scenes."""
 
 import json
 from typing import Annotated
@@ -11,9 +11,9 @@ from warp_rigid.commands.terminal import console
 
 
 def scenes_command(
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """List the built-in scenes, their parameters and the variants of --compare."""
+    """List the built-in scenes with their parameters and the variants used by --compare."""
     demos = [scenes.get(name) for name in scenes.names()]
     if as_json:
         print(

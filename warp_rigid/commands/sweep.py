@@ -1,4 +1,4 @@
-"""`warp-rigid sweep`: a scene with many values of its parameters, to a table and a picture."""
+"""`warp-rigid sweep`: simulate a scene over a range of parameters and tabulate the metrics."""
 
 import json
 import time
@@ -13,50 +13,52 @@ FAILED_RUNS = 5
 
 def sweep_command(
     context: typer.Context,
-    scene: Annotated[str, typer.Argument(help="A built-in scene, or a .py file with scene().")],
+    scene: Annotated[str, typer.Argument(help="Built-in scene, or .py file with a function scene().")],
     vary: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUES",
-            help="An axis, repeatable: a parameter of the scene, a setting or a property. VALUES: 0.1:1.0:10 (first, "
-            "last, how many), A,B,C, 0.1:1.0 (uniform), or uniform(..), log_uniform(..), normal(..), integers(..), "
-            "choice(..).",
+            help="Sweep axis, repeatable: scene parameter, setting or body property. VALUES: 0.1:1.0:10 (first, last, "
+            "count), A,B,C, 0.1:1.0 (uniform), or uniform(..), log_uniform(..), normal(..), integers(..), choice(..).",
         ),
     ] = None,
     assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="The same for all runs; repeatable.")
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Fixed value for all runs; repeatable.")
     ] = None,
     metrics: Annotated[
-        str | None, typer.Option(help="Names, outcome and .py files with functions of the simulator: A,B,my.py.")
+        str | None, typer.Option(help="Metric names, outcome, or .py files with functions of the simulator: A,B,my.py.")
     ] = None,
-    design: Annotated[str, typer.Option(help="grid, zip, random or lhs.")] = "grid",
-    samples: Annotated[int | None, typer.Option(help="Points of the designs random and lhs.")] = None,
-    repeats: Annotated[int, typer.Option(help="Runs of every point, each with the next seed.")] = 1,
-    seed: Annotated[int | None, typer.Option(help="Of the draws and the scene's random numbers.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Simulated seconds; the scene's own if left out.")] = None,
-    fps: Annotated[float, typer.Option(help="Looks at the state per simulated second.")] = 4.0,
-    batch: Annotated[str, typer.Option(help="Most environments at once, or auto.")] = "auto",
-    device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
+    design: Annotated[str, typer.Option(help="Design: grid, zip, random or lhs.")] = "grid",
+    samples: Annotated[int | None, typer.Option(help="Number of points of the designs random and lhs.")] = None,
+    repeats: Annotated[int, typer.Option(help="Runs per point, with consecutive seeds.")] = 1,
+    seed: Annotated[int | None, typer.Option(help="Seed of the design and of the random numbers of the scene.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated seconds. Default: duration of the scene.")] = None,
+    fps: Annotated[float, typer.Option(help="State samples per simulated second.")] = 4.0,
+    batch: Annotated[str, typer.Option(help="Maximum number of environments per batch, or auto.")] = "auto",
+    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
     output: Annotated[str | None, typer.Option("-o", "--output", help="Table, .parquet.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Keep the finished rows of the table.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the table.")] = False,
-    trajectories: Annotated[str | None, typer.Option(help="Poses of all runs, .zarr.")] = None,
-    plot: Annotated[str | None, typer.Option(help="Picture, .png or .svg.")] = None,
-    plot_x: Annotated[str | None, typer.Option(help="Axis along which to draw.")] = None,
-    plot_y: Annotated[str | None, typer.Option(help="Metric to draw.")] = None,
-    plot_kind: Annotated[str | None, typer.Option(help="line, heatmap or scatter.")] = None,
-    shard: Annotated[str | None, typer.Option(metavar="I/N", help="Run every N-th run, from the I-th on.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Keep the finished rows of an existing table.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing table.")] = False,
+    trajectories: Annotated[str | None, typer.Option(help="Trajectories of all runs, .zarr.")] = None,
+    plot: Annotated[str | None, typer.Option(help="Plot, .png or .svg.")] = None,
+    plot_x: Annotated[str | None, typer.Option(help="Axis on the x axis of the plot.")] = None,
+    plot_y: Annotated[str | None, typer.Option(help="Metric on the y axis of the plot.")] = None,
+    plot_kind: Annotated[str | None, typer.Option(help="Kind of plot: line, heatmap or scatter.")] = None,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="Run only every N-th run, starting with the I-th.")
+    ] = None,
     cluster: Annotated[
-        str | None, typer.Option(help="local, a Dask scheduler's address, or a .py file with cluster().")
+        str | None,
+        typer.Option(help="local, the address of a Dask scheduler, or a .py file with a function cluster()."),
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Worker processes of --cluster local.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Run a scene with many values of its parameters: one row a run."""
+    """Simulate a scene over a range of parameters and write one table row per run."""
     from warp_rigid.sweep import sweep
     from warp_rigid.sweep.axes import parse_axis
     from warp_rigid.sweep.metrics import check_metrics
-    from warp_rigid.sweep.plots import check_plot
+    from warp_rigid.sweep.result_plots import check_plot
 
     axes = _by_name(map(parse_axis, vary or ()), "--vary")
     measured = check_metrics(metrics.split(",") if metrics else None)
@@ -91,12 +93,12 @@ def sweep_command(
     seconds = time.perf_counter() - start
     if plot:
         result.plot(plot, plot_x, plot_y, plot_kind)
-    tell(result, [path for path in (output, trajectories, plot) if path], as_json, seconds)
+    print_result(result, [path for path in (output, trajectories, plot) if path], as_json, seconds)
     return FAILED_RUNS if result.failed else 0
 
 
-def tell(result: Any, files: list[str], as_json: bool, seconds: float | None = None) -> None:
-    """Print what a table holds."""
+def print_result(result: Any, files: list[str], as_json: bool, seconds: float | None = None) -> None:
+    """Print a summary of a result table, or the whole table as JSON."""
     failed = result.failed
     if as_json:
         summary = {"runs": len(result), "failed": len(failed), "seconds": seconds, "files": files}
@@ -119,13 +121,13 @@ def tell(result: Any, files: list[str], as_json: bool, seconds: float | None = N
 
 
 def _check_columns(x: str | None, y: str | None, axes: dict[str, Any], measured: tuple) -> None:
-    """Refuse a plot of columns that the table will not have."""
+    """Check that the table will have the columns to plot."""
     from warp_rigid.sweep.metrics import OUTCOME, metric_name
 
     if x is not None and x not in axes:
         raise ValueError(f"--plot-x: must be an axis ({', '.join(axes)}), got {x}")
     names = [metric_name(metric) for metric in measured]
-    # The scene's own outcome has columns that only the scene knows.
+    # The columns of the scene's outcome are known only after the runs.
     if y is not None and y not in names and not (OUTCOME in names and y.startswith("outcome_")):
         raise ValueError(f"--plot-y: must be a metric ({', '.join(names)}), got {y}")
 
@@ -140,13 +142,13 @@ def _by_name(pairs: Any, flag: str) -> dict[str, Any]:
 
 
 def _fixed(texts: Any) -> dict[str, Any]:
-    """Values that all runs share, by name."""
+    """Values shared by all runs, by name."""
     from warp_rigid.runs.assignments import parse_assignment
 
     given = _by_name(map(parse_assignment, texts), "--set")
     for name, values in given.items():
         if len(values) > 1:
-            raise ValueError(f"--set {name}: takes one value here; --vary takes several")
+            raise ValueError(f"--set {name}: takes one value; use --vary for several")
     return {name: values[0] for name, values in given.items()}
 
 
@@ -155,7 +157,7 @@ def _batch(text: str) -> int | str:
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:
-    """The numbers of I/N."""
+    """Parse I/N."""
     if text is None:
         return None
     number, slash, count = text.partition("/")
@@ -165,7 +167,7 @@ def _shard(text: str | None) -> tuple[int, int] | None:
 
 
 def _cluster(text: str | None) -> Any:
-    """What a sweep takes as its cluster."""
+    """Resolve the argument of --cluster."""
     if text is not None and text.endswith(".py"):
         from warp_rigid.sweep.cluster import cluster_of_file
 

@@ -1,4 +1,4 @@
-"""What the commands share: the console, progress, messages and one-line errors."""
+"""Helpers shared by the commands: console, progress bar, messages and one-line errors."""
 
 import contextlib
 import importlib
@@ -20,7 +20,7 @@ _LIBRARIES = {
     ".html": ("viser",),
     ".glb": ("pygltflib",),
 }
-"""What writing a file takes beyond the package's own requirements."""
+"""Optional modules required to write a file, by its suffix."""
 _EXTRAS = {
     "PIL": "picture",
     "matplotlib": "picture",
@@ -33,25 +33,25 @@ _EXTRAS = {
     "distributed": "cluster",
     "optuna": "opt",
 }
-"""Which extra brings a library that is imported only where it is needed."""
+"""The extra that installs an optional module."""
 
 PLAIN_WIDTH = 120
-"""Width of tables where there is no terminal."""
+"""Width of tables if the output is not a terminal [characters]."""
 
 
 def console(stderr: bool = False) -> Console:
-    """The terminal, or a plain one of fixed width where the output goes elsewhere."""
+    """A console for the terminal, or of fixed width if the output is redirected."""
     found = Console(stderr=stderr)
     return found if found.is_terminal else Console(stderr=stderr, width=PLAIN_WIDTH)
 
 
 def note(text: str) -> None:
-    """A line on stderr."""
+    """Print a line on stderr."""
     print(text, file=sys.stderr)
 
 
 def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> None:
-    """Refuse names and missing libraries before the simulation runs, not after it."""
+    """Check output suffixes and optional modules before the simulation runs."""
     if output and not output.endswith((".usdc", ".usda", ".usdz", ".usd", ".glb")):
         raise ValueError(f"-o: must end in .usdc, .usda, .usdz, .usd or .glb, got {output}")
     for path, endings in pictures.items():
@@ -64,7 +64,7 @@ def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> N
 
 @contextlib.contextmanager
 def progress(name: str, total: int):
-    """A bar on stderr where that is a terminal; yields the function that moves it, and can set its length anew."""
+    """Show a progress bar on stderr; yields a function (done, total) that updates it, None without a terminal."""
     terminal = console(stderr=True)
     if not terminal.is_terminal:
         yield None
@@ -75,46 +75,46 @@ def progress(name: str, total: int):
 
 
 def start_warp() -> None:
-    """Start Warp without its greeting; other messages of its native part still come through."""
+    """Initialise Warp without its banner and without the warning about a missing CUDA driver."""
     wp.config.log_level = wp.LOG_WARNING
-    with tempfile.TemporaryFile() as told:
+    with tempfile.TemporaryFile() as captured:
         sys.stderr.flush()
         kept = os.dup(2)
-        os.dup2(told.fileno(), 2)
+        os.dup2(captured.fileno(), 2)
         try:
             wp.init()
         except OSError as error:
-            advice = f"{error.strerror}; WARP_CACHE_PATH must name a folder that can be written"
+            advice = f"{error.strerror}; WARP_CACHE_PATH must be a writable folder"
             raise OSError(error.errno, advice, error.filename) from None
         finally:
             os.dup2(kept, 2)
             os.close(kept)
-        told.seek(0)
-        for line in told.read().decode(errors="replace").splitlines():
+        captured.seek(0)
+        for line in captured.read().decode(errors="replace").splitlines():
             if "Could not find or load the NVIDIA CUDA driver" not in line:
                 note(line)
 
 
 def explain(error: Exception) -> str:
-    """One line on what went wrong."""
+    """Describe an error in one line."""
     if isinstance(error, ModuleNotFoundError):
         extra = _EXTRAS.get((error.name or "").partition(".")[0])
         package = f"'warp-rigid[{extra}]'" if extra else "--force-reinstall warp-rigid"
-        return f"{error.name} is not installed; pip install {package} brings it"
+        return f"{error.name} is not installed; install it with: pip install {package}"
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split())
 
 
-def of_device(error: RuntimeError) -> bool:
-    """Whether Warp raised it over a device: lost, out of memory, without a compiler or a place for its kernels."""
+def is_device_error(error: RuntimeError) -> bool:
+    """Whether Warp raised the error for a device: lost, out of memory, no compiler or no kernel cache."""
     text = str(error).lower()
     return any(word in text for word in ("cuda", "failed to allocate", "warp-clang", "llvm", "kernel cache"))
 
 
 @contextlib.contextmanager
 def messages_on_stderr():
-    """Show the package's messages, and warnings as one line each."""
+    """Print log messages of the package, and warnings as one line each, on stderr."""
     log = logging.getLogger("warp_rigid")
     handler = logging.StreamHandler(sys.stderr)
     level = log.level

@@ -1,4 +1,4 @@
-"""`warp-rigid usd`: what can be done to USD files without simulating."""
+"""`warp-rigid usd`: check and convert USD files."""
 
 import json
 from typing import Annotated
@@ -14,10 +14,10 @@ usd_app = typer.Typer(help="Check and convert USD files.", no_args_is_help=True)
 
 @usd_app.command("check")
 def check_command(
-    file: Annotated[str, typer.Argument(help="A .usd, .usda, .usdc or .usdz file.")],
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    file: Annotated[str, typer.Argument(help="USD file: .usd, .usda, .usdc or .usdz.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Run the USD library's validators and some of our own; status 2 where they find something."""
+    """Run the validators of the USD library and of this package. Exit status 2 if they report a problem."""
     from warp_rigid.usd.check import check_usd
 
     problems = check_usd(file)
@@ -32,10 +32,10 @@ def check_command(
 
 @usd_app.command("flatten")
 def flatten_command(
-    source: Annotated[str, typer.Argument(help="The file to read.")],
-    target: Annotated[str, typer.Argument(help="The file to write: .usdc, .usda or .usd.")],
+    source: Annotated[str, typer.Argument(help="File to read.")],
+    target: Annotated[str, typer.Argument(help="File to write: .usdc, .usda or .usd.")],
 ) -> int:
-    """Write each instance of a PointInstancer as a prim of its own, for programs that read no instancers."""
+    """Expand each PointInstancer into one prim per instance, for programs that do not support instancers."""
     from warp_rigid.usd.flatten import flatten_usd
 
     count = flatten_usd(source, target)

@@ -1,4 +1,4 @@
-"""`warp-rigid validate`: the engine against closed forms and published references, in one table."""
+"""`warp-rigid validate`: compare the engine with closed forms and published references."""
 
 import itertools
 import json
@@ -16,30 +16,30 @@ from warp_rigid.engine.simulator import choose_device
 
 
 def validate_command(
-    names: Annotated[str | None, typer.Option("--cases", help="Families, such as V10,V22; all if left out.")] = None,
+    names: Annotated[str | None, typer.Option("--cases", help="Case families, such as V10,V22. Default: all.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Small sizes and short times only.")] = False,
     device: Annotated[
-        list[str] | None, typer.Option(help="Such as cpu or cuda:0; repeatable. Every device if left out.")
+        list[str] | None, typer.Option(help="Device, such as cpu or cuda:0; repeatable. Default: all devices.")
     ] = None,
     output: Annotated[
         str | None, typer.Option("-o", "--output", help="Folder for plots, results.json and table.md.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     compare_shock: Annotated[
-        bool, typer.Option("--compare-shock", help="Instead, compare shock propagation with its alternatives.")
+        bool, typer.Option("--compare-shock", help="Compare shock propagation with its alternatives instead.")
     ] = False,
 ) -> int:
     """Compare the engine with closed forms and published references, in one table.
 
-    Exit status 0: every check is within its tolerance, or is a known miss (MISS) that is no worse than known. 1: a
-    check failed (FAIL) or could not be done (ERROR). 2: bad input.
+    Exit status 0: every check is within its tolerance, or is a known miss (MISS) within its documented limit. 1: a
+    check failed (FAIL) or could not be evaluated (ERROR). 2: bad input.
     """
     from warp_rigid.validation import report, suite
 
     devices = [str(choose_device(name)) for name in device] if device else [str(d) for d in wp.get_devices()]
     if compare_shock:
         if names or output:
-            raise ValueError("--compare-shock: goes with --device, --quick and --json only")
+            raise ValueError("--compare-shock: can only be combined with --device, --quick and --json")
         return _compare_shock(devices, quick, as_json)
     cases = suite.all_cases(quick)
     if names:
@@ -61,7 +61,7 @@ def validate_command(
 
 
 def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
-    """One table a device: figures of all schemes on all structures, with milliseconds for 1/240 s in brackets."""
+    """Print one table per device: results of all schemes on all structures, with ms per step of 1/240 s in brackets."""
     from warp_rigid.validation import shock_comparison as shock
 
     total = len(devices) * len(shock.SCHEMES) * len(shock.structures(quick))
@@ -71,11 +71,11 @@ def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
             name: shock.compare(name, quick, lambda: advance(next(count)) if advance else None) for name in devices
         }
     if as_json:
-        told = {
+        results = {
             name: {scheme: {one: asdict(cell) for one, cell in cells.items()} for scheme, cells in table.items()}
             for name, table in tables.items()
         }
-        print(json.dumps(told))
+        print(json.dumps(results))
         return 0
     for name, table in tables.items():
         heading, *lines = shock.rows(table, quick)
@@ -83,7 +83,7 @@ def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
             *heading,
             box=None,
             pad_edge=False,
-            title=escape(f"{name}, in brackets ms for 1/240 s"),
+            title=escape(f"{name}; in brackets: ms per step of 1/240 s"),
             title_justify="left",
         )
         for line in lines:
@@ -93,7 +93,7 @@ def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
 
 
 class _Watcher:
-    """Moves the bar and draws plots as cases are done, so that no trace is kept longer than needed."""
+    """Updates the progress bar and draws the plot of each finished case, so that its trace can be released."""
 
     def __init__(self, writer: "_Writer | None", advance):
         self.writer, self.advance, self.done = writer, advance, 0
@@ -107,7 +107,7 @@ class _Watcher:
 
 
 class _Writer:
-    """Files of a run."""
+    """Writes the files of a run."""
 
     def __init__(self, folder: str):
         self.folder = Path(folder)
@@ -121,7 +121,7 @@ class _Writer:
         self.files.append(str(figures.save_case(case, device, traces, self.folder)))
 
     def finish(self, findings, devices) -> list[str]:
-        """Write what shows all cases; returns the paths of all files."""
+        """Write the overview, the table and the results; returns the paths of all files."""
         from warp_rigid.validation import figures, report
 
         self.files.append(str(figures.save_overview(findings, self.folder)))

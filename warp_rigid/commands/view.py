@@ -1,4 +1,4 @@
-"""`warp-rigid view`: a scene or a film in the browser."""
+"""`warp-rigid view`: simulate a scene or play an animation in the browser."""
 
 from typing import Annotated, Any
 
@@ -10,21 +10,25 @@ FILMS = (".usd", ".usda", ".usdc", ".usdz", ".npz")
 
 
 def view_command(
-    scene: Annotated[str, typer.Argument(help="A built-in scene, a .py file with scene(), or a film to play.")],
-    envs: Annotated[int | None, typer.Option(help="Environments.")] = None,
-    device: Annotated[str | None, typer.Option(help="Such as cpu or cuda:0.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the scene's random numbers.")] = None,
+    scene: Annotated[str, typer.Argument(help="Built-in scene, .py file with a function scene(), or animation file.")],
+    envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
+    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the random numbers of the scene.")] = None,
     assignments: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="As for warp-rigid run."),
     ] = None,
-    compare: Annotated[bool, typer.Option("--compare", help="All variants of the scene side by side.")] = False,
-    host: Annotated[str, typer.Option(help="Address; the default is for this machine alone.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="The first to try.")] = 8080,
-    paused: Annotated[bool, typer.Option("--paused", help="Wait for a press on Run.")] = False,
-    fast: Annotated[bool, typer.Option("--fast", help="Simple light without shadows, for slow graphics.")] = False,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Simulate all variants of the scene side by side.")
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on. The default accepts local connections only.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="First port to try.")] = 8080,
+    paused: Annotated[bool, typer.Option("--paused", help="Start paused.")] = False,
+    fast: Annotated[bool, typer.Option("--fast", help="Disable shadows, for slow graphics.")] = False,
 ) -> None:
-    """Play with a scene in the browser, or watch a film that `run` wrote."""
+    """Simulate a scene interactively in the browser, or play an animation written by `run`."""
     from warp_rigid.viewer.guard import is_loopback
     from warp_rigid.viewer.page import stop_server
     from warp_rigid.viewer.server import check_address
@@ -45,10 +49,10 @@ def view_command(
         viewer = LiveViewer(session, host, port, fast)
     if not is_loopback(host):
         note(
-            f"warning: --host {host}: other machines can connect, without encryption; "
-            "anyone who has the token in the address can control the simulation"
+            f"warning: --host {host}: other machines can connect without encryption; "
+            "anyone with the token in the address can control the simulation"
         )
-    note(f"{scene} at {viewer.url} (Ctrl-C ends)")
+    note(f"{scene} at {viewer.url} (press Ctrl-C to quit)")
     try:
         viewer.run()
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""`warp-rigid warmup`: compile everything ahead, so that the first run starts at once."""
+"""`warp-rigid warmup`: compile all kernels ahead of time."""
 
 import time
 from typing import Annotated
@@ -14,9 +14,9 @@ from warp_rigid.kernels.common import team
 
 
 def warmup_command(
-    device: Annotated[str | None, typer.Option(help="Only for this device, such as cpu or cuda:0.")] = None,
+    device: Annotated[str | None, typer.Option(help="Compile for this device only, such as cpu or cuda:0.")] = None,
 ) -> None:
-    """Compile all kernels for each device, into Warp's cache."""
+    """Compile all kernels for each device into Warp's kernel cache."""
     for chosen in wp.get_devices() if device is None else [choose_device(device)]:
         start = time.perf_counter()
         with progress(f"compiling for {chosen}", 1) as advance:

@@ -1,1 +1,1 @@
-"""Checks of a machine, an installation and a mesh."""
+"""Diagnostics of the machine, the installation and meshes."""

@@ -1,36 +1,36 @@
-"""Inspecting a mesh as the simulator will see it: solid, samples and signed distance grid."""
+"""Report on the collision representation of a mesh: solid, surface samples and signed distance grid."""
 
 import time
 from typing import Any
 
 import numpy as np
 
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.scene.shapes import Mesh
 from warp_rigid.scene.shapes.sampling import SampleKind
 
 __all__ = ["inspect_mesh", "parse_slice", "save_slice"]
 
 PROBES = 4096
-"""So many random points compare the grid with the exact distance."""
+"""Number of random points that compare the grid with the exact distance."""
 SLICE_POINTS = 240
-"""Points along the longer side of a slice."""
+"""Number of points along the longer side of a slice."""
 ARROWS = 24
 
 
 def inspect_mesh(mesh: Mesh) -> dict[str, Any]:
-    """Figures of a mesh, of plain numbers and texts, in SI units.
+    """Report on a mesh as plain data in SI units.
 
-    The error of the signed distance is that of the grid against the triangles at random points
-    within two cells of the surface, where contacts arise; a wrong sign counts from half a cell on.
+    The distance error compares the grid with the exact signed distance at random points within two cells of the
+    surface, where contacts occur. A wrong sign counts if the exact distance exceeds half a cell.
     """
     start = time.perf_counter()
     grid = mesh.grid
     seconds = time.perf_counter() - start
     lower, upper = np.asarray(mesh.bounds)
     kind = mesh.samples().kind
-    told, exact = _distances_near_surface(mesh)
-    error = np.abs(told - exact)
+    approximate, exact = _distances_near_surface(mesh)
+    error = np.abs(approximate - exact)
     clear = np.abs(exact) > 0.5 * grid.spacing
     return {
         "vertices": len(mesh.vertices),
@@ -48,36 +48,36 @@ def inspect_mesh(mesh: Mesh) -> dict[str, Any]:
         "grid_seconds": seconds,
         "distance_error_mean": float(error.mean()),
         "distance_error_largest": float(error.max()),
-        "wrong_signs": int((clear & (np.sign(told) != np.sign(exact))).sum()),
+        "wrong_signs": int((clear & (np.sign(approximate) != np.sign(exact))).sum()),
     }
 
 
 def parse_slice(text: str) -> tuple[int, float]:
-    """Turn "z=0.05" into the axis' number and the place on it [m].
+    """Parse a plane such as "z=0.05" to the axis index and the coordinate [m].
 
     Raises:
         ValueError: The text has another form.
     """
-    axis, equals, place = text.partition("=")
+    axis, equals, coordinate = text.partition("=")
     try:
         if not equals or axis.strip() not in "xyz" or len(axis.strip()) != 1:
             raise ValueError
-        return "xyz".index(axis.strip()), float(place)
+        return "xyz".index(axis.strip()), float(coordinate)
     except ValueError:
         raise ValueError(f"--slice: must be x=, y= or z= and a number, got {text!r}") from None
 
 
-def save_slice(mesh: Mesh, path, axis: int, place: float) -> None:
-    """Draw the signed distance in a plane: colours, the zero line, and arrows along the gradient.
+def save_slice(mesh: Mesh, path, axis: int, coordinate: float) -> None:
+    """Plot the signed distance in a plane, with its zero contour and its gradient.
 
     Args:
-        mesh: what to cut.
-        path: a .png file; folders are made.
-        axis: 0, 1 or 2: which axis the plane is across.
-        place: where it cuts that axis [m].
+        mesh: the mesh.
+        path: output file, .png; missing folders are created.
+        axis: 0, 1 or 2: the axis normal to the plane.
+        coordinate: coordinate of the plane on that axis [m].
 
     Raises:
-        ValueError: The plane misses the grid.
+        ValueError: The plane is outside the grid.
         ModuleNotFoundError: Matplotlib is not installed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -85,8 +85,10 @@ def save_slice(mesh: Mesh, path, axis: int, place: float) -> None:
 
     lower = np.asarray(mesh.grid.origin)
     upper = lower + mesh.grid.spacing * (np.array(mesh.grid.values.shape) - 1)
-    if not lower[axis] <= place <= upper[axis]:
-        raise ValueError(f"--slice: {'xyz'[axis]} must be from {lower[axis]:.4g} to {upper[axis]:.4g}, got {place:g}")
+    if not lower[axis] <= coordinate <= upper[axis]:
+        raise ValueError(
+            f"--slice: {'xyz'[axis]} must be from {lower[axis]:.4g} to {upper[axis]:.4g}, got {coordinate:g}"
+        )
     across, up = [k for k in range(3) if k != axis]
     figure = Figure(figsize=(8.0, 6.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
@@ -94,7 +96,7 @@ def save_slice(mesh: Mesh, path, axis: int, place: float) -> None:
         aspect="equal",
         xlabel=f"{'xyz'[across]} [m]",
         ylabel=f"{'xyz'[up]} [m]",
-        title=f"signed distance at {'xyz'[axis]} = {place:g} m",
+        title=f"signed distance at {'xyz'[axis]} = {coordinate:g} m",
     )
 
     def plane(points):
@@ -102,7 +104,7 @@ def save_slice(mesh: Mesh, path, axis: int, place: float) -> None:
         step = max(upper[across] - lower[across], upper[up] - lower[up]) / points
         u = np.arange(lower[across] + step / 2.0, upper[across], step)
         v = np.arange(lower[up] + step / 2.0, upper[up], step)
-        where = np.full((len(v), len(u), 3), place)
+        where = np.full((len(v), len(u), 3), coordinate)
         where[..., across], where[..., up] = u[None, :], v[:, None]
         distance, gradient = mesh.signed_distance(where.reshape(-1, 3))
         return u, v, distance.reshape(len(v), len(u)), gradient.reshape(len(v), len(u), 3)
@@ -115,12 +117,12 @@ def save_slice(mesh: Mesh, path, axis: int, place: float) -> None:
     u, v, _, gradient = plane(ARROWS)
     axes.quiver(u, v, gradient[..., across], gradient[..., up], color="#303030", width=0.0022)
     figure.colorbar(colors, ax=axes, shrink=0.8, label="signed distance [m], negative inside")
-    with whole_file(path) as beside:
-        figure.savefig(beside, format="png")
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary, format="png")
 
 
 def _distances_near_surface(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Distances at random points near the surface, by the grid and exactly."""
+    """Signed distances at random points near the surface, from the grid and exact."""
     rng = np.random.default_rng(0)
     corners = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=PROBES)]]
     weights = rng.dirichlet((1.0, 1.0, 1.0), size=PROBES)

@@ -1,4 +1,4 @@
-"""A short simulation with known results on one device.
+"""Self-test: a short simulation with known results on one device.
 
 `python -m warp_rigid.diagnostics.selftest DEVICE` prints the results as JSON.
 """
@@ -16,19 +16,19 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Plane, Sphere
 
 SECONDS = 2.0
-"""How long the speed is measured [s]."""
+"""Duration of the throughput measurement [s]."""
 STACK = 4
 STEPS = 120
 
 
 def self_test(device: str) -> dict[str, Any]:
-    """Simulate on a device and compare with closed forms and with itself.
+    """Simulate on a device, compare with closed forms and check reproducibility.
 
     Args:
         device: name of a Warp device.
 
     Returns:
-        "checks": texts of what holds or does not, each with True or False; "compile_seconds", "steps_per_second".
+        "checks": whether each check passed, by description; "compile_seconds", "steps_per_second".
     """
     start = time.perf_counter()
     sim = Simulator(_scene(), num_envs=3, device=device)
@@ -37,15 +37,15 @@ def self_test(device: str) -> dict[str, Any]:
     alone = Simulator(_scene(), device=device)
     alone.step(STEPS)
     checks = {
-        "a ball falls as it must": _falls(sim),
-        "a stack of boxes stands": _stands(sim),
-        "environments alike end alike, to the last bit": _alike(sim, alone),
+        "a falling ball follows the closed form": _falls(sim),
+        "a stack of boxes stays in place": _stands(sim),
+        "equal environments are bitwise equal": _alike(sim, alone),
     }
     return {"checks": checks, "compile_seconds": compiled, "steps_per_second": _speed(sim)}
 
 
 def _scene() -> Scene:
-    """Boxes that stand on each other, and a ball high above."""
+    """A stack of boxes and a falling ball."""
     scene = Scene()
     scene.add_static(Plane(), friction=0.5)
     for k in range(STACK):
@@ -55,14 +55,14 @@ def _scene() -> Scene:
 
 
 def _falls(sim: Simulator) -> bool:
-    """Height of the ball: n steps of the semi-implicit Euler method."""
+    """Whether the height of the ball is that of n steps of the semi-implicit Euler method."""
     dt = Settings().dt
     height = 5.0 - 9.81 * dt * dt * STEPS * (STEPS + 1) / 2
     return bool(np.abs(sim.get("position")[:, -1, 2] - height).max() < 1e-4)
 
 
 def _stands(sim: Simulator) -> bool:
-    """No box has moved by a tenth of a millimetre."""
+    """Whether all boxes moved by less than 0.1 mm."""
     start = [[0, 0, 0.1 + 0.2 * k] for k in range(STACK)]
     return bool(np.abs(sim.get("position")[:, 1 : 1 + STACK] - start).max() < 1e-4)
 
@@ -76,7 +76,7 @@ def _alike(sim: Simulator, alone: Simulator) -> bool:
 
 
 def _speed(sim: Simulator) -> float:
-    """Steps a second of the batch."""
+    """Steps of the batch per second."""
     start, steps = time.perf_counter(), 0
     while time.perf_counter() - start < SECONDS:
         sim.step(16)

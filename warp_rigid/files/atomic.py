@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic replacement of files."""
 
 import contextlib
 import os
@@ -6,28 +6,29 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-__all__ = ["whole_file"]
+__all__ = ["atomic_file"]
 
 
 @contextlib.contextmanager
-def whole_file(path: Any) -> Iterator[Path]:
-    """A name beside `path` to write to, of the same ending; at the end the new file takes the old one's place at once.
+def atomic_file(path: Any) -> Iterator[Path]:
+    """Yield a temporary path to write to, which replaces `path` atomically at the end.
 
-    Whatever interrupts the writing leaves the old file as it was; missing folders are made.
+    The temporary file is in the same folder and has the same suffix. If writing fails or is interrupted, the old file
+    is unchanged. Missing folders are created.
 
     Raises:
-        OSError: It cannot be written; names `path`.
+        OSError: The file cannot be written; the error names `path`.
     """
     path = Path(path)
-    beside = path.with_name(f".{path.stem}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield beside
-        with beside.open("rb+") as file:
+        yield temporary
+        with temporary.open("rb+") as file:
             os.fsync(file.fileno())
-        os.replace(beside, path)
+        os.replace(temporary, path)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from None
     finally:
         with contextlib.suppress(OSError):
-            beside.unlink()
+            temporary.unlink()

@@ -1,4 +1,4 @@
-"""Reads triangle meshes from files."""
+"""Reading triangle meshes from files."""
 
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,11 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """All triangles of a file: vertices (n, 3) float64, faces (m, 3) int64.
 
     Args:
-        path: the file; its ending tells the format.
-        scale: factor on all coordinates, greater than 0.
+        path: the file; the suffix selects the format.
+        scale: factor on all coordinates, > 0.
 
     Raises:
-        ValueError: The file is missing, of an unknown format, unreadable, or holds no triangles.
+        ValueError: The file does not exist, has an unknown format, is unreadable, or has no triangles.
     """
     path = Path(path)
     scale = number_in("scale", scale, above=0)
@@ -31,7 +31,7 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"{path}: no such file")
     try:
         vertices, faces = _load_usd(path) if suffix in USD_SUFFIXES else _load_trimesh(path)
-    except Exception as error:  # the readers raise whatever their parsers meet
+    except Exception as error:  # the exceptions of the parsers are not documented
         reason = str(error).strip().splitlines()
         raise ValueError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
     if not len(faces):
@@ -76,7 +76,7 @@ def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) of one USD mesh, and its polygons cut into fans."""
+    """Points (n, 3) of one USD mesh, and its polygons split into triangle fans."""
     from pxr import UsdGeom
 
     points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=np.float64)
@@ -97,5 +97,5 @@ def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _turn_z_up(vertices: np.ndarray) -> np.ndarray:
-    """From y up to z up: a quarter turn about x."""
+    """Rotate from y up to z up."""
     return vertices[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])

@@ -1,1 +1,1 @@
-"""Pictures, films and glTF files of recordings."""
+"""Images, videos and glTF files of recordings."""

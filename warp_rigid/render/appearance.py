@@ -1,6 +1,6 @@
-"""How a recording looks: colours, normals and the places of its environments.
+"""Appearance of a recording: colours, normals and the layout of its environments.
 
-The USD writer and the picture maker share this, so that both show the same thing.
+Shared by the USD writer and the renderer, so that both show the same.
 """
 
 import math
@@ -9,12 +9,13 @@ from functools import cache
 import numpy as np
 
 from warp_rigid.rotations import rotate
-from warp_rigid.runs.recording import Frame, Recording, Surface, is_moving
+from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
 from warp_rigid.scene.scene import Motion
 
 __all__ = [
     "COLORINGS",
     "Spread",
+    "apply_coloring",
     "body_colors",
     "bound_corners",
     "continuous_signs",
@@ -26,11 +27,10 @@ __all__ = [
     "frame_colors",
     "level_colors",
     "speed_colors",
-    "told_colors",
 ]
 
-# Colours on screen (sRGB). Neighbours in the list differ in hue and lightness, so that bodies
-# added one after another stay apart for colour-blind eyes too.
+# sRGB colours. Neighbours in the list differ in hue and lightness, so that consecutive bodies are distinguishable
+# with colour blindness.
 DYNAMIC_COLORS = (
     "#e07a3f", "#3f7fbf", "#f2c14e", "#4b9e86", "#b5483a",
     "#8fbcd4", "#6d5a9c", "#a9b665", "#d98a9e", "#5b6770",
@@ -40,8 +40,8 @@ KINEMATIC_COLOR = "#9a8f7a"
 ASLEEP_COLOR = "#3c4a63"
 
 COLORINGS = ("body", "environment", "level", "speed", "asleep")
-"""What the colour of a dynamic body can tell: which one it is, its environment, its level in the contact graph, how
-fast it moves, or whether it sleeps."""
+"""Quantities that can determine the colour of a dynamic body: its index, environment, level in the contact graph,
+speed, or whether it is asleep."""
 
 UNSUPPORTED_COLOR = "#8a8f96"
 LEVEL_COUNT = 5
@@ -51,9 +51,9 @@ TOP_SPEED = 2.0
 
 CREASE_ANGLE = math.radians(40.0)
 ROW_LENGTH = 5
-"""Up to so many environments stand in one row, side by side; more make a square grid."""
+"""Maximum number of environments in a single row; more are arranged in a square grid."""
 SPACING = 1.35
-"""Distance between environments, in their own width."""
+"""Distance between environments, relative to their width."""
 
 
 def linear_color(code: str) -> np.ndarray:
@@ -112,49 +112,49 @@ def speed_colors(speed) -> np.ndarray:
     return color_map(256)[np.rint(255.0 * part).astype(int)]
 
 
-def told_colors(coloring: str, plain, dynamic, told) -> np.ndarray:
-    """Colours in which the dynamic bodies tell something.
+def apply_coloring(coloring: str, plain, dynamic, values) -> np.ndarray:
+    """Colours of bodies by a colouring.
 
     Args:
         coloring: one of COLORINGS.
-        plain: (..., 3) the bodies' own colours.
-        dynamic: (...) which bodies are dynamic.
-        told: (...) what is told: the environment's number, the level, the speed [m/s] or whether the body is asleep;
-            not looked at where the colouring is "body".
+        plain: (..., 3) colours of the bodies by index.
+        dynamic: (...) mask of the dynamic bodies.
+        values: (...) the quantity: index of the environment, level, speed [m/s] or whether the body is asleep; ignored
+            for the colouring "body".
 
     Returns:
-        (..., 3) float32 in linear light.
+        (..., 3) float32, linear RGB.
     """
     if coloring == "body":
         return plain
     if coloring == "asleep":
-        return np.where((dynamic & told)[..., None], linear_color(ASLEEP_COLOR).astype(np.float32), plain)
-    tell = {"environment": environment_colors, "level": level_colors, "speed": speed_colors}[coloring]
-    return np.where(np.asarray(dynamic)[..., None], tell(told), plain)
+        return np.where((dynamic & values)[..., None], linear_color(ASLEEP_COLOR).astype(np.float32), plain)
+    color_of = {"environment": environment_colors, "level": level_colors, "speed": speed_colors}[coloring]
+    return np.where(np.asarray(dynamic)[..., None], color_of(values), plain)
 
 
 def frame_colors(coloring: str, recording: Recording, row: int, frame: Frame) -> np.ndarray:
-    """One colour a body of an environment at one time, (bodies, 3) float32 in linear light.
+    """Colours of the bodies of one environment in one frame, (bodies, 3) float32, linear RGB.
 
     Args:
         coloring: one of COLORINGS.
-        recording: what stays the same over time.
-        row: which of its environments.
-        frame: the state at that time.
+        recording: recording with the constant data.
+        row: row of the environment in the recording.
+        frame: the frame.
 
     Raises:
-        ValueError: The speed is wanted, but velocities were not recorded.
+        ValueError: The colouring is "speed", but velocities were not recorded.
     """
-    told = None
+    values = None
     if coloring == "environment":
-        told = np.full(len(recording.motion), recording.envs[row])
+        values = np.full(len(recording.motion), recording.envs[row])
     elif coloring == "speed":
         if frame.linear_velocity is None:
-            raise ValueError("color: speed needs a recording with velocities")
-        told = np.linalg.norm(frame.linear_velocity[row], axis=-1)
+            raise ValueError("color: speed requires a recording with velocities")
+        values = np.linalg.norm(frame.linear_velocity[row], axis=-1)
     elif coloring != "body":
-        told = getattr(frame, coloring)[row]
-    return told_colors(coloring, body_colors(recording.motion), recording.motion == Motion.DYNAMIC, told)
+        values = getattr(frame, coloring)[row]
+    return apply_coloring(coloring, body_colors(recording.motion), recording.motion == Motion.DYNAMIC, values)
 
 
 def corner_normals(vertices, faces) -> np.ndarray:
@@ -196,10 +196,9 @@ def corner_normals(vertices, faces) -> np.ndarray:
 
 
 def continuous_signs(orientation) -> np.ndarray:
-    """Quaternions (frames, ..., 4) with signs chosen so that no frame turns the long way round.
+    """Quaternions (frames, ..., 4) with signs such that consecutive frames are connected by the shorter arc.
 
-    q and -q are one rotation, but a reader that interpolates between frames takes the way from the
-    one to the other literally.
+    q and -q are the same rotation, but interpolation between frames depends on the sign.
     """
     orientation = np.asarray(orientation)
     dots = np.sum(orientation[1:] * orientation[:-1], axis=-1, keepdims=True)
@@ -209,22 +208,22 @@ def continuous_signs(orientation) -> np.ndarray:
 
 
 def bound_corners(vertices) -> np.ndarray:
-    """The eight corners of the box around some points, (8, 3)."""
+    """The eight corners of the bounding box of some points, (8, 3)."""
     bounds = np.stack([np.min(vertices, axis=0), np.max(vertices, axis=0)])
     return np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
 
 
 class Spread:
-    """How much room an environment takes, learned frame by frame.
+    """Extent of an environment, accumulated over frames.
 
-    Everything finite counts at the start, and the moving bodies all along, but for the few that fly far away.
+    Includes all finite bodies in the first frame, and the moving bodies in later frames except outliers.
 
     Args:
-        recording: its surfaces, motions and first frame.
+        recording: provides the surfaces, the motions and the first frame.
     """
 
     def __init__(self, recording: Recording):
-        """Take the bounds of the first frame."""
+        """Start with the bounds of the first frame."""
         self._moving = is_moving(recording.motion)
         self._lower, self._upper = np.full(3, np.inf), np.full(3, -np.inf)
         for index, surface in enumerate(recording.surfaces):
@@ -235,7 +234,7 @@ class Spread:
             self._include((turned + recording.position[0][:, bodies, None]).reshape(-1, 3))
 
     def add(self, position: np.ndarray) -> None:
-        """Take note of where the bodies are in a frame, (envs, bodies, 3) [m]."""
+        """Add the positions of a frame, (envs, bodies, 3) [m]."""
         if self._moving.any():
             self._include(np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0))
 
@@ -251,7 +250,7 @@ class Spread:
 
 
 def environment_spacing(recording: Recording) -> np.ndarray:
-    """Distances between neighbouring environments along x and y for all of a recording, (2,) [m]."""
+    """Distances between neighbouring environments along x and y for a whole recording, (2,) [m]."""
     spread = Spread(recording)
     for position in recording.position:
         spread.add(position)
@@ -259,7 +258,7 @@ def environment_spacing(recording: Recording) -> np.ndarray:
 
 
 def environment_offsets(count: int, spacing) -> np.ndarray:
-    """Where the environments stand, (count, 3) [m], around the origin on the plane z = 0."""
+    """Translations of the environments, (count, 3) [m], centred at the origin in the plane z = 0."""
     columns = count if count <= ROW_LENGTH else math.ceil(math.sqrt(count))
     rows = math.ceil(count / columns)
     column, row = np.arange(count) % columns, np.arange(count) // columns
@@ -268,11 +267,10 @@ def environment_offsets(count: int, spacing) -> np.ndarray:
     return np.stack([x, y, np.zeros(count)], axis=1)
 
 
-def drawn_surfaces(recording: Recording, count: int, spacing) -> list[Surface]:
-    """The surfaces as they stand among `count` environments.
+def drawn_surfaces(recording: Recording, count: int, spacing) -> list[DrawnSurface]:
+    """The surfaces as drawn with `count` environments.
 
-    Level planes may overlap, as they coincide; a tilted one shrinks so that it keeps out of the
-    other environments.
+    Horizontal planes may overlap, since they coincide. A tilted plane is reduced to the extent of its environment.
     """
     surfaces = list(recording.surfaces)
     for index, surface in enumerate(surfaces):
@@ -280,12 +278,12 @@ def drawn_surfaces(recording: Recording, count: int, spacing) -> list[Surface]:
             center = surface.vertices.mean(axis=0)
             scale = min(1.0, float(np.max(spacing)) / np.ptp(surface.vertices, axis=0).max())
             vertices = (center + scale * (surface.vertices - center)).astype(np.float32)
-            surfaces[index] = Surface(vertices, surface.faces, endless=True)
+            surfaces[index] = DrawnSurface(vertices, surface.faces, endless=True)
     return surfaces
 
 
 def _is_tilted(recording: Recording, index: int) -> bool:
-    """Whether a plane stands at a slope in any body that has it."""
+    """Whether any body with this plane is tilted."""
     plane = recording.surfaces[index]
     normal = corner_normals(plane.vertices, plane.faces)[0, 0]
     orientation = recording.orientation[0][:, recording.surface == index]

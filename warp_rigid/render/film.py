@@ -1,4 +1,4 @@
-"""Film: what is to be drawn, frame by frame, read from a recording or from a USD file."""
+"""Film: drawable data of all frames, created from a recording or a USD file."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,13 +15,13 @@ from warp_rigid.render.appearance import (
     environment_spacing,
     frame_colors,
 )
-from warp_rigid.runs.recording import Recording, Surface
+from warp_rigid.runs.recording import DrawnSurface, Recording
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
 
 
-MOST_FRAMES = 100_000
-"""Of a film that is read."""
+MAX_FRAMES = 100_000
+"""Maximum number of frames read from a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +31,8 @@ class DrawnMesh:
     Attributes:
         vertices: (n, 3) float32 [m].
         faces: (m, 3) int32.
-        normals: (m, 3, 3) float32, one for each corner of each triangle.
-        frames: the vertices in each frame of the film, where they change; else nothing.
+        normals: (m, 3, 3) float32, one per corner of each triangle.
+        frames: vertices of each frame if they change, else empty.
     """
 
     vertices: np.ndarray
@@ -42,24 +42,24 @@ class DrawnMesh:
 
     @property
     def flat(self) -> bool:
-        """All in one plane: a ground, which is drawn with a grid and does not guide the camera."""
+        """Whether all triangles are parallel: a ground, drawn with a grid and ignored by the camera fit."""
         return bool(np.ptp(self.normals.reshape(-1, 3), axis=0).max() < 1e-6)
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Instances of meshes, moving in one world.
+    """Moving instances of meshes in a common world frame.
 
     Attributes:
-        meshes: the different meshes.
+        meshes: the distinct meshes.
         mesh: (instances,) index into meshes.
-        color: (instances, 3) float32, linear light; or (frames, instances, 3) where colours change.
+        color: (instances, 3) float32, linear RGB; or (frames, instances, 3) if colours change.
         position: (frames, instances, 3) float32 [m].
         orientation: (frames, instances, 4) float32, unit quaternions (x, y, z, w).
         fps: frames per simulated second.
         env: (instances,) index of the environment.
-        offset: (envs, 3) where the environments stand [m].
-        labels: a text for each environment; empty where nothing tells it apart.
+        offset: (envs, 3) translation of the environments [m].
+        labels: one label per environment; may be empty.
     """
 
     meshes: tuple[DrawnMesh, ...]
@@ -74,21 +74,21 @@ class Film:
 
     @property
     def num_frames(self) -> int:
-        """Number of frames, the first included."""
+        """Number of frames, including the initial one."""
         return len(self.position)
 
     @property
     def moving(self) -> np.ndarray:
-        """(instances,) True where a pose changes in the course of the film."""
+        """(instances,) True if the pose changes over time."""
         moves = (self.position != self.position[0]).any(axis=(0, 2))
         return moves | (self.orientation != self.orientation[0]).any(axis=(0, 2))
 
     def color_at(self, frame: int) -> np.ndarray:
-        """Colours in one frame, (instances, 3)."""
+        """Colours of one frame, (instances, 3)."""
         return self.color if self.color.ndim == 2 else self.color[frame]
 
     def alone(self, env: int) -> "Film":
-        """One environment by its index, brought back to the origin."""
+        """A film of one environment, translated back to the origin."""
         kept = self.env == env
         return replace(
             self,
@@ -103,7 +103,7 @@ class Film:
 
 
 def film_from_recording(recording: Recording, envs=None) -> Film:
-    """The environments of a recording side by side, as export_usd lays them out.
+    """Create a film of the environments of a recording, arranged as by export_usd.
 
     Raises:
         ValueError: One of the environments was not recorded.
@@ -127,15 +127,15 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
 
 
 def colored(film: Film, recording: Recording, by: str) -> Film:
-    """A film in which the colours of the dynamic bodies tell something.
+    """Colour the dynamic bodies of a film by a quantity.
 
     Args:
-        film: of all environments of the recording, made by film_from_recording.
-        recording: what it was made from.
+        film: film of all environments of the recording, from film_from_recording.
+        recording: the recording.
         by: one of COLORINGS; "body" changes nothing.
 
     Raises:
-        ValueError: There is no such colouring, or it tells what was not recorded.
+        ValueError: The colouring is unknown, or its quantity was not recorded.
     """
     one_of("by", by, COLORINGS)
     if by == "body":
@@ -145,26 +145,26 @@ def colored(film: Film, recording: Recording, by: str) -> Film:
     return replace(film, color=np.stack(colors))
 
 
-def _drawn(surface: Surface, times: np.ndarray) -> DrawnMesh:
-    """A surface as it is drawn, frame by frame if it changes its shape."""
+def _drawn(surface: DrawnSurface, times: np.ndarray) -> DrawnMesh:
+    """Convert a surface to a mesh, with the vertices of each frame if its shape changes."""
     vertices = surface.vertices_at(times[0])
     frames = tuple(surface.vertices_at(time) for time in times) if surface.moves else ()
     return DrawnMesh(vertices, surface.faces, corner_normals(vertices, surface.faces), frames)
 
 
 def film_from_usd(path) -> Film:
-    """Read the bodies and meshes of a file that export_usd wrote, from the file alone.
+    """Read a film from a file written by export_usd.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no USD file, or one without bodies.
+        FileNotFoundError: The file does not exist.
+        ValueError: It is not a USD file, or has no bodies.
     """
-    from warp_rigid.usd.opening import open_stage, reading
+    from warp_rigid.usd.opening import convert_errors, open_stage
 
     if not Path(path).is_file():
         raise FileNotFoundError(f"{path}: no such file")
     stage = open_stage(path)
-    with reading(path):
+    with convert_errors(path):
         try:
             return _film_of_stage(stage)
         except ValueError as error:
@@ -183,30 +183,30 @@ def _film_of_stage(stage) -> Film:
         if prim.IsA(UsdGeom.PointInstancer) or prim.HasAttribute("xformOp:orient")
     ]
     if not groups:
-        raise ValueError("holds no environment with bodies, as export_usd writes them")
+        raise ValueError("must have an environment with bodies, as written by export_usd")
 
     first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    number_in("endTimeCode", last, number_in("startTimeCode", first), first + MOST_FRAMES)
+    number_in("endTimeCode", last, number_in("startTimeCode", first), first + MAX_FRAMES)
     frames = np.arange(first, last + 1)
     offset = np.array([_translation(prim) for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
     for index, group in groups:
         read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
-        drawn, places, turns, colors = read(group, frames)
+        drawn, places, turns, group_colors = read(group, frames)
         key = drawn.vertices.tobytes() + drawn.faces.tobytes()
         if key not in mesh_index:
             mesh_index[key] = len(meshes)
             meshes.append(drawn)
         position.append(places + offset[index].astype(np.float32))
         orientation.append(turns)
-        color.append(colors)
+        color.append(group_colors)
         mesh.append(np.full(places.shape[1], mesh_index[key]))
         env.append(np.full(places.shape[1], index))
-    told = np.concatenate(color, axis=1)
+    colors = np.concatenate(color, axis=1)
     return Film(
         meshes=tuple(meshes),
         mesh=np.concatenate(mesh),
-        color=told if (told != told[0]).any() else told[0],
+        color=colors if (colors != colors[0]).any() else colors[0],
         position=np.concatenate(position, axis=1),
         orientation=np.concatenate(orientation, axis=1),
         fps=stage.GetFramesPerSecond(),
@@ -217,7 +217,7 @@ def _film_of_stage(stage) -> Film:
 
 
 def _read_instancer(prim, frames):
-    """A PointInstancer's only mesh, and positions, quaternions and colours of its instances."""
+    """Read the mesh of a PointInstancer, and positions, orientations and colours of its instances."""
     from pxr import UsdGeom
 
     instancer = UsdGeom.PointInstancer(prim)
@@ -233,7 +233,7 @@ def _read_instancer(prim, frames):
 
 
 def _read_body(prim, frames):
-    """The same of a body of its own; several colliders make one mesh."""
+    """Read a single body in the same form; its colliders are joined to one mesh."""
     from pxr import Usd, UsdGeom
 
     from warp_rigid.usd.prims import matrix_of, triangles_of
@@ -272,9 +272,9 @@ def _translation(prim) -> np.ndarray:
 
 
 def _read(attribute, frames) -> np.ndarray:
-    """An attribute's values at some time codes; one that never changes is read once.
+    """Values of an attribute at some time codes; a constant value is read once.
 
-    Quaternions come as (x, y, z, w).
+    Quaternions are returned as (x, y, z, w).
     """
     if not attribute.ValueMightBeTimeVarying():
         value = _numbers(attribute.Get())
@@ -283,7 +283,7 @@ def _read(attribute, frames) -> np.ndarray:
 
 
 def _numbers(value) -> np.ndarray:
-    """A value of USD's as an array: a single quaternion's parts must be asked for."""
+    """Convert a USD value to an array; a quaternion becomes (x, y, z, w)."""
     if hasattr(value, "GetImaginary"):
         return np.array([*value.GetImaginary(), value.GetReal()], dtype=np.float32)
     return np.array(value)

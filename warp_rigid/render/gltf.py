@@ -1,11 +1,11 @@
-"""glTF export: a film as one .glb file, which web browsers and the previewers of desktops play."""
+"""glTF export of an animation as one .glb file, which web viewers and desktop previews can play."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.render.appearance import (
     body_colors,
     continuous_signs,
@@ -14,7 +14,7 @@ from warp_rigid.render.appearance import (
     environment_offsets,
     environment_spacing,
 )
-from warp_rigid.runs.recording import Recording, Surface
+from warp_rigid.runs.recording import DrawnSurface, Recording
 
 if TYPE_CHECKING:
     import pygltflib
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 __all__ = ["export_gltf"]
 
 Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
-"""glTF has y up: a quarter turn of the root node."""
+"""Rotation of the root node, since glTF has y up."""
 FLOAT, UINT = 5126, 5125
 VERTICES, INDICES = 34962, 34963
 
 
 def export_gltf(recording: Recording, path, envs=None) -> None:
-    """Write a recording as binary glTF 2.0, one node a body, animated over time.
+    """Write a recording as binary glTF 2.0, with one animated node per body.
 
     Args:
-        recording: what to write.
-        path: ends in .glb; folders are made.
-        envs: numbers of the environments to write; None writes all that were recorded.
+        recording: the recording.
+        path: output file, .glb; missing folders are created.
+        envs: indices of the environments to write; None writes all recorded ones.
 
     Raises:
-        ValueError: The path has another ending, or an environment was not recorded.
+        ValueError: The path has another suffix, or an environment was not recorded.
         OSError: The file cannot be written.
         ModuleNotFoundError: pygltflib is not installed.
     """
@@ -63,8 +63,8 @@ def export_gltf(recording: Recording, path, envs=None) -> None:
                 file.animate(node, "translation", time, file.numbers(places, "VEC3"))
             if (turns != turns[0]).any():
                 file.animate(node, "rotation", time, file.numbers(turns, "VEC4"))
-    with whole_file(path) as beside:
-        file.save(beside)
+    with atomic_file(path) as temporary:
+        file.save(temporary)
 
 
 class _Assembly:
@@ -84,7 +84,7 @@ class _Assembly:
         self._animation = library.Animation(name="simulation")
 
     def node(self, parent: int | None = None, **values) -> int:
-        """Add a node; its index."""
+        """Add a node; returns its index."""
         self._gltf.nodes.append(self._library.Node(**values))
         index = len(self._gltf.nodes) - 1
         if parent is not None:
@@ -92,7 +92,7 @@ class _Assembly:
         return index
 
     def numbers(self, values: np.ndarray, kind: str, bounds: bool = False, target: int | None = None) -> int:
-        """Add an array; its accessor's index."""
+        """Add an array; returns the index of its accessor."""
         values = np.ascontiguousarray(values)
         offset = len(self._blob)
         self._blob += values.tobytes()
@@ -110,8 +110,8 @@ class _Assembly:
         self._gltf.accessors.append(accessor)
         return len(self._gltf.accessors) - 1
 
-    def mesh(self, index: int, surface: Surface, color: np.ndarray) -> int:
-        """Surface number `index` in a colour; meshes of one surface share its arrays."""
+    def mesh(self, index: int, surface: DrawnSurface, color: np.ndarray) -> int:
+        """Add surface number `index` in a colour; meshes of the same surface share its arrays."""
         key = index, color.tobytes()
         if key not in self._meshes:
             if index not in self._geometry:
@@ -122,8 +122,8 @@ class _Assembly:
             self._meshes[key] = len(self._gltf.meshes) - 1
         return self._meshes[key]
 
-    def _arrays(self, surface: Surface) -> tuple[Any, int]:
-        """Points and normals, each pair of them once, and the triangles' indices."""
+    def _arrays(self, surface: DrawnSurface) -> tuple[Any, int]:
+        """Add the distinct pairs of points and normals, and the triangle indices."""
         corners = surface.vertices[surface.faces].reshape(-1, 3)
         normals = corner_normals(surface.vertices, surface.faces).reshape(-1, 3)
         pairs, index = np.unique(np.concatenate([corners, normals], axis=1), axis=0, return_inverse=True)
@@ -135,7 +135,7 @@ class _Assembly:
         return attributes, self.numbers(index.reshape(-1).astype(np.uint32), "SCALAR", target=INDICES)
 
     def _material(self, color: np.ndarray) -> int:
-        """A matt colour; open surfaces are seen from inside too."""
+        """Add a matt, double-sided material; returns its index."""
         shading = self._library.PbrMetallicRoughness(
             baseColorFactor=[*color.tolist(), 1.0], metallicFactor=0.0, roughnessFactor=0.7
         )
@@ -145,7 +145,7 @@ class _Assembly:
         return len(self._gltf.materials) - 1
 
     def animate(self, node: int, path: str, time: int, values: int) -> None:
-        """Let a node's translation or rotation follow an array."""
+        """Animate the translation or rotation of a node."""
         library = self._library
         self._animation.samplers.append(library.AnimationSampler(input=time, output=values, interpolation="LINEAR"))
         target = library.AnimationChannelTarget(node=node, path=path)

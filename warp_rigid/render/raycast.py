@@ -1,7 +1,7 @@
-"""Drawing without a screen: rays cast on the CPU into meshes that move as instances.
+"""Ray caster on the CPU, for rendering mesh instances without a display.
 
-Every mesh has its own bounding-volume hierarchy, built once for a film; a frame only arranges the
-instances in another one. One ray goes to the eye's nearest surface and one from there to the light.
+Every mesh has its own bounding volume hierarchy, built once per film; each frame builds a hierarchy over the instances.
+Each pixel casts a primary ray and a shadow ray.
 """
 
 import numpy as np
@@ -21,24 +21,24 @@ HORIZON_COLOR = wp.constant(wp.vec3(0.72, 0.76, 0.80))
 ZENITH_COLOR = wp.constant(wp.vec3(0.42, 0.55, 0.72))
 GROUND_GLOW = wp.constant(wp.vec3(0.24, 0.23, 0.22))
 SKY_GLOW = wp.constant(wp.vec3(0.40, 0.44, 0.50))
-GLASS_TINT = wp.constant(0.18)  # how much of its own colour a wall keeps that is seen through
+GLASS_TINT = wp.constant(0.18)  # opacity of transparent walls
 LIGHT_COLOR = wp.constant(wp.vec3(0.86, 0.82, 0.76))
 
 WALL_THICKNESS = 0.3
-"""A fixed body is a wall if it is thinner than this part of its height and width."""
+"""Maximum ratio of the thickness of a wall to its height and width."""
 HIDDEN_PART = 0.1
-"""A wall that hides more of an environment's moving bodies is drawn as glass."""
+"""A wall that hides more than this fraction of the moving bodies of an environment is drawn as glass."""
 EDGE_CONTRAST = 0.1
-"""Pixels that differ from a neighbour by more, on screen, get more rays."""
+"""Minimum sRGB difference between neighbouring pixels for antialiasing."""
 EDGE_RAYS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
-"""Where in a pixel they go [pixel], from its centre: a turned square."""
+"""Offsets of the antialiasing rays from the pixel centre: a rotated square [pixel]."""
 
 
 @wp.struct
 class Camera:
-    """A view.
+    """A camera and a light.
 
-    `right` and `up` reach from the picture's centre to its borders, one unit ahead of the eye.
+    `right` and `up` extend from the centre of the image to its borders, at unit distance from the eye.
     """
 
     eye: wp.vec3
@@ -46,14 +46,14 @@ class Camera:
     right: wp.vec3
     up: wp.vec3
     light: wp.vec3
-    grid: float  # distance of the lines on flat grounds [m]
-    haze: float  # distance at which grounds fade [m]
-    pixel: float  # width of a pixel, one unit ahead of the eye
+    grid: float  # distance between grid lines on flat grounds [m]
+    haze: float  # distance at which grounds start to fade [m]
+    pixel: float  # width of a pixel at unit distance from the eye
 
 
 @wp.struct
-class Instances:
-    """The instances of one frame, and the corner normals of all meshes one after another."""
+class InstanceArrays:
+    """The instances of one frame, and the concatenated corner normals of all meshes."""
 
     tree: wp.uint64
     mesh: wp.array[wp.uint64]
@@ -64,12 +64,12 @@ class Instances:
     orientation: wp.array[wp.quat]
     color: wp.array[wp.vec3]
     normals: wp.array2d[wp.vec3]
-    panes: int  # how many are of glass
+    panes: int  # number of glass instances
 
 
 @wp.struct
 class Hit:
-    """The nearest surface along a ray; `instance` is -1 where there is none."""
+    """The nearest surface along a ray; `instance` is -1 without a hit."""
 
     instance: int
     face: int
@@ -79,8 +79,8 @@ class Hit:
 
 
 @wp.func
-def nearest(instances: Instances, origin: wp.vec3, direction: wp.vec3, glass: wp.bool) -> Hit:
-    """First surface that a ray meets, of glass or else of what is not."""
+def nearest(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3, glass: wp.bool) -> Hit:
+    """Nearest hit of a ray, either with glass or with opaque instances."""
     hit = Hit()
     hit.instance = -1
     hit.distance = FAR
@@ -103,8 +103,8 @@ def nearest(instances: Instances, origin: wp.vec3, direction: wp.vec3, glass: wp
 
 
 @wp.func
-def lit(instances: Instances, point: wp.vec3, light: wp.vec3) -> float:
-    """1 where the light is seen from a point, 0 in shadow; glass casts none."""
+def lit(instances: InstanceArrays, point: wp.vec3, light: wp.vec3) -> float:
+    """1 if the light is visible from a point, 0 in shadow; glass casts no shadow."""
     candidates = wp.bvh_query_ray(instances.tree, point, light)
     i = int(0)
     while wp.bvh_query_next(candidates, i):
@@ -120,7 +120,7 @@ def lit(instances: Instances, point: wp.vec3, light: wp.vec3) -> float:
 
 @wp.func
 def line_coverage(coordinate: float, spacing: float, footprint: float) -> float:
-    """How much of a pixel a grid line covers, from the pixel's width on the ground."""
+    """Fraction of a pixel covered by a grid line; `footprint` is the pixel width on the ground."""
     offset = wp.abs(coordinate / spacing - wp.round(coordinate / spacing)) * spacing
     width = 0.008 * spacing + footprint
     return wp.clamp((width - offset) / footprint, 0.0, 1.0) * wp.min(width / spacing * 8.0, 1.0)
@@ -128,7 +128,7 @@ def line_coverage(coordinate: float, spacing: float, footprint: float) -> float:
 
 @wp.func
 def grid_shade(point: wp.vec3, normal: wp.vec3, spacing: float, footprint: float) -> float:
-    """Brightness of a flat ground: lines along the two axes most nearly in it."""
+    """Brightness of a flat ground with grid lines along the two axes closest to its plane."""
     a = point[0]
     b = point[1]
     if wp.abs(normal[0]) > wp.abs(normal[2]):
@@ -147,8 +147,8 @@ def sky(direction: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def surface_color(instances: Instances, camera: Camera, hit: Hit, direction: wp.vec3) -> wp.vec3:
-    """Light that a hit sends back along the ray."""
+def surface_color(instances: InstanceArrays, camera: Camera, hit: Hit, direction: wp.vec3) -> wp.vec3:
+    """Colour of a hit, shaded."""
     i = hit.instance
     face = instances.first_face[i] + hit.face
     smooth = (
@@ -178,8 +178,8 @@ def surface_color(instances: Instances, camera: Camera, hit: Hit, direction: wp.
 
 
 @wp.func
-def seen_color(instances: Instances, camera: Camera, direction: wp.vec3) -> wp.vec3:
-    """Light along a ray."""
+def seen_color(instances: InstanceArrays, camera: Camera, direction: wp.vec3) -> wp.vec3:
+    """Colour seen along a ray."""
     hit = nearest(instances, camera.eye, direction, False)
     color = sky(direction)
     if hit.instance >= 0:
@@ -195,7 +195,7 @@ def seen_color(instances: Instances, camera: Camera, direction: wp.vec3) -> wp.v
 @wp.kernel
 def find_hidden(
     eye: wp.vec3,
-    instances: Instances,
+    instances: InstanceArrays,
     wall: wp.array[int],
     target: wp.array[wp.vec3],
     hidden: wp.array2d[wp.bool],
@@ -213,27 +213,27 @@ def find_hidden(
 def cast_rays(
     first: int,
     camera: Camera,
-    instances: Instances,
-    place: wp.array[wp.vec2],
+    instances: InstanceArrays,
+    point: wp.array[wp.vec2],
     color: wp.array[wp.vec3],
 ):
-    """One ray a thread, through `place` in the picture (-1 to 1 to the right and upward)."""
+    """One ray per thread, through the image point `point` (-1 to 1, right and up)."""
     ray = first + wp.tid()
-    at = place[ray]
+    at = point[ray]
     direction = wp.normalize(camera.forward + at[0] * camera.right + at[1] * camera.up)
     color[ray] = seen_color(instances, camera, direction)
 
 
 class RayCaster:
-    """Draws frames of one film; the meshes' hierarchies are built once.
+    """Renders frames of one film.
 
     Args:
-        film: what to draw.
-        camera: where from. Walls that hide much from there are drawn as glass.
+        film: the film.
+        camera: the camera. Walls that hide moving bodies from it are drawn as glass.
     """
 
     def __init__(self, film: Film, camera: Camera):
-        """Build what is the same for all frames."""
+        """Build the data shared by all frames."""
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
@@ -246,7 +246,7 @@ class RayCaster:
             first_face = (np.cumsum(faces) - faces)[film.mesh]
             ids = np.array([mesh.id for mesh in self._meshes], dtype=np.uint64)[film.mesh]
             flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
-            self._instances = Instances()
+            self._instances = InstanceArrays()
             self._instances.mesh = wp.array(ids)
             self._instances.first_face = wp.array(first_face, dtype=int)
             self._instances.flat = wp.array(flat)
@@ -259,7 +259,7 @@ class RayCaster:
             self._instances.panes = int(glass.sum())
 
     def draw(self, frame: int, width: int, height: int) -> np.ndarray:
-        """One frame as a picture, (height, width, 3) uint8 (sRGB)."""
+        """Render one frame, (height, width, 3) uint8 (sRGB)."""
         self._place_instances(frame)
         x = (2.0 * np.arange(width) + 1.0) / width - 1.0
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height
@@ -273,7 +273,7 @@ class RayCaster:
         return np.round(255.0 * screen).astype(np.uint8)
 
     def _hiding_walls(self, fixed: np.ndarray) -> np.ndarray:
-        """(instances,) True for walls that hide much of what moves."""
+        """(instances,) True for walls that hide more than HIDDEN_PART of the moving bodies."""
         size = np.sort(np.ptp(self._corners, axis=1), axis=1)
         walls = np.flatnonzero(fixed & (size[:, 0] < WALL_THICKNESS * size[:, 1]))
         targets = self._film.position[:: max(1, self._film.num_frames // 8), self._film.moving]
@@ -289,7 +289,7 @@ class RayCaster:
         return glass
 
     def _move_vertices(self, frame: int) -> None:
-        """Bring the meshes that change their shape to a frame."""
+        """Update the meshes that change their shape."""
         for index, mesh in enumerate(self._film.meshes):
             if mesh.frames:
                 vertices = mesh.frames[frame]
@@ -314,17 +314,17 @@ class RayCaster:
         self._instances.tree = self._tree.id
 
     def _cast(self, places: np.ndarray) -> np.ndarray:
-        """Colours, in linear light, that rays through places of the picture meet."""
+        """Linear RGB colours of rays through image points."""
         count = len(places)
-        place = wp.array(places, dtype=wp.vec2, device="cpu")
+        point = wp.array(places, dtype=wp.vec2, device="cpu")
         color = wp.zeros(count, dtype=wp.vec3, device="cpu")
         cuts = np.linspace(0, count, 4 * self._threads + 1, dtype=int)
         wp.load_module(device="cpu")
 
-        # A launch on the CPU runs on the calling thread and lets other threads run meanwhile.
+        # A CPU launch runs on the calling thread and releases the GIL.
         def cast(part):
             first, end = int(cuts[part]), int(cuts[part + 1])
-            arguments = [first, self._camera, self._instances, place]
+            arguments = [first, self._camera, self._instances, point]
             wp.launch(cast_rays, end - first, arguments, outputs=[color], device="cpu")
 
         spread(cast, range(len(cuts) - 1), self._threads)
@@ -332,13 +332,13 @@ class RayCaster:
 
 
 def on_screen(light: np.ndarray) -> np.ndarray:
-    """Linear light -> screen values (sRGB), both from 0 to 1."""
+    """Convert linear RGB to sRGB, both from 0 to 1."""
     light = np.clip(light, 0.0, 1.0)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
 
 
 def _edges(picture: np.ndarray) -> np.ndarray:
-    """(height, width) True where a pixel differs from the one beside or below, on both sides."""
+    """(height, width) True for both pixels of each pair of neighbours with a contrast above EDGE_CONTRAST."""
     edges = np.zeros(picture.shape[:2], dtype=bool)
     down = np.abs(np.diff(picture, axis=0)).max(axis=-1) > EDGE_CONTRAST
     right = np.abs(np.diff(picture, axis=1)).max(axis=-1) > EDGE_CONTRAST

@@ -1,1 +1,1 @@
-"""Runs of scenes: assignments, recordings, events and verdicts."""
+"""Running scenes: assignments, recordings, checkpoints, events and verdicts."""

@@ -1,7 +1,7 @@
-"""Assignments `name=value` of the command line, sorted by what they set.
+"""Assignments `name=value` of the command line, sorted by target.
 
-Parameters of a scene, settings and properties of bodies share one vocabulary. A list of values,
-separated by commas, gives one value to each environment.
+Scene parameters, settings and body properties share one set of names. A comma-separated list gives one value to each
+environment.
 """
 
 import ast
@@ -14,23 +14,23 @@ from warp_rigid.checks import shown
 from warp_rigid.engine.quantities import COEFFICIENTS, STATE_NAMES
 from warp_rigid.engine.settings import Settings
 
-__all__ = ["COEFFICIENTS", "PROPERTIES", "Assignments", "parse_assignment", "place_of", "sort_assignments"]
+__all__ = ["COEFFICIENTS", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
 
 PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "gravity")
-"""What can be set in a simulation beside the settings; all bodies get the same value."""
+"""Quantities that can be set in a simulation besides the settings; all bodies get the same value."""
 
 SETTINGS = tuple(f.name for f in fields(Settings))
 
 
 @dataclass
 class Assignments:
-    """What to set, and where.
+    """Values to set, by target.
 
     Attributes:
-        scene: parameters of the scene, by name.
-        settings: settings that hold for all environments, by name.
-        batched: settings and properties with one value an environment, by name.
-        properties: properties that hold for all environments, by name.
+        scene: scene parameters, by name.
+        settings: settings shared by all environments, by name.
+        batched: settings and properties with one value per environment, by name.
+        properties: properties shared by all environments, by name.
     """
 
     scene: dict[str, Any] = field(default_factory=dict)
@@ -40,18 +40,18 @@ class Assignments:
 
     @property
     def num_envs(self) -> int | None:
-        """How many environments the lists of values ask for; None without lists."""
+        """Number of environments required by the lists of values; None without lists."""
         return max((len(values) for values in self.batched.values()), default=None)
 
 
 def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     """Split "name=value" or "name=value,value,..." into the name and its values.
 
-    A value is a number, true, false, a vector in brackets such as (0,0,-9.81), or else a word.
+    A value is a number, true, false, a vector in brackets such as (0,0,-9.81), or else a string.
 
     Args:
-        text: what to split.
-        flag: where it comes from, for the message.
+        text: the assignment.
+        flag: option name for the error message.
 
     Raises:
         ValueError: The text has another form.
@@ -65,23 +65,23 @@ def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     return name + bracket + bodies, [_value(part) for part in parts]
 
 
-def place_of(name: str, parameters, flag: str = "--set") -> str:
-    """Say what a name sets: "scene", "setting" or "property".
+def assignment_target(name: str, parameters, flag: str = "--set") -> str:
+    """Return what a name sets: "scene", "setting" or "property".
 
-    A parameter of the scene comes before a property of the same name, since the scene knows which bodies it means.
+    A scene parameter takes precedence over a property of the same name.
 
     Args:
-        name: the name; that of a property can choose bodies, such as "mass[box_*]".
-        parameters: the names of the scene's parameters.
-        flag: where it comes from, for the message.
+        name: the name; a property name may select bodies, such as "mass[box_*]".
+        parameters: the names of the scene parameters.
+        flag: option name for the error message.
 
     Raises:
-        ValueError: The name is unknown, or chooses bodies where there are none to choose.
+        ValueError: The name is unknown, or selects bodies for something other than a body property.
     """
     plain, bracket, _ = name.partition("[")
     if bracket:
         if plain not in PROPERTIES or plain == "gravity":
-            raise ValueError(f"{flag} {name}: is no property of bodies, so it cannot choose bodies")
+            raise ValueError(f"{flag} {name}: is not a body property, so it cannot select bodies")
         return "property"
     if name in parameters:
         return "scene"
@@ -93,11 +93,11 @@ def place_of(name: str, parameters, flag: str = "--set") -> str:
 
 
 def sort_assignments(texts, build) -> Assignments:
-    """Parse assignments and sort them by what they set.
+    """Parse assignments and sort them by target.
 
     Args:
-        texts: texts such as "height=10" or "friction=0.1,0.5,0.9".
-        build: the scene's function; its parameters are the names it understands.
+        texts: strings such as "height=10" or "friction=0.1,0.5,0.9".
+        build: the scene function; its parameters are the names of the scene parameters.
 
     Raises:
         ValueError: A name is unknown or given twice, or lists differ in length.
@@ -110,28 +110,28 @@ def sort_assignments(texts, build) -> Assignments:
             raise ValueError(f"--set {name}: given twice")
         seen.add(name)
         several = len(values) > 1
-        place = place_of(name, parameters)
-        if place == "scene" and not (several and name in PROPERTIES):
+        target = assignment_target(name, parameters)
+        if target == "scene" and not (several and name in PROPERTIES):
             if several:
-                raise ValueError(f"--set {name}: is a parameter of the scene and takes one value, not a list")
+                raise ValueError(f"--set {name}: is a scene parameter and takes one value, not a list")
             result.scene[name] = values[0]
         elif several and name == "dt":
-            raise ValueError("--set dt: is one for the whole simulation and takes one value")
+            raise ValueError("--set dt: is shared by all environments and takes one value")
         elif several:
             result.batched[name] = values
-        elif place == "setting":
+        elif target == "setting":
             result.settings[name] = values[0]
         else:
             result.properties[name] = values[0]
     lengths = {name: len(values) for name, values in result.batched.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} has {length}" for name, length in lengths.items())
-        raise ValueError(f"--set: lists must have one value an environment, but {told}")
+        found = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+        raise ValueError(f"--set: lists must have one value per environment, but {found}")
     return result
 
 
 def _split(text: str) -> list[str]:
-    """Split at the commas outside brackets."""
+    """Split at commas outside brackets."""
     parts, depth = [""], 0
     for character in text:
         depth += (character in "([") - (character in ")]")

@@ -1,6 +1,6 @@
-"""Checkpoints of a run: how far it is, what it recorded and observed, beside the simulator itself.
+"""Checkpoints of a run: the simulator, the recorded frames and the state of the outcome.
 
-What an outcome observes must be plain data: numbers, texts, arrays, and lists, tuples and dicts of them.
+The attributes of an outcome must be plain data: numbers, strings, arrays, and lists, tuples and dicts of them.
 """
 
 import json
@@ -23,14 +23,14 @@ FRAMES, OUTCOME, DEEPEST = "more_frames_", "more_outcome_", "more_deepest"
 
 @dataclass
 class Progress:
-    """How far a run is.
+    """Progress of a run.
 
     Attributes:
-        recorder: the frames so far.
-        outcome: what was observed so far.
-        events: those that have not taken place yet.
-        deepest: (envs,) deepest overlap so far [m].
-        frame: frames done.
+        recorder: holds the frames recorded so far.
+        outcome: the outcome with its observations so far.
+        events: pending events.
+        deepest: (envs,) maximum penetration so far [m].
+        frame: number of completed frames.
     """
 
     recorder: Recorder
@@ -42,12 +42,12 @@ class Progress:
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Where a run keeps its checkpoint.
+    """When and where a run writes checkpoints.
 
     Attributes:
         path: the file.
-        every: write one whenever so many frames more are done; None writes none.
-        resuming: go on from the file if there is one.
+        every: interval between checkpoints [frames]; None writes none.
+        resuming: resume from the file if it exists.
     """
 
     path: Path
@@ -55,7 +55,7 @@ class Checkpoints:
     resuming: bool = False
 
     def write(self, plan: Any, progress: Progress) -> None:
-        """Write a checkpoint if it is time for one."""
+        """Write a checkpoint if one is due."""
         if self.every is None or progress.frame % self.every:
             return
         arrays = {FRAMES + name: array for name, array in progress.recorder.arrays().items()}
@@ -73,13 +73,13 @@ class Checkpoints:
         checkpoint.save(plan.sim, self.path, more, arrays)
 
     def resume(self, plan: Any, progress: Progress) -> bool:
-        """Bring the plan's simulator and the progress to where the checkpoint was written.
+        """Restore the simulator of the plan and the progress from the checkpoint.
 
         Returns:
-            False if there is nothing to go on from.
+            False if there is no checkpoint to resume from.
 
         Raises:
-            ValueError: the file is no checkpoint, or one of another run.
+            ValueError: The file is not a checkpoint, or belongs to a different run.
         """
         if not self.resuming or not self.path.exists():
             return False
@@ -92,9 +92,11 @@ class Checkpoints:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         for name, value in _identity(plan, progress).items():
             if kept.get(name) != value:
-                raise ValueError(f"--resume: {self.path} is of another run: {name} was {kept.get(name)}, is {value}")
+                raise ValueError(
+                    f"--resume: {self.path} belongs to a different run: {name} was {kept.get(name)}, is {value}"
+                )
         if not same_scene:
-            raise ValueError(f"--resume: {self.path} is of another run: the scene is not the same")
+            raise ValueError(f"--resume: {self.path} belongs to a different run: the scene differs")
         try:
             progress.frame = whole_in("frame", more["frame"], 1, plan.frames)
             progress.events[:] = progress.events[len(progress.events) - more["events"] :]
@@ -109,7 +111,7 @@ class Checkpoints:
 
 
 def _identity(plan: Any, progress: Progress) -> dict[str, Any]:
-    """What two runs must have in common for one to go on where the other was."""
+    """The values that must be equal to resume one run from the checkpoint of another."""
     return _as_json(
         {
             "scene": plan.demo.name,
@@ -126,12 +128,12 @@ def _identity(plan: Any, progress: Progress) -> dict[str, Any]:
 
 
 def _as_json(value: Any) -> Any:
-    """As it comes back from a file."""
+    """Convert to the form that a JSON file returns."""
     return json.loads(json.dumps(value, default=str))
 
 
 def _to_plain(name: str, value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """Plain data for JSON; arrays are put beside it and named."""
+    """Convert to plain data for JSON; arrays are added to `arrays` and referred to by name."""
     if value is None or type(value) in (bool, int, float, str):
         return value
     if isinstance(value, np.ndarray | np.generic) and np.asarray(value).dtype.kind in "biufU":
@@ -142,7 +144,7 @@ def _to_plain(name: str, value: Any, arrays: dict[str, np.ndarray]) -> Any:
         return {type(value).__name__: [_to_plain(name, part, arrays) for part in value]}
     if isinstance(value, dict):
         return {"dict": [[_to_plain(name, part, arrays) for part in pair] for pair in value.items()]}
-    raise ValueError(f"{name}: must be plain data to be kept in a checkpoint, got {type(value).__name__}")
+    raise ValueError(f"{name}: must be plain data to be stored in a checkpoint, got {type(value).__name__}")
 
 
 def _from_plain(value: Any, arrays: dict[str, np.ndarray]) -> Any:

@@ -1,7 +1,7 @@
-"""Recording: the poses of a simulation, frame by frame, with what it takes to draw them.
+"""Recording: the poses of a simulation over time, with the surfaces needed to draw them.
 
-A recording stands on its own. It keeps the bodies' surfaces and names rather than the scene, so
-that a saved one can be exported or drawn without the program that made it.
+A saved recording is self-contained: it stores the surfaces and names of the bodies, so that it can be exported or
+drawn without the program that made it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,39 +16,39 @@ from warp_rigid.files.archive import shaped
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes.heightfield import moves
 
-__all__ = ["Frame", "Recorder", "Recording", "Surface", "drawn_surface", "is_moving", "record", "steps_per_frame"]
+__all__ = ["Frame", "Recorder", "Recording", "DrawnSurface", "drawn_surface", "is_moving", "record", "steps_per_frame"]
 
 KIND = "recording"
-VERSION = 3  # raise whenever older files could no longer be read
-MOST_STEPS = 1_000_000
-"""Steps that a frame may be made of."""
+VERSION = 3  # increase when older files can no longer be read
+MAX_STEPS_PER_FRAME = 1_000_000
+"""Maximum number of steps per frame."""
 CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "level": np.int32}
-"""What is kept of every frame, by its name in the simulator."""
+"""Quantities recorded in every frame, by their name in the simulator."""
 VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
-"""What is kept beside it on demand."""
+"""Quantities recorded on request."""
 TAILS = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
 START = (*VELOCITIES, "mass", "friction", "restitution", "rolling_friction", "spinning_friction", "gravity")
-"""What is noted of the first frame only."""
+"""Quantities recorded in the first frame only."""
 CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
-"""Where a file keeps the fields of the contacts of all frames, one after another."""
+"""Archive members for the contact fields, concatenated over frames."""
 
 
 def _no_swing() -> np.ndarray:
-    """What keeps its shape has no swing."""
+    """The swing of a surface of constant shape."""
     return np.zeros((2, 0), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class DrawnSurface:
     """Triangles of a shape, in the shape's frame.
 
     Attributes:
         vertices: (n, 3) float32 [m].
         faces: (m, 3) int32, counter-clockwise seen from outside.
-        endless: True for a plane, whose triangles only stand for it.
-        swing: (2, n) float32, parts of the vertices' rise that go with the sine and the cosine of time [m]; empty for
-            what keeps its shape. Then `vertices` are the mean places.
-        angular_frequency: of that motion [rad/s].
+        endless: True for a plane, of which the triangles cover a finite part.
+        swing: (2, n) float32, sine and cosine amplitudes of the vertical vertex displacement about `vertices` [m];
+            empty for a surface of constant shape.
+        angular_frequency: of that displacement [rad/s].
     """
 
     vertices: np.ndarray
@@ -59,7 +59,7 @@ class Surface:
 
     @property
     def moves(self) -> bool:
-        """Whether the surface changes its shape in time."""
+        """Whether the surface changes its shape over time."""
         return self.swing.size > 0
 
     def vertices_at(self, time: float) -> np.ndarray:
@@ -73,7 +73,7 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The recorded environments at one time; fields as in Recording, without its first axis."""
+    """The recorded environments at one time; fields as in Recording, without the frame axis."""
 
     time: float
     position: np.ndarray
@@ -96,17 +96,17 @@ class Recording:
         asleep: (frames + 1, envs, bodies) bool.
         level: (frames + 1, envs, bodies) int32, level in the contact graph.
         fps: frames per simulated second.
-        envs: (envs,) int64, which environments of the simulation these are.
-        labels: a text for each of them; empty where nothing tells it apart.
-        names: the bodies' names.
+        envs: (envs,) int64, indices of these environments in the simulation.
+        labels: one label per environment; may be empty.
+        names: names of the bodies.
         motion: (bodies,) int64, values of Motion.
         surface: (bodies,) int64, index into surfaces.
-        surfaces: the different surfaces.
-        linear_velocity: (frames + 1, envs, bodies, 3) float32, of the centres of mass [m/s]; None unless asked for.
-        angular_velocity: (frames + 1, envs, bodies, 3) float32, in the world frame [rad/s]; None likewise.
-        contacts: for each frame its records as Simulator.contacts gives them; None unless asked for.
-        scene: what was simulated; None in a recording that was read from a file.
-        start: (envs, bodies, ...) quantities of the first frame by their names (see START); empty likewise.
+        surfaces: the distinct surfaces.
+        linear_velocity: (frames + 1, envs, bodies, 3) float32, of the centres of mass [m/s]; None if not recorded.
+        angular_velocity: (frames + 1, envs, bodies, 3) float32, in the world frame [rad/s]; None if not recorded.
+        contacts: per frame the records of Simulator.contacts; None if not recorded.
+        scene: the simulated scene; None in a recording read from a file.
+        start: (envs, bodies, ...) quantities of the first frame by name (see START); empty if read from a file.
     """
 
     time: np.ndarray
@@ -120,7 +120,7 @@ class Recording:
     names: tuple[str, ...]
     motion: np.ndarray
     surface: np.ndarray
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[DrawnSurface, ...]
     linear_velocity: np.ndarray | None = None
     angular_velocity: np.ndarray | None = None
     contacts: tuple[np.ndarray, ...] | None = None
@@ -129,20 +129,20 @@ class Recording:
 
     @property
     def num_frames(self) -> int:
-        """Frames after the first one."""
+        """Number of frames after the initial one."""
         return len(self.time) - 1
 
     def frames(self) -> Iterator[Frame]:
-        """All frames, the first included, one after another."""
+        """Iterate over all frames, including the initial one."""
         return _frames({name: getattr(self, name) for name in ("time", *self._kept)}, self.contacts)
 
     @property
     def _kept(self) -> list[str]:
-        """What there is of every frame, without the contacts."""
+        """Names of the quantities recorded in every frame, without the contacts."""
         return [*CAPTURED, *(name for name in VELOCITIES if getattr(self, name) is not None)]
 
     def rows(self, envs=None) -> np.ndarray:
-        """Where the environments `envs` (numbers in the simulation; None: all) lie in the arrays.
+        """Array rows of the environments `envs` (indices in the simulation; None: all).
 
         Raises:
             ValueError: One of them was not recorded.
@@ -151,13 +151,13 @@ class Recording:
             return np.arange(len(self.envs))
         missing = sorted(set(envs) - set(self.envs.tolist()))
         if missing:
-            raise ValueError(f"envs: {missing} were not recorded; there are {self.envs.tolist()}")
+            raise ValueError(f"envs: {missing} were not recorded; recorded: {self.envs.tolist()}")
         return np.array([int(np.flatnonzero(self.envs == env)[0]) for env in envs])
 
     def save(self, path) -> None:
-        """Write all frames to one .npz file, which holds plain arrays and text only.
+        """Write all frames to one .npz file of plain arrays and text.
 
-        The scene is not written: what is read back can be drawn, but not exported as a scene with physics.
+        The scene is not stored: a loaded recording can be drawn, but not exported as a scene with physics.
         """
         arrays = {name: getattr(self, name) for name in ("time", *self._kept, "envs", "motion", "surface")}
         if self.contacts is not None:
@@ -177,11 +177,11 @@ class Recording:
 
     @staticmethod
     def load(path) -> "Recording":
-        """Read a file that `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: It holds no whole recording of this version.
+            FileNotFoundError: The file does not exist.
+            ValueError: It is not a complete recording of this version.
         """
         text, arrays = archive.load(path, KIND, VERSION)
         try:
@@ -194,26 +194,26 @@ class Recorder:
     """Collects frames of a running simulation.
 
     Args:
-        sim: the Simulator, or anything with its `scene`, `num_envs`, `time` and `get`.
-        fps: frames per simulated second, only noted here: the caller steps.
-        envs: numbers of the environments to keep; None keeps all.
-        labels: a text for each environment kept.
-        velocities: whether to keep the bodies' velocities too.
-        contacts: whether to keep the contacts too.
+        sim: the Simulator, or an object with its `scene`, `num_envs`, `time` and `get`.
+        fps: frames per simulated second; stored only, the caller steps the simulation.
+        envs: indices of the environments to record; None records all.
+        labels: one label per recorded environment.
+        velocities: whether to record velocities.
+        contacts: whether to record contacts.
 
     Raises:
         ValueError: An environment does not exist, or labels and environments differ in number.
     """
 
     def __init__(self, sim, fps, envs=None, labels=None, velocities=False, contacts=False):
-        """Note what stays the same over time; the first frame is the first `capture`."""
+        """Store the constant data; the first `capture` records the initial frame."""
         self.envs = np.arange(sim.num_envs) if envs is None else np.asarray(envs, dtype=np.int64)
         outside = self.envs[(self.envs < 0) | (self.envs >= sim.num_envs)]
         if len(outside):
             raise ValueError(f"envs: must be from 0 to {sim.num_envs - 1}, got {outside.tolist()}")
         self.labels = ("",) * len(self.envs) if labels is None else tuple(labels)
         if len(self.labels) != len(self.envs):
-            raise ValueError(f"labels: {len(self.labels)} for {len(self.envs)} environments")
+            raise ValueError(f"labels: must be {len(self.envs)}, one per environment, got {len(self.labels)}")
         self.fps = float(fps)
         self._captured = CAPTURED | (VELOCITIES if velocities else {})
         self._contacts = contacts
@@ -222,7 +222,7 @@ class Recorder:
         self._frames: list[Frame] = []
 
     def snapshot(self, sim) -> Frame:
-        """The state of now, without keeping it."""
+        """Return the current state without storing it."""
         return Frame(
             time=float(sim.time),
             **{name: np.asarray(sim.get(name), dtype=dtype)[self.envs] for name, dtype in self._captured.items()},
@@ -230,23 +230,23 @@ class Recorder:
         )
 
     def capture(self, sim) -> None:
-        """Append the state of now as a frame."""
+        """Append the current state as a frame."""
         self._frames.append(self.snapshot(sim))
 
     @property
     def quantities(self) -> list[str]:
-        """What is kept of every frame, by name."""
+        """Names of the recorded quantities."""
         return [*self._captured, *(["contacts"] if self._contacts else [])]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What was captured so far, by name."""
+        """All recorded data as arrays, by name."""
         return self._stacked() | (_contact_arrays(self._contact_frames()) if self._contacts else {})
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Go on from what another recorder had captured.
+        """Restore the frames that another recorder returned from `arrays`.
 
         Raises:
-            ValueError: The arrays are not of such environments, bodies and quantities.
+            ValueError: The arrays do not match the environments, bodies and quantities of this recorder.
         """
         time = shaped(arrays, "time", np.float64, (None,))
         rows = (len(time), len(self.envs), len(self._scene.bodies))
@@ -254,7 +254,7 @@ class Recorder:
         self._frames = list(_frames({"time": time, **_quantities(arrays, self._captured, rows)}, contacts))
 
     def recording(self) -> Recording:
-        """All frames captured so far."""
+        """Return all frames captured so far."""
         surfaces, surface = _surfaces(self._scene.bodies)
         return Recording(
             **self._stacked(),
@@ -271,7 +271,7 @@ class Recorder:
         )
 
     def _stacked(self) -> dict[str, np.ndarray]:
-        """The frames as arrays, without their contacts."""
+        """The frames as arrays, without contacts."""
         time = np.array([frame.time for frame in self._frames])
         return {"time": time} | {name: np.stack([getattr(f, name) for f in self._frames]) for name in self._captured}
 
@@ -279,7 +279,7 @@ class Recorder:
         return tuple(frame.contacts for frame in self._frames if frame.contacts is not None)
 
     def _contacts_of(self, sim) -> np.ndarray:
-        """The contacts of the environments kept; `env` stays the simulation's number."""
+        """Contacts of the recorded environments; `env` is the index in the simulation."""
         records = sim.contacts()
         return records[np.isin(records["env"], self.envs)]
 
@@ -287,23 +287,22 @@ class Recorder:
 def record(
     sim, frames: int, fps: float = 60.0, on_frame=None, envs=None, *, velocities: bool = False, contacts: bool = False
 ) -> Recording:
-    """Step a simulation and keep the poses of every frame.
+    """Step a simulation and record the poses of every frame.
 
     Args:
-        sim: the Simulator; it is left at the time of the last frame.
-        frames: how many frames to simulate, >= 0.
+        sim: the Simulator; it ends at the time of the last frame.
+        frames: number of frames to simulate, >= 0.
         fps: frames per simulated second; one frame must be a whole number of steps of dt.
-        on_frame: function(index, sim), called after each captured frame; index 0 is the start.
-        envs: numbers of the environments to keep; None keeps all.
-        velocities: whether to keep the bodies' velocities too.
-        contacts: whether to keep the contacts of the last step of each frame too.
+        on_frame: function(index, sim), called after each captured frame; index 0 is the initial state.
+        envs: indices of the environments to record; None records all.
+        velocities: whether to record velocities.
+        contacts: whether to record the contacts of the last step of each frame.
 
     Returns:
-        A Recording of frames + 1 frames, the first of them the state before the first step.
+        A Recording of frames + 1 frames; the first is the state before the first step.
 
     Raises:
-        ValueError: fps does not divide the step rate, frames is negative, or an environment does
-            not exist.
+        ValueError: fps does not divide the step rate, frames is negative, or an environment does not exist.
     """
     if frames < 0:
         raise ValueError(f"frames: must be >= 0, got {frames}")
@@ -319,32 +318,33 @@ def record(
 
 
 def steps_per_frame(dt: float, fps: float) -> int:
-    """How many steps of dt [s] make one frame.
+    """Number of steps of dt [s] per frame.
 
     Raises:
-        ValueError: It is no whole number; the message names the nearest frame rate that fits.
+        ValueError: The number is not whole; the message names the nearest valid frame rate.
     """
     fps = number_in("fps", fps, above=0.0)
-    if 1.0 > MOST_STEPS * fps * dt:
+    if 1.0 > MAX_STEPS_PER_FRAME * fps * dt:
         raise ValueError(
-            f"fps: a frame must be at most {MOST_STEPS} steps of dt = {dt:g} s, so fps >= {1.0 / (MOST_STEPS * dt):g}"
+            f"fps: a frame must be at most {MAX_STEPS_PER_FRAME} steps of dt = {dt:g} s, "
+            f"so fps >= {1.0 / (MAX_STEPS_PER_FRAME * dt):g}"
         )
     steps = max(1, round(1.0 / (fps * dt)))
     if abs(steps * fps * dt - 1.0) > 1e-6:
         raise ValueError(
-            f"fps: a frame at {fps:g} frames/s is no whole number of steps of dt = {dt:g} s "
-            f"({1.0 / dt:g} steps/s); the nearest rate that is: {1.0 / (steps * dt):g}"
+            f"fps: a frame must be a whole number of steps of dt = {dt:g} s ({1.0 / dt:g} steps/s), got {fps:g} "
+            f"frames/s; nearest valid rate: {1.0 / (steps * dt):g}"
         )
     return steps
 
 
 def is_moving(motion: np.ndarray) -> np.ndarray:
-    """Which bodies can move, by their Motion."""
+    """Mask of the bodies that are not static, from their Motion."""
     return np.asarray(motion) != Motion.STATIC
 
 
 def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
-    """A recording's fields from a file, if they belong together."""
+    """Validate the content of a file and return the fields of a Recording."""
     time = shaped(arrays, "time", np.float64, (None,))
     envs = shaped(arrays, "envs", np.int64, (None,))
     motion = shaped(arrays, "motion", np.int64, (None,))
@@ -352,10 +352,12 @@ def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
     rows = (len(time), len(envs), len(motion))
     kept = CAPTURED | {name: kind for name, kind in VELOCITIES.items() if name in arrays}
     frames = _quantities(arrays, kept, rows)
-    told = zip(text["endless"], text["angular_frequency"], strict=True)
-    surfaces = tuple(_surface(arrays, index, bool(endless), speed) for index, (endless, speed) in enumerate(told))
+    properties = zip(text["endless"], text["angular_frequency"], strict=True)
+    surfaces = tuple(
+        _surface(arrays, index, bool(endless), frequency) for index, (endless, frequency) in enumerate(properties)
+    )
     if not len(time) or not np.isin(motion, list(Motion)).all() or not np.isin(surface, range(len(surfaces))).all():
-        raise ValueError("it must have a frame, known motions and a surface for each body")
+        raise ValueError("it must have at least one frame, valid motions and a surface for each body")
     labels, names = tuple(map(str, text["labels"])), tuple(map(str, text["names"]))
     if (len(labels), len(names)) != rows[1:]:
         raise ValueError(
@@ -369,7 +371,7 @@ def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
     }  # fmt: skip
 
 
-def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency: float) -> Surface:
+def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency: float) -> DrawnSurface:
     vertices = shaped(arrays, f"vertices_{index}", np.float32, (None, 3))
     faces = shaped(arrays, f"faces_{index}", np.int32, (None, 3))
     if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
@@ -377,16 +379,16 @@ def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency
     swing = shaped(arrays, f"swing_{index}", np.float32, (2, None))
     if swing.shape[1] not in (0, len(vertices)):
         raise ValueError(f"swing_{index} must have {len(vertices)} columns")
-    return Surface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0))
+    return DrawnSurface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0))
 
 
 def _quantities(arrays: dict[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
-    """Quantities of (frames, envs, bodies) by name, if they are whole."""
+    """Validate quantities of shape (frames, envs, bodies, ...), by name."""
     return {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in kinds.items()}
 
 
 def _frames(arrays: dict[str, np.ndarray], contacts: Sequence[np.ndarray] | None) -> Iterator[Frame]:
-    """The frames of the arrays of a film, one after another."""
+    """Iterate over the frames of stacked arrays."""
     captured = {name: array for name, array in arrays.items() if name != "time"}
     for index, time in enumerate(arrays["time"].tolist()):
         now = {name: array[index] for name, array in captured.items()}
@@ -394,14 +396,14 @@ def _frames(arrays: dict[str, np.ndarray], contacts: Sequence[np.ndarray] | None
 
 
 def _contact_arrays(contacts: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Contacts frame by frame as plain arrays: how many a frame has, and each field of all of them."""
+    """Contacts as plain arrays: the count per frame, and each field concatenated over frames."""
     records = np.concatenate(contacts)
     counts = np.array([len(part) for part in contacts], dtype=np.int64)
     return {"contact_count": counts} | {place: records[name] for name, place in CONTACTS.items()}
 
 
 def _contacts(arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray, ...]:
-    """The reverse, if everything is there."""
+    """Inverse of `_contact_arrays`, validated."""
     counts = shaped(arrays, "contact_count", np.int64, (frames,))
     total = len(shaped(arrays, CONTACTS["env"], np.int32, (None,)))
     if (counts < 0).any() or (counts > total).any() or counts.sum() != total:
@@ -412,8 +414,8 @@ def _contacts(arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray, .
     return tuple(np.split(records, np.cumsum(counts)[:-1]))
 
 
-def _surfaces(bodies) -> tuple[tuple[Surface, ...], np.ndarray]:
-    """The different surfaces of a scene's bodies, and which of them each body has."""
+def _surfaces(bodies) -> tuple[tuple[DrawnSurface, ...], np.ndarray]:
+    """The distinct surfaces of the bodies of a scene, and the surface index of each body."""
     surfaces, index_of = [], {}
     for body in bodies:
         if body.shape.key not in index_of:
@@ -422,8 +424,8 @@ def _surfaces(bodies) -> tuple[tuple[Surface, ...], np.ndarray]:
     return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
 
 
-def drawn_surface(shape) -> Surface:
-    """What is drawn of a shape."""
+def drawn_surface(shape) -> DrawnSurface:
+    """The surface that represents a shape in drawings and exports."""
     vertices, faces = shape.surface()
     swing, frequency = _no_swing(), 0.0
     if moves(shape):
@@ -431,7 +433,7 @@ def drawn_surface(shape) -> Surface:
         vertices[:, 2] = shape.heights.reshape(-1)
         parts = shape.amplitude * np.array([np.cos(shape.phase), np.sin(shape.phase)])
         swing, frequency = parts.reshape(2, -1).astype(np.float32), shape.angular_frequency
-    return Surface(
+    return DrawnSurface(
         np.asarray(vertices, dtype=np.float32),
         np.asarray(faces, dtype=np.int32),
         not np.isfinite(np.asarray(shape.bounds)).all(),

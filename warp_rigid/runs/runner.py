@@ -1,4 +1,4 @@
-"""Runner: one simulation from a scene's name to its recording, verdicts and figures."""
+"""Runner: one simulation, from the name of a scene to its recording, verdicts and summary."""
 
 import fnmatch
 import importlib.util
@@ -27,7 +27,7 @@ from warp_rigid.version import __version__
 __all__ = ["Plan", "Result", "execute", "find_scene", "module_of_file", "plan_run", "set_each", "step_frame"]
 
 FILE_SCENE_DURATION = 4.0
-"""How long a scene from a user's file runs unless told otherwise [s]."""
+"""Default duration of a scene from a user's file [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +35,16 @@ class Plan:
     """A simulation that is ready to run.
 
     Attributes:
-        demo: the scene's description.
-        scene: what it built.
+        demo: the scene description.
+        scene: the scene.
         sim: the Simulator.
-        labels: what tells the environments apart; empty texts if nothing does.
-        variants: which of the demo's variants each environment runs; None where settings or
-            properties were changed or the run is cut short, so that the demo expects nothing.
+        labels: one label per environment; may be empty.
+        variants: the variant of the demo that each environment runs; None if settings or properties were changed or
+            the duration shortened, in which case no outcome is expected.
         fps: frames per simulated second.
-        frames: how many frames to simulate.
-        parameters: what was set, by name, for the summary.
-        setup_seconds: what building the scene and the simulator took, kernels included.
+        frames: number of frames to simulate.
+        parameters: assigned values by name, for the summary.
+        setup_seconds: wall-clock time to build the scene and the simulator, including kernel loading [s].
     """
 
     demo: Demo
@@ -60,13 +60,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a run gave.
+    """Result of a run.
 
     Attributes:
-        recording: the chosen environments' poses.
-        verdicts: the outcome's verdicts; empty for a scene without an outcome.
+        recording: poses of the recorded environments.
+        verdicts: verdicts of the outcome; empty for a scene without an outcome.
         status: (envs,) records of Simulator.status.
-        summary: figures, ready for JSON.
+        summary: plain data for JSON.
     """
 
     recording: Recording
@@ -76,11 +76,11 @@ class Result:
 
 
 def find_scene(source: str) -> Demo:
-    """A built-in scene by name, the one that a .py file makes with its function scene(), or that of a USD file.
+    """Find a scene by built-in name, .py file with a function scene(), or USD file.
 
     Raises:
-        ValueError: There is no such scene, the file has no function scene(), or its format needs a converter.
-        FileNotFoundError: There is no such file.
+        ValueError: The scene is unknown, the file has no function scene(), or its format must be converted first.
+        FileNotFoundError: The file does not exist.
     """
     if source.endswith(".py"):
         return _scene_of_file(Path(source))
@@ -113,18 +113,18 @@ def plan_run(
 
     Args:
         demo: from find_scene.
-        assignments: texts "name=value" or "name=value,value,...", see warp_rigid.runs.assignments.
-        num_envs: environments; None takes as many as the lists or variants need, else one.
-        compare: one environment for each of the scene's variants.
-        frames: how many; None takes the scene's own duration.
+        assignments: strings "name=value" or "name=value,value,...", see warp_rigid.runs.assignments.
+        num_envs: number of environments; None uses the length of the lists or variants, else one.
+        compare: simulate one environment per variant of the scene.
+        frames: number of frames; None uses the duration of the scene.
         fps: frames per simulated second.
-        substeps: steps a frame, which sets dt; None takes the dt of the settings.
+        substeps: steps per frame, which sets dt; None uses the dt of the settings.
         device: as in Simulator.
-        seed: of the scene, where it draws random numbers; None leaves its own.
+        seed: seed of the scene's random numbers; None uses its default.
         memory_limit: as in Simulator.
 
     Raises:
-        ValueError: An argument does not fit the scene or another argument.
+        ValueError: An argument is incompatible with the scene or with another argument.
     """
     start = time.perf_counter()
     given = sort_assignments(assignments, demo.build)
@@ -169,19 +169,19 @@ def execute(
     velocities: bool = False,
     contacts: bool = False,
 ) -> Result:
-    """Run a plan: step, fire the scene's events, let its outcome observe every frame.
+    """Run a plan: step, apply the events of the scene, and update its outcome every frame.
 
     Args:
         plan: from plan_run.
         envs: environments to record; None records all.
-        on_frame: called with the number of frames done after each.
-        checkpoints: where to go on from, and to write checkpoints to.
-        velocities: whether to record the bodies' velocities too.
-        contacts: whether to record the contacts too.
+        on_frame: called after each frame with the number of completed frames.
+        checkpoints: the checkpoint to resume from and to write.
+        velocities: whether to record velocities.
+        contacts: whether to record contacts.
 
     Raises:
-        ValueError: An environment does not exist, fps does not divide the step rate, or the checkpoint to go on from
-            is of another run.
+        ValueError: An environment does not exist, fps does not divide the step rate, or the checkpoint belongs to a
+            different run.
     """
     sim, scene = plan.sim, plan.scene
     per_frame = steps_per_frame(sim.settings.dt, plan.fps)
@@ -212,24 +212,24 @@ def execute(
 
 
 class NoOutcome:
-    """A scene from a user's file says nothing of how it must end."""
+    """Outcome of a scene without expectations, such as one from a user's file."""
 
     def __init__(self, scene: Scene):
-        """Nothing to expect."""
+        """Accept any scene."""
 
     def observe(self, sim: Simulator) -> None:
-        """Nothing to look for."""
+        """Do nothing."""
 
     def verdicts(self, sim: Simulator) -> list[Verdict]:
-        """Nothing to judge."""
+        """Return no verdicts."""
         return []
 
 
 def module_of_file(path: Path) -> Any:
-    """What a user's .py file defines.
+    """Import a user's .py file as a module.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        FileNotFoundError: The file does not exist.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
@@ -255,9 +255,9 @@ def _scene_of_file(path: Path) -> Demo:
 
 
 def _scene_of_usd(path: Path) -> Demo:
-    """A scene without an outcome; it runs as long as the file's own film, where it has one.
+    """A scene without an outcome, with the duration of the animation in the file if there is one.
 
-    A name without a folder may be that of a file which comes with the built-in scenes.
+    A name without a folder may refer to a file shipped with the built-in scenes.
     """
     shipped = Path(scenes.__file__).parent / path
     if not path.is_file() and path.name == str(path) and shipped.is_file():
@@ -265,7 +265,7 @@ def _scene_of_usd(path: Path) -> Demo:
 
     def build(root: str | None = None, sdf_resolution: int = 64) -> Scene:
         with warnings.catch_warnings():
-            # The caller tells all that the report says.
+            # The caller prints the whole import report.
             warnings.filterwarnings("ignore", message=".*see scene.import_report")
             return import_usd(path, root, sdf_resolution=sdf_resolution)
 
@@ -280,11 +280,11 @@ def _scene_of_usd(path: Path) -> Demo:
 
 
 def _settings(demo: Demo, given: Assignments, fps: float, substeps: int | None) -> Settings:
-    """The scene's own settings, overridden by those given."""
+    """The settings of the scene, overridden by assignments."""
     chosen = {**demo.settings, **given.settings}
     if substeps is not None:
         if "dt" in given.settings:
-            raise ValueError("--substeps: sets dt, so it must not be given together with dt")
+            raise ValueError("--substeps: sets dt and cannot be combined with --set dt")
         if substeps < 1:
             raise ValueError(f"--substeps: must be >= 1, got {substeps}")
         chosen["dt"] = 1.0 / (fps * substeps)
@@ -298,7 +298,7 @@ def _variants(demo: Demo, given: Assignments) -> dict[str, dict[str, Any]]:
         raise ValueError(f"--compare: {demo.name} has no variants to compare")
     if given.batched:
         name = next(iter(given.batched))
-        raise ValueError(f"--compare: must not be given with a list for {name}")
+        raise ValueError(f"--compare: cannot be combined with a list for {name}")
     return demo.variants
 
 
@@ -309,12 +309,12 @@ def _num_envs(num_envs: int | None, given: Assignments, variants: dict) -> int:
     if num_envs < 1:
         raise ValueError(f"--envs: must be >= 1, got {num_envs}")
     if wanted is not None and wanted not in (0, num_envs):
-        raise ValueError(f"--envs: {num_envs}, but there are {wanted} values to compare")
+        raise ValueError(f"--envs: must be {wanted}, the number of values to compare, got {num_envs}")
     return num_envs
 
 
 def _apply(sim: Simulator, given: Assignments, variants: dict) -> None:
-    """Set what differs between environments, and the bodies' properties."""
+    """Set the values that differ between environments, and body properties."""
     for name in dict.fromkeys(name for variant in variants.values() for name in variant):
         default = getattr(sim.settings, name)
         sim.set(name, [variant.get(name, default) for variant in variants.values()])
@@ -325,28 +325,28 @@ def _apply(sim: Simulator, given: Assignments, variants: dict) -> None:
 
 
 def set_each(sim: Simulator, name: str, values: list) -> None:
-    """Give each environment its value of a setting or property.
+    """Set a setting or property to one value per environment.
 
     Args:
         sim: the simulator.
-        name: a name that Simulator.set takes. That of a body's property can choose bodies, by name, pattern or index:
-            "mass[box_3]", "mass[box_*]", "mass[4]". Without a choice a coefficient is for all bodies, every other
-            property for the dynamic ones.
-        values: one value for each environment, the same for all of its chosen bodies.
+        name: a name accepted by Simulator.set. A body property may select bodies by name, pattern or index:
+            "mass[box_3]", "mass[box_*]", "mass[4]". Without a selection a coefficient applies to all bodies, any other
+            property to the dynamic ones.
+        values: one value per environment, shared by its selected bodies.
 
     Raises:
-        ValueError: No body is chosen, or a value is out of range.
+        ValueError: No body is selected, or a value is out of range.
     """
     plain, _, choice = name.partition("[")
     if plain == "gravity" or plain not in PROPERTIES:
         sim.set(plain, values)
     else:
-        # One value an environment, (envs, 1) or (envs, 1, 3), for all its bodies.
+        # One value per environment, (envs, 1) or (envs, 1, 3), broadcast over its bodies.
         sim.set(plain, np.asarray(values)[:, None], bodies=chosen_bodies(sim.scene, name, plain, choice.rstrip("]")))
 
 
 def chosen_bodies(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
-    """Indices of the bodies that a property is for; see set_each."""
+    """Indices of the bodies selected by a property name; see set_each."""
     bodies = list(enumerate(scene.bodies))
     if choice.isdigit():
         found = [index for index, _ in bodies if index == int(choice)]
@@ -355,22 +355,22 @@ def chosen_bodies(scene: Scene, name: str, plain: str, choice: str) -> list[int]
     else:
         found = [index for index, body in bodies if plain in COEFFICIENTS or body.motion == Motion.DYNAMIC]
     if not found:
-        raise ValueError(f"{name}: chooses no body; there are {', '.join(body.name for _, body in bodies)}")
+        raise ValueError(f"{name}: selects no body; bodies are {', '.join(body.name for _, body in bodies)}")
     return found
 
 
 def _labels(given: Assignments, count: int) -> tuple[str, ...]:
-    """Texts such as "friction=0.1" for each environment."""
+    """One label such as "friction=0.1" per environment."""
     return tuple(", ".join(f"{name}={values[env]}" for name, values in given.batched.items()) for env in range(count))
 
 
 def step_frame(sim: Simulator, steps: int, events: list) -> None:
-    """Do steps; an event, (time, function(sim)), takes place before the first step that begins at or after it.
+    """Step the simulation; an event (time, function(sim)) is applied before the first step at or after its time.
 
     Args:
         sim: the simulator.
-        steps: how many.
-        events: those still to come, by time; what takes place is removed.
+        steps: number of steps.
+        events: pending events, sorted by time; applied events are removed.
     """
     dt = sim.settings.dt
     done = 0
@@ -386,9 +386,9 @@ def step_frame(sim: Simulator, steps: int, events: list) -> None:
 def _summary(
     plan: Plan, seconds: list, deepest: np.ndarray, status: np.ndarray, verdicts: list[Verdict]
 ) -> dict[str, Any]:
-    """Figures of a run, of plain numbers and texts."""
+    """Summary of a run as plain data."""
     sim = plan.sim
-    # The first frame may still load kernels or grow pools: it tells little of the speed.
+    # The first frame may load kernels or grow buffers, so it is excluded from the throughput.
     warm = seconds[1:] or seconds
     return {
         "scene": plan.demo.name,
@@ -415,7 +415,7 @@ def _summary(
 
 
 def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:
-    """Status records of the chosen environments."""
+    """Status records of the selected environments."""
     return [
         {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names or ()}
         for env in np.flatnonzero(chosen)
@@ -423,7 +423,7 @@ def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, Any]:
-    """A verdict with what the demo expects of each environment (None: nothing)."""
+    """A verdict with the result expected in each environment (None: nothing is expected)."""
     return {
         "name": verdict.name,
         "limit": verdict.limit,

@@ -1,18 +1,18 @@
-"""What an import could not take over."""
+"""Report of the differences between an imported scene and its file."""
 
 from dataclasses import dataclass
 
-__all__ = ["Finding", "ImportReport"]
+__all__ = ["ImportFinding", "ImportReport"]
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One thing of a file that the scene does not have, or has otherwise.
+class ImportFinding:
+    """One difference between a file and the imported scene.
 
     Attributes:
-        path: of the prim.
+        path: path of the prim.
         kind: "left out" or "changed".
-        reason: what and why, in words.
+        reason: description of the difference.
     """
 
     path: str
@@ -26,26 +26,26 @@ class Finding:
 
 @dataclass(frozen=True)
 class ImportReport:
-    """All findings of an import; empty where the scene is what the file says.
+    """All differences found by an import; empty if the scene matches the file.
 
     Attributes:
-        file: what was read.
-        findings: in the order in which they were found.
+        file: path of the imported file.
+        findings: the differences, in file order.
     """
 
     file: str
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[ImportFinding, ...] = ()
 
     @property
-    def left_out(self) -> list[Finding]:
-        """What the scene does not have at all."""
+    def left_out(self) -> list[ImportFinding]:
+        """Findings on content that was not imported."""
         return [finding for finding in self.findings if finding.kind == "left out"]
 
     @property
-    def changed(self) -> list[Finding]:
-        """What the scene has otherwise than the file says."""
+    def changed(self) -> list[ImportFinding]:
+        """Findings on content that was imported with changes."""
         return [finding for finding in self.findings if finding.kind == "changed"]
 
     def __str__(self) -> str:
-        """One line for each finding."""
-        return "\n".join(str(finding) for finding in self.findings) or f"{self.file}: everything was taken over"
+        """One line per finding."""
+        return "\n".join(str(finding) for finding in self.findings) or f"{self.file}: imported completely"

@@ -1,4 +1,4 @@
-"""Sweeps: from a question to a table and a picture.
+"""Parameter sweeps: simulate a scene over a range of parameters, tabulate metrics and plot them.
 
 import numpy as np
 import warp_rigid as wr
@@ -9,7 +9,7 @@ result.plot("tower.png", x="offset", y="top_height")
 """
 
 from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Normal, Uniform
-from warp_rigid.sweep.run import sweep
+from warp_rigid.sweep.execution import sweep
 from warp_rigid.sweep.search import search
 from warp_rigid.sweep.table import SweepResult, merge, read
 

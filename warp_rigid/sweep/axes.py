@@ -1,4 +1,4 @@
-"""Axes of a sweep: lists of values, and distributions to draw from; their notation on the command line."""
+"""Axes of a sweep: lists of values and distributions, and their syntax on the command line."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,26 +15,26 @@ __all__ = [
     "Choice", "Distribution", "Integers", "LogUniform", "Normal", "Uniform", "clean_axes", "parse_axis", "plain",
 ]  # fmt: skip
 
-MOST_VALUES = 10_000_000
+MAX_VALUES = 10_000_000
 
 
 class Distribution:
-    """Something to draw values from: `at` maps [0, 1) to values, so that any design can use it."""
+    """A distribution of values; `at` maps quantiles in [0, 1) to values."""
 
     def at(self, quantile: float) -> Any:
-        """The value below which a fraction `quantile` of the draws lies."""
+        """Value of the quantile function at `quantile`."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Uniform(Distribution):
-    """Numbers between `low` and `high`, all as likely."""
+    """Uniform distribution between `low` and `high`."""
 
     low: float
     high: float
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
+        """Check the range."""
         number_in("high", self.high, above=finite_number("low", self.low))
 
     def at(self, quantile: float) -> float:
@@ -44,13 +44,13 @@ class Uniform(Distribution):
 
 @dataclass(frozen=True)
 class LogUniform(Distribution):
-    """Positive numbers whose logarithm is uniform between those of `low` and `high`."""
+    """Distribution of positive numbers with a logarithm uniform between those of `low` and `high`."""
 
     low: float
     high: float
 
     def __post_init__(self) -> None:
-        """Refuse an empty range or one that reaches zero."""
+        """Check the range, which must be positive."""
         number_in("high", self.high, above=number_in("low", self.low, above=0.0))
 
     def at(self, quantile: float) -> float:
@@ -60,13 +60,13 @@ class LogUniform(Distribution):
 
 @dataclass(frozen=True)
 class Normal(Distribution):
-    """Numbers about `mean` with a standard `deviation`, drawn within 6 deviations of it."""
+    """Normal distribution with a `mean` and a standard `deviation`, truncated at 6 deviations."""
 
     mean: float
     deviation: float
 
     def __post_init__(self) -> None:
-        """Refuse a deviation that is not positive."""
+        """Check that the deviation is positive."""
         finite_number("mean", self.mean)
         number_in("deviation", self.deviation, above=0.0)
 
@@ -77,13 +77,13 @@ class Normal(Distribution):
 
 @dataclass(frozen=True)
 class Integers(Distribution):
-    """Whole numbers from `low` to `high`, both included, all as likely."""
+    """Uniform distribution of whole numbers from `low` to `high`, both included."""
 
     low: int
     high: int
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
+        """Check the range."""
         whole_in("high", self.high, whole_in("low", self.low, -(2**53), 2**53), 2**53)
 
     def at(self, quantile: float) -> int:
@@ -92,16 +92,16 @@ class Integers(Distribution):
 
 
 class Choice(Distribution):
-    """One of some values, all as likely."""
+    """Uniform distribution over a list of values."""
 
     def __init__(self, *values: Any) -> None:
-        """Keep the values; there must be at least one."""
+        """Store the values; at least one is required."""
         if not values:
             raise ValueError("choice: must have at least one value")
         self.values = tuple(plain(value) for value in values)
 
     def __repr__(self) -> str:
-        """Tell the values."""
+        """Show the values."""
         return f"Choice{self.values}"
 
     def at(self, quantile: float) -> Any:
@@ -116,11 +116,11 @@ DISTRIBUTIONS = {
     "integers": Integers,
     "choice": Choice,
 }
-"""Distributions by their name on the command line."""
+"""Distributions by name on the command line."""
 
 
 def plain(value: Any) -> Any:
-    """A value of an axis as plain Python: number, boolean, text, None, or a tuple of those."""
+    """Convert an axis value to plain Python: number, boolean, string, None, or a tuple of those."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, np.generic):
@@ -129,24 +129,24 @@ def plain(value: Any) -> Any:
         return tuple(plain(part) for part in value)
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise ValueError(f"axis: values must be numbers, texts, booleans or vectors of them, got {value!r}")
+    raise ValueError(f"axis: values must be numbers, strings, booleans or vectors of them, got {value!r}")
 
 
 def clean_axes(axes: Mapping[str, Any]) -> dict[str, list | Distribution]:
-    """Check a caller's axes and turn their values into plain Python.
+    """Validate axes and convert their values to plain Python.
 
     Args:
-        axes: for each name a distribution, a sequence or array of values, or one value.
+        axes: by name a distribution, a sequence or array of values, or one value.
 
     Raises:
-        ValueError: An axis is empty or holds what is no value.
+        ValueError: An axis is empty or has an invalid value.
     """
     if not isinstance(axes, Mapping):
         raise ValueError(f"axes: must be a mapping of names to values, got {type(axes).__name__}")
     clean: dict[str, list | Distribution] = {}
     for name, values in axes.items():
         if type(name) is not str or not name:
-            raise ValueError(f"axes: must have words as names, got {shown(name)}")
+            raise ValueError(f"axes: names must be non-empty strings, got {shown(name)}")
         if isinstance(values, Distribution):
             clean[name] = values
             continue
@@ -160,10 +160,10 @@ def clean_axes(axes: Mapping[str, Any]) -> dict[str, list | Distribution]:
 
 
 def parse_axis(text: str) -> tuple[str, list | Distribution]:
-    """Read an axis of the command line.
+    """Parse an axis of the command line.
 
-    Forms: "name=0.1:1.0:10" (so many values from the first to the second), "name=0.1:1.0" (uniform between them),
-    "name=off,one_pass" (these values), "name=normal(0.5,0.1)" and the like (a distribution).
+    Forms: "name=0.1:1.0:10" (first, last, count), "name=0.1:1.0" (uniform distribution), "name=off,one_pass" (list of
+    values), "name=normal(0.5,0.1)" and similar (distribution).
 
     Raises:
         ValueError: The text has another form.
@@ -178,7 +178,7 @@ def parse_axis(text: str) -> tuple[str, list | Distribution]:
         try:
             return name, DISTRIBUTIONS[kind](*arguments)
         except TypeError:
-            raise ValueError(f"--vary {name}: {kind} takes other arguments than {shown(inside[:-1])}") from None
+            raise ValueError(f"--vary {name}: invalid arguments of {kind}, got {shown(inside[:-1])}") from None
         except ValueError as error:
             raise ValueError(f"--vary {name}: {kind}: {error}") from None
     if ":" in word:
@@ -187,7 +187,7 @@ def parse_axis(text: str) -> tuple[str, list | Distribution]:
 
 
 def _range(name: str, word: str) -> list | Distribution:
-    """The numbers of "low:high:count", or a uniform distribution for "low:high"."""
+    """Expand "low:high:count" to a list of numbers, and "low:high" to a uniform distribution."""
     parts = word.split(":")
     numbers: list[float] = []
     count = None
@@ -197,10 +197,10 @@ def _range(name: str, word: str) -> list | Distribution:
     except ValueError:
         pass
     if len(numbers) != 2 or len(parts) > 3 or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"--vary {name}: must be low:high:count or low:high in numbers, got {word!r}")
+        raise ValueError(f"--vary {name}: must be low:high:count or low:high with numbers, got {word!r}")
     if count is None:
         return Uniform(*numbers)
-    whole_in(f"--vary {name}: count", count, 1, MOST_VALUES)
+    whole_in(f"--vary {name}: count", count, 1, MAX_VALUES)
     spaced = np.linspace(numbers[0], numbers[1], count).tolist()
     whole = all(part.lstrip("+-").isdigit() for part in parts[:2]) and all(value.is_integer() for value in spaced)
     return [int(value) for value in spaced] if whole else spaced

@@ -1,4 +1,4 @@
-"""Sweeps on several devices or machines, through Dask distributed: one worker is one process with one device."""
+"""Sweeps on several devices or machines through Dask distributed. Each worker is one process with one device."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -13,10 +13,10 @@ from warp_rigid.checks import whole_in
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.runs.runner import module_of_file
 from warp_rigid.scene.scene import Scene
-from warp_rigid.sweep.batch import Batch, failed_batch, run_batch
+from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
+from warp_rigid.sweep.batch_size import free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
-from warp_rigid.sweep.memory import memory_at_hand, most_environments, split_into_batches
 
 __all__ = ["cluster_of_file", "run_on_cluster"]
 
@@ -26,28 +26,29 @@ WORKERS_WITHOUT_GPU = 2
 def run_on_cluster(
     job: Job, groups: list[tuple[Scene, list[Run]]], batch: int | str, cluster: Any, workers: int | None
 ) -> Iterator[tuple[list[Run], Batch]]:
-    """Runs and what they gave, in the order in which the workers are done.
+    """Yield the runs of each batch with their results, in order of completion.
 
-    A batch whose worker is lost is run again on another. One that takes several workers with it becomes rows with
-    that reason.
+    A batch whose worker dies is retried on another worker. A batch that kills several workers becomes failed rows.
 
     Args:
-        job: what the runs share.
-        groups: runs by what can share a simulator.
-        batch: most environments at once, or "auto".
-        cluster: "local", a scheduler's address, a Dask cluster or client, or a function that returns one.
-        workers: processes of "local".
+        job: data shared by all runs.
+        groups: runs grouped by simulator structure, from group_runs.
+        batch: maximum number of environments per batch, or "auto".
+        cluster: "local", the address of a scheduler, a Dask cluster or client, or a function that returns one.
+        workers: number of worker processes for "local".
     """
     from distributed import as_completed
 
     with _client(cluster, workers) as client:
         client.wait_for_workers(1)
         hosts = _one_task_a_worker(client)
-        memory, limits = client.submit(_room, job, [scene for scene, _ in groups], hosts, pure=False).result()
-        room = {id(scene): limit for (scene, _), limit in zip(groups, limits, strict=True)}
-        parts = split_into_batches(groups, batch, lambda scene: room[id(scene)], memory, hosts.total())
+        memory, limits = client.submit(
+            _worker_capacity, job, [scene for scene, _ in groups], hosts, pure=False
+        ).result()
+        limit_of = {id(scene): limit for (scene, _), limit in zip(groups, limits, strict=True)}
+        parts = split_into_batches(groups, batch, lambda scene: limit_of[id(scene)], memory, hosts.total())
         job = replace(job, scenes={})
-        futures = {client.submit(_work, job, part, hosts, pure=False): part for part in parts}
+        futures = {client.submit(_run_on_worker, job, part, hosts, pure=False): part for part in parts}
         for future in as_completed(futures):
             part = futures.pop(future)
             error = future.exception()
@@ -56,10 +57,10 @@ def run_on_cluster(
 
 
 def cluster_of_file(path: str) -> Any:
-    """What the function cluster() of a .py file returns: a Dask cluster or client, for SLURM, Kubernetes and the like.
+    """Call the function cluster() of a .py file, which returns a Dask cluster or client (SLURM, Kubernetes, ...).
 
     Raises:
-        FileNotFoundError: There is no such file.
+        FileNotFoundError: The file does not exist.
         ValueError: It has no function cluster().
     """
     function = getattr(module_of_file(Path(path)), "cluster", None)
@@ -70,13 +71,13 @@ def cluster_of_file(path: str) -> Any:
 
 @contextmanager
 def _client(cluster: Any, workers: int | None) -> Iterator[Any]:
-    """A client of the cluster; what was started here is stopped here."""
+    """Connect to the cluster; a local cluster is started and stopped here."""
     from distributed import Client, LocalCluster
 
     if workers is not None:
         whole_in("workers", workers, 1, 4096)
         if cluster != "local":
-            raise ValueError("workers: is for the local cluster; another one has its own")
+            raise ValueError("workers: applies to the local cluster only")
     if callable(cluster) and not isinstance(cluster, Client):
         cluster = cluster()
     if isinstance(cluster, Client):
@@ -100,7 +101,7 @@ def _client(cluster: Any, workers: int | None) -> Iterator[Any]:
 
 
 def _one_task_a_worker(client: Any) -> Counter[str]:
-    """Number of workers on each host, each of which must do one thing at a time.
+    """Count the workers per host and check that each has one thread.
 
     Raises:
         ValueError: A worker has several threads.
@@ -111,11 +112,11 @@ def _one_task_a_worker(client: Any) -> Counter[str]:
     return Counter(worker["host"] for worker in workers.values())
 
 
-def _here(job: Job) -> Job:
-    """The job on this worker's device.
+def _on_this_worker(job: Job) -> Job:
+    """The job with the device of this worker.
 
-    A worker is given its device by the job, by CUDA_VISIBLE_DEVICES, or else by its number on this machine, as the
-    workers of a local cluster have it.
+    The device is that of the job if set. Otherwise worker number i of a local cluster uses CUDA device i modulo their
+    count, and any other worker the first visible CUDA device or the CPU.
     """
     from distributed import get_worker
 
@@ -127,21 +128,21 @@ def _here(job: Job) -> Job:
     return replace(job, device=job.device or ("cuda:0" if gpus else "cpu"))
 
 
-def _own_cores(hosts: Counter[str]) -> Any:
-    """Within it, the workers of a host share its cores."""
+def _shared_cores(hosts: Counter[str]) -> Any:
+    """Context in which the workers of a host share its cores."""
     from distributed import get_worker
 
     return shared_by(max(1, hosts[get_worker().ip]))
 
 
-def _room(job: Job, scenes: list[Scene], hosts: Counter[str]) -> tuple[int, list[int]]:
-    """Free memory of the worker's device [bytes], and the largest batch of each scene on it."""
-    device = _here(job).device
-    with _own_cores(hosts):
-        return memory_at_hand(device), [most_environments(scene, device) for scene in scenes]
+def _worker_capacity(job: Job, scenes: list[Scene], hosts: Counter[str]) -> tuple[int, list[int]]:
+    """Free memory of the worker's device [bytes], and the maximum batch size of each scene."""
+    device = _on_this_worker(job).device
+    with _shared_cores(hosts):
+        return free_memory(device), [max_environments(scene, device) for scene in scenes]
 
 
-def _work(job: Job, runs: list[Run], hosts: Counter[str]) -> Batch:
+def _run_on_worker(job: Job, runs: list[Run], hosts: Counter[str]) -> Batch:
     """Run a batch on a worker."""
-    with _own_cores(hosts):
-        return run_batch(_here(job), runs)
+    with _shared_cores(hosts):
+        return run_batch(_on_this_worker(job), runs)

@@ -1,34 +1,34 @@
-"""Columns that every table of results has, and what is told beside the rows."""
+"""Standard columns of result tables, and the fields of their metadata."""
 
 from typing import Any
 
 from warp_rigid.checks import shown
 
-__all__ = ["BOOKKEEPING", "COLUMNS", "FINISHED", "NEEDED", "TOLD", "told"]
+__all__ = ["BOOKKEEPING", "COLUMNS", "FINISHED", "METADATA_TYPES", "REQUIRED_COLUMNS", "metadata_field"]
 
 FINISHED = ("ok", "out of bounds")
-"""What the status of a run that came to its end can be: one that bodies leave goes on."""
+"""Statuses of a completed run. A run continues when bodies leave the bounds."""
 
 BOOKKEEPING = ("environment", "wall_time")
-"""Columns that tell how a row came about; all others depend on its parameters alone."""
+"""Columns that depend on how a row was computed; all others depend only on its parameters."""
 
 COLUMNS = ("run", "id", "seed", *BOOKKEEPING, "status", "reason", "most_pairs", "most_contacts", "trajectory")
-"""Columns of every table beside the parameters and metrics."""
+"""Standard columns of every table, besides the parameters and metrics."""
 
-TOLD: dict[str, type] = {
+METADATA_TYPES: dict[str, type] = {
     "scene": str, "fixed": dict, "duration": float, "fps": float, "metrics": list, "axes": list, "parameters": list,
     "version": str, "design_id": str, "runs": int,
 }  # fmt: skip
-"""What must be told beside the rows."""
+"""Metadata fields and their types."""
 
-NEEDED = {"run": int, "id": str, "seed": int, "status": str}
-"""Columns without which nothing can be done with a row."""
+REQUIRED_COLUMNS = {"run": int, "id": str, "seed": int, "status": str}
+"""Required columns and their types."""
 
 
-def told(about: dict[str, Any], name: str) -> Any:
-    """What is told beside the rows under a name of TOLD."""
-    value, kind = about.get(name), TOLD[name]
+def metadata_field(about: dict[str, Any], name: str) -> Any:
+    """Return a metadata field, checked against its type."""
+    value, kind = about.get(name), METADATA_TYPES[name]
     words = value if isinstance(value, list) else []
     if not (isinstance(value, kind) and all(isinstance(word, str) for word in words)):
-        raise ValueError(f"{name}: must be told beside the rows as {kind.__name__}, got {shown(value)}")
+        raise ValueError(f"{name}: must be {kind.__name__} in the metadata, got {shown(value)}")
     return value

@@ -1,4 +1,4 @@
-"""Designs: from axes to the list of runs, each with its parameters, its seed and an address that follows from them."""
+"""Designs: the list of runs of a sweep, each with its parameters, its seed and an id derived from both."""
 
 import hashlib
 import itertools
@@ -12,10 +12,10 @@ import numpy as np
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.sweep.axes import Choice, Distribution
 
-__all__ = ["DESIGNS", "Run", "address", "make_points", "shard_of"]
+__all__ = ["DESIGNS", "Run", "stable_hash", "make_points", "shard_of"]
 
 DESIGNS = ("grid", "zip", "random", "lhs")
-MOST_RUNS = 10_000_000
+MAX_RUNS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class Run:
     """One simulation of a sweep.
 
     Attributes:
-        index: its place in the design.
-        id: its address, a hash of all that decides the result.
-        parameters: values of the axes, and of the settings that go with them.
-        seed: of the scene's random numbers.
+        index: position in the design.
+        id: hash of everything that determines the result.
+        parameters: values of the axes and of the settings implied by them.
+        seed: seed of the random numbers of the scene.
     """
 
     index: int
@@ -42,41 +42,41 @@ def make_points(
     repeats: int = 1,
     seed: int = 0,
 ) -> list[tuple[dict[str, Any], int]]:
-    """The points of a design, each with the number of its repeat.
+    """Generate the points of a design, each with its repeat index.
 
-    "grid" takes every combination of the lists' values, "zip" the first values of all lists, then the second ones and
-    so on; in both a distribution is drawn anew for every point and repeat. "random" and "lhs" (a Latin hypercube, from
-    scipy) take `samples` points, where a list is a choice of its values.
+    "grid" uses every combination of the listed values, "zip" pairs the lists element by element; in both, distributions
+    are sampled again for every point and repeat. "random" and "lhs" (Latin hypercube, from scipy) sample `samples`
+    points, in which a list is sampled as a Choice of its values.
 
     Args:
         axes: from clean_axes.
         design: one of DESIGNS.
-        samples: points of "random" and "lhs"; None for the other two.
-        repeats: how often every point occurs.
-        seed: of all draws.
+        samples: number of points for "random" and "lhs"; None otherwise.
+        repeats: number of runs per point.
+        seed: seed of all samples.
 
     Raises:
-        ValueError: The arguments contradict each other.
+        ValueError: The arguments are out of range or inconsistent.
     """
     one_of("design", design, DESIGNS)
-    repeats = whole_in("repeats", repeats, 1, MOST_RUNS)
+    repeats = whole_in("repeats", repeats, 1, MAX_RUNS)
     rng = np.random.default_rng(whole_in("seed", seed, 0, 2**63 - 1))
     if design in ("random", "lhs"):
         if samples is None:
-            raise ValueError(f"samples: must be given for the design {design}")
-        _check_runs(whole_in("samples", samples, 1, MOST_RUNS), repeats)
+            raise ValueError(f"samples: is required by the design {design}")
+        _check_runs(whole_in("samples", samples, 1, MAX_RUNS), repeats)
         sampled = _sampled(axes, design, samples, rng)
         return [(point, repeat) for point in sampled for repeat in range(repeats)]
     if samples is not None:
-        raise ValueError(f"samples: is for the designs random and lhs, not {design}; repeats repeats every point")
+        raise ValueError(f"samples: applies to the designs random and lhs, not {design}; use repeats to repeat points")
     lists = {name: values for name, values in axes.items() if isinstance(values, list)}
     drawn = {name: values for name, values in axes.items() if isinstance(values, Distribution)}
     if design == "zip" and len({len(values) for values in lists.values()}) > 1:
-        told = ", ".join(f"{name} has {len(values)}" for name, values in lists.items())
-        raise ValueError(f"axes: a zip needs as many values on each, but {told}")
-    together = design == "zip" and lists
-    _check_runs(len(next(iter(lists.values()))) if together else math.prod(map(len, lists.values())), repeats)
-    rows = list(zip(*lists.values(), strict=True) if together else itertools.product(*lists.values()))
+        lengths = ", ".join(f"{name} has {len(values)}" for name, values in lists.items())
+        raise ValueError(f"axes: the design zip requires lists of equal length, but {lengths}")
+    zipped = design == "zip" and lists
+    _check_runs(len(next(iter(lists.values()))) if zipped else math.prod(map(len, lists.values())), repeats)
+    rows = list(zip(*lists.values(), strict=True) if zipped else itertools.product(*lists.values()))
     quantiles = rng.random((len(rows), repeats, len(drawn))).tolist()
     points = []
     for row, draws in zip(rows, quantiles, strict=True):
@@ -88,13 +88,13 @@ def make_points(
 
 
 def _check_runs(points: int, repeats: int) -> None:
-    """Refuse a design that is too large, before it is made."""
-    if points * repeats > MOST_RUNS:
-        raise ValueError(f"axes: make {points * repeats} runs, more than {MOST_RUNS}")
+    """Check the number of runs before they are generated."""
+    if points * repeats > MAX_RUNS:
+        raise ValueError(f"axes: must make at most {MAX_RUNS} runs, got {points * repeats}")
 
 
 def _sampled(axes: dict[str, list | Distribution], design: str, samples: int, rng: Any) -> list[dict[str, Any]]:
-    """Points drawn from all axes at once."""
+    """Sample points from all axes together."""
     if design == "lhs":
         from scipy.stats import qmc
 
@@ -108,21 +108,21 @@ def _sampled(axes: dict[str, list | Distribution], design: str, samples: int, rn
     ]
 
 
-def address(*parts: Any) -> str:
-    """A hash of plain values, 16 hexadecimal digits."""
+def stable_hash(*parts: Any) -> str:
+    """Hash plain values to 16 hexadecimal digits."""
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=repr)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def shard_of(runs: list[Run], shard: tuple[int, int] | None) -> list[Run]:
-    """Every n-th run from the i-th on, for the shard (i, n), 1 <= i <= n; all for None.
+    """Select every n-th run, starting with the i-th, for the shard (i, n), 1 <= i <= n; all runs for None.
 
     Raises:
-        ValueError: There is no such shard.
+        ValueError: The shard is out of range.
     """
     if shard is None:
         return runs
     number, count = shard
-    whole_in("shard", count, 1, MOST_RUNS)
+    whole_in("shard", count, 1, MAX_RUNS)
     whole_in("shard", number, 1, count)
     return runs[number - 1 :: count]

@@ -1,4 +1,4 @@
-"""What the runs of a sweep have in common, and how they are put into batches."""
+"""Data shared by the runs of a sweep, and the grouping of runs into batches."""
 
 import hashlib
 import inspect
@@ -14,34 +14,34 @@ import numpy as np
 from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.variation import structure
-from warp_rigid.runs.assignments import COEFFICIENTS, place_of
+from warp_rigid.runs.assignments import COEFFICIENTS, assignment_target
 from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
-from warp_rigid.sweep.design import Run, address
+from warp_rigid.sweep.design import Run, stable_hash
 
-__all__ = ["Job", "Needs", "group_runs", "make_runs", "needs_of", "resolve_scene"]
+__all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene"]
 
-MOST_KEPT = 4096
-"""So many scenes are kept from the check of a design for its runs; further ones are built again."""
+MAX_CACHED_SCENES = 4096
+"""Maximum number of scenes cached between the validation of a design and its runs; others are built again."""
 
 log = logging.getLogger("warp_rigid")
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What all runs of a sweep share; it travels to the workers of a cluster.
+    """Data shared by all runs of a sweep; serialized for the workers of a cluster.
 
     Attributes:
-        demo: the scene.
-        scene_id: what tells the scene from others, its source included.
-        fixed: names and values that all runs share.
+        demo: the scene description.
+        scene_id: identifies the scene, including its source code.
+        fixed: values shared by all runs, by name.
         duration: simulated time of each run [s].
-        fps: looks at the state per simulated second, for metrics and trajectories.
+        fps: state samples per simulated second, for metrics and trajectories.
         metrics: names of built-in metrics, or functions of the simulator.
-        trajectories: whether poses are kept.
-        device: a Warp device or its name; None takes the first CUDA device, else the CPU.
-        scenes: scenes that were built already, by their key.
+        trajectories: whether poses are recorded.
+        device: a Warp device or its name; None uses the first CUDA device, else the CPU.
+        scenes: cached scenes by key.
     """
 
     demo: Demo
@@ -56,13 +56,13 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class Needs:
-    """What one run asks for, by where it goes.
+class RunInputs:
+    """The values of one run, by target.
 
     Attributes:
-        scene: parameters of the scene.
-        settings: settings, dt among them.
-        properties: properties of bodies and gravity.
+        scene: scene parameters.
+        settings: settings, including dt.
+        properties: body properties and gravity.
     """
 
     scene: dict[str, Any]
@@ -71,18 +71,18 @@ class Needs:
 
     @property
     def scene_key(self) -> str:
-        """What runs of the same scene have in common."""
+        """Key that is equal for runs of the same scene."""
         return repr(sorted(self.scene.items()))
 
 
 def resolve_scene(scene: Any) -> tuple[Demo, str]:
-    """A caller's scene and what tells it from others.
+    """Resolve the scene argument of a sweep to a scene description and a scene id.
 
     Args:
         scene: a built-in name, the path of a .py file, a Demo, a Scene, or a function that returns a Scene.
 
     Raises:
-        ValueError: It is none of these.
+        ValueError: The argument is none of these.
     """
     if isinstance(scene, str | Path):
         demo = find_scene(str(scene))
@@ -106,67 +106,68 @@ def resolve_scene(scene: Any) -> tuple[Demo, str]:
 
 
 def make_runs(job: Job, points: list[tuple[dict[str, Any], int]], seed: int | None) -> list[Run]:
-    """Give every point its settings, its seed and its address."""
+    """Create the run of every point, with its implied settings, its seed and its id."""
     base = job.demo.parameters.get("seed", 0) if seed is None else seed
     base = base if isinstance(base, int) else 0
-    asked = set(points[0][0]) | set(job.fixed) if points else set()
-    companions = _companions(job, asked, [point for point, _ in points])
-    runs, met = [], {}
+    given = set(points[0][0]) | set(job.fixed) if points else set()
+    implied = _implied_settings(job, given, [point for point, _ in points])
+    runs, occurrences = [], {}
     for index, (point, repeat) in enumerate(points):
         parameters = dict(point)
-        for name in companions:
-            parameters[name] = _accompanied(job, point, name, companions[name])
+        for name in implied:
+            parameters[name] = _implied_value(job, point, name, implied[name])
         parts = [job.scene_id, job.fixed, parameters, base + repeat, job.duration]
-        found = address(*parts)
-        met[found] = met.get(found, 0) + 1
-        # A design may hold the same point twice; each of them is a run of its own.
-        runs.append(Run(index, found if met[found] == 1 else address(*parts, met[found]), parameters, base + repeat))
+        run_id = stable_hash(*parts)
+        occurrences[run_id] = occurrences.get(run_id, 0) + 1
+        if occurrences[run_id] > 1:  # a design may contain a point twice; each occurrence is a separate run
+            run_id = stable_hash(*parts, occurrences[run_id])
+        runs.append(Run(index, run_id, parameters, base + repeat))
     return runs
 
 
-def needs_of(job: Job, runs: Sequence[Run]) -> list[Needs]:
-    """Sort what runs set by where it goes."""
+def run_inputs(job: Job, runs: Sequence[Run]) -> list[RunInputs]:
+    """Sort the values of each run by target."""
     known = job.demo.parameters
     names = [*job.fixed, *(runs[0].parameters if runs else ())]
-    places = {name: place_of(name, known, "axis") for name in names}
+    places = {name: assignment_target(name, known, "axis") for name in names}
     found = []
     for run in runs:
-        needs = Needs({}, dict(job.demo.settings), {})
-        targets = {"scene": needs.scene, "setting": needs.settings, "property": needs.properties}
+        inputs = RunInputs({}, dict(job.demo.settings), {})
+        targets = {"scene": inputs.scene, "setting": inputs.settings, "property": inputs.properties}
         for name, value in {**job.fixed, **run.parameters}.items():
             targets[places[name]][name] = value
         if "seed" in known:
-            needs.scene.setdefault("seed", run.seed)
-        found.append(needs)
+            inputs.scene.setdefault("seed", run.seed)
+        found.append(inputs)
     return found
 
 
 def group_runs(job: Job, runs: list[Run]) -> list[tuple[Scene, list[Run]]]:
-    """Runs that can share a simulator: one structure of the scene, one time step.
+    """Group runs that can share a simulator: same scene structure, same time step.
 
-    Every scene is built and every value checked here, before anything runs.
+    Builds every scene and validates every value before any run.
 
     Returns:
         For each group a scene of its structure and its runs, in the order of the design.
 
     Raises:
-        ValueError: A name is unknown or a value out of range.
+        ValueError: A name is unknown or a value is out of range.
     """
     kinds: dict[str, Scene] = {}
     examples: dict[Any, Scene] = {}
     checked: set[Any] = set()
     steps: dict[Any, float] = {}
     groups: dict[Any, tuple[Scene, list[Run]]] = {}
-    for run, needs in zip(runs, needs_of(job, runs), strict=True):
-        key = needs.scene_key
+    for run, inputs in zip(runs, run_inputs(job, runs), strict=True):
+        key = inputs.scene_key
         if key not in kinds:
-            scene = build_scene(job, needs)
+            scene = build_scene(job, inputs)
             kinds[key] = examples.setdefault(structure(scene), scene)
         example = kinds[key]
-        settings = tuple(needs.settings.items())
+        settings = tuple(inputs.settings.items())
         if settings not in steps:
-            steps[settings] = Settings(**needs.settings).dt
-        for name, value in needs.properties.items():
+            steps[settings] = Settings(**inputs.settings).dt
+        for name, value in inputs.properties.items():
             if (id(example), name, value) not in checked:
                 _check_property(example, name, value)
                 checked.add((id(example), name, value))
@@ -174,38 +175,38 @@ def group_runs(job: Job, runs: list[Run]) -> list[tuple[Scene, list[Run]]]:
     return list(groups.values())
 
 
-def build_scene(job: Job, needs: Needs) -> Scene:
-    """The scene of a run.
+def build_scene(job: Job, inputs: RunInputs) -> Scene:
+    """Build the scene of a run, or take it from the cache.
 
     Raises:
-        ValueError: A parameter is out of range, or the function returns no Scene.
+        ValueError: A parameter is out of range, or the function does not return a Scene.
     """
-    key = needs.scene_key
+    key = inputs.scene_key
     if key in job.scenes:
         return job.scenes[key]
-    scene = job.demo.build(**needs.scene)
+    scene = job.demo.build(**inputs.scene)
     if not isinstance(scene, Scene):
         raise ValueError(f"scene: {job.demo.name} must return a Scene, got {type(scene).__name__}")
-    if len(job.scenes) < MOST_KEPT:
+    if len(job.scenes) < MAX_CACHED_SCENES:
         job.scenes[key] = scene
     return scene
 
 
-def _companions(job: Job, asked: set[str], points: list[dict[str, Any]]) -> dict[str, Any]:
-    """Settings that go with values of the axes in this scene and were not given, with what holds otherwise."""
+def _implied_settings(job: Job, given: set[str], points: list[dict[str, Any]]) -> dict[str, Any]:
+    """Settings implied by axis values of this scene and not set explicitly, with their default values."""
     found: dict[str, Any] = {}
     for axis, by_value in job.demo.goes_with.items():
         values = dict.fromkeys(point[axis] for point in points if axis in point)
         for value in values:
-            for name, companion in by_value.get(value, {}).items():
-                if name not in asked:
+            for name, implied in by_value.get(value, {}).items():
+                if name not in given:
                     found[name] = job.demo.settings.get(name, getattr(Settings(), name))
-                    log.info("%s=%s also sets %s=%s, unless that is set", axis, value, name, companion)
+                    log.info("%s=%s also sets %s=%s, unless set explicitly", axis, value, name, implied)
     return found
 
 
-def _accompanied(job: Job, point: dict[str, Any], name: str, otherwise: Any) -> Any:
-    """The value of a setting that goes with the point's values, or what holds otherwise."""
+def _implied_value(job: Job, point: dict[str, Any], name: str, otherwise: Any) -> Any:
+    """The value of a setting implied by the values of a point, or the default."""
     for axis, by_value in job.demo.goes_with.items():
         if axis in point and name in by_value.get(point[axis], {}):
             return by_value[point[axis]][name]
@@ -213,7 +214,7 @@ def _accompanied(job: Job, point: dict[str, Any], name: str, otherwise: Any) -> 
 
 
 def _check_property(scene: Scene, name: str, value: Any) -> None:
-    """Refuse what Simulator.set would refuse, before anything runs."""
+    """Validate a property as Simulator.set does, before any run."""
     plain, _, choice = name.partition("[")
     if plain != "gravity":
         chosen_bodies(scene, name, plain, choice.rstrip("]"))

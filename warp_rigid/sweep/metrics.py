@@ -1,4 +1,4 @@
-"""Metrics: what a sweep measures of every run."""
+"""Metrics evaluated for every run of a sweep."""
 
 import inspect
 from collections.abc import Callable, Sequence
@@ -13,11 +13,11 @@ from warp_rigid.runs.runner import module_of_file
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 
-__all__ = ["DEFAULT", "METRICS", "OUTCOME", "Watch", "check_metrics", "measure", "metric_name"]
+__all__ = ["DEFAULT", "METRICS", "OUTCOME", "MetricRecorder", "check_metrics", "measure", "metric_name"]
 
 
-class Watch:
-    """Looks at a batch while it runs, and measures each environment.
+class MetricRecorder:
+    """Samples the state of a batch while it runs, and evaluates the metrics of each environment.
 
     Args:
         sim: the simulator, before its first step.
@@ -25,20 +25,20 @@ class Watch:
     """
 
     def __init__(self, sim: Simulator, metrics: Sequence[str]) -> None:
-        """Note the start."""
+        """Store the initial state."""
         self.sim, self.metrics = sim, metrics
         self.dynamic = np.array([body.motion == Motion.DYNAMIC for body in sim.scene.bodies])
         self.start = self.centers()
         self.moving_until = np.zeros(sim.num_envs)
         self.deepest = np.zeros(sim.num_envs)
-        self.box = _box(sim)
+        self.box = _initial_bounds(sim)
 
     def centers(self) -> np.ndarray:
         """Centres of mass of the dynamic bodies, (envs, bodies, 3) [m]."""
         return self.sim.get("center_of_mass")[:, self.dynamic].astype(np.float64)
 
     def observe(self) -> None:
-        """Look at the state now; called after the same steps whatever the batch."""
+        """Sample the current state. The sampling times do not depend on the batch."""
         if "settle_time" in self.metrics and self.dynamic.any():
             velocity = self.sim.get("linear_velocity")[:, self.dynamic].astype(np.float64)
             speed = np.linalg.norm(velocity, axis=-1).max(axis=1)
@@ -47,7 +47,7 @@ class Watch:
             self.deepest = np.maximum(self.deepest, self.sim.penetration())
 
     def values(self) -> dict[str, np.ndarray]:
-        """Every metric at the end, (envs, ...); NaN where a run has none."""
+        """Final value of every metric, (envs, ...); NaN if undefined for a run."""
         found: dict[str, np.ndarray] = {}
         for name in self.metrics:
             values = METRICS[name](self)
@@ -55,66 +55,66 @@ class Watch:
         return found
 
 
-def _top_height(watch: Watch) -> np.ndarray:
-    """Height of the highest dynamic body's centre of mass [m]."""
-    return _highest(watch.centers())
+def _top_height(recorder: MetricRecorder) -> np.ndarray:
+    """Height of the highest centre of mass of a dynamic body [m]."""
+    return _highest(recorder.centers())
 
 
-def _deepest_overlap(watch: Watch) -> np.ndarray:
-    """Deepest overlap of two bodies at any look [m]."""
-    return watch.deepest
+def _deepest_overlap(recorder: MetricRecorder) -> np.ndarray:
+    """Maximum penetration between two bodies over all samples [m]."""
+    return recorder.deepest
 
 
-def _drift(watch: Watch) -> np.ndarray:
-    """Largest distance of a dynamic body's centre of mass from where it started [m]."""
-    if not watch.dynamic.any():
-        return np.zeros(watch.sim.num_envs)
-    return np.linalg.norm(watch.centers() - watch.start, axis=-1).max(axis=1)
+def _drift(recorder: MetricRecorder) -> np.ndarray:
+    """Maximum displacement of the centre of mass of a dynamic body from its initial position [m]."""
+    if not recorder.dynamic.any():
+        return np.zeros(recorder.sim.num_envs)
+    return np.linalg.norm(recorder.centers() - recorder.start, axis=-1).max(axis=1)
 
 
-def _settle_time(watch: Watch) -> np.ndarray:
-    """Time from which on no dynamic body was faster than AT_REST [s]; none where one still is."""
-    return np.where(watch.moving_until < watch.sim.time, watch.moving_until, np.nan)
+def _settle_time(recorder: MetricRecorder) -> np.ndarray:
+    """Time of the last sample in which a dynamic body was faster than AT_REST [s]; NaN if one still is at the end."""
+    return np.where(recorder.moving_until < recorder.sim.time, recorder.moving_until, np.nan)
 
 
-def _kinetic_energy(watch: Watch) -> np.ndarray:
-    """Kinetic energy of all bodies at the end [J]."""
-    return watch.sim.get("kinetic_energy").sum(axis=1)
+def _kinetic_energy(recorder: MetricRecorder) -> np.ndarray:
+    """Final kinetic energy of all bodies [J]."""
+    return recorder.sim.get("kinetic_energy").sum(axis=1)
 
 
-def _toppled(watch: Watch) -> np.ndarray:
-    """Whether the top came down to less than half its height above the lowest body, as both were at first.
+def _toppled(recorder: MetricRecorder) -> np.ndarray:
+    """Whether the highest body ended below half the initial height difference between highest and lowest body.
 
-    Bodies that are all at one height at first cannot topple.
+    False if all bodies start at the same height.
     """
-    foot = watch.start[..., 2].min(axis=1, initial=np.inf)
-    height = _highest(watch.start) - foot
-    return (height > 0.0) & (_highest(watch.centers()) < foot + 0.5 * height)
+    foot = recorder.start[..., 2].min(axis=1, initial=np.inf)
+    height = _highest(recorder.start) - foot
+    return (height > 0.0) & (_highest(recorder.centers()) < foot + 0.5 * height)
 
 
-def _escaped(watch: Watch) -> np.ndarray:
-    """Dynamic bodies whose centre of mass ended farther outside the start's box than that box is wide."""
-    lower, upper = watch.box
+def _escaped(recorder: MetricRecorder) -> np.ndarray:
+    """Number of dynamic bodies that ended outside the initial bounding box by more than the length of its diagonal."""
+    lower, upper = recorder.box
     reach = np.linalg.norm(upper - lower, axis=-1, keepdims=True)
-    centers = watch.centers()
-    # What is not a number has escaped too: the comparison must be false for it.
+    centers = recorder.centers()
+    # NaN positions count as escaped, since the comparison is false for them.
     inside = (centers > lower - reach) & (centers < upper + reach)
     return (~inside.all(axis=-1)).sum(axis=1)
 
 
-def _contacts(watch: Watch) -> np.ndarray:
-    """Contacts of the last step."""
-    return counts_of_environments(watch.sim)[1]
+def _contacts(recorder: MetricRecorder) -> np.ndarray:
+    """Number of contacts in the last step."""
+    return counts_of_environments(recorder.sim)[1]
 
 
-def _final_pose(watch: Watch) -> dict[str, np.ndarray]:
-    """Pose of every body at the end, one after another: x, y, z [m] and quaternions (x, y, z, w)."""
-    envs = watch.sim.num_envs
-    position, orientation = (watch.sim.get(name).reshape(envs, -1) for name in ("position", "orientation"))
+def _final_pose(recorder: MetricRecorder) -> dict[str, np.ndarray]:
+    """Final poses of all bodies, concatenated: positions x, y, z [m] and quaternions (x, y, z, w)."""
+    envs = recorder.sim.num_envs
+    position, orientation = (recorder.sim.get(name).reshape(envs, -1) for name in ("position", "orientation"))
     return {"final_position": position, "final_orientation": orientation}
 
 
-METRICS: dict[str, Callable[[Watch], Any]] = {
+METRICS: dict[str, Callable[[MetricRecorder], Any]] = {
     "top_height": _top_height,
     "deepest_overlap": _deepest_overlap,
     "drift": _drift,
@@ -125,24 +125,24 @@ METRICS: dict[str, Callable[[Watch], Any]] = {
     "contacts": _contacts,
     "final_pose": _final_pose,
 }
-"""Built-in metrics. The outcome of the scene itself is one more, "outcome"."""
+"""Built-in metrics by name. "outcome" also selects the verdicts of the scene."""
 
 DEFAULT = tuple(name for name in METRICS if name != "final_pose")
-"""Metrics of a sweep that names none."""
+"""Default metrics of a sweep."""
 
 OUTCOME = "outcome"
 
 
 def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
-    """Names and functions of a caller's metrics; None stands for DEFAULT.
+    """Validate a caller's metrics and resolve files to functions; None means DEFAULT.
 
     Args:
         metrics: names of built-in metrics, "outcome", functions of the simulator, and paths of .py files, of which
-            every public function that the file defines is one. A function returns (envs,) or (envs, n) numbers.
+            each public function is a metric. A function returns (envs,) or (envs, n) numbers.
 
     Raises:
-        ValueError: There is no such metric, or two have the same name.
-        FileNotFoundError: There is no such file.
+        ValueError: A metric is unknown, or two have the same name.
+        FileNotFoundError: A file does not exist.
     """
     if metrics is None:
         return DEFAULT
@@ -154,7 +154,7 @@ def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
             found.append(metric)
         else:
             known = ", ".join((*METRICS, OUTCOME))
-            raise ValueError(f"metrics: must be functions, .py files or of {known}; got {metric!r}")
+            raise ValueError(f"metrics: must be functions, .py files or names ({known}), got {metric!r}")
     names = [metric_name(metric) for metric in found]
     if len(set(names)) < len(names):
         raise ValueError(f"metrics: {max(names, key=names.count)} is given twice")
@@ -162,15 +162,15 @@ def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
 
 
 def metric_name(metric: str | Callable) -> str:
-    """What a metric's column is called."""
+    """Column name of a metric."""
     return metric if isinstance(metric, str) else getattr(metric, "__name__", type(metric).__name__)
 
 
 def measure(function: Callable, sim: Simulator) -> np.ndarray:
-    """Values of a user's metric, (envs, ...).
+    """Evaluate a user's metric, (envs, ...).
 
     Raises:
-        ValueError: They are not as many as there are environments.
+        ValueError: The result does not have one row per environment.
     """
     values = np.asarray(function(sim))
     if values.shape[:1] != (sim.num_envs,) or values.ndim > 2:
@@ -182,7 +182,7 @@ def measure(function: Callable, sim: Simulator) -> np.ndarray:
 
 
 def _functions_of(path: Path) -> list[Callable]:
-    """The public functions that a .py file defines."""
+    """The public functions defined in a .py file."""
     module = module_of_file(path)
     found: list[Callable] = [
         function
@@ -190,7 +190,7 @@ def _functions_of(path: Path) -> list[Callable]:
         if inspect.isfunction(function) and function.__module__ == module.__name__ and not name.startswith("_")
     ]
     if not found:
-        raise ValueError(f"{path}: defines no function to measure with")
+        raise ValueError(f"{path}: must define at least one public function")
     return found
 
 
@@ -198,8 +198,8 @@ def _highest(centers: np.ndarray) -> np.ndarray:
     return centers[..., 2].max(axis=1, initial=-np.inf)
 
 
-def _box(sim: Simulator) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box about all bodies of finite size, as spheres, at the start, each (envs, 1, 3) [m]."""
+def _initial_bounds(sim: Simulator) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the box around the bounding spheres of all finite bodies, each (envs, 1, 3) [m]."""
     bounds = [np.asarray(body.shape.bounds, np.float64) for body in sim.scene.bodies]
     radius = np.array([np.linalg.norm(np.abs(b).max(axis=0)) if np.isfinite(b).all() else np.nan for b in bounds])
     finite = np.isfinite(radius)

@@ -1,4 +1,4 @@
-"""Tables of results: rows in memory, Parquet files that survive a kill, and what is told beside them."""
+"""Result tables: rows in memory, Parquet files that are replaced atomically, and their metadata."""
 
 import json
 import time
@@ -9,17 +9,24 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
-from warp_rigid.sweep.batch import replay
-from warp_rigid.sweep.columns import BOOKKEEPING, COLUMNS, FINISHED, NEEDED, TOLD, told
-from warp_rigid.sweep.design import MOST_RUNS
-from warp_rigid.sweep.plots import plot
+from warp_rigid.sweep.batch_run import replay
+from warp_rigid.sweep.columns import (
+    BOOKKEEPING,
+    COLUMNS,
+    FINISHED,
+    METADATA_TYPES,
+    REQUIRED_COLUMNS,
+    metadata_field,
+)
+from warp_rigid.sweep.design import MAX_RUNS
+from warp_rigid.sweep.result_plots import plot
 
-__all__ = ["BOOKKEEPING", "COLUMNS", "Book", "SweepResult", "merge", "read", "told", "write"]
+__all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
 
-REST = 10.0
-"""The file is written anew no sooner than after so many times what the last writing took."""
+WRITE_INTERVAL_RATIO = 10.0
+"""Minimum time between two writes of the file, relative to the duration of a write."""
 
 METADATA = b"warp_rigid"
 
@@ -28,14 +35,14 @@ class SweepResult:
     """The rows of a sweep, in the order of its design.
 
     Attributes:
-        rows: one dictionary a run: run, id, seed, parameters, environment, status, reason, high-water marks, metrics,
-            wall_time [s].
-        about: what the rows come from: scene, design, versions.
-        source: the scene as it was given, None if only a file tells of it.
+        rows: one dictionary per run: run, id, seed, parameters, environment, status, reason, peak pair and contact
+            counts, metrics, wall_time [s].
+        about: metadata: scene, design, versions.
+        source: the scene as passed to `sweep`; for a table read from a file, the name or path of the scene, or None.
     """
 
     def __init__(self, rows: Sequence[dict[str, Any]], about: dict[str, Any], source: Any = None) -> None:
-        """Sort the rows by their place in the design."""
+        """Sort the rows by their position in the design."""
         self.rows = sorted(rows, key=lambda row: row["run"])
         self.about = about
         self.source = about.get("source") if source is None else source
@@ -45,12 +52,12 @@ class SweepResult:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        """Tell the size."""
+        """Show the number of runs."""
         return f"SweepResult({len(self)} runs of {self.about.get('scene')}, {len(self.failed)} failed)"
 
     @property
     def failed(self) -> list[dict[str, Any]]:
-        """Rows of runs that did not come to their end."""
+        """Rows of runs that did not complete."""
         return [row for row in self.rows if row["status"] not in FINISHED]
 
     @property
@@ -65,14 +72,14 @@ class SweepResult:
 
     @property
     def metrics(self) -> list[str]:
-        """Names of the columns that were measured."""
+        """Names of the metric columns."""
         return [name for name in self.names if name not in COLUMNS and name not in self.about.get("parameters", ())]
 
     def column(self, name: str) -> np.ndarray:
-        """Values of a column, one a row; NaN for a number that is missing.
+        """Values of a column, one per row; NaN for a missing number.
 
         Raises:
-            ValueError: There is no such column.
+            ValueError: The column does not exist.
         """
         if name not in self.names:
             raise ValueError(f"column: must be one of {', '.join(self.names)}, got {name!r}")
@@ -95,48 +102,48 @@ class SweepResult:
         return self.to_arrow().to_pandas()
 
     def to_parquet(self, path: Any) -> None:
-        """Write the rows to a Parquet file, and beside it PATH.json, which tells where they come from."""
+        """Write the rows to a Parquet file and the metadata to PATH.json."""
         write(self, path)
 
     def replay(self, row: dict[str, Any], scene: Any = None, device: Any = None) -> Any:
-        """A Simulator of one row, at its start: it does again what the row did, to record it or to look at it.
+        """Build a Simulator of one row in its initial state, to simulate that run again.
 
-        Events of a built-in scene, such as a box that flies in, are not part of it.
+        Events of a built-in scene, such as a thrown box, are not included.
 
         Args:
             row: one of `rows`.
-            scene: the scene as it was given to `sweep`; only needed for a table that was read from a file and whose
-                scene has neither a name nor a file.
-            device: as in Simulator; only the same kind of device gives the same bits.
+            scene: the scene as passed to `sweep`; required only for a table read from a file whose scene has neither a
+                name nor a file.
+            device: as in Simulator; results are bitwise equal only on the same kind of device.
         """
         return replay(self, row, scene, device)
 
     def plot(self, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
-        """Draw the rows, and return the matplotlib Figure; see warp_rigid.sweep.plots.plot."""
+        """Plot the rows and return the matplotlib Figure; see warp_rigid.sweep.result_plots.plot."""
         return plot(self, path, x=x, y=y, kind=kind)
 
 
-class Book:
+class ResultFile:
     """A result file that grows while a sweep runs.
 
-    The whole file is written anew beside the old one and then takes its place, so that at any moment there is a
-    complete, readable one. Writing rests in proportion to what it costs.
+    Each write replaces the whole file atomically, so that a complete file exists at any time. The interval between
+    writes is proportional to their duration.
 
     Args:
         path: the Parquet file; None keeps the rows in memory only.
-        about: what the rows come from.
-        resume: begin with the finished rows of an existing file.
+        about: metadata of the table.
+        resume: start with the finished rows of an existing file.
         overwrite: replace an existing file.
-        source: the scene as it was given.
+        source: the scene as passed to `sweep`.
 
     Raises:
-        ValueError: The file exists and is neither resumed nor overwritten, or it holds rows of another sweep.
+        ValueError: The file exists and is neither resumed nor overwritten, or holds rows of a different sweep.
     """
 
     def __init__(
         self, path: Any, about: dict[str, Any], resume: bool = False, overwrite: bool = False, source: Any = None
     ) -> None:
-        """Look at what is there already."""
+        """Check the path and load finished rows if resumed."""
         self.path = None if path is None else Path(path)
         self.about = about
         self.source = source
@@ -145,45 +152,45 @@ class Book:
         self._changed = False
         if self.path is None:
             return
-        # Fails here, before anything runs, where pyarrow is missing; and its slow start shall not count as writing.
+        # Fails before any run if pyarrow is missing, and excludes its slow import from the measured write time.
         SweepResult([{"run": 0}], {}).to_arrow()
         if self.path.suffix != ".parquet":
             raise ValueError(f"output: must end in .parquet, got {self.path}")
         if self.path.exists() and resume:
-            self._take_up()
+            self._load_finished()
         elif self.path.exists() and not overwrite:
-            raise ValueError(f"{self.path}: exists already; resume it, overwrite it or choose another name")
+            raise ValueError(f"{self.path}: already exists; resume it, overwrite it or choose another name")
 
     def keep(self, ids: Iterable[str]) -> None:
-        """Refuse rows that the design does not ask for.
+        """Check that all loaded rows belong to the design.
 
         Args:
-            ids: addresses of all runs of the design.
+            ids: ids of all runs of the design.
         """
-        strange = set(self.rows) - set(ids)
-        if strange:
-            raise ValueError(f"{self.path}: holds {len(strange)} runs that are not of this design; choose another name")
+        unknown = set(self.rows) - set(ids)
+        if unknown:
+            raise ValueError(f"{self.path}: holds {len(unknown)} runs of a different design; choose another name")
 
     def add(self, rows: Iterable[dict[str, Any]]) -> None:
-        """Take in rows, and write the file if it is time."""
+        """Add rows, and write the file if a write is due."""
         for row in rows:
             self.rows[row["id"]] = row
             self._changed = True
-        if time.monotonic() - self._written >= REST * self._cost:
+        if time.monotonic() - self._written >= WRITE_INTERVAL_RATIO * self._cost:
             self.write()
 
     def write(self, **about: Any) -> None:
         """Write the file now.
 
         Args:
-            **about: what else to tell beside the rows.
+            **about: metadata to update.
         """
         self._changed |= any(self.about.get(name) != value for name, value in about.items())
         self.about |= about
         if self.path is None or not self._changed:
             return
         start = time.monotonic()
-        write(self.result(), self.path, tell=bool(about))
+        write(self.result(), self.path, sidecar=bool(about))
         self._changed = False
         self._written = time.monotonic()
         self._cost = self._written - start
@@ -192,46 +199,46 @@ class Book:
         """The rows so far."""
         return SweepResult(list(self.rows.values()), self.about, self.source)
 
-    def _take_up(self) -> None:
-        """Begin with the finished rows of the file."""
+    def _load_finished(self) -> None:
+        """Load the finished rows of the file."""
         before = read(self.path)
         check_same_sweep(self.path, before.about, self.about)
         self.rows = {row["id"]: row for row in before.rows if row["status"] in FINISHED}
 
 
 def check_same_sweep(path: Any, before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Refuse to put rows together that were made in different ways.
+    """Check that two tables come from the same sweep.
 
     Raises:
-        ValueError: They were; the message names the first difference.
+        ValueError: They differ; the message names the first difference.
     """
     for name in ("scene", "fixed", "duration", "fps", "metrics", "version"):
         if before.get(name) != now.get(name):
             raise ValueError(
-                f"{path}: holds another sweep: {name} is {before.get(name)!r} there, {now.get(name)!r} here"
+                f"{path}: holds a different sweep: {name} is {before.get(name)!r} there, {now.get(name)!r} here"
             )
 
 
-def write(result: SweepResult, path: Any, tell: bool = True) -> None:
-    """Write a table and, if `tell`, the file beside it; an existing file is replaced in one moment."""
+def write(result: SweepResult, path: Any, sidecar: bool = True) -> None:
+    """Write a table atomically and, if `sidecar`, its metadata to PATH.json."""
     import pyarrow.parquet
 
     path = Path(path)
     about = json.dumps(result.about, default=str)
     table = result.to_arrow().replace_schema_metadata({METADATA: about.encode()})
-    with whole_file(path) as beside, beside.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         pyarrow.parquet.write_table(table, file, compression="zstd")
-    if tell:
-        with whole_file(path.with_name(path.name + ".json")) as beside:
-            beside.write_text(json.dumps(result.about, default=str, indent=2) + "\n")
+    if sidecar:
+        with atomic_file(path.with_name(path.name + ".json")) as temporary:
+            temporary.write_text(json.dumps(result.about, default=str, indent=2) + "\n")
 
 
 def read(path: Any) -> SweepResult:
-    """Read a table that a sweep wrote.
+    """Read a table written by a sweep.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no table of a sweep.
+        FileNotFoundError: The file does not exist.
+        ValueError: It is not a table of a sweep.
     """
     import pyarrow
 
@@ -240,10 +247,10 @@ def read(path: Any) -> SweepResult:
     try:
         import pyarrow.parquet
 
-        # Equal values take next to no room in a file, however many they are.
+        # Repeated values compress to almost nothing, so a small file can hold too many rows.
         count = pyarrow.parquet.read_metadata(path).num_rows
-        if count > MOST_RUNS:
-            raise ValueError(f"at most {MOST_RUNS} rows can be read, not {count}")
+        if count > MAX_RUNS:
+            raise ValueError(f"must have at most {MAX_RUNS} rows, got {count}")
         table = pyarrow.parquet.read_table(path)
         about = json.loads(table.schema.metadata[METADATA])
         columns = {name: table.column(name).to_pylist() for name in table.column_names}
@@ -256,55 +263,55 @@ def read(path: Any) -> SweepResult:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"{path}: holds no rows of a sweep ({reason[:300]})") from None
+        raise ValueError(f"{path}: not a table of a sweep: {reason[:300]}") from None
     return SweepResult(rows, about)
 
 
 def _check(about: Any, rows: list[dict[str, Any]]) -> None:
-    """Refuse what is no table of a sweep, though it has rows and something is told beside them."""
+    """Check that metadata and rows are those of a sweep."""
     if not isinstance(about, dict):
-        raise ValueError(f"what is told beside the rows must be named, got {shown(about)}")
-    for name in TOLD.keys() & about.keys():
-        told(about, name)
+        raise ValueError(f"metadata: must be a JSON object, got {shown(about)}")
+    for name in METADATA_TYPES.keys() & about.keys():
+        metadata_field(about, name)
     for row in rows:
-        for name, kind in NEEDED.items():
+        for name, kind in REQUIRED_COLUMNS.items():
             if not isinstance(row.get(name), kind):
                 raise ValueError(f"{name}: must be {kind.__name__} in every row, got {shown(row.get(name))}")
     missing = [name for name in _axes(about) if rows and name not in rows[0]]
     if missing:
-        raise ValueError(f"{missing[0]}: is an axis, but no column")
+        raise ValueError(f"{missing[0]}: is an axis without a column")
 
 
 def _axes(about: dict[str, Any]) -> list[str]:
-    """Columns that a design has chosen."""
+    """Columns of parameters and axes."""
     return [*about.get("parameters", ()), *about.get("axes", ())]
 
 
 def merge(paths: Sequence[Any]) -> SweepResult:
-    """Put the tables of several shards together; of a run that occurs twice, a finished row comes first.
+    """Merge the tables of several shards. For a run that occurs twice, a finished row takes precedence.
 
     Raises:
-        ValueError: No file is given, or they hold different sweeps.
+        ValueError: No file is given, or the files hold different sweeps.
     """
     if not paths:
-        raise ValueError("merge: needs at least one file")
+        raise ValueError("merge: requires at least one file")
     parts = [read(path) for path in paths]
     rows: dict[str, dict[str, Any]] = {}
     for path, part in zip(paths, parts, strict=True):
         check_same_sweep(path, part.about, parts[0].about)
-        if told(part.about, "design_id") != parts[0].about["design_id"]:
-            raise ValueError(f"{path}: holds a shard of another design")
+        if metadata_field(part.about, "design_id") != parts[0].about["design_id"]:
+            raise ValueError(f"{path}: holds a shard of a different design")
         for row in part.rows:
             if rows.get(row["id"], row)["status"] not in FINISHED or row["id"] not in rows:
                 rows[row["id"]] = row
     for name in ("scene", "runs"):
-        told(parts[0].about, name)
+        metadata_field(parts[0].about, name)
     about = {**parts[0].about, "shard": None, "merged": [str(path) for path in paths]}
     return SweepResult(list(rows.values()), about)
 
 
 def _arrow_column(name: str, values: list) -> Any:
-    """An Arrow array; a column of unlike values becomes text, one without any values numbers."""
+    """Convert a column to an Arrow array; mixed types become strings, an empty column becomes floats."""
     import pyarrow
 
     try:

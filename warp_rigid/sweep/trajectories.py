@@ -1,8 +1,8 @@
-"""Trajectories of a sweep's runs, in a zarr folder.
+"""Trajectories of the runs of a sweep, in a zarr folder.
 
-Runs of one structure and time step share a group, which the column `trajectory` of a row names. It holds `time`
-(frames,) [s], `position` (runs, frames, bodies, 3) [m] and `orientation` (runs, frames, bodies, 4), addressed by the
-column `run`, in chunks of one run: one is read without the others, and runs that are not there take no room.
+Runs with the same structure and time step share a group, named by the column `trajectory` of a row. It holds `time`
+(frames,) [s], `position` (runs, frames, bodies, 3) [m] and `orientation` (runs, frames, bodies, 4), indexed by the
+column `run`. Each chunk holds one run, so that runs can be read separately and missing runs use no disk space.
 """
 
 import shutil
@@ -22,18 +22,18 @@ class Trajectories:
     """A folder of trajectories that grows while a sweep runs.
 
     Args:
-        path: the folder, which ends in .zarr.
-        runs: runs of the whole design.
-        about: what they come from.
-        resume: add to what is there.
-        overwrite: replace what is there.
+        path: the folder; must end in .zarr.
+        runs: number of runs of the whole design.
+        about: metadata of the sweep.
+        resume: add to an existing folder.
+        overwrite: replace an existing folder.
 
     Raises:
-        ValueError: The name has another ending, or the folder exists and is neither resumed nor overwritten.
+        ValueError: The path has another suffix, or exists and is neither resumed nor overwritten.
     """
 
     def __init__(self, path: Any, runs: int, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
-        """Look at what is there already."""
+        """Open or create the folder."""
         import zarr
 
         self.path, self.runs = Path(path), runs
@@ -42,15 +42,15 @@ class Trajectories:
         if self.path.exists() and overwrite and not resume:
             shutil.rmtree(self.path)
         elif self.path.exists() and not resume:
-            raise ValueError(f"{path}: exists already; resume it, overwrite it or choose another name")
+            raise ValueError(f"{path}: already exists; resume it, overwrite it or choose another name")
         self.root = zarr.open_group(self.path, mode="a")
         self.root.attrs["warp_rigid"] = {name: about[name] for name in ("scene", "duration", "fps", "version")}
 
     def add(self, runs: list[Run], frames: dict[str, Any]) -> None:
-        """Keep the trajectories of a batch.
+        """Store the trajectories of a batch.
 
         Args:
-            runs: its runs.
+            runs: the runs of the batch.
             frames: "group", "time", "position" and "orientation" (runs, frames, bodies, ...).
         """
         group = self.root.require_group(frames["group"])

@@ -1,6 +1,6 @@
-"""The animation profile: bodies of one shape are the instances of one PointInstancer.
+"""The animation profile: bodies with the same shape are instances of one PointInstancer.
 
-It holds no physics, but ten thousand bodies take two milliseconds a frame.
+It contains no physics. Writing 10 000 bodies takes 2 ms per frame.
 """
 
 import math
@@ -14,7 +14,7 @@ from warp_rigid.render.appearance import bound_corners, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
 from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.usd.library import Library
-from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
 __all__ = ["Instancers"]
 
@@ -23,7 +23,7 @@ NAMES = Sdf.ValueTypeNames
 
 @dataclass(eq=False)
 class _Group:
-    """One instancer: which bodies, and their latest values."""
+    """One instancer: its bodies and their latest values."""
 
     bodies: np.ndarray
     corners: np.ndarray
@@ -34,30 +34,30 @@ class _Group:
 
 
 class Instancers:
-    """The bodies of one environment.
+    """Writer of the bodies of one environment.
 
     Args:
-        film: what stays the same over time.
-        row: which of its environments.
-        color: what a body's colour tells, one of COLORINGS.
-        velocities: whether velocities are written, for motion blur.
+        film: recording with the constant data.
+        row: row of the environment in the recording.
+        color: colouring, one of COLORINGS.
+        velocities: whether to write velocities for motion blur.
     """
 
     def __init__(self, film: Recording, row: int, color: str, velocities: bool):
-        """Nothing is written yet."""
+        """Prepare without writing."""
         self._film, self._row, self._color, self._velocities = film, row, color, velocities
         self._groups: list[_Group] = []
 
-    def define(self, samples: Samples, root: str, library: Library, frame: Frame) -> None:
-        """Write everything as it is in the first frame, as default values.
+    def define(self, samples: SampleWriter, root: str, library: Library, frame: Frame) -> None:
+        """Define the prims, with the values of the first frame as default values.
 
-        Readers that look at a stage without a time, physics parsers among them, see only default values; without
-        them all bodies would lie at the origin.
+        Readers that evaluate a stage at the default time, such as physics parsers, see default values only; without
+        them all bodies would be at the origin.
 
         Args:
-            samples: where the later frames will go; its layer takes the definitions.
+            samples: writer for the later frames; the prims are defined in its layer.
             root: path of the environment's prim.
-            library: has the film's surfaces.
+            library: holds the surfaces.
             frame: the first frame.
         """
         colors = frame_colors(self._color, self._film, self._row, frame)
@@ -73,13 +73,13 @@ class Instancers:
             self._define_group(samples, f"{root}/{name}", group, library, frame)
             self._groups.append(group)
 
-    def _define_group(self, samples: Samples, path: str, group: _Group, library: Library, frame: Frame) -> None:
+    def _define_group(self, samples: SampleWriter, path: str, group: _Group, library: Library, frame: Frame) -> None:
         layer = samples.layer
         prim = define(layer, path, "PointInstancer")
         define(layer, f"{path}/Prototypes", "Scope")
         prototype = define(layer, f"{path}/Prototypes/shape", "Mesh")
-        library.refer(prototype, library.mesh_path(self._film.surface[group.bodies[0]]))
-        relate(prim, "prototypes", f"{path}/Prototypes/shape")
+        library.add_reference(prototype, library.mesh_path(self._film.surface[group.bodies[0]]))
+        set_relationship(prim, "prototypes", f"{path}/Prototypes/shape")
         indices = np.zeros(len(group.bodies), dtype=np.int32)
         set_attribute(prim, "protoIndices", NAMES.IntArray, Vt.IntArray.FromNumpy(indices))
         set_attribute(prim, "ids", NAMES.Int64Array, Vt.Int64Array.FromNumpy(group.bodies.astype(np.int64)))
@@ -91,13 +91,13 @@ class Instancers:
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)
             group.tracks[name] = samples.track(attribute)
 
-    def sample(self, samples: Samples, time: float, frame: Frame) -> None:
-        """Write what has changed since the frame before."""
-        colors = None if self._color in STEADY else frame_colors(self._color, self._film, self._row, frame)
+    def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
+        """Write the values that changed since the previous frame."""
+        colors = None if self._color in CONSTANT_COLORINGS else frame_colors(self._color, self._film, self._row, frame)
         for group in self._groups:
             position = np.ascontiguousarray(frame.position[self._row, group.bodies])
             orientation = np.ascontiguousarray(frame.orientation[self._row, group.bodies])
-            # q and -q are one rotation, but a reader that interpolates goes from the one to the other literally.
+            # q and -q are the same rotation; equal signs let readers interpolate along the short arc.
             turned = np.einsum("ij,ij->i", orientation, group.orientation) < 0.0
             orientation[turned] *= -1.0
             values: dict[str, Any] = {}
@@ -116,7 +116,7 @@ class Instancers:
             samples.put([group.tracks[name] for name in values], time, values.values())
 
     def _velocity_values(self, group: _Group, frame: Frame) -> dict:
-        """Velocities of the instances' origins [m/s], and about them [degree/s]."""
+        """Linear velocities of the instance origins [m/s] and angular velocities [degree/s]."""
         bodies = group.bodies
         assert frame.angular_velocity is not None and frame.linear_velocity is not None
         spin = frame.angular_velocity[self._row, bodies]
@@ -130,8 +130,8 @@ class Instancers:
         }
 
 
-STEADY = ("body", "environment")
-"""Colourings that do not change over time."""
+CONSTANT_COLORINGS = ("body", "environment")
+"""Colourings that are constant over time."""
 
 _TYPES = {
     "positions": NAMES.Point3fArray,
@@ -144,14 +144,14 @@ _TYPES = {
 
 
 def _center(film: Recording, body: int) -> np.ndarray:
-    """Centre of mass of a body in its own frame; a file's recording does not tell, so the origin must do."""
+    """Centre of mass of a body in its own frame; the origin for a recording from a file, which lacks the scene."""
     if film.scene is None or not is_moving(film.motion[body]):
         return np.zeros(3)
     return film.scene.bodies[body].shape.center_of_mass
 
 
 def _groups(film: Recording) -> dict[str, np.ndarray]:
-    """Bodies that share a surface, static ones apart from moving ones, by a prim's name."""
+    """Bodies grouped by surface, static and moving ones separately, by prim name."""
     groups = {}
     moving = is_moving(film.motion)
     for index in range(len(film.surfaces)):
@@ -164,8 +164,8 @@ def _groups(film: Recording) -> dict[str, np.ndarray]:
 
 
 def _pose_values(group: _Group) -> dict:
-    """Positions, rotations and the box around all instances."""
-    reach = _reach(group.position, group.orientation, group.corners)
+    """Positions, orientations and the bounding box of all instances."""
+    reach = _bounding_box(group.position, group.orientation, group.corners)
     return {
         "positions": Vt.Vec3fArray.FromNumpy(group.position),
         "orientationsf": Vt.QuatfArray.FromNumpy(group.orientation),
@@ -173,10 +173,10 @@ def _pose_values(group: _Group) -> dict:
     }
 
 
-def _reach(position: np.ndarray, orientation: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Box around all instances of a shape whose own box has these corners, (2, 3) float32 [m].
+def _bounding_box(position: np.ndarray, orientation: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Bounding box of all instances of a shape with these bounding box corners, (2, 3) float32 [m].
 
-    Column by column: this runs for every instance in every frame.
+    Vectorised over the instances, since it runs in every frame.
     """
     center, half = (corners[-1] + corners[0]) / 2.0, (corners[-1] - corners[0]) / 2.0
     rows = matrix_rows(np.ascontiguousarray(orientation.T).T)

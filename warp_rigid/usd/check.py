@@ -1,4 +1,4 @@
-"""Checks a USD file: the USD library's own validators, and what they miss."""
+"""Checks of a USD file: the validators of the USD library, and additional rules."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
-from warp_rigid.usd.opening import open_stage, reading
+from warp_rigid.usd.opening import convert_errors, open_stage
 
-__all__ = ["Problem", "check_usd"]
+__all__ = ["UsdProblem", "check_usd"]
 
 TOKENS = UsdPhysics.Tokens
 APPROXIMATIONS = {
@@ -18,13 +18,13 @@ APPROXIMATIONS = {
 
 
 @dataclass(frozen=True)
-class Problem:
-    """One thing that is wrong with a file.
+class UsdProblem:
+    """One violation of a rule in a file.
 
     Attributes:
-        path: of the prim; empty where it is the stage.
-        rule: which check found it.
-        text: what is wrong.
+        path: path of the prim; empty for the stage.
+        rule: name of the violated rule.
+        text: description of the problem.
     """
 
     path: str
@@ -36,26 +36,26 @@ class Problem:
         return f"{self.path or 'stage'}: {self.rule}: {self.text}"
 
 
-def check_usd(path) -> list[Problem]:
-    """Everything that is wrong with a file; empty for a sound one.
+def check_usd(path) -> list[UsdProblem]:
+    """Check a file and return all problems found; empty for a valid file.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no USD file.
+        FileNotFoundError: The file does not exist.
+        ValueError: It is not a USD file.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     stage = open_stage(path)
-    with reading(path):
+    with convert_errors(path):
         validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
         problems = [
-            Problem(_site(error), str(error.GetName()), error.GetMessage())
+            UsdProblem(_site(error), str(error.GetName()), error.GetMessage())
             for error in UsdValidation.ValidationContext(validators).Validate(stage)
         ]
         for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
             for rule, check in RULES.items():
-                problems += [Problem(str(prim.GetPath()), rule, text) for text in check(prim)]
+                problems += [UsdProblem(str(prim.GetPath()), rule, text) for text in check(prim)]
         return problems
 
 
@@ -65,7 +65,7 @@ def _site(error: UsdValidation.ValidationError) -> str:
 
 
 def _instancer(prim: Usd.Prim) -> list[str]:
-    """Indices of prototypes that do not exist, arrays of other lengths."""
+    """Prototype indices out of range, and arrays of inconsistent lengths."""
     if not prim.IsA(UsdGeom.PointInstancer):
         return []
     instancer = UsdGeom.PointInstancer(prim)
@@ -91,13 +91,13 @@ def _instancer(prim: Usd.Prim) -> list[str]:
 
 
 def _moments(attribute: Usd.Attribute) -> list:
-    """The default time, where there is a value, and the samples."""
+    """The default time if it has a value, and the sample times."""
     default = [Usd.TimeCode.Default()] if attribute.Get() is not None else []
     return [*default, *attribute.GetTimeSamples()] or [Usd.TimeCode.Default()]
 
 
 def _default_pose(prim: Usd.Prim) -> list[str]:
-    """Poses that have time samples only: without a time, as physics parsers look, they are at the origin."""
+    """Poses with time samples but no default value, which physics parsers read as the origin."""
     if not prim.IsA(UsdGeom.Xformable):
         return []
     poses = list(prim.GetAttributes()) if prim.IsA(UsdGeom.PointInstancer) else []
@@ -111,18 +111,18 @@ def _default_pose(prim: Usd.Prim) -> list[str]:
 
 
 def _approximation(prim: Usd.Prim) -> list[str]:
-    """Words that UsdPhysics does not know."""
+    """Approximation tokens that UsdPhysics does not define."""
     attribute = prim.GetAttribute("physics:approximation")
     if not attribute or not attribute.HasAuthoredValue() or attribute.Get() in APPROXIMATIONS:
         return []
-    return [f"{attribute.Get()} is none of {', '.join(sorted(APPROXIMATIONS))}"]
+    return [f"must be one of {', '.join(sorted(APPROXIMATIONS))}, is {attribute.Get()}"]
 
 
 def _material(prim: Usd.Prim) -> list[str]:
-    """Physics materials bound above the collider, which physics parsers do not see."""
+    """Physics materials bound to an ancestor of the collider, which physics parsers ignore."""
     if not prim.HasRelationship("material:binding:physics") or prim.HasAPI(UsdPhysics.CollisionAPI):
         return []
-    return ["a physics material must be bound on the collider itself: parsers see none here"]
+    return ["a physics material must be bound to the collider itself; physics parsers ignore this binding"]
 
 
 RULES = {

@@ -1,11 +1,11 @@
-"""Contacts of an environment as points, and their impulses as lines."""
+"""Contact points of an environment, and their impulses as lines."""
 
 import numpy as np
 from pxr import Sdf, Vt
 
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.scene import Motion
-from warp_rigid.usd.specs import Samples, Track, define, set_attribute
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute
 
 __all__ = ["ContactMarks"]
 
@@ -15,18 +15,18 @@ POINT_COLOR, LINE_COLOR = (0.8, 0.05, 0.02), (0.9, 0.5, 0.02)
 
 
 class ContactMarks:
-    """Points where bodies touch, and a line for each impulse.
+    """Writer of contact points and of a line per impulse.
 
-    The weight of a median body over one frame draws a line as long as that body: supports and hits can be told
-    apart at any size. A frame without contacts shows none.
+    Lines are scaled so that the impulse of the weight of a body of median mass over one frame is as long as a body of
+    median size.
 
     Args:
-        film: what stays the same over time; its scene must be known.
-        row: which of its environments.
+        film: recording with the constant data, including the scene.
+        row: row of the environment in the recording.
     """
 
     def __init__(self, film: Recording, row: int):
-        """Nothing is written yet."""
+        """Prepare without writing."""
         assert film.scene is not None
         self._env = film.envs[row]
         dynamic = [body for body in film.scene.bodies if body.motion == Motion.DYNAMIC]
@@ -36,8 +36,8 @@ class ContactMarks:
         self._tracks: dict[str, Track] = {}
         self._count = 0
 
-    def define(self, samples: Samples, root: str, frame: Frame) -> None:
-        """Write the first frame as default values."""
+    def define(self, samples: SampleWriter, root: str, frame: Frame) -> None:
+        """Define the prims, with the values of the first frame as default values."""
         points = define(samples.layer, f"{root}/contacts", "Points")
         lines = define(samples.layer, f"{root}/impulses", "BasisCurves")
         set_attribute(lines, "type", NAMES.Token, "linear", uniform=True)
@@ -53,7 +53,7 @@ class ContactMarks:
             self._tracks[key] = samples.track(set_attribute(prim, name, _TYPES[name], value))
         self._count = len(values["points.points"])
 
-    def sample(self, samples: Samples, time: float, frame: Frame) -> None:
+    def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
         """Write a frame."""
         values = self._values(frame)
         count = len(values["points.points"])
@@ -83,7 +83,7 @@ _TYPES = {
 
 
 def _extent(points: np.ndarray, margin: float) -> Vt.Vec3fArray:
-    """Box around some points and their thickness; around the origin where there are none."""
+    """Bounding box of points with a margin; around the origin without points."""
     if not len(points):
         points = np.zeros((1, 3), dtype=np.float32)
     box = np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])

@@ -1,4 +1,4 @@
-"""USD export: films that any USD viewer plays, and scenes with physics."""
+"""USD export of animations and of scenes with physics."""
 
 from pathlib import Path
 
@@ -19,27 +19,25 @@ def export_usd(
     contacts: bool = False,
     velocities: bool = False,
 ) -> None:
-    """Write a recording as USD: z up, metres, one time code a frame.
+    """Write a recording as USD: z up, metres, one time code per frame.
 
-    Poses are in the environment's own coordinates. Several environments stand on a grid, by their own prims only, so
-    that one of them can be taken out and float32 stays exact.
+    Poses are in environment coordinates. The prims of the environments are offset to a grid, so that an environment
+    can be extracted and float32 poses stay exact.
 
     Args:
-        recording: what to write.
-        path: ends in .usdc (compact), .usda (text), .usdz (one file to pass on) or .usd; folders
-            are made.
-        envs: numbers of the environments to write; None writes all that were recorded.
-        profile: "animation": one PointInstancer for each shape, small and quick for large batches; "scene": one prim
-            for each body with UsdPhysics, which import_usd and other simulators read; "auto": a scene
-            up to 2000 bodies.
-        color: what a body's colour tells: "body", "environment", "level", "speed" or "asleep".
-        layout: "single": one file; "payloads": one file for each environment beside it, loaded on demand; "clips": one
-            file for each stretch of time.
-        contacts: whether contact points and impulses are drawn; they must have been recorded.
-        velocities: whether instances carry velocities for motion blur; they must have been recorded.
+        recording: the recording.
+        path: output file, .usdc (compact), .usda (text), .usdz (single package) or .usd; missing folders are created.
+        envs: indices of the environments to write; None writes all recorded ones.
+        profile: "animation": one PointInstancer per shape, compact and fast for large batches; "scene": one prim per
+            body with UsdPhysics, readable by import_usd and other simulators; "auto": a scene for up to 2000 bodies.
+        color: colouring of the bodies: "body", "environment", "level", "speed" or "asleep".
+        layout: "single": one file; "payloads": an additional file per environment, loaded on demand; "clips": an
+            additional file per 24 frames.
+        contacts: whether to write contact points and impulses, which must have been recorded.
+        velocities: whether to write instance velocities for motion blur, which must have been recorded.
 
     Raises:
-        ValueError: The path has another ending, an environment or a quantity was not recorded, or an option is
+        ValueError: The path has another suffix, an environment or a quantity was not recorded, or an option is
             unknown.
         OSError: The file cannot be written.
     """
@@ -58,11 +56,11 @@ def export_usd(
 
 
 class UsdStream:
-    """Writes a film while the simulation runs, without keeping it in memory.
+    """Writes an animation while the simulation runs, with constant memory.
 
-    The first frame is the state at the start; each `capture` appends one. The file can be opened at any time, also
-    when the program is killed: of an animation at most the last 24 frames are missing, of a scene or a text file at
-    most the last 24 or a fifth.
+    The first frame is the initial state; each `capture` appends one. The file is readable at any time, even if the
+    process is killed: an animation lacks at most the last 24 frames, a scene or a text file at most the last 24 frames
+    or a fifth of them.
 
     with wr.UsdStream(sim, "film.usdc", fps=60) as film:
         for _ in range(240):
@@ -72,13 +70,13 @@ class UsdStream:
     Args:
         sim: the Simulator.
         path: as in export_usd.
-        fps: frames per simulated second, only noted here: the caller steps.
-        envs: numbers of the environments to write; None writes all.
-        labels: a text for each of them.
+        fps: frames per simulated second; stored only, the caller steps the simulation.
+        envs: indices of the environments to write; None writes all.
+        labels: one label per environment.
         **options: as in export_usd.
 
     Raises:
-        ValueError: An argument is out of its range.
+        ValueError: An argument is out of range.
         OSError: The file cannot be written.
     """
 
@@ -98,7 +96,7 @@ class UsdStream:
         self._writer.write(next(start.frames()))
 
     def capture(self, sim) -> None:
-        """Append the state of now as a frame.
+        """Append the current state as a frame.
 
         Raises:
             OSError: The file cannot be written.
@@ -114,9 +112,9 @@ class UsdStream:
         self._writer.close()
 
     def __enter__(self) -> "UsdStream":
-        """The stream itself."""
+        """Return the stream."""
         return self
 
     def __exit__(self, *error) -> None:
-        """Finish the file, also after an error: the frames so far are worth keeping."""
+        """Finish the file, also after an exception."""
         self.close()

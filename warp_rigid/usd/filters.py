@@ -1,4 +1,4 @@
-"""Pairs that a file keeps from touching: collision groups and filtered pairs."""
+"""Filtered pairs of a file: its collision groups and filtered-pairs relationships."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -9,22 +9,25 @@ from warp_rigid.scene.scene import Motion, Scene
 
 __all__ = ["filter_pairs"]
 
-Told = Callable[[str, str], None]
+Report = Callable[[str, str], None]
 
 
-def filter_pairs(stage: Usd.Stage, scene: Scene, body_of: dict[str, int], told: dict, leave_out: Told) -> None:
-    """Filter the pairs of bodies none of whose colliders may touch.
+def filter_pairs(
+    stage: Usd.Stage, scene: Scene, body_of: dict[str, int], descriptions: dict, leave_out: Report
+) -> None:
+    """Filter the pairs of bodies all of whose colliders are filtered.
 
     Args:
-        stage: the file.
-        scene: takes the filtered pairs.
-        body_of: the body to which each collider's path belongs.
-        told: for each body's and collider's path the parser's description.
-        leave_out: takes a path and a reason where only some colliders of two bodies may touch: a scene cannot say that.
+        stage: the stage.
+        scene: receives the filtered pairs.
+        body_of: body index by collider path.
+        descriptions: the parser's descriptions by body or collider path.
+        leave_out: called with a path and a reason if only some colliders of two bodies are filtered, which a scene
+            cannot represent.
     """
-    apart = _by_relationship(body_of, told) | _by_group(stage, body_of, told)
+    filtered = _by_relationship(body_of, descriptions) | _by_group(stage, body_of, descriptions)
     size = Counter(body_of.values())
-    colliders = Counter(tuple(sorted((body_of[one], body_of[other]))) for one, other in apart)
+    colliders = Counter(tuple(sorted((body_of[one], body_of[other]))) for one, other in filtered)
     for (a, b), count in sorted(colliders.items()):
         if a == b:
             continue
@@ -34,29 +37,29 @@ def filter_pairs(stage: Usd.Stage, scene: Scene, body_of: dict[str, int], told: 
             scene.filter_pair(a, b)
         else:
             names = scene.bodies[a].name, scene.bodies[b].name
-            leave_out(names[0], f"some of its colliders pass through some of {names[1]}'s; here all of them meet")
+            leave_out(names[0], f"filter between some of its colliders and some of {names[1]}: all of them collide")
 
 
-def _by_relationship(body_of: dict[str, int], told: dict) -> set[tuple[str, str]]:
-    """Colliders kept apart by name: of themselves, or of the bodies to which they belong."""
-    apart: set[tuple[str, str]] = set()
-    for path, description in told.items():
+def _by_relationship(body_of: dict[str, int], descriptions: dict) -> set[tuple[str, str]]:
+    """Collider pairs filtered by relationships of the colliders or of their bodies."""
+    filtered: set[tuple[str, str]] = set()
+    for path, description in descriptions.items():
         for target in map(str, description.filteredCollisions):
             for one in _below(path, body_of):
-                apart |= {(min(one, other), max(one, other)) for other in _below(target, body_of)}
-    return apart
+                filtered |= {(min(one, other), max(one, other)) for other in _below(target, body_of)}
+    return filtered
 
 
 def _below(path: str, body_of: dict[str, int]) -> list[str]:
-    """Colliders that are a prim or lie below it."""
+    """Colliders at or below a prim."""
     return [collider for collider in body_of if collider == path or collider.startswith(path + "/")]
 
 
-def _by_group(stage: Usd.Stage, body_of: dict[str, int], told: dict) -> set[tuple[str, str]]:
-    """Colliders kept apart because their groups are."""
+def _by_group(stage: Usd.Stage, body_of: dict[str, int], descriptions: dict) -> set[tuple[str, str]]:
+    """Collider pairs filtered by collision groups."""
     members: dict[str, list[str]] = {}
     for collider in body_of:
-        for group in told[collider].collisionGroups:
+        for group in descriptions[collider].collisionGroups:
             members.setdefault(str(group), []).append(collider)
     if not members:
         return set()

@@ -1,29 +1,30 @@
-"""Instancers to Xforms in a file, for programs that do not read instancers."""
+"""Expansion of the instancers of a file to Xforms, for programs that do not support instancers."""
 
 from pathlib import Path
 
 from pxr import Tf, Usd, UsdGeom
 
 from warp_rigid.usd.instancing import expand_instancers
-from warp_rigid.usd.opening import open_stage, reading
+from warp_rigid.usd.opening import convert_errors, open_stage
 from warp_rigid.usd.options import SUFFIXES
 
 __all__ = ["flatten_usd"]
 
 
 def flatten_usd(source, target) -> int:
-    """Write a file anew with one Xform for each instance of a PointInstancer, its motion included.
+    """Copy a file and replace each PointInstancer by one Xform per instance, including its motion.
 
     Args:
         source: the file to read.
         target: the file to write: .usd, .usda or .usdc.
 
     Returns:
-        How many instances there are.
+        The number of instances.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no USD file, its instancers change in number, or the target has another ending.
+        FileNotFoundError: The source does not exist.
+        ValueError: The source is not a USD file, its number of instances changes over time, or the target has another
+            suffix.
         OSError: The target cannot be written.
     """
     source, target = Path(source), Path(target)
@@ -32,8 +33,8 @@ def flatten_usd(source, target) -> int:
     if not source.is_file():
         raise FileNotFoundError(f"{source}: no such file")
     stage = open_stage(source)
-    with reading(source):
-        # Times of a layer with another rate would be scaled to the stage's.
+    with convert_errors(source):
+        # Equal rates keep USD from scaling the times of the session layer.
         stage.GetSessionLayer().timeCodesPerSecond = stage.GetTimeCodesPerSecond()
         stage.SetEditTarget(stage.GetSessionLayer())
         times = sorted(

@@ -1,4 +1,4 @@
-"""Small conversions between this package's frames and USD's."""
+"""Conversions between the frames of this package and of USD."""
 
 import numpy as np
 from pxr import Gf
@@ -8,11 +8,11 @@ from warp_rigid.scene.shapes import Plane
 __all__ = ["MARK", "frame_of_plane", "gf_quaternion", "precise_quaternions", "quaternion_of_matrix"]
 
 MARK = "warp_rigid"
-"""Key of the custom data that say what USD has no words for."""
+"""Key of the custom data for content without a USD schema."""
 
 
 def gf_quaternion(orientation) -> Gf.Quatf:
-    """A quaternion (x, y, z, w) as USD's, which begins with the real part."""
+    """Convert a quaternion (x, y, z, w) to a USD quaternion, which has the real part first."""
     x, y, z, w = (float(component) for component in orientation)
     return Gf.Quatf(w, x, y, z)
 
@@ -20,7 +20,7 @@ def gf_quaternion(orientation) -> Gf.Quatf:
 def precise_quaternions(orientation) -> np.ndarray:
     """Unit quaternions (..., 4) in float64.
 
-    OpenUSD takes the angle from the real part alone, where the rounding of a float quaternion weighs most.
+    OpenUSD computes the angle from the real part alone, which amplifies the rounding error of float32.
     """
     quaternion = np.asarray(orientation, dtype=np.float64)
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
@@ -34,6 +34,6 @@ def quaternion_of_matrix(rotation: np.ndarray) -> np.ndarray:
 
 
 def frame_of_plane(plane: Plane) -> tuple[np.ndarray, np.ndarray]:
-    """Where USD's plane, which lies at z = 0 of its prim, must stand: position and quaternion."""
+    """Pose of a USD plane, which is z = 0 in the frame of its prim: position and quaternion."""
     turn = Gf.Rotation(Gf.Vec3d(0.0, 0.0, 1.0), Gf.Vec3d(*plane.normal.tolist())).GetQuat()
     return plane.offset * plane.normal, np.array([*turn.GetImaginary(), turn.GetReal()])

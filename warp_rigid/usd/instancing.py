@@ -1,72 +1,72 @@
-"""PointInstancers as Xforms: for readers, physics parsers first of all, that see nothing in an instancer."""
+"""Expansion of PointInstancers to Xforms, for readers such as physics parsers that ignore instancers."""
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from warp_rigid.usd.opening import MOST_PRIMS
+from warp_rigid.usd.opening import MAX_PRIMS
 
 __all__ = ["expand_instancers"]
 
-MOST_NESTED = 100
-"""Prototypes that have instancers whose prototypes have instancers, and so on."""
+MAX_NESTED = 100
+"""Maximum nesting of instancers within prototypes of instancers."""
 
 
 def expand_instancers(root: Usd.Prim, times: list[Usd.TimeCode]) -> int:
-    """Replace the instancers below a prim, in the stage's edit target.
+    """Expand the instancers below a prim, in the edit target of the stage.
 
-    Every instance becomes an Xform beside its instancer that refers to its prototype, and the instancer is switched
-    off. Instances of one name sort in the order of the instancer.
+    Each instance becomes an Xform next to its instancer with a reference to its prototype, and the instancer is
+    deactivated. The names of the instances sort in the order of the instancer.
 
     Args:
-        root: where to look.
-        times: at which times to sample the poses; only [Default] leaves default values.
+        root: the prim.
+        times: times at which to sample the poses; the first one provides the default values.
 
     Returns:
-        How many instances there are now.
+        The number of instances.
 
     Raises:
-        ValueError: Arrays of an instancer do not fit each other, it is among its own prototypes, or all would be more
-            than MOST_PRIMS prims.
+        ValueError: The arrays of an instancer are inconsistent, it is one of its own prototypes, or the result has
+            more than MAX_PRIMS prims.
     """
     total = 0
     stage = root.GetStage()
     plan = _Plan(times[0])
     plan.size(root)
     for path in plan.order:
-        # One below another instancer goes with it, unless it is within a prototype: then it came first.
+        # An instancer below another one was deactivated with it. Instancers within prototypes come first.
         if stage.GetPrimAtPath(path):
             total += _expand(UsdGeom.PointInstancer(stage.GetPrimAtPath(path)), times)
     return total
 
 
 class _Plan:
-    """Which instancers to expand, those within prototypes first, and what that makes.
+    """The instancers to expand, those within prototypes first, and the resulting number of prims.
 
     Attributes:
-        order: their paths.
+        order: paths of the instancers.
     """
 
     def __init__(self, time: Usd.TimeCode):
-        """Nothing is planned yet."""
+        """Start with an empty plan."""
         self.order: dict[Sdf.Path, None] = {}
         self._time = time
         self._known: dict[Sdf.Path, int] = {}
 
     def size(self, prim: Usd.Prim, within: tuple[Sdf.Path, ...] = ()) -> int:
-        """How many prims a prim and those below it become; takes note of their instancers."""
+        """Number of prims of an expanded subtree; adds its instancers to the order."""
         path = prim.GetPath()
         if path in within:
-            raise ValueError(f"{path}: must not be among its own prototypes")
-        if len(within) > MOST_NESTED:
-            raise ValueError(f"{path}: must have at most {MOST_NESTED} instancers within each other")
+            raise ValueError(f"{path}: must not be one of its own prototypes")
+        if len(within) > MAX_NESTED:
+            raise ValueError(f"{path}: must have at most {MAX_NESTED} nested instancers")
         if path not in self._known:
             size = 0
             for below in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
                 size += 1
                 if below.IsA(UsdGeom.PointInstancer):
                     size += self._instances(UsdGeom.PointInstancer(below), (*within, path))
-            if size > MOST_PRIMS:
-                raise ValueError(f"{path}: must be at most {MOST_PRIMS} prims with its instances, is {size}")
+            if size > MAX_PRIMS:
+                raise ValueError(f"{path}: must have at most {MAX_PRIMS} prims including instances, has {size}")
             self._known[path] = size
         return self._known[path]
 
@@ -87,14 +87,14 @@ def _indices(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode) -> np.ndarra
 
 
 def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int:
-    """One instancer."""
+    """Expand one instancer."""
     prim, stage = instancer.GetPrim(), instancer.GetPrim().GetStage()
     layer = stage.GetEditTarget().GetLayer()
     prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
     moments = [_transforms(instancer, time) for time in times]
     indices = _indices(instancer, times[0])
     if any(len(moment) != len(indices) for moment in moments):
-        raise ValueError(f"{prim.GetPath()}: the number of its instances changes over time, or its arrays differ")
+        raise ValueError(f"{prim.GetPath()}: must have a constant number of instances and arrays of equal length")
     if len(indices) and not (0 <= indices.min() and indices.max() < len(prototypes)):
         raise ValueError(f"{prim.GetPath()}: protoIndices must be from 0 to {len(prototypes) - 1}")
     masked = instancer.ComputeMaskAtTime(times[0])
@@ -122,7 +122,7 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
 
 
 def _transforms(instancer: UsdGeom.PointInstancer, time: Usd.TimeCode):
-    """Poses of all instances, without the prototypes' own."""
+    """Poses of all instances, without the transforms of the prototypes."""
     return instancer.ComputeInstanceTransformsAtTime(
         time, time, UsdGeom.PointInstancer.ExcludeProtoXform, UsdGeom.PointInstancer.IgnoreMask
     )
@@ -139,7 +139,7 @@ def _set_matrix(spec: Sdf.PrimSpec, matrices: list[Gf.Matrix4d], times: list[Usd
 
 
 def _set_velocities(spec: Sdf.PrimSpec, prototype: Usd.Prim, instancer: UsdGeom.PointInstancer, index: int) -> None:
-    """What the instancer says of an instance's motion becomes that of its rigid body."""
+    """Copy the velocities of an instance to its rigid body."""
     if "PhysicsRigidBodyAPI" not in prototype.GetAppliedSchemas():
         return
     sources = (
@@ -153,7 +153,7 @@ def _set_velocities(spec: Sdf.PrimSpec, prototype: Usd.Prim, instancer: UsdGeom.
 
 
 def _colors(instancer: UsdGeom.PointInstancer, count: int):
-    """One colour an instance; None where there are none."""
+    """One colour per instance; None without colours."""
     primvar = UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayColor")
     values = primvar.Get() if primvar else None
     return values if values and len(values) == count else None

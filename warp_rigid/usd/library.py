@@ -1,4 +1,4 @@
-"""The shapes of a file, each defined once and referred to by all bodies that have it."""
+"""Library of the shapes of a file, each defined once and referenced by its bodies."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,24 +9,24 @@ from pxr import Sdf, Vt
 
 from warp_rigid import rotations
 from warp_rigid.render.appearance import bound_corners, corner_normals
-from warp_rigid.runs.recording import Surface, drawn_surface
+from warp_rigid.runs.recording import DrawnSurface, drawn_surface
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
-from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
 __all__ = ["Library", "Material", "simple_shapes", "write_pose"]
 
 PLANE_WIDTH = 20.0
-"""A plane is endless; this much of it is drawn [m]."""
+"""Drawn width of an infinite plane [m]."""
 SDF_BLOCK = 8
-"""The schema of signed distance grids wants resolutions that are multiples of this."""
+"""The schema of signed distance grids requires resolutions that are multiples of this."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a collider's surface is like; names and units as in Scene.add_body."""
+    """Material of a collider; names and units as in Scene.add_body."""
 
     friction: float
     restitution: float
@@ -35,59 +35,59 @@ class Material:
 
 
 class Library:
-    """Prototypes below one class prim, which is not drawn by itself.
+    """Prototypes below one class prim, which is not rendered itself.
 
     Args:
-        layer: where they are defined.
+        layer: layer of the definitions.
         root: path of the class prim.
-        time: of the first frame [s].
+        time: time of the first frame [s].
     """
 
     def __init__(self, layer: Sdf.Layer, root: str, time: float):
         """Define the class prim."""
         self.layer, self.root, self._time = layer, root, time
-        self._samples = Samples(layer)
-        self._moving: dict[str, tuple[Surface, list[Track]]] = {}
+        self._samples = SampleWriter(layer)
+        self._moving: dict[str, tuple[DrawnSurface, list[Track]]] = {}
         self._colliders: dict[tuple[str, Material], str] = {}
         define(layer, root, "Scope", specifier=Sdf.SpecifierClass)
 
     def mesh_path(self, index: int) -> str:
-        """Where surface number `index` is."""
+        """Path of surface number `index`."""
         return f"{self.root}/mesh_{index}"
 
-    def mesh(self, index: int, surface: Surface) -> None:
-        """Define surface number `index`, anew where it is there."""
+    def mesh(self, index: int, surface: DrawnSurface) -> None:
+        """Define or replace surface number `index`."""
         self._write(define(self.layer, self.mesh_path(index), "Mesh"), surface)
 
     def sample(self, frame: float, time: float) -> None:
-        """Write the ground that moves as it is at a time [s]."""
+        """Write the moving surfaces at a time [s]."""
         for surface, tracks in self._moving.values():
             points = surface.vertices_at(time)
             normals = corner_normals(points, surface.faces).reshape(-1, 3)
             values = [Vt.Vec3fArray.FromNumpy(points), Vt.Vec3fArray.FromNumpy(normals), _extent(points)]
             self._samples.put(tracks, frame, values)
 
-    def _write(self, prim: Sdf.PrimSpec, surface: Surface) -> None:
-        """Triangles as they are in the first frame; those that move are followed."""
+    def _write(self, prim: Sdf.PrimSpec, surface: DrawnSurface) -> None:
+        """Write the triangles of the first frame, and track those of a moving surface."""
         write_mesh(prim, surface.vertices_at(self._time), surface.faces)
         if surface.moves:
             tracks = [self._samples.track(prim.attributes[name]) for name in ("points", "normals", "extent")]
             self._moving[str(prim.path)] = surface, tracks
 
     def fit_plane(self, shape: Shape, width: float) -> None:
-        """Draw less of a plane [m]; it collides as endless all the same."""
+        """Set the drawn width of a plane [m]; the collider stays infinite."""
         for (key, _), path in self._colliders.items():
             if key == shape.key:
                 for side in ("width", "length"):
                     self.layer.GetAttributeAtPath(f"{path}/collider_0.{side}").default = width
 
-    def refer(self, prim: Sdf.PrimSpec, path: str) -> None:
-        """Make a prim refer to one of the library's, in the same file or in one beside it."""
+    def add_reference(self, prim: Sdf.PrimSpec, path: str) -> None:
+        """Reference a prim of the library from another prim, in the same or in another file."""
         file = "" if prim.layer == self.layer else f"./{Path(self.layer.realPath).name}"
         prim.referenceList.prependedItems = [Sdf.Reference(file, path)]
 
     def collider(self, shape: Shape, material: Material) -> str:
-        """The path of an Xform with a shape's colliders and their material."""
+        """Path of an Xform with the colliders of a shape and their material."""
         key = (shape.key, material)
         if key not in self._colliders:
             path = f"{self.root}/shape_{len(self._colliders)}"
@@ -98,12 +98,12 @@ class Library:
                 prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, self._time)
                 if moves(part):
                     self._write(prim, drawn_surface(part))
-                relate(prim, "material:binding:physics", f"{path}/material")
+                set_relationship(prim, "material:binding:physics", f"{path}/material")
         return self._colliders[key]
 
 
 def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Triangles with normals, drawn as they are."""
+    """Write triangles with normals, without subdivision."""
     names = Sdf.ValueTypeNames
     points = np.ascontiguousarray(vertices, dtype=np.float32)
     corners = np.ascontiguousarray(faces, dtype=np.int32)
@@ -115,7 +115,7 @@ def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> N
     set_attribute(prim, "normals", names.Normal3fArray, Vt.Vec3fArray.FromNumpy(normals), interpolation="faceVarying")
     set_attribute(prim, "subdivisionScheme", names.Token, "none", uniform=True)
     set_attribute(prim, "extent", names.Float3Array, _extent(points))
-    # Open surfaces are seen from inside too.
+    # Open surfaces are visible from inside.
     set_attribute(prim, "doubleSided", names.Bool, True, uniform=True)
 
 
@@ -136,7 +136,7 @@ def _write_material(layer: Sdf.Layer, path: str, material: Material) -> None:
 
 
 def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
-    """A shape as simple shapes, each with its pose."""
+    """Decompose a shape into non-compound shapes with their poses."""
     if not isinstance(shape, Compound):
         return [(shape, np.zeros(3), IDENTITY_ROTATION)]
     return [
@@ -147,7 +147,7 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
 
 
 def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientation, time: float) -> Sdf.PrimSpec:
-    """One collider as it is at a time [s]."""
+    """Write one collider at a time [s]."""
     names = Sdf.ValueTypeNames
     if isinstance(shape, Plane):
         position, orientation = frame_of_plane(shape)
@@ -184,22 +184,22 @@ _TYPES = {
 
 
 def _write_triangles(prim: Sdf.PrimSpec, shape: Mesh | Heightfield, time: float) -> None:
-    """Exact triangles, with the resolution of the grid of signed distances that stands for them."""
+    """Write the triangles, and the resolution of the signed distance grid."""
     names = Sdf.ValueTypeNames
     write_mesh(prim, *shape.surface())
     set_attribute(prim, "physics:approximation", names.Token, "none", uniform=True)
     if isinstance(shape, Heightfield):
         rows, columns = shape.heights.shape
-        told: dict[str, Any] = {"heightfieldRows": rows, "heightfieldColumns": columns}
+        custom: dict[str, Any] = {"heightfieldRows": rows, "heightfieldColumns": columns}
         if shape.moving:
-            told |= {
+            custom |= {
                 "heightfieldHeights": Vt.DoubleArray(shape.heights.reshape(-1).tolist()),
                 "heightfieldAmplitude": Vt.DoubleArray(shape.amplitude.reshape(-1).tolist()),
                 "heightfieldPhase": Vt.DoubleArray((shape.phase + shape.angular_frequency * time).reshape(-1).tolist()),
                 "heightfieldSize": Vt.DoubleArray(shape.extent.tolist()),
                 "heightfieldFrequency": shape.angular_frequency,
             }
-        prim.SetInfo("customData", {MARK: told})
+        prim.SetInfo("customData", {MARK: custom})
         return
     rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
     set_attribute(prim, "newton:sdfMaxResolution", names.Int, rounded, uniform=True)
@@ -218,7 +218,7 @@ def _gprim_extent(shape: Shape) -> Vt.Vec3fArray:
 
 
 def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> tuple[Sdf.AttributeSpec, Sdf.AttributeSpec]:
-    """Translation, rotation and scale of a prim; the attributes of the first two."""
+    """Write translation, rotation and scale of a prim; returns the attributes of translation and rotation."""
     names = Sdf.ValueTypeNames
     place = Vt.Vec3dArray.FromNumpy(np.asarray(position, dtype=np.float64).reshape(1, 3))[0]
     operations = ["xformOp:translate", "xformOp:orient"]

@@ -1,4 +1,4 @@
-"""USD import: a file with UsdPhysics as a Scene."""
+"""USD import of files with UsdPhysics."""
 
 import warnings
 from pathlib import Path
@@ -12,33 +12,32 @@ __all__ = ["film_duration", "import_usd"]
 def import_usd(path, root: str | None = None, *, strict: bool = False, sdf_resolution: int = 64) -> Scene:
     """Read the rigid bodies and colliders of a USD file.
 
-    Lengths, masses and the up axis become metres, kilograms and z. Meshes collide as what they are, by a grid of signed
-    distances. References, instances and PointInstancers are expanded. The poses are those at the default time.
+    Lengths, masses and the up axis are converted to metres, kilograms and z. Meshes collide as nonconvex solids with a
+    signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the default time.
 
-    What the file has and the scene cannot have (joints, articulations, unknown schemas) is in `scene.import_report`,
-    and a warning says how much it is.
+    Unsupported content (joints, articulations, unknown schemas) is listed in `scene.import_report`, with a warning.
 
     Args:
         path: .usd, .usda, .usdc or .usdz.
-        root: path of the prim below which to read, in whose frame the poses are taken; None reads the whole stage.
-        strict: refuse a file that cannot be taken over completely.
-        sdf_resolution: grid cells along the longest side of meshes that do not say it themselves.
+        root: path of the prim below which to read; poses are relative to it. None reads the whole stage.
+        strict: reject a file that cannot be imported completely and unchanged.
+        sdf_resolution: grid cells along the longest side of meshes without their own resolution.
 
     Returns:
         The scene.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no USD file, holds no bodies, or `strict` is set and something would be lost.
+        FileNotFoundError: The file does not exist.
+        ValueError: It is not a USD file, has no bodies, or `strict` is set and the import is incomplete.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
 
-    from warp_rigid.usd.opening import reading
+    from warp_rigid.usd.opening import convert_errors
     from warp_rigid.usd.reader import Reader
 
-    with reading(path):
+    with convert_errors(path):
         reader = Reader(path, root, sdf_resolution)
         scene = reader.scene()
     scene.import_report = ImportReport(str(path), tuple(reader.findings))
@@ -48,16 +47,16 @@ def import_usd(path, root: str | None = None, *, strict: bool = False, sdf_resol
         raise ValueError(f"{path}: {reader.findings[0]}{more}")
     if lost:
         first = scene.import_report.left_out[0]
-        warnings.warn(f"{path}: {lost} left out, see scene.import_report; the first: {first}", stacklevel=2)
+        warnings.warn(f"{path}: {lost} left out, see scene.import_report; first: {first}", stacklevel=2)
     return scene
 
 
 def film_duration(path) -> float:
-    """How long the film in a file is [s]; 0 where it has none.
+    """Duration of the animation in a file [s]; 0 without animation.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is no USD file.
+        FileNotFoundError: The file does not exist.
+        ValueError: It is not a USD file.
     """
     path = Path(path)
     if not path.is_file():

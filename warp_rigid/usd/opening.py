@@ -1,8 +1,8 @@
-"""Opening USD files, after a look at what they would become.
+"""Opening USD files after a check of their size and depth.
 
-A few lines can ask for more prims than any memory holds, by references that double at every level, or nest deeper than
-USD's parser and composition can follow, which recurse and end the process. So size and depth are reckoned first, from
-what the layers say, without composing anything.
+References that double at every level can expand a few lines to more prims than fit into memory, and deep nesting
+overflows the stack of USD's recursive parser and composition, which ends the process. Size and depth are therefore
+counted first from the layers, without composing them.
 """
 
 import contextlib
@@ -17,24 +17,24 @@ from pxr import Ar, Sdf, Tf, Usd
 
 from warp_rigid.files import archive
 
-__all__ = ["MOST_PRIMS", "open_stage", "reading"]
+__all__ = ["MAX_PRIMS", "open_stage", "convert_errors"]
 
-MOST_PRIMS = 1_000_000
-"""Prims of a stage; composing so many takes USD about a minute."""
-MOST_LEVELS = 1000
-"""Prims, brackets or sublayers within each other: some thousands exhaust the stack of USD's recursions."""
-MOST_ARCS = 100
-"""References that lead to each other: composing a chain takes time as its length to the third power."""
+MAX_PRIMS = 1_000_000
+"""Maximum number of prims of a stage; composing that many takes about a minute."""
+MAX_LEVELS = 1000
+"""Maximum nesting of prims, brackets and sublayers; some thousands overflow the stack of USD."""
+MAX_ARCS = 100
+"""Maximum length of a chain of references; the composition time grows with its third power."""
 
 TEXT, PACKAGE = b"#usda", b"PK"
-"""How files of these kinds begin."""
+"""First bytes of text files and packages."""
 
 UNREADABLE = (Tf.ErrorException, TypeError, IndexError, KeyError, AttributeError, OverflowError)
-"""What values of the wrong type or damaged ones lead to."""
+"""Exceptions raised for values that are damaged or of the wrong type."""
 
 
 class Extent(NamedTuple):
-    """What becomes of a prim: prims in all, levels of prims within each other, arcs that follow each other."""
+    """Size of a composed prim: total number of prims, levels of nesting, and longest chain of arcs."""
 
     prims: int = 0
     levels: int = 0
@@ -42,28 +42,28 @@ class Extent(NamedTuple):
 
 
 Node = tuple[str, Sdf.Path]
-"""A prim as the strongest layer of its stack and its path."""
+"""A prim: the identifier of the strongest layer of its stack, and its path."""
 
 
 def open_stage(path: Path) -> Usd.Stage:
     """Open a file.
 
     Raises:
-        ValueError: It is no USD file, or it would hold more prims, or nest deeper, than can be composed.
+        ValueError: It is not a USD file, or it is too large or nested too deeply to be composed.
     """
     try:
         layer = _open_layer(str(path))
         if layer is None:
             raise ValueError(f"{path}: not a readable USD file")
-        _Reckoning(path).check(layer)
+        _PrimCounter(path).check(layer)
         return Usd.Stage.Open(layer)
     except Tf.ErrorException as error:
         raise ValueError(f"{path}: not a readable USD file: {_reason(error)}") from None
 
 
 @contextlib.contextmanager
-def reading(path: Any) -> Iterator[None]:
-    """Say in one line what no reader can expect: USD has values of any type at any name, and some are damaged."""
+def convert_errors(path: Any) -> Iterator[None]:
+    """Convert the exceptions that unexpected or damaged values raise to a ValueError of one line."""
     try:
         yield
     except UNREADABLE as error:
@@ -71,24 +71,24 @@ def reading(path: Any) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """What the first of USD's errors says, without where in USD it was raised."""
+    """The message of the first USD error, without its location in the source code of USD."""
     text = " ".join(str(error).split())
     found = re.search(r" : '(.*?)'(?: Error in |$)", text)
     return (found[1] if found else text)[:300]
 
 
 def _open_layer(identifier: str) -> Sdf.Layer | None:
-    """A layer, None where there is no such file; text is looked at before it is parsed.
+    """Open a layer; None if the file does not exist. The nesting of a text file is checked before it is parsed.
 
     Raises:
-        ValueError: Its brackets nest too deep.
+        ValueError: Its brackets are nested too deeply.
     """
     _check_brackets(Sdf.Layer.SplitIdentifier(identifier)[0])
     return Sdf.Layer.FindOrOpen(identifier)
 
 
 def _check_brackets(path: str) -> None:
-    """Refuse text that nests too deep; of a package its first file, which is the layer."""
+    """Check the nesting of a text file, or of the first file of a package, which is its root layer."""
     resolver = Ar.GetResolver()
     asset = resolver.OpenAsset(resolver.Resolve(path))
     start = asset.Read(len(TEXT), 0) if asset is not None and asset.GetSize() >= len(TEXT) else b""
@@ -105,61 +105,61 @@ def _check_brackets(path: str) -> None:
         content = np.frombuffer(asset.GetBuffer(), np.uint8)
         opening, closing = (np.isin(content, np.frombuffer(which, np.uint8)) for which in (b"([{", b")]}"))
         depth = np.cumsum(opening.astype(np.int8) - closing.astype(np.int8), dtype=np.int32)
-        if depth.max(initial=0) > MOST_LEVELS:
-            raise ValueError(f"{path}: must have at most {MOST_LEVELS} brackets within each other")
+        if depth.max(initial=0) > MAX_LEVELS:
+            raise ValueError(f"{path}: must have at most {MAX_LEVELS} nested brackets")
 
 
-class _Reckoning:
-    """Counts the prims of a composed stage from above, each prim of the files once.
+class _PrimCounter:
+    """Computes an upper bound for the size of a composed stage, visiting each prim of the files once.
 
     Args:
-        path: of the file, for messages.
+        path: path of the file, for messages.
     """
 
     def __init__(self, path: Path):
-        """Nothing is known yet."""
+        """Start without known sizes."""
         self._path = path
         self._stacks: dict[str, list[Sdf.Layer]] = {}
         self._known: dict[Node, Extent] = {}
 
     def check(self, layer: Sdf.Layer) -> None:
-        """Refuse what cannot be composed.
+        """Check that the stage of a layer can be composed.
 
         Raises:
-            ValueError: It is too much or too deep, or a prim refers to itself.
+            ValueError: It is too large or nested too deeply, or a prim refers to itself.
         """
         extent = self._follow((layer.identifier, Sdf.Path.absoluteRootPath), layer)
-        told = (
-            ("prims, references followed", extent.prims, MOST_PRIMS),
-            ("prims within each other", extent.levels, MOST_LEVELS),
-            ("references that lead to each other", extent.arcs, MOST_ARCS),
+        limits = (
+            ("prims including references", extent.prims, MAX_PRIMS),
+            ("nested prims", extent.levels, MAX_LEVELS),
+            ("chained references", extent.arcs, MAX_ARCS),
         )
-        for what, count, most in told:
+        for what, count, most in limits:
             if count > most:
                 raise ValueError(f"{self._path}: must have at most {most} {what}, has {_about(count)}")
 
     def _follow(self, root: Node, layer: Sdf.Layer) -> Extent:
-        """Reckon depth first, but without recursion: the files decide how deep that goes."""
+        """Count depth first with an explicit stack, since the depth depends on the file."""
         self._stacks[root[0]] = self._stack(layer)
-        tasks: dict[Node, Any] = {root: self._reckon(root)}
+        tasks: dict[Node, Any] = {root: self._count(root)}
         answer = None
         while tasks:
             node, task = next(reversed(tasks.items()))
             try:
-                wanted = task.send(answer)
+                needed = task.send(answer)
             except StopIteration as done:
                 del tasks[node]
                 answer = self._known[node] = done.value
                 continue
-            answer = self._known.get(wanted)
-            if answer is None and wanted in tasks:
-                raise ValueError(f"{self._path}: {wanted[1]} must not refer to itself")
+            answer = self._known.get(needed)
+            if answer is None and needed in tasks:
+                raise ValueError(f"{self._path}: {needed[1]} must not refer to itself")
             if answer is None:
-                tasks[wanted] = self._reckon(wanted)
+                tasks[needed] = self._count(needed)
         return self._known[root]
 
-    def _reckon(self, node: Node) -> Generator[Node, Extent, Extent]:
-        """One prim: yields the prims of which it is made, takes what they become."""
+    def _count(self, node: Node) -> Generator[Node, Extent, Extent]:
+        """Size of one prim; yields the prims it is composed of and receives their sizes."""
         prims, levels, arcs = 1, 0, 0
         specs = [spec for layer in self._stacks[node[0]] if (spec := layer.GetPrimAtPath(node[1]))]
         for child in _children(specs):
@@ -177,7 +177,7 @@ class _Reckoning:
         return Extent(prims, levels, arcs)
 
     def _targets(self, node: Node, spec: Sdf.PrimSpec) -> Iterable[Node]:
-        """What a prim refers to, inherits or specializes."""
+        """Targets of the references, payloads, inherits and specializes of a prim."""
         for arc in (*spec.referenceList.GetAddedOrExplicitItems(), *spec.payloadList.GetAddedOrExplicitItems()):
             stack = self._stack_behind(node, spec.layer, arc.assetPath)
             path = arc.primPath
@@ -189,17 +189,17 @@ class _Reckoning:
             yield from self._existing(node, node[0], path)
 
     def _existing(self, node: Node, stack: str, path: Sdf.Path) -> Iterable[Node]:
-        """A prim; where it is only there once others are composed, the one above it that is in the files."""
-        asked = path
+        """A prim, or its nearest ancestor in the files if it exists only after composition."""
+        requested = path
         while path.IsPrimPath():
             if any(layer.GetPrimAtPath(path) for layer in self._stacks[stack]):
-                if path == asked or not (stack == node[0] and node[1].StripAllVariantSelections().HasPrefix(path)):
+                if path == requested or not (stack == node[0] and node[1].StripAllVariantSelections().HasPrefix(path)):
                     yield stack, path
                 return
             path = path.GetParentPath()
 
     def _stack_behind(self, node: Node, layer: Sdf.Layer, asset: str) -> str | None:
-        """The layer stack of a reference: the present one without a file; None where there is no such file."""
+        """The layer stack of a reference: the current one without an asset path; None if the file does not exist."""
         if not asset:
             return node[0]
         try:
@@ -214,7 +214,7 @@ class _Reckoning:
         """A layer and all its sublayers.
 
         Raises:
-            ValueError: They are too many.
+            ValueError: There are too many sublayers.
         """
         found = {layer.identifier: layer}
         waiting = [layer]
@@ -228,18 +228,18 @@ class _Reckoning:
                 if below is not None and below.identifier not in found:
                     found[below.identifier] = below
                     waiting.append(below)
-            if len(found) > MOST_LEVELS:
-                raise ValueError(f"{self._path}: must have at most {MOST_LEVELS} sublayers")
+            if len(found) > MAX_LEVELS:
+                raise ValueError(f"{self._path}: must have at most {MAX_LEVELS} sublayers")
         return list(found.values())
 
 
 def _children(specs: list[Sdf.PrimSpec]) -> list[Sdf.Path]:
-    """Paths of the prims within a prim, each once."""
+    """Distinct paths of the children of a prim."""
     return list(dict.fromkeys(child.path for spec in specs for child in spec.nameChildren))
 
 
 def _variants(specs: list[Sdf.PrimSpec]) -> list[list[Sdf.Path]]:
-    """For each set of variants their paths; only one of them counts."""
+    """Paths of the variants of each variant set, of which one is selected."""
     return [
         [variant.path for variant in variants.variants.values()]
         for spec in specs

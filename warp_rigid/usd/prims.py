@@ -1,4 +1,4 @@
-"""From a geometric prim to a shape."""
+"""Conversion of geometric prims to shapes."""
 
 import numpy as np
 from pxr import Usd, UsdGeom
@@ -19,41 +19,41 @@ from warp_rigid.scene.shapes import (
 )
 from warp_rigid.usd.geometry import MARK, quaternion_of_matrix
 
-__all__ = ["Unreadable", "marked", "matrix_of", "place", "told_array", "triangles_of"]
+__all__ = ["Unreadable", "custom_data", "matrix_of", "convert_prim", "custom_array", "triangles_of"]
 
-EVEN = 1e-5
-"""Scales that differ by less count as equal, relative."""
+SCALE_TOLERANCE = 1e-5
+"""Relative tolerance within which scales count as uniform."""
 CONE_SECTIONS = 64
 
 
 class Unreadable(ValueError):
-    """A prim that cannot become a shape; the message says why."""
+    """A prim cannot be converted to a shape."""
 
 
-def marked(prim: Usd.Prim) -> dict:
-    """What this package's own files say beyond USD's words."""
+def custom_data(prim: Usd.Prim) -> dict:
+    """Custom data that this package writes for content without a USD schema."""
     found = prim.GetCustomDataByKey(MARK)
     return found if isinstance(found, dict) else {}
 
 
-def told_array(told: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Numbers of what `marked` found.
+def custom_array(custom: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """An array of the custom data; one length of the shape may be -1.
 
     Raises:
-        Unreadable: They are none, or not of this shape; one length may be -1.
+        Unreadable: The value is missing, not numeric, or of another shape.
     """
     try:
-        return np.array(told[name], dtype=np.float64).reshape(shape)
+        return np.array(custom[name], dtype=np.float64).reshape(shape)
     except (KeyError, TypeError, ValueError):
         lengths = " x ".join("n" if length < 0 else str(length) for length in shape)
         raise Unreadable(f"{name}: must be {lengths} numbers in the custom data of {MARK}") from None
 
 
 def matrix_of(transform) -> np.ndarray:
-    """A USD matrix as `matrix @ column`, (4, 4).
+    """Convert a USD matrix to the convention `matrix @ column`, (4, 4).
 
     Raises:
-        Unreadable: It holds what is not finite.
+        Unreadable: The matrix is not finite.
     """
     matrix = np.array(transform).T
     if not np.isfinite(matrix).all():
@@ -61,49 +61,49 @@ def matrix_of(transform) -> np.ndarray:
     return matrix
 
 
-def place(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[str]):
-    """A prim as a shape and its pose.
+def convert_prim(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[str]):
+    """Convert a prim to a shape and its pose.
 
     Args:
         prim: a sphere, cube, capsule, cylinder, cone, plane or mesh.
-        matrix: from the prim's frame to the one wanted, (4, 4), scale included [m].
-        sdf_resolution: for meshes that do not say it themselves.
-        notes: takes what had to be changed, in words.
+        matrix: transform from the prim's frame to the target frame, (4, 4), including scale [m].
+        sdf_resolution: resolution of meshes without their own.
+        notes: receives descriptions of changes.
 
     Returns:
         Shape, position (3,) [m], orientation (4,).
 
     Raises:
-        Unreadable: The prim is of another kind or has no solid.
+        Unreadable: The prim is of another type or is not solid.
     """
-    still = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+    identity = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
     if prim.IsA(UsdGeom.Mesh):
-        return _mesh(prim, matrix, sdf_resolution, notes), *still
+        return _mesh(prim, matrix, sdf_resolution, notes), *identity
     axes = matrix[:3, :3] @ _turn_to_z(prim)
     if prim.IsA(UsdGeom.Plane):
         normal = np.cross(axes[:, 0], axes[:, 1]) * np.sign(np.linalg.det(axes))
         normal /= np.linalg.norm(normal)
-        return Plane(normal, float(normal @ matrix[:3, 3])), *still
+        return Plane(normal, float(normal @ matrix[:3, 3])), *identity
     lengths = np.linalg.norm(axes, axis=0)
     if not (lengths > 0.0).all():
-        raise Unreadable("its scale is zero")
+        raise Unreadable("scale: must not be zero")
     units = axes / lengths
-    straight = np.abs(units.T @ units - np.eye(3)).max() < EVEN
+    straight = np.abs(units.T @ units - np.eye(3)).max() < SCALE_TOLERANCE
     shape = _scaled(prim, lengths) if straight else None
     if shape is not None:
         if np.linalg.det(units) < 0.0:
             units = units * [-1.0, 1.0, 1.0]
         return shape, matrix[:3, 3].copy(), quaternion_of_matrix(units)
     vertices, faces = triangles_of(prim)
-    notes.append(f"a {prim.GetTypeName()} with this scale becomes a mesh")
-    return _solid(vertices, faces, matrix, sdf_resolution, notes), *still
+    notes.append(f"a {prim.GetTypeName()} with this scale is converted to a mesh")
+    return _mesh_in_frame(vertices, faces, matrix, sdf_resolution, notes), *identity
 
 
 def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of a geometric prim in its own frame, (n, 3) in its units, (m, 3).
+    """Triangles of a geometric prim in its own frame and units: vertices (n, 3), faces (m, 3).
 
     Raises:
-        Unreadable: The prim is of another kind.
+        Unreadable: The prim is of an unsupported type.
     """
     if prim.IsA(UsdGeom.Mesh):
         return usd_triangles(UsdGeom.Mesh(prim))
@@ -119,27 +119,27 @@ def triangles_of(prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray]:
         vertices = np.concatenate([corners, np.zeros((4, 1))], axis=1)
         faces = tessellation.triangulate_quads(np.array([[0, 1, 2, 3]]))
     else:
-        vertices, faces = _scaled_or_refused(prim).surface()
+        vertices, faces = _scaled_or_raise(prim).surface()
     return vertices @ turn.T, faces
 
 
-def _scaled_or_refused(prim: Usd.Prim) -> Shape:
+def _scaled_or_raise(prim: Usd.Prim) -> Shape:
     shape = _scaled(prim, np.ones(3))
     if shape is None:
-        raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is no shape that is known here")
+        raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is not a supported shape")
     return shape
 
 
 def _turn_to_z(prim: Usd.Prim) -> np.ndarray:
-    """Rotation from a frame whose z is the prim's axis into the prim's frame."""
+    """Rotation from a frame with the prim's axis as z to the prim's frame."""
     axis = prim.GetAttribute("axis").Get() if prim.HasAttribute("axis") else "Z"
-    # Cyclic, so that a cylinder's x and y need no mirror: columns are the new axes.
+    # A cyclic permutation of the axes is a rotation; the columns are the new axes.
     return np.roll(np.eye(3), "ZXY".index(one_of("axis", axis, ("X", "Y", "Z"))), axis=0)
 
 
 def _scaled(prim: Usd.Prim, scale: np.ndarray) -> Shape | None:
-    """A primitive in a frame whose z is its axis; None where this scale makes it something else."""
-    round_, uniform = _even(scale[:2]), _even(scale)
+    """A scaled primitive in a frame with its axis as z; None if it is no longer a primitive of that type."""
+    round_, uniform = _is_uniform(scale[:2]), _is_uniform(scale)
     if prim.IsA(UsdGeom.Sphere):
         return Sphere(UsdGeom.Sphere(prim).GetRadiusAttr().Get() * scale[0]) if uniform else None
     if prim.IsA(UsdGeom.Cube):
@@ -154,52 +154,56 @@ def _scaled(prim: Usd.Prim, scale: np.ndarray) -> Shape | None:
         return Cylinder(*size) if round_ else None
     if prim.IsA(UsdGeom.Cone):
         return None
-    raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is no shape that is known here")
+    raise Unreadable(f"a {prim.GetTypeName() or 'prim without type'} is not a supported shape")
 
 
-def _even(scale: np.ndarray) -> bool:
-    return bool(np.ptp(scale) <= EVEN * scale.max())
+def _is_uniform(scale: np.ndarray) -> bool:
+    return bool(np.ptp(scale) <= SCALE_TOLERANCE * scale.max())
 
 
 def _mesh(prim: Usd.Prim, matrix: np.ndarray, sdf_resolution: int, notes: list[str]) -> Shape:
-    """A mesh collider, or what its approximation asks for where that is a simple shape."""
+    """A mesh collider or a height field."""
     vertices, faces = usd_triangles(UsdGeom.Mesh(prim))
-    told = marked(prim)
-    if "heightfieldRows" in told and np.array_equal(matrix, np.eye(4)):
-        rows, columns = (whole_in(name, told.get(name), 2, 2**31) for name in ("heightfieldRows", "heightfieldColumns"))
+    custom = custom_data(prim)
+    if "heightfieldRows" in custom and np.array_equal(matrix, np.eye(4)):
+        rows, columns = (
+            whole_in(name, custom.get(name), 2, 2**31) for name in ("heightfieldRows", "heightfieldColumns")
+        )
         if rows * columns != len(vertices):
             raise Unreadable(
-                f"heightfieldRows: times heightfieldColumns must be the {len(vertices)} points of the mesh"
+                f"heightfieldRows: times heightfieldColumns must be {len(vertices)}, the number of mesh points"
             )
-        return Heightfield(*_field(told, vertices[:, 2].reshape(rows, columns), np.ptp(vertices[:, :2], axis=0)))
+        return Heightfield(
+            *_heightfield_arguments(custom, vertices[:, 2].reshape(rows, columns), np.ptp(vertices[:, :2], axis=0))
+        )
     if not len(faces):
         raise Unreadable("the mesh has no triangles")
     attribute = prim.GetAttribute("physics:approximation")
     approximation = str(attribute.Get()) if attribute and attribute.HasAuthoredValue() else "none"
     if approximation not in ("none", "sdf"):
-        notes.append(f"approximation {approximation} is not needed: the mesh itself collides")
-    if "sdfResolution" in told:
-        return _solid(vertices, faces, matrix, told["sdfResolution"], [])
-    return _solid(vertices, faces, matrix, _resolution(prim, vertices, matrix, sdf_resolution, notes), notes)
+        notes.append(f"approximation {approximation} is ignored: the mesh itself collides")
+    if "sdfResolution" in custom:
+        return _mesh_in_frame(vertices, faces, matrix, custom["sdfResolution"], [])
+    return _mesh_in_frame(vertices, faces, matrix, _resolution(prim, vertices, matrix, sdf_resolution, notes), notes)
 
 
-def _field(told: dict, heights: np.ndarray, size: np.ndarray) -> tuple:
-    """Heights, size and motion of a height field; a field that moves has its mean heights beside the drawn ones."""
-    if "heightfieldFrequency" not in told:
+def _heightfield_arguments(custom: dict, heights: np.ndarray, size: np.ndarray) -> tuple:
+    """Heights, size and motion of a height field. The mean heights of a moving one are in the custom data."""
+    if "heightfieldFrequency" not in custom:
         return heights, size, None
     mean, amplitude, phase = (
-        told_array(told, f"heightfield{name}", heights.shape) for name in ("Heights", "Amplitude", "Phase")
+        custom_array(custom, f"heightfield{name}", heights.shape) for name in ("Heights", "Amplitude", "Phase")
     )
-    motion = HarmonicMotion(amplitude, told["heightfieldFrequency"], phase)
-    return mean, told_array(told, "heightfieldSize", (2,)), motion
+    motion = HarmonicMotion(amplitude, custom["heightfieldFrequency"], phase)
+    return mean, custom_array(custom, "heightfieldSize", (2,)), motion
 
 
-def _resolution(prim: Usd.Prim, vertices, matrix, otherwise: int, notes: list[str]) -> int:
-    """How fine the grid of signed distances shall be."""
+def _resolution(prim: Usd.Prim, vertices, matrix, default: int, notes: list[str]) -> int:
+    """Resolution of the signed distance grid."""
     for name in ("sdfNarrowBandInner", "sdfNarrowBandOuter", "sdfPadding", "sdfTextureFormat"):
         attribute = prim.GetAttribute(f"newton:{name}")
         if attribute and attribute.HasAuthoredValue():
-            notes.append(f"newton:{name} has no meaning here: the grid holds all distances, with 3 cells around")
+            notes.append(f"newton:{name} is ignored: the grid covers the whole mesh with a margin of 3 cells")
     voxel = prim.GetAttribute("newton:sdfTargetVoxelSize")
     resolution = prim.GetAttribute("newton:sdfMaxResolution")
     if voxel and voxel.HasAuthoredValue() and voxel.Get() > 0.0:
@@ -208,11 +212,11 @@ def _resolution(prim: Usd.Prim, vertices, matrix, otherwise: int, notes: list[st
         return int(np.clip(np.ceil(longest / (voxel.Get() * scale)), 8, 512))
     if resolution and resolution.HasAuthoredValue():
         return whole_in("newton:sdfMaxResolution", resolution.Get(), 8, 512)
-    return otherwise
+    return default
 
 
-def _solid(vertices, faces, matrix: np.ndarray, sdf_resolution: int, notes: list[str]) -> Mesh:
-    """A mesh, placed; a mirror turns its triangles over."""
+def _mesh_in_frame(vertices, faces, matrix: np.ndarray, sdf_resolution: int, notes: list[str]) -> Mesh:
+    """A transformed mesh; a reflection reverses the winding of its triangles."""
     if not np.array_equal(matrix, np.eye(4)):
         vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
     if np.linalg.det(matrix[:3, :3]) < 0.0:
@@ -222,5 +226,5 @@ def _solid(vertices, faces, matrix: np.ndarray, sdf_resolution: int, notes: list
     except ValueError as error:
         raise Unreadable(str(error)) from None
     if not mesh.watertight:
-        notes.append("the mesh is open: it collides as the solid whose holes are lidded")
+        notes.append("the mesh is open: it collides as a solid with its holes capped")
     return mesh

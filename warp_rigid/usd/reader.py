@@ -1,4 +1,4 @@
-"""Reads a stage with UsdPhysics and builds the scene that it describes."""
+"""Reader of stages with UsdPhysics."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,22 +10,22 @@ from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from warp_rigid import rotations
 from warp_rigid.scene.fields import PointField, UniformField
-from warp_rigid.scene.import_report import Finding
+from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.opening import open_stage
-from warp_rigid.usd.prims import Unreadable, marked, matrix_of, place, told_array
+from warp_rigid.usd.prims import Unreadable, convert_prim, custom_array, custom_data, matrix_of
 
 __all__ = ["Reader"]
 
-WATER = 1000.0
-"""Density where a file gives neither mass nor density, as UsdPhysics has it [kg/m^3]."""
-EARTH = 9.81
+DEFAULT_DENSITY = 1000.0
+"""Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
+EARTH_GRAVITY = 9.81
 TOLERANCE = 1e-3
-"""Mass properties that differ by less, relative, are those of the shape."""
+"""Relative tolerance within which mass properties equal those of the shape."""
 
 Types = UsdPhysics.ObjectType
 COLLIDERS = {
@@ -33,14 +33,14 @@ COLLIDERS = {
     Types.Cylinder1Shape, Types.ConeShape, Types.MeshShape, Types.PlaneShape,
     Types.CustomShape, Types.SpherePointsShape,
 }  # fmt: skip
-UNDERSTOOD = {Types.Scene, Types.RigidBody, Types.RigidBodyMaterial, Types.CollisionGroup, *COLLIDERS}
+SUPPORTED = {Types.Scene, Types.RigidBody, Types.RigidBodyMaterial, Types.CollisionGroup, *COLLIDERS}
 
 SCHEMAS = {
     "PhysicsRigidBodyAPI", "PhysicsMassAPI", "PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "PhysicsMaterialAPI",
     "PhysicsFilteredPairsAPI", "NewtonSDFCollisionAPI", "NewtonMaterialAPI",
 }  # fmt: skip
 FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
-"""Applied schemas whose names begin so are about physics."""
+"""Prefixes of physics schemas."""
 
 
 @dataclass
@@ -58,7 +58,7 @@ class _Collider:
 
 @dataclass
 class _Body:
-    """A body as the file has it: a prim, how it moves and its colliders' prims."""
+    """A body of the file: its prim, its type of motion and the prims of its colliders."""
 
     prim: Usd.Prim
     motion: Motion
@@ -66,22 +66,22 @@ class _Body:
 
 
 class Reader:
-    """One file.
+    """Reads one file and builds the scene that it describes.
 
     Args:
-        path: where it is.
-        root: path of the prim below which to read; None for all.
-        sdf_resolution: of meshes that do not say it themselves.
+        path: path of the file.
+        root: path of the prim below which to read; None reads the whole stage.
+        sdf_resolution: resolution of meshes without their own.
 
     Attributes:
-        findings: what could not be taken over.
+        findings: differences between the file and the scene.
 
     Raises:
-        ValueError: It is no USD file or has no such prim.
+        ValueError: The file is not a USD file or does not have the root prim.
     """
 
     def __init__(self, path: Path, root: str | None, sdf_resolution: int):
-        """Open the file, and expand its instancers in memory."""
+        """Open the file and expand its instancers in memory."""
         self.path, self.findings = path, []
         self._sdf_resolution = sdf_resolution
         self._stage = open_stage(path)
@@ -92,11 +92,11 @@ class Reader:
             raise ValueError(f"root: {path} has no prim {root}")
         self._root = self._stage.GetPrimAtPath(root) if root else self._stage.GetPseudoRoot()
         expand_instancers(self._root, [Usd.TimeCode.Default()])
-        self._places = UsdGeom.XformCache()
+        self._transforms = UsdGeom.XformCache()
         self._meter = UsdGeom.GetStageMetersPerUnit(self._stage)
         self._kilogram = UsdPhysics.GetStageKilogramsPerUnit(self._stage)
         y_up = UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.y
-        self._upright = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) if y_up else np.eye(3)
+        self._to_z_up = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) if y_up else np.eye(3)
         self._shapes: dict[str, Shape] = {}
         self._body_of: dict[str, int] = {}
 
@@ -104,69 +104,69 @@ class Reader:
         """Build the scene.
 
         Raises:
-            ValueError: The file has no body that can be taken over, or several gravities.
+            ValueError: The file has no body that can be imported, or several different gravities.
         """
         objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self._stage, [str(self._root.GetPath())])
-        self._report_strangers(objects)
+        self._report_unsupported(objects)
         scene = self._empty_scene(objects)
         for body in self._bodies(objects):
             self._add(scene, body)
-        told = {
+        descriptions = {
             str(path): description
             for kind in {Types.RigidBody, *COLLIDERS}
             for path, description in zip(*objects.get(kind, ([], [])), strict=True)
         }
-        filter_pairs(self._stage, scene, self._body_of, told, self._leave_out)
+        filter_pairs(self._stage, scene, self._body_of, descriptions, self._leave_out)
         if not scene.bodies:
             reason = f"; {self.findings[0]}" if self.findings else ""
             raise ValueError(
-                f"{self.path}: has no rigid bodies or colliders of UsdPhysics{reason}. A film in the animation profile "
-                "has none; write it with profile='scene'"
+                f"{self.path}: has no rigid bodies or colliders of UsdPhysics{reason}; export animations with "
+                "profile='scene' to include them"
             )
         return scene
 
     def _leave_out(self, prim, reason: str) -> None:
-        self.findings.append(Finding(str(prim), "left out", reason))
+        self.findings.append(ImportFinding(str(prim), "left out", reason))
 
     def _change(self, prim: Usd.Prim, reason: str) -> None:
-        self.findings.append(Finding(str(prim.GetPath()), "changed", reason))
+        self.findings.append(ImportFinding(str(prim.GetPath()), "changed", reason))
 
-    def _report_strangers(self, objects: dict) -> None:
-        """List everything that is about physics and has no counterpart in a scene."""
+    def _report_unsupported(self, objects: dict) -> None:
+        """Report physics content without a counterpart in a scene."""
         for kind, (paths, _) in objects.items():
-            if kind not in UNDERSTOOD:
+            if kind not in SUPPORTED:
                 for path in paths:
-                    self._leave_out(path, f"{_words(kind)}: bodies move freely here")
+                    self._leave_out(path, f"{_kind_name(kind)} is not supported: bodies move freely")
         for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
             for schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
                 if schema.startswith(FAMILIES) and schema.split(":")[0] not in SCHEMAS | {"PhysicsArticulationRootAPI"}:
-                    self._leave_out(prim.GetPath(), f"{schema} is not known here")
+                    self._leave_out(prim.GetPath(), f"schema {schema} is not supported")
             kind = prim.GetTypeName()
             if kind and not prim.GetPrimTypeInfo().GetSchemaTypeName():
-                self._leave_out(prim.GetPath(), f"type {kind} is not known here")
+                self._leave_out(prim.GetPath(), f"type {kind} is not supported")
 
     def _empty_scene(self, objects: dict) -> Scene:
-        """Gravity, rules of pairs and force fields."""
+        """Create a scene with gravity, combine modes and force fields."""
         paths, descriptions = objects.get(Types.Scene, ([], []))
         found = {}
         for path, description in zip(paths, descriptions, strict=True):
             strength = description.gravityMagnitude * self._meter
-            found[str(path)] = tuple(self._upright @ np.array(description.gravityDirection) * strength)
+            found[str(path)] = tuple(self._to_z_up @ np.array(description.gravityDirection) * strength)
         if len({tuple(np.round(gravity, 6)) for gravity in found.values()}) > 1:
-            raise ValueError(f"{self.path}: has several gravities; choose a root, one of {self._environments(found)}")
-        told = marked(self._stage.GetPrimAtPath(next(iter(found)))) if found else {}
+            raise ValueError(f"{self.path}: has several gravities; set root to one of {self._environments(found)}")
+        custom = custom_data(self._stage.GetPrimAtPath(next(iter(found)))) if found else {}
         scene = Scene(
-            gravity=next(iter(found.values()), (0.0, 0.0, -EARTH)),
-            friction_combine=told.get("frictionCombine", "min"),
-            restitution_combine=told.get("restitutionCombine", "min"),
+            gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
+            friction_combine=custom.get("frictionCombine", "min"),
+            restitution_combine=custom.get("restitutionCombine", "min"),
         )
-        if "pointFieldCenters" in told:
-            centers = told_array(told, "pointFieldCenters", (-1, 3))
-            strengths = told_array(told, "pointFieldStrengths", (len(centers),))
+        if "pointFieldCenters" in custom:
+            centers = custom_array(custom, "pointFieldCenters", (-1, 3))
+            strengths = custom_array(custom, "pointFieldStrengths", (len(centers),))
             for center, strength in zip(centers, strengths, strict=True):
                 scene.add_force_field(PointField(tuple(center), strength))
-        if "uniformFields" in told:
-            for acceleration in told_array(told, "uniformFields", (-1, 3)):
+        if "uniformFields" in custom:
+            for acceleration in custom_array(custom, "uniformFields", (-1, 3)):
                 scene.add_force_field(UniformField(tuple(acceleration)))
         return scene
 
@@ -175,7 +175,7 @@ class Reader:
         return ", ".join(str(Sdf.Path(path).GetParentPath()) for path in scenes)
 
     def _bodies(self, objects: dict) -> list[_Body]:
-        """Bodies in the order of the file, each with its enabled colliders."""
+        """Bodies in file order, each with its enabled colliders."""
         bodies: dict[str, _Body] = {}
         for path, description in zip(*objects.get(Types.RigidBody, ([], [])), strict=True):
             prim = self._stage.GetPrimAtPath(path)
@@ -202,16 +202,16 @@ class Reader:
 
     @staticmethod
     def _static_owner(prim: Usd.Prim) -> Usd.Prim:
-        """The prim that this package wrote for a static body of several colliders, else the collider itself."""
+        """The prim written by this package for a static body with several colliders, else the collider itself."""
         above = prim
         while above and not above.IsPseudoRoot():
-            if "motion" in marked(above):
+            if "motion" in custom_data(above):
                 return above
             above = above.GetParent()
         return prim
 
     def _add(self, scene: Scene, body: _Body) -> None:
-        """Add one body, or several where statics that cannot be joined share a prim."""
+        """Add one body, or several for static colliders of one prim that cannot form a compound."""
         try:
             position, rotation, stretch = self._frame(body.prim)
         except Unreadable as error:
@@ -219,7 +219,7 @@ class Reader:
             return
         found = [collider for prim in body.colliders if (collider := self._collider(prim, body, stretch))]
         if not found:
-            reason = "none of its colliders can be taken over" if body.colliders else "it has no enabled collider"
+            reason = "none of its colliders can be imported" if body.colliders else "it has no enabled collider"
             self._leave_out(body.prim.GetPath(), reason)
             return
         endless = [collider for collider in found if collider.shape.static_only]
@@ -231,7 +231,7 @@ class Reader:
             kept = fields if body.motion == Motion.KINEMATIC else []
             for collider in endless:
                 if collider not in kept:
-                    self._leave_out(collider.prim.GetPath(), "planes and height fields can not be dynamic")
+                    self._leave_out(collider.prim.GetPath(), "planes and height fields cannot be dynamic")
             groups = [[collider] for collider in kept]
             groups.append([collider for collider in found if not collider.shape.static_only])
         self._note_motion(body)
@@ -262,15 +262,15 @@ class Reader:
         self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
 
     def _frame(self, prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where a body stands: position [m], rotation (3, 3), and what is left of its transform, which its shapes take.
+        """Polar decomposition of the transform of a body: position [m], rotation (3, 3) and stretch (3, 3).
 
-        The last holds the stage's unit too; it is exact where the transform is a rotation, so that equal bodies share
-        one shape.
+        The stretch, which includes the length unit of the stage, is applied to the shapes. It is exact for a pure
+        rotation, so that equal bodies share one shape.
         """
         if self._root.IsPseudoRoot():
-            matrix = matrix_of(self._places.GetLocalToWorldTransform(prim))
+            matrix = matrix_of(self._transforms.GetLocalToWorldTransform(prim))
         else:
-            matrix = matrix_of(self._places.ComputeRelativeTransform(prim, self._root)[0])
+            matrix = matrix_of(self._transforms.ComputeRelativeTransform(prim, self._root)[0])
         left, sizes, right = np.linalg.svd(matrix[:3, :3])
         rotation, stretch = left @ right, right.T @ np.diag(sizes) @ right
         if np.linalg.det(rotation) < 0.0:
@@ -278,17 +278,17 @@ class Reader:
         if np.abs(stretch - np.eye(3)).max() < 1e-6:
             stretch = np.eye(3)
         stretch = self._meter * np.round(stretch, 9)
-        return self._upright @ matrix[:3, 3] * self._meter, self._upright @ rotation, stretch
+        return self._to_z_up @ matrix[:3, 3] * self._meter, self._to_z_up @ rotation, stretch
 
     def _collider(self, prim: Usd.Prim, body: _Body, stretch: np.ndarray) -> _Collider | None:
-        """One collider in its body's frame; None, and a finding, where it cannot be taken over."""
+        """One collider in the frame of its body; None, with a finding, if it cannot be imported."""
         matrix = np.eye(4)
         notes: list[str] = []
         try:
             if prim != body.prim:
-                matrix = matrix_of(self._places.ComputeRelativeTransform(prim, body.prim)[0])
+                matrix = matrix_of(self._transforms.ComputeRelativeTransform(prim, body.prim)[0])
             matrix[:3] = stretch @ matrix[:3]
-            shape, position, orientation = place(prim, matrix, self._sdf_resolution, notes)
+            shape, position, orientation = convert_prim(prim, matrix, self._sdf_resolution, notes)
         except ValueError as error:
             self._leave_out(prim.GetPath(), str(error))
             return None
@@ -305,13 +305,13 @@ class Reader:
         return _Collider(prim, shape, position, orientation, coefficients, own_density, mass)
 
     def _material(self, prim: Usd.Prim, material: Usd.Prim | None) -> tuple[dict[str, float], float | None]:
-        """A collider's coefficients, and the density of its material in the stage's units."""
+        """Coefficients of a collider, and the density of its material in stage units."""
         if not material or not material.HasAPI(UsdPhysics.MaterialAPI):
             return {}, None
         api = UsdPhysics.MaterialAPI(material)
         friction, static = api.GetDynamicFrictionAttr().Get(), api.GetStaticFrictionAttr().Get()
         if api.GetStaticFrictionAttr().HasAuthoredValue() and not math.isclose(friction, static, rel_tol=1e-6):
-            self._change(prim, f"one coefficient of friction: {friction:g} holds for sticking too, not {static:g}")
+            self._change(prim, f"static friction {static:g} is replaced by the dynamic friction {friction:g}")
         found = {"friction": friction, "restitution": api.GetRestitutionAttr().Get()}
         for name, source in (("rolling_friction", "rollingFriction"), ("spinning_friction", "torsionalFriction")):
             attribute = material.GetAttribute(f"newton:{source}")
@@ -321,77 +321,77 @@ class Reader:
 
     def _coefficients(self, body: _Body, group: list[_Collider]) -> dict[str, float]:
         if any(collider.coefficients != group[0].coefficients for collider in group):
-            self._change(body.prim, f"one material for all its colliders: that of {group[0].prim.GetName()}")
+            self._change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
         return group[0].coefficients
 
     def _velocities(self, prim: Usd.Prim, rotation: np.ndarray) -> dict[str, np.ndarray]:
-        """Velocities, which USD gives in the body's own frame, in degrees."""
+        """Velocities in the world frame; USD has them in the body frame, in degrees."""
         api = UsdPhysics.RigidBodyAPI(prim)
         speed = np.array(api.GetVelocityAttr().Get(), dtype=np.float64) * self._meter
         spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(), dtype=np.float64))
         return {"linear_velocity": rotation @ speed, "angular_velocity": rotation @ spin}
 
     def _mass(self, body: _Body, group: list[_Collider], shape: Shape) -> float:
-        """Mass of a dynamic body [kg]: as given, else the sum over its colliders."""
+        """Mass of a dynamic body [kg]: the authored one, else the sum over its colliders."""
         api = UsdPhysics.MassAPI(body.prim)
         self._compare_mass_properties(body.prim, api, shape)
         given = _positive(api.GetMassAttr())
         if given is not None:
             return given * self._kilogram
         unit = self._kilogram / self._meter**3
-        densities = [WATER if c.density is None else c.density * unit for c in group]
+        densities = [DEFAULT_DENSITY if c.density is None else c.density * unit for c in group]
         masses = [
             density * c.shape.volume if c.mass is None else c.mass * self._kilogram
             for c, density in zip(group, densities, strict=True)
         ]
         effective = np.array(masses) / [c.shape.volume for c in group]
         if np.ptp(effective) > TOLERANCE * effective.max():
-            self._change(body.prim, "one density for all its colliders, from their total mass")
+            self._change(body.prim, "all its colliders get the same density, from their total mass")
         return float(sum(masses))
 
     def _compare_mass_properties(self, prim: Usd.Prim, api: UsdPhysics.MassAPI, shape: Shape) -> None:
-        """A body's centre of mass and moments follow from its shape here; say where the file wants others."""
+        """Report authored mass properties that differ from those of the shape, which are used instead."""
         center = api.GetCenterOfMassAttr().Get() if api.GetCenterOfMassAttr().HasAuthoredValue() else None
         size = float(np.max(shape.bounds[1] - shape.bounds[0]))
         if center is not None and np.isfinite(center).all():
             off = np.linalg.norm(np.array(center) * self._meter - shape.center_of_mass)
             if off > TOLERANCE * size:
-                self._change(prim, f"centre of mass: that of its shape, {off:g} m from the one given")
+                self._change(prim, f"centre of mass: that of its shape is used, {off:g} m from the authored one")
         moments, mass = api.GetDiagonalInertiaAttr().Get(), _positive(api.GetMassAttr())
         if mass is not None and moments is not None and min(moments) > 0.0:
             given = np.sort(np.array(moments, dtype=np.float64)) * self._meter**2 / mass
             own = np.linalg.eigvalsh(shape.inertia) / shape.volume
             if np.abs(given - own).max() > TOLERANCE * own.max():
-                self._change(prim, "moments of inertia: those of its shape at an even density, not the ones given")
+                self._change(prim, "moments of inertia: those of its shape at uniform density are used")
 
     def _note_motion(self, body: _Body) -> None:
-        """Prescribed motion over time is not followed."""
-        if body.motion == Motion.DYNAMIC or marked(body.prim):
+        """Report animated motion, which is not imported."""
+        if body.motion == Motion.DYNAMIC or custom_data(body.prim):
             return
         above = body.prim
         while above and not above.IsPseudoRoot():
             if UsdGeom.Xformable(above) and UsdGeom.Xformable(above).TransformMightBeTimeVarying():
-                self._change(body.prim, "its motion over time is not followed; it starts where it is at default time")
+                self._change(body.prim, "its animated motion is ignored; it starts with its pose at the default time")
                 return
             above = above.GetParent()
 
 
 def _joined(group: list[_Collider], motion: Motion) -> tuple[Shape, np.ndarray, np.ndarray]:
-    """The shape of some colliders in their body's frame, and where it stands there."""
+    """The common shape of some colliders, and its pose in the body frame."""
     first = group[0]
     if len(group) > 1:
         return Compound([(c.shape, c.position, c.orientation) for c in group]), np.zeros(3), np.array([0, 0, 0, 1.0])
-    still = not first.position.any() and abs(first.orientation[3]) > 1.0 - 1e-12
-    if still or motion == Motion.STATIC:
+    identity = not first.position.any() and abs(first.orientation[3]) > 1.0 - 1e-12
+    if identity or motion == Motion.STATIC:
         return first.shape, first.position, first.orientation
     return Compound([(first.shape, first.position, first.orientation)]), np.zeros(3), np.array([0, 0, 0, 1.0])
 
 
 def _positive(attribute: Usd.Attribute) -> float | None:
-    """A number that counts only where it is > 0, as USD has it for masses and densities."""
+    """A number if it is positive and finite, else None; USD ignores other masses and densities."""
     value = attribute.Get() if attribute else None
     return float(value) if value is not None and 0.0 < value < math.inf else None
 
 
-def _words(kind: Any) -> str:
+def _kind_name(kind: Any) -> str:
     return str(kind).rpartition(".")[2]

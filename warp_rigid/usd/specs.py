@@ -1,6 +1,6 @@
-"""Prims and attributes written straight into a layer.
+"""Writing prims and attributes directly to a layer.
 
-A stage recomposes after every change, which costs a hundred times what the change itself does; a layer only stores.
+A stage recomposes after every change, which is about a hundred times slower.
 """
 
 from collections.abc import Iterable
@@ -9,11 +9,20 @@ from typing import Any
 
 from pxr import Sdf, Tf
 
-__all__ = ["Samples", "Track", "define", "open_layer", "relate", "save_layer", "set_attribute", "stage_metadata"]
+__all__ = [
+    "SampleWriter",
+    "Track",
+    "define",
+    "open_layer",
+    "set_relationship",
+    "save_layer",
+    "set_attribute",
+    "stage_metadata",
+]
 
 
 def open_layer(path: Path) -> Sdf.Layer:
-    """An empty layer that will be saved at a path; one that is open under that name is emptied.
+    """Create an empty layer for a path; a layer already open for that path is cleared.
 
     Raises:
         OSError: The file cannot be written.
@@ -30,7 +39,7 @@ def open_layer(path: Path) -> Sdf.Layer:
 
 
 def save_layer(layer: Sdf.Layer) -> None:
-    """Bring a layer's changes to its file.
+    """Save a layer to its file.
 
     Raises:
         OSError: The file cannot be written.
@@ -44,13 +53,13 @@ def save_layer(layer: Sdf.Layer) -> None:
 
 
 def stage_metadata(layer: Sdf.Layer, default_prim: str, fps: float) -> None:
-    """What a stage tells of itself: z up, metres, kilograms, one time code a frame."""
+    """Write the stage metadata: z up, metres, kilograms, one time code per frame."""
     root = layer.pseudoRoot
     root.SetInfo("upAxis", "Z")
     root.SetInfo("metersPerUnit", 1.0)
     root.SetInfo("kilogramsPerUnit", 1.0)
     layer.defaultPrim = default_prim
-    # Readers disagree on which of the two rates they play by.
+    # Readers differ in which of the two rates they use.
     layer.framesPerSecond = fps
     layer.timeCodesPerSecond = fps
     layer.startTimeCode = 0.0
@@ -64,7 +73,7 @@ def define(
     apis: Iterable[str] = (),
     specifier: Sdf.Specifier = Sdf.SpecifierDef,
 ) -> Sdf.PrimSpec:
-    """A prim with its type and applied schemas."""
+    """Define a prim with its type and applied schemas."""
     prim = Sdf.CreatePrimInLayer(layer, path)
     prim.specifier = specifier
     prim.typeName = type_name
@@ -83,7 +92,7 @@ def set_attribute(
     uniform: bool = False,
     interpolation: str = "",
 ) -> Sdf.AttributeSpec:
-    """An attribute with its default value; one that is there takes the new value."""
+    """Set the default value of an attribute; creates the attribute if needed."""
     attribute = prim.layer.GetAttributeAtPath(prim.path.AppendProperty(name))
     if attribute is None:
         variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
@@ -95,8 +104,8 @@ def set_attribute(
     return attribute
 
 
-def relate(prim: Sdf.PrimSpec, name: str, *targets: Any) -> None:
-    """A relationship with its targets."""
+def set_relationship(prim: Sdf.PrimSpec, name: str, *targets: Any) -> None:
+    """Create a relationship with its targets."""
     relationship = Sdf.RelationshipSpec(prim, name, custom=False)
     relationship.targetPathList.explicitItems = [Sdf.Path(str(target)) for target in targets]
 
@@ -105,44 +114,45 @@ class Track:
     """One attribute over time.
 
     Attributes:
-        path: of the attribute.
-        type_name: of its values.
-        value: the latest one.
-        written: time code of its latest sample; None before the first.
+        path: path of the attribute.
+        type_name: type of its values.
+        value: latest value.
+        written: time code of the latest sample; None before the first.
     """
 
     __slots__ = ("path", "type_name", "value", "written")
 
     def __init__(self, attribute: Sdf.AttributeSpec):
-        """Start with the attribute's default value."""
+        """Start with the default value of the attribute."""
         self.path = attribute.path
         self.type_name = attribute.typeName
         self.value = attribute.default
         self.written: float | None = None
 
 
-class Samples:
-    """Writes values that change over time into a layer; a value that stays is not repeated.
+class SampleWriter:
+    """Writes changing attribute values to a layer; constant values are not repeated.
 
-    Readers interpolate between samples, so a value that changes after a while is written once more just before.
+    Readers interpolate between samples. Before a change after constant frames, the old value is therefore written
+    once more, one frame earlier.
 
     Args:
-        layer: where the samples go.
+        layer: layer of the samples.
     """
 
     def __init__(self, layer: Sdf.Layer):
-        """Begin without tracks."""
+        """Start without tracks."""
         self.layer = layer
         self.tracks: list[Track] = []
 
     def track(self, attribute: Sdf.AttributeSpec) -> Track:
-        """Follow an attribute whose default value is that of the first frame."""
+        """Track an attribute whose default value is that of the first frame."""
         made = Track(attribute)
         self.tracks.append(made)
         return made
 
     def put(self, tracks: Iterable[Track], time: float, values: Iterable[Any]) -> None:
-        """Write values that differ from the latest ones, one for each track; one frame is one time code."""
+        """Write the changed values of some tracks, one per track; one frame is one time code."""
         write, before = self.layer.SetTimeSample, time - 1.0
         for track, value in zip(tracks, values, strict=True):
             if track.written != before:
@@ -150,8 +160,8 @@ class Samples:
             write(track.path, time, value)
             track.value, track.written = value, time
 
-    def move_on(self, layer: Sdf.Layer, time: float, first: bool) -> None:
-        """Go on in another layer; both hold all values at the time where they meet."""
+    def switch_layer(self, layer: Sdf.Layer, time: float, first: bool) -> None:
+        """Continue in another layer; both layers hold all values at the time of the switch."""
         for track in self.tracks:
             if not first and track.written != time:
                 self.layer.SetTimeSample(track.path, time, track.value)

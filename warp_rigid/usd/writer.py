@@ -1,4 +1,4 @@
-"""The writer: frames go in one after another, and a file that can be opened at any time comes out."""
+"""Writer of USD files frame by frame; the file is readable after every flush."""
 
 import tempfile
 from pathlib import Path
@@ -9,36 +9,36 @@ from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
-from warp_rigid.usd.bodies import Bodies
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.options import UsdOptions
-from warp_rigid.usd.specs import Samples, define, open_layer, save_layer, set_attribute, stage_metadata
+from warp_rigid.usd.rigid_bodies import Bodies
+from warp_rigid.usd.specs import SampleWriter, define, open_layer, save_layer, set_attribute, stage_metadata
 
 __all__ = ["UsdWriter"]
 
 WORLD = "/World"
 FLUSH_EVERY = 24
-"""So many frames wait for the disk; a clip is as long."""
+"""Number of frames between flushes, and per clip."""
 
 
 class UsdWriter:
-    """Writes a film frame by frame.
+    """Writes a recording frame by frame.
 
     Args:
-        film: what stays the same over time, and at least one frame, from which the places of the environments follow.
-        path: the file.
-        rows: which of the film's environments to write.
-        options: how.
-        live: whether frames come while a simulation runs, so that they must get to disk now and then.
+        film: recording with the constant data and at least one frame, which determines the layout of environments.
+        path: output file.
+        rows: rows of the environments to write.
+        options: export options.
+        live: whether the simulation is still running, so that frames are flushed at intervals.
 
     Raises:
         OSError: The file cannot be written.
     """
 
     def __init__(self, film: Recording, path: Path, rows: np.ndarray, options: UsdOptions, live: bool):
-        """Open the file; nothing is in it yet."""
+        """Create an empty file."""
         self._live = live or options.layout == "clips"
         self._film, self._path, self._rows, self._options = film, path, rows, options
         self._package = tempfile.TemporaryDirectory() if path.suffix == ".usdz" else None
@@ -49,7 +49,7 @@ class UsdWriter:
         self._spread = Spread(film)
         self._root = open_layer(inner)
         self._layers = [self._root]
-        self._writers: list[tuple[Samples, Instancers | Bodies | ContactMarks]] = []
+        self._writers: list[tuple[SampleWriter, Instancers | Bodies | ContactMarks]] = []
         self._clips: Clips | None = None
         self._frames = self._flushed = 0
 
@@ -69,13 +69,14 @@ class UsdWriter:
         if len(self._rows) > 1:
             self._spread.add(frame.position[self._rows])
         self._frames += 1
-        if self._live and self._frames - self._flushed >= self._patience():
+        if self._live and self._frames - self._flushed >= self._flush_interval():
             self.flush()
 
-    def _patience(self) -> int:
-        """How many frames may wait for the disk.
+    def _flush_interval(self) -> int:
+        """Maximum number of unflushed frames.
 
-        A text file is written anew each time, and one with many attributes nearly so: there it is a share of the film.
+        A flush rewrites a text file completely and a file with many attributes almost completely. Their interval is
+        therefore proportional to the number of frames.
         """
         if self._frames == 1:
             return 1
@@ -83,7 +84,7 @@ class UsdWriter:
         return FLUSH_EVERY if cheap else max(FLUSH_EVERY, self._flushed // 4)
 
     def flush(self) -> None:
-        """Bring everything to disk: what is there then can be opened whatever happens later.
+        """Write all pending frames to disk; the file is readable from then on.
 
         Raises:
             OSError: A file cannot be written.
@@ -93,14 +94,14 @@ class UsdWriter:
                 layer.endTimeCode = float(self._frames - 1)
         if self._clips is not None:
             self._clips.flush(self._frames - 1)
-        # The root comes last: it never names a file that is not there.
+        # The root layer is saved last, so that it never refers to a missing file.
         for layer in reversed(self._layers):
             if layer.dirty:
                 save_layer(layer)
         self._flushed = self._frames
 
     def close(self) -> None:
-        """Give the environments the room that they took in the end, and finish the file.
+        """Set the final spacing of the environments and finish the file.
 
         Raises:
             OSError: A file cannot be written.
@@ -116,42 +117,42 @@ class UsdWriter:
             self._compact()
 
     def _compact(self) -> None:
-        """Leave out what each flush wrote anew."""
+        """Remove the data that later flushes replaced."""
         for layer in self._layers:
             path = Path(layer.realPath)
-            fresh = path.with_name(f".{path.name}")
-            if not layer.Export(str(fresh)):
+            compacted = path.with_name(f".{path.name}")
+            if not layer.Export(str(compacted)):
                 raise OSError(f"{path}: cannot be written")
-            fresh.replace(path)
+            compacted.replace(path)
 
     def _define(self, frame: Frame) -> None:
-        """Write what stays, and the first frame as default values."""
+        """Write the constant data, and the first frame as default values."""
         stage_metadata(self._root, "World", self._film.fps)
         define(self._root, WORLD, "Xform")
-        apart = self._options.layout == "payloads"
+        separate = self._options.layout == "payloads"
         if self._options.layout == "clips":
             base = self._new_part("topology", "World")
             self._root.GetPrimAtPath(WORLD).referenceList.prependedItems = [Sdf.Reference(self._asset(base), WORLD)]
         else:
-            base = self._new_part("shapes", "Shapes") if apart else self._root
-        self._library = Library(base, "/Shapes" if apart else f"{WORLD}/Shapes", frame.time)
+            base = self._new_part("shapes", "Shapes") if separate else self._root
+        self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time)
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
                 self._library.mesh(index, surface)
-        shared = Samples(base)
+        shared = SampleWriter(base)
         for row in self._rows.tolist():
             name = f"env_{self._film.envs[row]:04d}"
-            samples = Samples(self._new_part(name, name)) if apart else shared
-            self._define_env(samples, row, f"/{name}" if apart else f"{WORLD}/{name}", frame)
-            if apart:
+            samples = SampleWriter(self._new_part(name, name)) if separate else shared
+            self._define_env(samples, row, f"/{name}" if separate else f"{WORLD}/{name}", frame)
+            if separate:
                 prim = define(self._root, f"{WORLD}/{name}", "Xform")
                 prim.payloadList.prependedItems = [Sdf.Payload(self._asset(samples.layer))]
         self._arrange()
         if self._options.layout == "clips":
             self._clips = Clips(self._root, shared, self._parts, self._suffix)
 
-    def _define_env(self, samples: Samples, row: int, root: str, frame: Frame) -> None:
-        """One environment, and whoever writes its later frames."""
+    def _define_env(self, samples: SampleWriter, row: int, root: str, frame: Frame) -> None:
+        """Define one environment and the writers of its frames."""
         prim = define(samples.layer, root, "Xform")
         prim.SetInfo("customData", {MARK: {"environment": int(self._film.envs[row])}})
         if self._film.labels[row]:
@@ -170,7 +171,7 @@ class UsdWriter:
             self._writers.append((samples, marks))
 
     def _arrange(self) -> None:
-        """Put the environments on a grid, by their own prims only: poses inside stay exact."""
+        """Offset the prims of the environments to a grid; poses inside stay unchanged."""
         spacing = self._spread.spacing()
         layer = self._library.layer if self._options.layout == "clips" else self._root
         offsets = environment_offsets(len(self._rows), spacing)
@@ -191,18 +192,18 @@ class UsdWriter:
                 self._library.fit_plane(shape, width)
 
     def _new_part(self, name: str, default_prim: str) -> Sdf.Layer:
-        """A file beside the root's."""
+        """Create an additional file."""
         layer = open_layer(self._parts / f"{name}{self._suffix}")
         stage_metadata(layer, default_prim, self._film.fps)
         self._layers.append(layer)
         return layer
 
     def _asset(self, part: Sdf.Layer) -> str:
-        """How the root names a file beside it."""
+        """Path of an additional file relative to the root file."""
         return f"./{self._parts.name}/{Path(part.realPath).name}"
 
     def _pack(self, package: tempfile.TemporaryDirectory) -> None:
-        """Make the one file of a .usdz."""
+        """Write the .usdz package."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         try:
             written = UsdUtils.CreateNewUsdzPackage(self._root.realPath, str(self._path))
@@ -215,18 +216,18 @@ class UsdWriter:
 
 
 class Clips:
-    """Samples in one file for each stretch of time.
+    """Value clips: one file of samples per time interval.
 
     Args:
-        root: the layer that names the files.
-        samples: followed tracks; their definitions are in a layer that the root refers to, since a default value in
-            the root itself would hide the files' samples.
-        folder: where the files go.
-        suffix: their ending.
+        root: the layer that refers to the files.
+        samples: the tracks; they are defined in a layer referenced by the root, since a default value in the root
+            itself would override the samples of the files.
+        folder: folder of the files.
+        suffix: suffix of the files.
     """
 
-    def __init__(self, root: Sdf.Layer, samples: Samples, folder: Path, suffix: str):
-        """Begin the first one, and write which attributes they hold."""
+    def __init__(self, root: Sdf.Layer, samples: SampleWriter, folder: Path, suffix: str):
+        """Start the first clip and write the manifest of its attributes."""
         self._root, self._samples, self._folder, self._suffix = root, samples, folder, suffix
         self._starts: list[float] = []
         self._files: list[str] = []
@@ -242,12 +243,12 @@ class Clips:
         return layer
 
     def _begin(self, time: float, first: bool = False) -> None:
-        """Go on in a new file, which the root names once it is written."""
+        """Start a new clip; the root refers to it after it is written."""
         self._layer, self._start = self._new_layer(), time
-        self._samples.move_on(self._layer, time, first)
+        self._samples.switch_layer(self._layer, time, first)
 
     def flush(self, time: float) -> None:
-        """Finish the file of now, which ends with the frame at `time`."""
+        """Finish the current clip, which ends with the frame at `time`."""
         if time == self._start:
             return
         finished = self._layer
@@ -255,17 +256,17 @@ class Clips:
         with Sdf.ChangeBlock():
             self._begin(time)
         self._files.append(self._export(finished, f"clip_{len(self._files):04d}"))
-        told = {
+        clips = {
             "assetPaths": Sdf.AssetPathArray([Sdf.AssetPath(file) for file in self._files]),
             "active": Vt.Vec2dArray([(start, index) for index, start in enumerate(self._starts)]),
             "times": Vt.Vec2dArray([(0.0, 0.0), (time, time)]),
             "primPath": WORLD,
             "manifestAssetPath": Sdf.AssetPath(self._manifest),
         }
-        self._root.GetPrimAtPath(WORLD).SetInfo("clips", {"default": told})
+        self._root.GetPrimAtPath(WORLD).SetInfo("clips", {"default": clips})
 
     def _export(self, layer: Sdf.Layer, name: str) -> str:
-        """Write a file; how the root names it."""
+        """Write a file; returns its path relative to the root file."""
         path = self._folder / f"{name}{self._suffix}"
         path.parent.mkdir(parents=True, exist_ok=True)
         if not layer.Export(str(path)):

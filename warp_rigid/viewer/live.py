@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.commands.terminal import explain, of_device
-from warp_rigid.render.appearance import told_colors
+from warp_rigid.commands.terminal import explain, is_device_error
+from warp_rigid.render.appearance import apply_coloring
 from warp_rigid.render.film import Film, film_from_recording
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Motion
@@ -217,7 +217,7 @@ class LiveViewer:
         try:
             return action(*arguments)
         except Exception as error:
-            if isinstance(error, RuntimeError) and of_device(error):
+            if isinstance(error, RuntimeError) and is_device_error(error):
                 raise
             self.session.running = False
             self._report(error)
@@ -355,7 +355,7 @@ class LiveViewer:
             told = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
         else:
             told = sim.get(by)[self.rows].reshape(-1)
-        return bytes_of_light(told_colors(by, self._film.color, self._dynamic, told))
+        return bytes_of_light(apply_coloring(by, self._film.color, self._dynamic, told))
 
     def _opacity(self) -> np.ndarray:
         # Contacts lie inside the bodies.

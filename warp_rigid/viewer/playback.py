@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.render.film import Film, film_from_recording, film_from_usd
 from warp_rigid.runs.recording import Recording
 from warp_rigid.viewer.instances import Instances
@@ -156,7 +156,7 @@ def save_html(film: Film, path, fast: bool = False) -> None:
         for frame in range(0, film.num_frames, stride):
             instances.show(film, frame)
             page.insert_sleep(stride / film.fps)
-        with whole_file(path) as beside:
+        with atomic_file(path) as beside:
             beside.write_text(page.as_html(), encoding="utf-8")
     finally:
         stop_server(server)

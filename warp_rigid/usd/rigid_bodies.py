@@ -1,4 +1,4 @@
-"""The scene profile: one Xform a body, with the physics that makes it a scene again elsewhere."""
+"""The scene profile: one Xform per body, with UsdPhysics."""
 
 import math
 from functools import lru_cache
@@ -13,10 +13,10 @@ from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
-from warp_rigid.usd.animation import STEADY
+from warp_rigid.usd.animation import CONSTANT_COLORINGS
 from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.library import Library, Material, simple_shapes, write_pose
-from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
+from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
 __all__ = ["Bodies"]
 
@@ -25,31 +25,31 @@ PHYSICS_SCENE = "PhysicsScene"
 
 
 class Bodies:
-    """The bodies of one environment.
+    """Writer of the bodies of one environment.
 
     Args:
-        film: what stays the same over time; its scene must be known.
-        row: which of its environments.
-        color: what a body's colour tells, one of COLORINGS.
-        several: whether other environments share the stage.
+        film: recording with the constant data, including the scene.
+        row: row of the environment in the recording.
+        color: colouring, one of COLORINGS.
+        several: whether the stage has several environments.
     """
 
     def __init__(self, film: Recording, row: int, color: str, several: bool):
-        """Nothing is written yet."""
+        """Prepare without writing."""
         assert film.scene is not None
         self._film, self._row, self._color, self._several = film, row, color, several
         self._scene = film.scene
-        self._place: list[Track] = []
-        self._turn: list[Track] = []
-        self._hue: list[Track] = []
+        self._translate_tracks: list[Track] = []
+        self._orient_tracks: list[Track] = []
+        self._color_tracks: list[Track] = []
 
-    def define(self, samples: Samples, root: str, library: Library, frame: Frame) -> None:
-        """Write everything as it is in the first frame, as default values.
+    def define(self, samples: SampleWriter, root: str, library: Library, frame: Frame) -> None:
+        """Define the prims, with the values of the first frame as default values.
 
         Args:
-            samples: where the later frames will go; its layer takes the definitions.
+            samples: writer for the later frames; the prims are defined in its layer.
             root: path of the environment's prim.
-            library: takes the colliders.
+            library: receives the colliders.
             frame: the first frame.
         """
         scene, start = self._scene, self._film.start
@@ -57,24 +57,24 @@ class Bodies:
         self._position = frame.position[self._row].copy()
         self._orientation = frame.orientation[self._row].copy()
         self._colors = frame_colors(self._color, self._film, self._row, frame)
-        # USD gives a body's velocities in its own frame, in degrees.
+        # USD velocities are in the body frame, angular ones in degrees.
         back = inverse(self._orientation)
         self._velocity = _vectors(rotate(back, start["linear_velocity"][self._row]))
         self._spin = _vectors(np.degrees(rotate(back, start["angular_velocity"][self._row])))
         taken, paths = {PHYSICS_SCENE, "contacts", "impulses"}, []
         for index, body in enumerate(scene.bodies):
-            name = _free_name(body.name, taken)
+            name = _unique_name(body.name, taken)
             prim = self._define_body(samples, f"{root}/{name}", index, body)
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
-            library.refer(geometry, library.collider(body.shape, Material(*self._coefficients(index))))
+            library.add_reference(geometry, library.collider(body.shape, Material(*self._coefficients(index))))
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")
-        self._keep_apart(samples.layer, paths)
+        self._write_filtered_pairs(samples.layer, paths)
 
-    def _keep_apart(self, layer: Sdf.Layer, paths: list[str]) -> None:
-        """Name for each body those that it passes through; static ones by their colliders, being no bodies in USD."""
+    def _write_filtered_pairs(self, layer: Sdf.Layer, paths: list[str]) -> None:
+        """Write the filtered pairs; static bodies, which USD does not have, are replaced by their colliders."""
         scene = self._scene
         partners: dict[int, list[str]] = {}
         for pair in sorted(scene.filtered_pairs):
@@ -89,14 +89,14 @@ class Bodies:
             applied = prim.GetInfo("apiSchemas")
             applied.prependedItems = [*applied.prependedItems, "PhysicsFilteredPairsAPI"]
             prim.SetInfo("apiSchemas", applied)
-            relate(prim, "physics:filteredPairs", *targets)
+            set_relationship(prim, "physics:filteredPairs", *targets)
 
     def _coefficients(self, index: int) -> tuple[float, ...]:
         names = ("friction", "restitution", "rolling_friction", "spinning_friction")
         return tuple(float(self._film.start[name][self._row, index]) for name in names)
 
-    def _define_body(self, samples: Samples, path: str, index: int, body: Body) -> Sdf.PrimSpec:
-        """A body without its geometry."""
+    def _define_body(self, samples: SampleWriter, path: str, index: int, body: Body) -> Sdf.PrimSpec:
+        """Define a body without its geometry."""
         start, row = self._film.start, self._row
         apis = [[], ["PhysicsRigidBodyAPI"], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]][body.motion]
         prim = define(samples.layer, path, "Xform", apis)
@@ -105,7 +105,11 @@ class Bodies:
         hue = set_attribute(
             prim, "primvars:displayColor", NAMES.Color3fArray, _color(self._colors[index]), interpolation="constant"
         )
-        for tracks, attribute in ((self._place, place), (self._turn, turn), (self._hue, hue)):
+        for tracks, attribute in (
+            (self._translate_tracks, place),
+            (self._orient_tracks, turn),
+            (self._color_tracks, hue),
+        ):
             tracks.append(samples.track(attribute))
         if body.motion == Motion.STATIC:
             return prim
@@ -118,40 +122,42 @@ class Bodies:
         return prim
 
     def _assign(self, prim: Sdf.PrimSpec, geometry: Sdf.PrimSpec, body: Body, owner: str) -> None:
-        """Say to which physics scene a body belongs, where there are several."""
+        """Assign a body to its physics scene if there are several."""
         geometry.instanceable = not (self._several and body.motion == Motion.STATIC)
         if geometry.instanceable:
             if self._several:
-                relate(prim, "physics:simulationOwner", owner)
+                set_relationship(prim, "physics:simulationOwner", owner)
             return
-        # Only its colliders themselves can say where a static body belongs, and an instance's cannot be changed.
+        # The scene of a static body is set on its colliders, which is not possible within an instance.
         for index in range(len(simple_shapes(body.shape))):
             over = define(prim.layer, f"{geometry.path}/collider_{index}", specifier=Sdf.SpecifierOver)
-            relate(over, "physics:simulationOwner", owner)
+            set_relationship(over, "physics:simulationOwner", owner)
 
-    def sample(self, samples: Samples, time: float, frame: Frame) -> None:
-        """Write what has changed since the frame before."""
+    def sample(self, samples: SampleWriter, time: float, frame: Frame) -> None:
+        """Write the values that changed since the previous frame."""
         position, orientation = frame.position[self._row], frame.orientation[self._row].copy()
         orientation[np.einsum("ij,ij->i", orientation, self._orientation) < 0.0] *= -1.0
         moved = np.flatnonzero((position != self._position).any(axis=1))
         values = Vt.Vec3dArray.FromNumpy(position[moved].astype(np.float64))
-        samples.put([self._place[index] for index in moved.tolist()], time, values)
+        samples.put([self._translate_tracks[index] for index in moved.tolist()], time, values)
         turned = np.flatnonzero((orientation != self._orientation).any(axis=1))
         values = Vt.QuatdArray.FromNumpy(precise_quaternions(orientation[turned]))
-        samples.put([self._turn[index] for index in turned.tolist()], time, values)
+        samples.put([self._orient_tracks[index] for index in turned.tolist()], time, values)
         self._position, self._orientation = position.copy(), orientation
-        if self._color not in STEADY:
+        if self._color not in CONSTANT_COLORINGS:
             self._sample_colors(samples, time, frame)
 
-    def _sample_colors(self, samples: Samples, time: float, frame: Frame) -> None:
+    def _sample_colors(self, samples: SampleWriter, time: float, frame: Frame) -> None:
         colors = frame_colors(self._color, self._film, self._row, frame)
         changed = np.flatnonzero((colors != self._colors).any(axis=1)).tolist()
-        samples.put([self._hue[index] for index in changed], time, [_color(colors[index]) for index in changed])
+        samples.put(
+            [self._color_tracks[index] for index in changed], time, [_color(colors[index]) for index in changed]
+        )
         self._colors = colors
 
 
 def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray) -> None:
-    """Gravity, and as custom data what UsdPhysics has no words for: rules of pairs and force fields."""
+    """Write gravity, and as custom data the combine modes and force fields, which UsdPhysics does not define."""
     prim = define(layer, path, "PhysicsScene")
     strength = math.hypot(*(float(x) for x in gravity))
     direction = np.asarray(gravity, dtype=np.float64) / strength if strength > 0.0 else np.array([0.0, 0.0, -1.0])
@@ -159,20 +165,20 @@ def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray)
     set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
     points = [field for field in scene.force_fields if isinstance(field, PointField)]
     uniform = [field for field in scene.force_fields if not isinstance(field, PointField)]
-    told: dict[str, Any] = {
+    custom: dict[str, Any] = {
         "frictionCombine": scene.friction_combine,
         "restitutionCombine": scene.restitution_combine,
     }
     if points:
-        told["pointFieldCenters"] = Vt.Vec3dArray([tuple(field.center) for field in points])
-        told["pointFieldStrengths"] = Vt.DoubleArray([field.strength for field in points])
+        custom["pointFieldCenters"] = Vt.Vec3dArray([tuple(field.center) for field in points])
+        custom["pointFieldStrengths"] = Vt.DoubleArray([field.strength for field in points])
     if uniform:
-        told["uniformFields"] = Vt.Vec3dArray([tuple(field.acceleration) for field in uniform])
-    prim.SetInfo("customData", {MARK: told})
+        custom["uniformFields"] = Vt.Vec3dArray([tuple(field.acceleration) for field in uniform])
+    prim.SetInfo("customData", {MARK: custom})
 
 
 def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:
-    """Mass, centre of mass and principal moments."""
+    """Write mass, centre of mass and principal moments."""
     center, moments, axes = _principal(body.shape)
     set_attribute(prim, "physics:mass", NAMES.Float, mass)
     set_attribute(prim, "physics:centerOfMass", NAMES.Point3f, center)
@@ -182,15 +188,15 @@ def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:
 
 @lru_cache(maxsize=256)
 def _principal(shape: Shape) -> tuple[Any, np.ndarray, Any]:
-    """Centre of mass, principal moments per mass [m^2], and the rotation to their axes."""
+    """Centre of mass, principal moments per mass [m^2], and the rotation to the principal axes."""
     moments, axes = np.linalg.eigh(np.asarray(shape.inertia) / shape.volume)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
     return _vector(shape.center_of_mass), moments, gf_quaternion(quaternion_of_matrix(axes))
 
 
-def _free_name(name: str, taken: set[str]) -> str:
-    """A prim's name that is not taken yet."""
+def _unique_name(name: str, taken: set[str]) -> str:
+    """An unused prim name."""
     base = Tf.MakeValidIdentifier(name)
     found, number = base, 1
     while found in taken:

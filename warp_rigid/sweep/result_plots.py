@@ -6,17 +6,17 @@ from typing import Any, Protocol
 import numpy as np
 
 from warp_rigid.checks import one_of
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 
 __all__ = ["KINDS", "plot"]
 
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")
-MOST_LINES = 12
+MAX_LINES = 12
 
 
 class Table(Protocol):
-    """What is drawn: see SweepResult, which has all of this."""
+    """Interface of a table to plot; SweepResult implements it."""
 
     rows: list[dict[str, Any]]
     about: dict[str, Any]
@@ -30,21 +30,21 @@ class Table(Protocol):
 
     @property
     def metrics(self) -> list[str]:
-        """Names of the columns that were measured."""
+        """Names of the metric columns."""
 
     @property
     def failed(self) -> list[dict[str, Any]]:
-        """Rows of runs that did not come to their end."""
+        """Rows of runs that did not complete."""
 
     def column(self, name: str) -> np.ndarray:
-        """Values of a column, one a row."""
+        """Values of a column, one per row."""
 
 
 def check_plot(path: Any, kind: str | None = None) -> None:
-    """Refuse what cannot be drawn before anything runs.
+    """Check the arguments of a plot before anything runs.
 
     Raises:
-        ValueError: The name has another ending than a picture's, or there is no such kind.
+        ValueError: The suffix or the kind is unknown.
         ModuleNotFoundError: matplotlib is not installed.
     """
     import matplotlib  # noqa: F401
@@ -56,35 +56,35 @@ def check_plot(path: Any, kind: str | None = None) -> None:
 
 
 def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
-    """Draw a table.
+    """Plot a result table.
 
     Args:
         result: the table.
-        path: the picture, .png, .svg or .pdf.
-        x: the axis along which to draw; None takes the one of most values.
-        y: the metric; None takes the first one.
-        kind: "line" (a line for each value of the other axes), "heatmap" (over x and one more axis of numbers, a panel
-            for each value of the rest) or "scatter" (all axes of numbers and the metric against each other). None takes
-            lines where there is one axis of numbers, a heat map where a grid has two, else a scatter matrix.
+        path: output file, .png, .svg or .pdf.
+        x: the axis on the x axis; None uses the one with most distinct values.
+        y: the metric; None uses the first numeric one.
+        kind: "line" (one line per value of the other axes), "heatmap" (over x and one other numeric axis, one panel
+            per value of the remaining axes) or "scatter" (scatter matrix of all numeric axes and the metric). None
+            uses lines for one axis, a heat map for a grid of two numeric axes, else a scatter matrix.
 
     Returns:
-        The matplotlib Figure, for those who want to add to it.
+        The matplotlib Figure.
 
     Raises:
-        ValueError: There is no such column or kind, or nothing to draw.
+        ValueError: The column or kind is unknown, or there is nothing to plot.
     """
     check_plot(path, kind)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     if not result.rows or not result.axes:
-        raise ValueError("plot: there are no rows or no axes to draw")
+        raise ValueError("plot: requires at least one row and one axis")
     y = y or _first_number(result)
     numeric = [name for name in result.axes if _is_number(result.column(name))]
     x = x or max(numeric or result.axes, key=lambda name: len(set(result.column(name).tolist())))
     values = result.column(y)
     if not (_is_number(values) or values.dtype == bool):
-        raise ValueError(f"plot: y must be a column of numbers, got {y}")
+        raise ValueError(f"plot: y must be a numeric column, got {y}")
     result.column(x)
     others = [name for name in result.axes if name != x]
     kind = kind or _kind(result, x, [name for name in numeric if name != x])
@@ -95,17 +95,17 @@ def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, k
     elif kind == "heatmap":
         along = next((name for name in others if name in numeric), None)
         if along is None or x not in numeric:
-            raise ValueError("plot: a heat map needs two axes of numbers")
+            raise ValueError("plot: a heat map requires two numeric axes")
         _heat_maps(figure, result, x, along, y, [name for name in others if name != along])
     else:
         _scatter_matrix(figure, result, [*numeric, y])
-    with whole_file(path) as beside:
-        figure.savefig(beside)
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary)
     return figure
 
 
 def _kind(result: Table, x: str, others: list[str]) -> str:
-    """The kind that suits a table."""
+    """The default kind of plot for a table."""
     if not others:
         return "line"
     cells = len(set(result.column(x).tolist())) * len(set(result.column(others[0]).tolist()))
@@ -113,19 +113,19 @@ def _kind(result: Table, x: str, others: list[str]) -> str:
 
 
 def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> None:
-    """A line for each combination of the other axes; of repeats the mean, and the range as a band."""
+    """One line per combination of the other axes; repeats are drawn as their mean with a min-max band."""
     axes = figure.subplots()
     place, height = result.column(x), result.column(y).astype(float)
     words = not _is_number(place)
     if words:
         place = np.array([str(value) for value in place.tolist()])
     groups = _groups(result, others)
-    for rank, (label, rows) in enumerate(list(groups.items())[:MOST_LINES]):
+    for rank, (label, rows) in enumerate(list(groups.items())[:MAX_LINES]):
         stops = sorted(set(place[rows].tolist()))
         parts = [height[rows][place[rows] == stop] for stop in stops]
         mean, low, high = (np.array([_of(part, pick) for part in parts]) for pick in (np.mean, np.min, np.max))
         ticks = np.arange(len(stops)) if words else np.array(stops, float)
-        # Lines that coincide are seen one inside the other.
+        # Decreasing widths keep coincident lines visible.
         width = 1.5 + 1.5 * max(0, min(len(groups), 4) - 1 - rank)
         line = axes.plot(ticks, mean, linewidth=width, marker="o", markersize=2.0 * width, label=label)[0]
         if any(len(part) > 1 for part in parts):
@@ -139,7 +139,7 @@ def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> Non
 
 
 def _heat_maps(figure: Any, result: Table, x: str, along: str, y: str, others: list[str]) -> None:
-    """A panel for each combination of the other axes, all with the same colours."""
+    """One panel per combination of the other axes, with a common colour scale."""
     groups = _groups(result, others)
     columns, rows, values = result.column(x), result.column(along), result.column(y).astype(float)
     across, up = np.unique(columns), np.unique(rows)
@@ -160,7 +160,7 @@ def _heat_maps(figure: Any, result: Table, x: str, along: str, y: str, others: l
 
 
 def _scatter_matrix(figure: Any, result: Table, names: list[str]) -> None:
-    """Every column against every other, coloured by the last; histograms on the diagonal."""
+    """Scatter matrix coloured by the last column, with histograms on the diagonal."""
     columns = [result.column(name).astype(float) for name in names]
     size = len(names)
     figure.set_size_inches(1.0 + 2.0 * size, 2.0 * size)
@@ -177,7 +177,7 @@ def _scatter_matrix(figure: Any, result: Table, names: list[str]) -> None:
 
 
 def _groups(result: Table, names: list[str]) -> dict[str, np.ndarray]:
-    """Rows (as masks) by the values of some axes, labelled by them, in the order of the design."""
+    """Row masks grouped and labelled by the values of some axes, in the order of the design."""
     labels = [", ".join(_word(row[name]) for name in names) for row in result.rows]
     return {label: np.array([other == label for other in labels]) for label in dict.fromkeys(labels)}
 
@@ -187,13 +187,13 @@ def _word(value: Any) -> str:
 
 
 def _of(values: np.ndarray, pick: Any) -> float:
-    """A statistic of the finite values, NaN if there are none."""
+    """A statistic of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(pick(finite)) if len(finite) else np.nan
 
 
 def _edges(centers: np.ndarray) -> np.ndarray:
-    """Borders of cells about sorted centres."""
+    """Cell edges for sorted cell centres."""
     if len(centers) == 1:
         return np.array([centers[0] - 0.5, centers[0] + 0.5])
     between = 0.5 * (centers[1:] + centers[:-1])
@@ -205,12 +205,12 @@ def _is_number(values: np.ndarray) -> bool:
 
 
 def _first_number(result: Table) -> str:
-    """The first metric that is one number a run."""
+    """The first metric with one number per run."""
     for name in result.metrics:
         values = result.column(name)
         if _is_number(values) or values.dtype == bool:
             return name
-    raise ValueError("plot: no metric is a number a run")
+    raise ValueError("plot: requires a metric with one number per run")
 
 
 def _title(result: Table) -> str:

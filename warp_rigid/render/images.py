@@ -1,4 +1,4 @@
-"""Pictures of a film: one frame, a contact sheet, or an animated GIF or MP4, made without a screen."""
+"""Images of a film, rendered without a display: one frame, a contact sheet, an animated GIF or an MP4 video."""
 
 import errno
 import itertools
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import warp as wp
 
-from warp_rigid.files.atomic import whole_file
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.render.appearance import bound_corners
 from warp_rigid.render.film import Film
 from warp_rigid.render.raycast import Camera, RayCaster
@@ -18,34 +18,34 @@ __all__ = ["fit_camera", "points_to_see", "save_contact_sheet", "save_film", "sa
 TOWARD_EYE = (0.42, -1.0, 0.48)
 TOWARD_LIGHT = (-0.2, -0.75, 1.15)
 FIELD_OF_VIEW = math.radians(32.0)
-"""Upright opening angle of the camera."""
+"""Vertical field of view of the camera [rad]."""
 MARGIN = 1.12
-"""How much wider the view is than what must be seen."""
+"""Ratio of the field of view to the extent of the visible points."""
 CAMERA_FRAMES = 24
-"""So many frames of a film, evenly spread, decide what must be seen."""
-MOST_PANELS = 9
-"""Up to so many environments get a panel each; more are drawn as they stand, all in one view."""
+"""Number of evenly spaced frames considered by the camera fit."""
+MAX_PANELS = 9
+"""Maximum number of environments drawn in separate panels; more are drawn together in one view."""
 PANEL_ROW = 3
-"""Up to so many panels stand side by side; more make a square."""
+"""Maximum number of panels in a single row; more are arranged in a square."""
 GIF_RATE = 20.0
-"""Frames per second of a GIF; common viewers slow down faster ones."""
+"""Frames per second of a GIF; common viewers slow down higher rates."""
 GIF_FRAMES = 200
 MP4_RATE = 30.0
-"""Most frames per second of an MP4 file."""
+"""Maximum frames per second of an MP4 file."""
 
 
 def save_picture(film: Film, path, frame: int = -1, width: int = 640, height: int = 480) -> None:
-    """Draw one frame into a .png file; a few environments get a panel each.
+    """Render one frame to a .png file, with a panel per environment if there are few.
 
     Args:
-        film: what to draw.
-        path: the file; folders are made.
-        frame: its number; -1 is the last.
-        width: of a panel [pixel].
-        height: of a panel [pixel].
+        film: the film.
+        path: output file; missing folders are created.
+        frame: frame index; -1 is the last.
+        width: width of a panel [pixel].
+        height: height of a panel [pixel].
 
     Raises:
-        ValueError: There is no such frame.
+        ValueError: The frame does not exist.
         ModuleNotFoundError: Pillow is not installed.
     """
     if not -film.num_frames <= frame < film.num_frames:
@@ -55,14 +55,14 @@ def save_picture(film: Film, path, frame: int = -1, width: int = 640, height: in
 
 
 def save_contact_sheet(film: Film, path, count: int = 8) -> None:
-    """Draw frames evenly spread over the film, the first and last included, into one .png file.
+    """Render evenly spaced frames, including the first and the last, to one .png file.
 
-    A film of one environment runs over two rows; of several, each has a row.
+    The frames of one environment fill two rows; several environments have one row each.
 
     Args:
-        film: what to draw.
-        path: the file; folders are made.
-        count: how many frames; fewer where the film has fewer.
+        film: the film.
+        path: output file; missing folders are created.
+        count: maximum number of frames.
 
     Raises:
         ModuleNotFoundError: Pillow is not installed.
@@ -79,19 +79,19 @@ def save_contact_sheet(film: Film, path, count: int = 8) -> None:
 
 
 def save_film(film: Film, path, width: int = 480, height: int = 360) -> None:
-    """Draw the film, at its own speed, into an animated .gif or an .mp4 file.
+    """Render the film in real time to an animated .gif or an .mp4 file.
 
     Args:
-        film: what to draw.
-        path: the file, by whose ending its kind is told; folders are made.
-        width: of a panel [pixel].
-        height: of a panel [pixel].
+        film: the film.
+        path: output file; the suffix selects the format; missing folders are created.
+        width: width of a panel [pixel].
+        height: height of a panel [pixel].
 
     Raises:
         ModuleNotFoundError: Pillow, or for .mp4 imageio-ffmpeg, is not installed.
     """
-    with whole_file(path) as beside:
-        (_save_mp4 if str(path).endswith(".mp4") else _save_gif)(film, beside, width, height)
+    with atomic_file(path) as temporary:
+        (_save_mp4 if str(path).endswith(".mp4") else _save_gif)(film, temporary, width, height)
 
 
 def _save_gif(film: Film, path, width: int, height: int) -> None:
@@ -99,7 +99,7 @@ def _save_gif(film: Film, path, width: int, height: int) -> None:
 
     stride = max(round(film.fps / GIF_RATE), math.ceil(film.num_frames / GIF_FRAMES), 1)
     images = list(_frames(film, stride, width, height))
-    # One palette for all, without dithering: nothing flickers, and places at rest cost nothing.
+    # A common palette without dithering avoids flicker and compresses constant regions.
     strip = Image.fromarray(np.concatenate([np.asarray(i)[::4, ::4] for i in images[::4]]))
     palette = strip.quantize(255)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
@@ -108,7 +108,7 @@ def _save_gif(film: Film, path, width: int, height: int) -> None:
 
 
 def _save_mp4(film: Film, path, width: int, height: int) -> None:
-    """H.264 in the colour format that all players know, which needs even sizes."""
+    """Encode as H.264 in a widely supported pixel format, which requires even sizes."""
     import imageio_ffmpeg
 
     stride = max(1, math.ceil(film.fps / MP4_RATE - 1e-6))
@@ -121,7 +121,7 @@ def _save_mp4(film: Film, path, width: int, height: int) -> None:
     for image in itertools.chain([first], images):
         writer.send(np.ascontiguousarray(image))
     writer.close()
-    # The writer says nothing of an ffmpeg that could not write what it was sent.
+    # The writer does not report write errors of ffmpeg.
     try:
         written, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
     except RuntimeError:
@@ -132,24 +132,24 @@ def _save_mp4(film: Film, path, width: int, height: int) -> None:
 
 
 def _frames(film: Film, stride: int, width: int, height: int):
-    """Every so many frames of a film, as Pillow images."""
+    """Every `stride`-th frame of a film, as Pillow images."""
     studio = _Studio(film, None, width, height)
     for frame in range(0, film.num_frames, stride):
         yield _arranged(studio.draw(frame))
 
 
 class _Studio:
-    """Draws the panels of a film: one for each environment, all seen from the same place.
+    """Renders the panels of a film, one per environment, with a common camera.
 
     Args:
-        film: what to draw.
-        frames: numbers of the frames that the camera must hold; None takes the whole film.
-        width: of a panel [pixel].
-        height: of a panel [pixel].
+        film: the film.
+        frames: indices of the frames that the camera fit considers; None uses the whole film.
+        width: width of a panel [pixel].
+        height: height of a panel [pixel].
     """
 
     def __init__(self, film: Film, frames, width: int, height: int):
-        several = 1 < len(film.labels) <= MOST_PANELS
+        several = 1 < len(film.labels) <= MAX_PANELS
         films = [film.alone(env) for env in range(len(film.labels))] if several else [film]
         if frames is None:
             frames = np.unique(np.linspace(0, film.num_frames - 1, CAMERA_FRAMES).astype(int))
@@ -164,7 +164,7 @@ class _Studio:
         return len(self._casters)
 
     def draw(self, frame: int) -> list:
-        """The panels of a frame as Pillow images, with their labels."""
+        """Render the labelled panels of a frame as Pillow images."""
         from PIL import Image
 
         width, height = self._size
@@ -176,12 +176,12 @@ class _Studio:
 
 
 def fit_camera(points: np.ndarray, aspect: float, height: int) -> Camera:
-    """The nearest view that holds some points.
+    """The closest camera that has all points in view.
 
     Args:
         points: (n, 3) [m].
-        aspect: width of the picture over its height.
-        height: of the picture [pixel].
+        aspect: width of the image over its height.
+        height: height of the image [pixel].
     """
     back = _unit(TOWARD_EYE)
     right = _unit(np.cross(-back, (0.0, 0.0, 1.0)))
@@ -189,8 +189,8 @@ def fit_camera(points: np.ndarray, aspect: float, height: int) -> Camera:
     tall = math.tan(FIELD_OF_VIEW / 2.0)
     wide = tall * aspect
 
-    # Each point asks for a place of the eye from which it lies just inside the view's borders;
-    # moving the eye sideways to the middle of the demands brings it nearest.
+    # Each point bounds the positions of the eye from which it is in view; the closest position that satisfies all
+    # bounds is centred between the extreme ones.
     along, across, above = points @ back, points @ right, points @ up
     center_across, distance_across = _middle(across, along, wide / MARGIN)
     center_above, distance_above = _middle(above, along, tall / MARGIN)
@@ -209,17 +209,17 @@ def fit_camera(points: np.ndarray, aspect: float, height: int) -> Camera:
 
 
 def _middle(side: np.ndarray, along: np.ndarray, slope: float) -> tuple[float, float]:
-    """Place of the eye, sideways and backward, from which all |side| <= slope * depth."""
+    """Position of the eye, sideways and backward, from which all |side| <= slope * depth."""
     highest, lowest = np.max(side + slope * along), np.max(-side + slope * along)
     return float(highest - lowest) / 2.0, float(highest + lowest) / 2.0 / slope
 
 
 def points_to_see(film: Film, frames) -> np.ndarray:
-    """Corners of the boxes around the moving bodies and fixed ones of their size, (points, 3) [m].
+    """Bounding box corners of moving bodies and of fixed bodies of similar size, (points, 3) [m].
 
     Args:
-        film: what to look at.
-        frames: numbers of the frames that count.
+        film: the film.
+        frames: indices of the frames to consider.
     """
     corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])[film.mesh]
     flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
@@ -228,11 +228,11 @@ def points_to_see(film: Film, frames) -> np.ndarray:
         moving = ~flat if not flat.all() else np.ones_like(flat)
 
     def placed(chosen, frame):
-        turned = rotate(film.orientation[frame][chosen, None], corners[chosen])
-        return turned + film.position[frame][chosen, None]
+        rotated = rotate(film.orientation[frame][chosen, None], corners[chosen])
+        return rotated + film.position[frame][chosen, None]
 
     points = np.concatenate([placed(moving, frame) for frame in frames])
-    # The few that fly off must not make the rest small.
+    # Outliers that fly away are ignored.
     middle = np.median(points.reshape(-1, 3), axis=0)
     away = np.linalg.norm(points.mean(axis=1) - middle, axis=1)
     points = points[away <= 2.5 * np.percentile(away, 75.0) + 1e-9]
@@ -244,7 +244,7 @@ def points_to_see(film: Film, frames) -> np.ndarray:
 
 
 def _write(image, text: str, place: tuple[float, float], anchor: str) -> None:
-    """Write dark text with a light rim on a picture, in place."""
+    """Draw dark text with a light outline on an image, in place."""
     from PIL import ImageDraw, ImageFont
 
     font = ImageFont.load_default(size=max(12, image.height // 26))
@@ -253,13 +253,13 @@ def _write(image, text: str, place: tuple[float, float], anchor: str) -> None:
 
 
 def _arranged(panels: list):
-    """The panels of a frame as one picture."""
+    """Combine the panels of a frame to one image."""
     count = len(panels)
     return _tiled(panels, count if count <= PANEL_ROW else math.ceil(math.sqrt(count)))
 
 
 def _tiled(images: list, columns: int):
-    """Pictures of one size as one, row by row."""
+    """Tile images of equal size, row by row."""
     from PIL import Image
 
     columns = min(columns, len(images))
@@ -272,12 +272,12 @@ def _tiled(images: list, columns: int):
 
 
 def _save(image, path, **options) -> None:
-    with whole_file(path) as beside:
-        image.save(beside, **options)
+    with atomic_file(path) as temporary:
+        image.save(temporary, **options)
 
 
 def _round_length(length: float) -> float:
-    """The nearest length below of the row 1, 2, 5, 10, 20, ..."""
+    """Round down to a length of the series 1, 2, 5, 10, 20, ..."""
     power = 10.0 ** math.floor(math.log10(length))
     return power * max(step for step in (1.0, 2.0, 5.0) if step <= length / power * (1.0 + 1e-9))
 

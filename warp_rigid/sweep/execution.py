@@ -1,4 +1,4 @@
-"""`wr.sweep`: the runs of a design, put into batches, run here or on a cluster, and written as they come."""
+"""`wr.sweep`: run the batches of a design locally or on a cluster, and write the results as they arrive."""
 
 import functools
 import logging
@@ -18,21 +18,21 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.axes import clean_axes, plain
-from warp_rigid.sweep.batch import Batch, run_batch
+from warp_rigid.sweep.batch_run import Batch, run_batch
+from warp_rigid.sweep.batch_size import free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
-from warp_rigid.sweep.design import Run, address, make_points, shard_of
+from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
-from warp_rigid.sweep.memory import memory_at_hand, most_environments, split_into_batches
 from warp_rigid.sweep.metrics import check_metrics, metric_name
-from warp_rigid.sweep.table import Book, SweepResult
+from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.version import __version__
 
 __all__ = ["sweep"]
 
 log = logging.getLogger("warp_rigid")
 
-MOST_BATCH = 10_000_000
+MAX_BATCH = 10_000_000
 
 
 def sweep(
@@ -59,46 +59,47 @@ def sweep(
     on_progress: Callable[[int, int], None] | None = None,
     command: Sequence[str] | None = None,
 ) -> SweepResult:
-    """Run a scene with many values of its parameters; one row a run.
+    """Simulate a scene over a range of parameters; one row per run.
 
-    What can share a simulator does, an environment a run; different meshes, numbers of bodies or time steps are put
-    into batches of their own. A row depends on its parameters alone: not on the batch, its place in it, the shard or
-    the worker.
+    Runs with the same structure share a simulator, one environment per run; different meshes, numbers of bodies or
+    time steps go into separate batches. A row depends only on its parameters, not on the batch, the batch index, the
+    shard or the worker.
 
     Args:
         scene: a built-in name, the path of a .py file with a function scene(), a Scene, or a function that returns one.
-        axes: values or a distribution (Uniform, LogUniform, Normal, Integers, Choice) by name: a parameter of the
-            scene, a setting, or a property that Simulator.set takes. A property can choose bodies: "mass[box_3]",
+        axes: values or a distribution (Uniform, LogUniform, Normal, Integers, Choice) by name: a scene parameter, a
+            setting, or a property accepted by Simulator.set. A property may select bodies: "mass[box_3]",
             "friction[box_*]".
-        duration: simulated time of each run [s]; None takes the scene's own.
-        fixed: names and values for all runs.
-        design: "grid" (every combination), "zip" (values side by side), "random" or "lhs" (Latin hypercube).
-        samples: points of the designs "random" and "lhs".
-        repeats: how often every point is run, each time with the next seed.
-        seed: of the draws and of the scene's random numbers; None takes the scene's own and 0 for the draws.
-        metrics: names of built-in metrics (see warp_rigid.sweep.metrics.METRICS), "outcome" for the scene's own, paths
-            of .py files with functions, or functions of the simulator at the end that return (envs,) values. None takes
-            all that are a number a run.
-        fps: looks at the running state per simulated second.
-        batch: most environments at once, or "auto": by the memory at hand.
+        duration: simulated time of each run [s]; None uses the duration of the scene.
+        fixed: values shared by all runs, by name.
+        design: "grid" (every combination), "zip" (element by element), "random" or "lhs" (Latin hypercube).
+        samples: number of points of the designs "random" and "lhs".
+        repeats: number of runs per point, with consecutive seeds.
+        seed: seed of the design and of the random numbers of the scene; None uses 0 for the design and the default of
+            the scene.
+        metrics: names of built-in metrics (see warp_rigid.sweep.metrics.METRICS), "outcome" for the verdicts of the
+            scene, paths of .py files with functions, or functions of the final simulator that return (envs,) values.
+            None uses all built-in metrics with one number per run.
+        fps: state samples per simulated second.
+        batch: maximum number of environments per batch, or "auto" to derive it from the available memory.
         device: as in Simulator.
-        output: a .parquet file that is written while the sweep runs, and PATH.json beside it, which tells scene,
-            design, versions and commit.
+        output: a .parquet file that is updated while the sweep runs; PATH.json beside it holds scene, design, versions
+            and commit.
         resume: keep the finished rows of `output` and run only the others.
         overwrite: replace `output`.
-        trajectories: a .zarr folder for the poses at every look.
-        shard: (i, n) runs every n-th of the design, from the i-th on, 1 <= i <= n.
+        trajectories: a .zarr folder for the poses of every sample.
+        shard: (i, n) runs every n-th run of the design, starting with the i-th, 1 <= i <= n.
         cluster: "local" for worker processes on this machine, the address of a Dask scheduler, a Dask cluster or
-            client, or a function that returns one; None runs here.
-        workers: processes of "local"; None takes one a GPU, or two without.
-        on_progress: called with the runs done and all runs after each batch.
-        command: the command line, for PATH.json.
+            client, or a function that returns one; None runs in this process.
+        workers: number of worker processes for "local"; None uses one per GPU, or two without a GPU.
+        on_progress: called after each batch with the number of finished runs and of all runs.
+        command: the command line, stored in PATH.json.
 
     Returns:
-        The rows, those of `output` included if it was resumed.
+        The rows, including those kept from a resumed `output`.
 
     Raises:
-        ValueError: A name is unknown, a value out of range or `output` exists; nothing has run then.
+        ValueError: A name is unknown, a value is out of range or `output` exists; raised before any run.
     """
     demo, scene_id = resolve_scene(scene)
     job = Job(
@@ -112,43 +113,43 @@ def sweep(
         device=device,
     )
     if batch != "auto":
-        whole_in("batch", batch, 1, MOST_BATCH)
+        whole_in("batch", batch, 1, MAX_BATCH)
     clean = clean_axes(axes)
     both = [name for name in clean if name in job.fixed]
     if both:
-        raise ValueError(f"{both[0]}: is fixed and an axis; it can be one of them")
+        raise ValueError(f"{both[0]}: must be either fixed or an axis, not both")
     points = make_points(clean, design, samples, repeats, seed or 0)
     all_runs = make_runs(job, points, seed)
     runs = shard_of(all_runs, shard)
-    _refuse_taken_names(all_runs)
-    told = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
-    about = _about(job, scene, told, all_runs) | {
-        "design": {"kind": design, "samples": samples, "repeats": repeats, "seed": seed, "axes": told},
-        "design_id": address([run.id for run in all_runs]),
+    _check_reserved_names(all_runs)
+    axis_values = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
+    about = _about(job, scene, axis_values, all_runs) | {
+        "design": {"kind": design, "samples": samples, "repeats": repeats, "seed": seed, "axes": axis_values},
+        "design_id": stable_hash([run.id for run in all_runs]),
         "runs": len(all_runs),
         "shard": shard,
         "command": list(command) if command is not None else None,
     }
-    book = Book(output, about, resume, overwrite, source=scene)
+    book = ResultFile(output, about, resume, overwrite, source=scene)
     book.keep(run.id for run in runs)
     for run in runs:
         if run.id in book.rows:
             book.rows[run.id]["run"] = run.index
     missing = [run for run in runs if run.id not in book.rows]
     groups = group_runs(job, missing)
-    tracks = None
+    trajectory_store = None
     if trajectories is not None:
         from warp_rigid.sweep.trajectories import Trajectories
 
-        tracks = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
+        trajectory_store = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
     if len(missing) < len(runs):
-        log.info("%d of %d runs are finished already", len(runs) - len(missing), len(runs))
+        log.info("%d of %d runs are already finished", len(runs) - len(missing), len(runs))
     book.write(state="running")
     done = len(runs) - len(missing)
     try:
         for part, result in _results(job, groups, batch, cluster, workers):
-            if tracks is not None and result.trajectories is not None:
-                tracks.add(part, result.trajectories)
+            if trajectory_store is not None and result.trajectories is not None:
+                trajectory_store.add(part, result.trajectories)
             book.add(result.rows)
             done += len(part)
             if on_progress is not None:
@@ -162,7 +163,7 @@ def sweep(
 def _results(
     job: Job, groups: list[tuple[Scene, list[Run]]], batch: int | str, cluster: Any, workers: int | None
 ) -> Iterator[tuple[list[Run], Batch]]:
-    """Runs and what they gave, as they are done."""
+    """Yield the runs of each batch with their results, in order of completion."""
     if not groups:
         return
     if cluster is not None:
@@ -170,13 +171,13 @@ def _results(
         return
     device = choose_device(job.device)
     job = replace(job, device=device)
-    limit = partial(most_environments, device=device)
-    for part in split_into_batches(groups, batch, limit, memory_at_hand(device)):
+    limit = partial(max_environments, device=device)
+    for part in split_into_batches(groups, batch, limit, free_memory(device)):
         yield part, run_batch(job, part)
 
 
 def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict[str, Any]:
-    """What the rows come from."""
+    """Metadata of the table."""
     return {
         "scene": job.scene_id,
         "source": str(source) if isinstance(source, str | Path) else None,
@@ -195,22 +196,22 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
     }
 
 
-def _refuse_taken_names(runs: list[Run]) -> None:
-    """A parameter must not be called like a column that every table has; "seed" means the same there."""
+def _check_reserved_names(runs: list[Run]) -> None:
+    """Check that no parameter has the name of a standard column; "seed" has the same meaning in both."""
     taken = [name for name in (runs[0].parameters if runs else ()) if name in COLUMNS and name != "seed"]
     if taken:
-        raise ValueError(f"axis {taken[0]}: is the name of a column of every table; rename the scene's parameter")
+        raise ValueError(f"axis {taken[0]}: is the name of a standard column; rename the scene parameter")
 
 
 @functools.cache
 def _commit() -> str | None:
-    """The commit of the checkout that runs, None for an installed package."""
+    """Commit of the source checkout; None for an installed package."""
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return None
     try:
-        asked = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--dirty"]
-        return subprocess.run(asked, capture_output=True, text=True, timeout=5).stdout.strip() or None
+        command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--dirty"]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5).stdout.strip() or None
     except (OSError, subprocess.TimeoutExpired):
         return None
 

@@ -1,4 +1,4 @@
-"""A simulator as seen from the environments of one scene, so that a scene's events and outcome meet only those."""
+"""View of the environments of one scene in a simulator, passed to the events and the outcome of that scene."""
 
 from typing import Any
 
@@ -7,19 +7,19 @@ import numpy as np
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["View"]
+__all__ = ["EnvironmentView"]
 
 
-class View:
-    """Some environments of a simulator: what `Simulator` answers, for them alone.
+class EnvironmentView:
+    """A subset of the environments of a simulator, with part of the interface of `Simulator`.
 
     Attributes:
         scene: the scene of these environments.
-        num_envs: how many they are.
+        num_envs: their number.
     """
 
     def __init__(self, sim: Simulator, scene: Scene, envs: np.ndarray) -> None:
-        """Note which environments."""
+        """Store the indices of the environments."""
         self._sim, self.scene, self._envs = sim, scene, envs
         self.num_envs = len(envs)
         self.num_bodies, self.settings, self.device = sim.num_bodies, sim.settings, sim.device
