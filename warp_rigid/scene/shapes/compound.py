@@ -1,10 +1,11 @@
 """Compound: several shapes rigidly joined into one."""
 
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
-from warp_rigid.checks import finite_vector, shown, unit_quaternion
+from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
     Part,
@@ -83,6 +84,28 @@ class Compound(Shape):
         rotation = self._rotations[index]
         distance, gradient = shape.signed_distance((points - position) @ rotation)
         return distance, gradient @ rotation.T
+
+    @property
+    def grid_nodes(self):
+        """Those of all children."""
+        return sum(shape.grid_nodes for shape, _, _ in self.children)
+
+    def to_data(self, place):
+        """The children by index, each with its pose."""
+        return {
+            "children": [
+                [place(child), position.tolist(), orientation] for child, position, orientation in self.children
+            ]
+        }, {}
+
+    @classmethod
+    def from_data(cls, data, array, earlier) -> Self:
+        """Join shapes that were saved earlier."""
+        last = len(earlier) - 1
+        return cls(
+            (earlier[whole_in("child", child, 0, last)], position, orientation)
+            for child, position, orientation in data["children"]
+        )
 
     def parts(self):
         """The children's parts, in order, at their poses."""

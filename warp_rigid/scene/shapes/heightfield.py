@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeGuard
+from typing import Self, TypeGuard
 
 import numpy as np
 
@@ -85,6 +85,29 @@ class Heightfield(Shape):
 
     def _content(self):
         return [self.heights, self.extent, self.moving, self.amplitude, self.phase, self.angular_frequency]
+
+    @property
+    def grid_nodes(self):
+        """One per vertex."""
+        return self.heights.size
+
+    def to_data(self, place):
+        """Heights and motion as arrays."""
+        data, arrays = {"size": self.extent.tolist()}, {"heights": self.heights}
+        if self.moving:
+            data["angular_frequency"] = self.angular_frequency
+            arrays |= {"amplitude": self.amplitude, "phase": self.phase}
+        return data, arrays
+
+    @classmethod
+    def from_data(cls, data, array, earlier) -> Self:
+        """The field with its motion, if it has one."""
+        heights = array("heights", np.float64, (None, None))
+        motion = None
+        if "angular_frequency" in data:
+            amplitude, phase = (array(name, np.float64, heights.shape) for name in ("amplitude", "phase"))
+            motion = HarmonicMotion(amplitude, data["angular_frequency"], phase)
+        return cls(heights, data["size"], motion)
 
     def heights_at(self, time: float) -> np.ndarray:
         """Heights at a time [s], (nx, ny) [m]."""

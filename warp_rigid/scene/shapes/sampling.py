@@ -1,5 +1,6 @@
 """Surface samples of shapes, and their grouping into tight clusters."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,13 @@ class SampleList:
         for (name, column), value in zip(self._columns.items(), values, strict=True):
             shape = (count, 3) if name in ("point", "normal", "slide") else (count,)
             column.append(np.broadcast_to(np.asarray(value), shape))
+
+    def add_axis(self, half_length: float, radius: float) -> None:
+        """Append EDGE segments with a radius along z, each about one radius long, 8 at most."""
+        pieces = int(np.clip(math.ceil(half_length / radius), 1, 8))
+        end = np.array([[0.0, 0.0, half_length]])
+        middle, half, _ = split_segments(-end, end, np.array([pieces]))
+        self.add(SampleKind.EDGE, middle, slide=half, radius=radius)
 
     def columns(self) -> dict[str, np.ndarray]:
         """All samples: point, normal, slide (n, 3), and radius, kind, rank (n,)."""
