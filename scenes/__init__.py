@@ -24,9 +24,7 @@ _FILES = (
 )
 """Files of this folder that define a DEMO, in the order of `names()`."""
 
-_DEMOS: dict[str, Demo] = {
-    demo.name: demo for demo in (import_module(f"{__name__}.{file}").DEMO for file in _FILES)
-}
+_DEMOS: dict[str, Demo] = {demo.name: demo for demo in (import_module(f"{__name__}.{file}").DEMO for file in _FILES)}
 
 
 def names() -> list[str]:

@@ -125,7 +125,7 @@ def test_following_the_direction_leads_to_the_surface(device, name):
 
 
 def test_distance_outside_a_grid_is_a_lower_bound(device):
-    """Culling relies on it: nothing may be told farther away than it is."""
+    """Culling relies on it: no distance may exceed the true one."""
     points = 3.0 * probe(SHAPES["torus"], seed=3)
     exact, _ = SHAPES["torus"].exact_signed_distance(points)
     found, _ = measure(SHAPES["torus"], points, device)

@@ -85,6 +85,9 @@ data, arrays = scene_to_data(scene)
 again = scene_from_data(json.loads(json.dumps(data)), arrays)
 sim = wr.Simulator(again, device=sys.argv[1])
 sim.step(720)
+path = sys.argv[2]
+wr.export_usd(wr.record(sim, 1), path)
+drawn = wr.import_usd(path).bodies[2].shape
 slope = shape.signed_distance(points + step)[0] - shape.signed_distance(points - step)[0]
 print(json.dumps({
     "equal": again.bodies == scene.bodies,
@@ -94,7 +97,7 @@ print(json.dumps({
     "inertia": (np.diag(shape.inertia) / (second.sum() - second)).tolist(),
     "heights": sim.get("position")[0, 2:, 2].tolist(),
     "speed": float(np.abs(sim.get("linear_velocity")).max()),
-    "status": sim.status()[0].__str__(),
+    "drawn": drawn.volume / shape.volume,
 }))
 """
 
@@ -103,7 +106,7 @@ def test_an_analytic_shape_takes_three_files(copy, device):
     """Distance against that to the box inside, mass against random points, heights at rest against the half height."""
     touched = apply("Add an analytic shape", copy)
     assert touched == {"warp_rigid/scene/shapes/rounded_box.py", "kernels/enums.py", "kernels/collide/distance.py"}
-    found = json.loads(run(copy, "-c", ROUNDED_BOX, str(device)).splitlines()[-1])
+    found = json.loads(run(copy, "-c", ROUNDED_BOX, str(device), str(copy / "box.usda")).splitlines()[-1])
     assert found["equal"]
     assert found["distance"] < 1e-14
     assert found["slope"] < 1e-6
@@ -111,6 +114,7 @@ def test_an_analytic_shape_takes_three_files(copy, device):
     assert found["inertia"] == pytest.approx([1.0] * 3, rel=5e-3)
     assert found["heights"] == pytest.approx([0.08, 0.28, 0.08], abs=1e-4)
     assert found["speed"] < 1e-2
+    assert 0.9 < found["drawn"] < 1.0, "the vertices of the triangles lie on the surface"
 
 
 NAMES = "import json, warp_rigid; print(json.dumps(warp_rigid.scenes.names()))"

@@ -1,11 +1,14 @@
 """Signed distance of every kind of shape part, with its direction.
 
-Every function takes a point in the part's frame and returns `vec4(direction, distance)`: the distance is negative
-inside, and the direction is the unit outward normal of the nearest surface, that is, the distance's gradient.
+Every function takes a point in the part's frame and returns `vec4(direction, distance)`. The distance is negative
+inside. The direction is the unit outward normal of the nearest surface, which is the gradient of the distance.
+
+The functions of analytic parts are generic over the scalar type: float32 in the simulation, float64 for
+`Shape.signed_distance` on the host (see `host_distance`). Constants take the type of their operand.
 
 Near the border of a box's face the gradient jumps from one face to the next, and two boxes of equal size that lie
-flush touch exactly there. `contact_distance` therefore takes the sample's own outward normal too and measures to a
-face that opposes it, as long as the sample has not really left that face sideways.
+flush touch exactly there. `contact_distance` therefore also takes the sample's outward normal and measures to a
+face that opposes it, unless the sample lies clearly beyond the border of that face.
 """
 
 from typing import Any
@@ -30,7 +33,7 @@ OPPOSING = wp.constant(-0.1)
 """Two outward normals with a scalar product below this face each other."""
 
 BORDER = wp.constant(0.005)
-"""A sample counts as above a face until it has left it sideways by this part of the smallest half-extent."""
+"""A sample counts as above a face up to this part of the smallest half-extent beyond the face's border."""
 
 
 @wp.func
@@ -92,8 +95,8 @@ def slab_distance(separation: Any, n0: Any, n1: Any, n2: Any):
 def facing_slab_distance(separation: Any, thickness: Any, n0: Any, n1: Any, n2: Any, sample_normal: Any, half: Any):
     """`slab_distance`, but within the border measured to the nearest face that opposes the sample's normal.
 
-    The far face of a slab, a thickness away, counts too: a sample that has passed the middle of a thin wall is held to
-    touch the face through which it came. `half` is the smallest half-extent.
+    The far face of a slab, a thickness away, is a candidate too: a sample that has passed the middle of a thin wall
+    touches the face through which it came. `half` is the smallest half-extent.
     """
     border = half.dtype(BORDER) * half
     beyond = int(0)
@@ -155,7 +158,7 @@ def cylinder_distance(p: Any, size: Any, sample_normal: Any):
 
 @wp.func
 def analytic_distance(kind: int, size: Any, p: Any, sample_normal: Any):
-    """Distance to a part that has a closed form, in the part's own frame."""
+    """Distance to a part of any kind but GRID and HEIGHTFIELD, in the part's own frame."""
     if kind == PartKind.BOX:
         return box_distance(p, size, sample_normal)
     if kind == PartKind.PLANE:
@@ -164,17 +167,15 @@ def analytic_distance(kind: int, size: Any, p: Any, sample_normal: Any):
         return sphere_distance(p, size)
     if kind == PartKind.CYLINDER:
         return cylinder_distance(p, size, sample_normal)
-    if kind == PartKind.CAPSULE:
-        return capsule_distance(p, size)
-    return wp.vector(p.dtype(0.0), p.dtype(0.0), p.dtype(1.0), p.dtype(FAR))
+    return capsule_distance(p, size)
 
 
 @wp.func
 def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     """Trilinear interpolation in a part's grid, and its gradient.
 
-    Outside the grid, with d the distance at its nearest point c and a the way to c, every surface point is at least
-    sqrt(d^2 + a^2) away, since the grid's box is convex: a bound that never rejects too much.
+    Outside the grid, let c be the grid's nearest point, d the distance at c and a the length to c. As the grid's box is
+    convex, every surface point is at least sqrt(d^2 + a^2) away, so that this is a safe bound for culling.
     """
     dims = shapes.parts[part].grid_dims
     top = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
@@ -220,9 +221,10 @@ def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3)
     kind = shapes.parts[part].kind
     if kind == PartKind.GRID:
         return grid_distance(shapes, part, p)
-    if kind == PartKind.HEIGHTFIELD:
-        return heightfield_distance(shapes, part, p)
-    return analytic_distance(kind, shapes.parts[part].size, p, sample_normal)
+    # In this order: with the height field first, the compiled swept detection is 18 % longer.
+    if kind != PartKind.HEIGHTFIELD:
+        return analytic_distance(kind, shapes.parts[part].size, p, sample_normal)
+    return heightfield_distance(shapes, part, p)
 
 
 @wp.func

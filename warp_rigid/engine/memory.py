@@ -1,4 +1,4 @@
-"""What a simulation needs of a device's memory, told before it is taken."""
+"""Memory that a simulation needs on a device, computed before allocation."""
 
 import os
 from pathlib import Path

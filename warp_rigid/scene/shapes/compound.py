@@ -21,8 +21,8 @@ from warp_rigid.scene.shapes.sampling import SampleKind, SampleList
 class Compound(Shape):
     """Union of shapes, each at its own pose.
 
-    Masses add: where children overlap, the overlap counts twice. Let children touch rather than
-    overlap where the mass matters. `size` is the smallest of the children's sizes.
+    Masses add, so that an overlap of two children counts twice. Where the mass matters, place children in contact
+    without overlap. `size` is the smallest of the children's sizes.
     """
 
     def __init__(self, children):
@@ -43,7 +43,7 @@ class Compound(Shape):
 
     @cached_property
     def mass_properties(self):
-        """Sum of the children's by the parallel axis theorem."""
+        """Sum over the children, by the parallel axis theorem."""
         return mass_properties.combine(
             (shape.mass_properties, position, rotation)
             for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True)
@@ -67,7 +67,7 @@ class Compound(Shape):
     def signed_distance(self, points):
         """Distance to the nearest child.
 
-        Exact outside. Inside, the depth is that in the deepest child: at most the true depth.
+        Exact outside. Inside, the depth is that in the deepest child, which is at most the true depth.
         """
         points = point_array(points)
         distance = np.full(len(points), np.inf)
@@ -118,7 +118,7 @@ class Compound(Shape):
         return flat
 
     def sample_list(self):
-        """The children's samples, less those inside another child."""
+        """The children's samples, without those inside another child."""
         collected = SampleList()
         for index, (shape, position, _) in enumerate(self.children):
             rotation = self._rotations[index].T
