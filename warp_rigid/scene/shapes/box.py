@@ -43,7 +43,7 @@ class Box(Shape):
         return [Part(PartKind.BOX, (*self.half_extents.tolist(), 0.0))]
 
     def sample_list(self):
-        """8 vertices, 9 FACE points a face, and 4 to 16 EDGE segments an edge, half as long as the box is wide."""
+        """8 vertices, 9 FACE points per face, and 4 to 16 EDGE segments per edge, half as long as the box is wide."""
         half = self.half_extents
         width = np.sort(half)[1]
         collected = SampleList()

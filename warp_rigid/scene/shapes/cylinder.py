@@ -47,8 +47,8 @@ class Cylinder(Shape):
     def sample_list(self):
         """For each cap a RIM, 16 CAP points on its circle and 9 FACE points; for the side, EDGE segments.
 
-        The side of a cylinder longer than wide is sampled by the axis of a capsule that it holds, and by the balls at
-        its ends, which stay clear of the caps; that of a disc by 16 lines.
+        The side of a cylinder longer than wide is sampled as a capsule inside it, whose end balls are clear of the
+        caps; the side of a disc by 16 lines.
         """
         radius, height = self.radius, self.half_height
         angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS

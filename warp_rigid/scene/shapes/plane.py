@@ -32,7 +32,7 @@ class Plane(Shape):
         length = float(np.linalg.norm(direction))
         if length < 1e-6:
             raise ValueError(f"normal: must have a length > 0, got {shown(normal)}")
-        # A normal that is unit already stays the same to the last bit.
+        # A unit normal is not scaled again, so that it keeps its bits.
         self.normal = frozen_array(direction if abs(length - 1.0) <= 1e-15 else direction / length)
         self.offset = finite_number("offset", offset)
 
@@ -42,7 +42,7 @@ class Plane(Shape):
         return mass_properties.no_solid()
 
     def support(self, directions):
-        """Infinite in all directions but the normal's."""
+        """Infinite in all directions except the normal's."""
         along = directions @ self.normal
         norm = np.linalg.norm(directions, axis=1)
         return np.where(along > norm * (1.0 - 1e-12), norm * self.offset, math.inf)
@@ -52,7 +52,7 @@ class Plane(Shape):
         return [Part(PartKind.PLANE, (*self.normal.tolist(), self.offset))]
 
     def sample_list(self):
-        """None: the other body's samples find a plane."""
+        """None: contacts with a plane come from the other body's samples."""
         return SampleList()
 
     def surface(self):
