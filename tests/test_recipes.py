@@ -25,29 +25,35 @@ def copy(tmp_path):
 
 
 def apply(title, copy):
-    """Apply the code blocks of a recipe; the set of the files that they touch."""
-    (section,) = re.findall(rf"^### {re.escape(title)}\n(.*?)(?=^##|\Z)", read("CONTRIBUTING.md"), re.M | re.S)
-    touched = set()
-    for language, first, block in re.findall(
-        r"^```(python|diff)\n(?:# |\+\+\+ )(\S+)\n(.*?)^```$", section, re.M | re.S
-    ):
-        file = copy / first
-        touched.add(first)
+    """Apply a recipe to a copy: its python blocks are new files, its diff blocks changes.
+
+    Returns:
+        The files that the recipe touches, as named before each block.
+    """
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    (section,) = re.findall(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.M | re.S)
+    pieces = re.split(r"^```(\w+)\n(.*?)^```$", section, flags=re.M | re.S)
+    touched = []
+    for before, language, block in zip(pieces[0::3], pieces[1::3], pieces[2::3], strict=False):
+        (name,) = re.findall(r"^`(\S+)`[:,]", before.rstrip().split("\n\n")[-1])
+        file = copy / name
         if language == "python":
-            assert not file.exists(), f"{first} is not new"
+            assert not file.exists(), f"{name} is not new"
             file.write_text(block)
         else:
-            lines = block.splitlines(keepends=True)
-            place = "".join(line[1:] for line in lines if not line.startswith("+"))
-            text = file.read_text()
-            assert text.count(place) == 1, f"{first} has not one place for\n{block}"
-            file.write_text(text.replace(place, "".join(line[1:] for line in lines)))
-    assert len(touched) == len(set(re.findall(r"^(?:# |\+\+\+ )(\S+\.py)$", section, re.M))), "a block is not applied"
+            for hunk in re.split(r"^@@.*\n", block, flags=re.M):
+                change(file, hunk.splitlines(keepends=True))
+        touched.append(name)
     return touched
 
 
-def read(name):
-    return (ROOT / name).read_text()
+def change(file, hunk):
+    """Apply the lines of one hunk, at the only place where they fit."""
+    before = "".join(line[1:] for line in hunk if not line.startswith("+"))
+    after = "".join(line[1:] for line in hunk if not line.startswith("-"))
+    text = file.read_text()
+    assert text.count(before) == 1, f"{file.name} has not exactly one\n{before}"
+    file.write_text(text.replace(before, after))
 
 
 def run(copy, *arguments):
@@ -105,7 +111,7 @@ print(json.dumps({
 def test_an_analytic_shape_takes_three_files(copy, device):
     """Distance against that to the box inside, mass against random points, heights at rest against the half height."""
     touched = apply("Add an analytic shape", copy)
-    assert touched == {"warp_rigid/scene/shapes/rounded_box.py", "kernels/enums.py", "kernels/collide/distance.py"}
+    assert touched == ["warp_rigid/scene/shapes/rounded_box.py", "kernels/enums.py", "kernels/collide/distance.py"]
     found = json.loads(run(copy, "-c", ROUNDED_BOX, str(device), str(copy / "box.usda")).splitlines()[-1])
     assert found["equal"]
     assert found["distance"] < 1e-14
@@ -122,7 +128,7 @@ NAMES = "import json, warp_rigid; print(json.dumps(warp_rigid.scenes.names()))"
 
 def test_a_scene_takes_two_files(copy, device):
     """The box stops after v^2 / (2 mu g), less v dt / 2: in each step it moves with the velocity at the step's end."""
-    assert apply("Add a scene", copy) == {"scenes/sliding_box.py", "scenes/__init__.py"}
+    assert apply("Add a scene", copy) == ["scenes/sliding_box.py", "scenes/__init__.py"]
     command = ("-m", "warp_rigid.commands.cli", "run", "sliding_box", "--device", str(device), "--json")
     short = json.loads(run(copy, *command, "--frames", "5"))
     assert short["frames"] == 5
