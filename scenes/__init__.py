@@ -1,43 +1,30 @@
 """The built-in scenes: `names` lists them, `load` builds one, `get` returns how one is run and judged."""
 
+from importlib import import_module
+
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scenes import (
-    bone_pile,
-    box_stack,
-    bunny_pile,
-    carpet,
-    incline,
-    leaning_tower,
-    planet,
-    plank_launch,
-    rings_on_poles,
-    seesaw,
-    showcase,
-    skull_and_brain,
-    terrain,
-)
 from warp_rigid.scenes.demo import Demo, Outcome, Verdict
 
 __all__ = ["Demo", "Outcome", "Verdict", "get", "load", "names"]
 
-_DEMOS = {
-    module.DEMO.name: module.DEMO
-    for module in (
-        box_stack,
-        leaning_tower,
-        incline,
-        plank_launch,
-        seesaw,
-        skull_and_brain,
-        showcase,
-        terrain,
-        carpet,
-        planet,
-        rings_on_poles,
-        bone_pile,
-        bunny_pile,
-    )
-}
+_FILES = (
+    "box_stack",
+    "leaning_tower",
+    "incline",
+    "plank_launch",
+    "seesaw",
+    "skull_and_brain",
+    "showcase",
+    "terrain",
+    "carpet",
+    "planet",
+    "rings_on_poles",
+    "bone_pile",
+    "bunny_pile",
+)
+"""Files of this folder that define a DEMO, in the order of `names()`."""
+
+_DEMOS: dict[str, Demo] = {demo.name: demo for demo in (import_module(f"{__name__}.{file}").DEMO for file in _FILES)}
 
 
 def names() -> list[str]:

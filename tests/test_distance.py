@@ -1,9 +1,10 @@
-"""Signed distances of every kind of part against the shapes' own float64 answers, and the border rule."""
+"""Signed distances of every kind of part against independent float64 computations, and the border rule."""
 
 import numpy as np
 import pytest
 import warp as wp
 
+from tests.geometry_oracles import exact_distance
 from tests.oracles import random_quaternion
 from warp_rigid.engine.model import build_model
 from warp_rigid.kernels.collide import distance
@@ -77,7 +78,7 @@ def probe(shape, count=4000, seed=0):
 @pytest.mark.parametrize("name", SHAPES)
 def test_distance_is_that_of_the_shape(device, name):
     points = probe(SHAPES[name])
-    expected, _ = SHAPES[name].signed_distance(points)
+    expected, _ = exact_distance(SHAPES[name], points)
     found, _ = measure(SHAPES[name], points, device)
     beyond = np.isinf(expected)
     assert (found[beyond] == 1e10).all()
@@ -86,9 +87,24 @@ def test_distance_is_that_of_the_shape(device, name):
 
 
 @pytest.mark.parametrize("name", SHAPES)
+def test_host_distance_has_double_precision(name):
+    """Compared at points in general position: where the gradient is not unique, any unit vector is right."""
+    points = probe(SHAPES[name], seed=6).astype(np.float64)
+    expected, direction = exact_distance(SHAPES[name], points)
+    found, gradient = SHAPES[name].signed_distance(points)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(gradient, direction, rtol=0, atol=1e-13)
+
+
+def test_host_distance_of_no_points():
+    distance, gradient = Sphere(0.3).signed_distance(np.zeros((0, 3)))
+    assert distance.shape == (0,) and gradient.shape == (0, 3)
+
+
+@pytest.mark.parametrize("name", SHAPES)
 def test_direction_is_the_unit_gradient(device, name):
     points = probe(SHAPES[name], seed=1)
-    distances, expected = SHAPES[name].signed_distance(points)
+    distances, expected = exact_distance(SHAPES[name], points)
     found, direction = measure(SHAPES[name], points, device)
     np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-5)
     expected = expected / np.maximum(np.linalg.norm(expected, axis=1, keepdims=True), 1e-12)
@@ -105,12 +121,12 @@ def test_following_the_direction_leads_to_the_surface(device, name):
     if name == "heightfield":
         inside = (np.abs(points[:, :2]) < 0.5 * SHAPES[name].extent).all(axis=1)
         points, found, direction = points[inside], found[inside], direction[inside]
-    landed, _ = SHAPES[name].signed_distance(points - found[:, None] * direction)
+    landed, _ = exact_distance(SHAPES[name], points - found[:, None] * direction)
     np.testing.assert_allclose(landed, 0.0, atol=1e-5)
 
 
 def test_distance_outside_a_grid_is_a_lower_bound(device):
-    """Culling relies on it: nothing may be told farther away than it is."""
+    """Culling relies on it: no distance may exceed the true one."""
     points = 3.0 * probe(SHAPES["torus"], seed=3)
     exact, _ = SHAPES["torus"].exact_signed_distance(points)
     found, _ = measure(SHAPES["torus"], points, device)
@@ -123,7 +139,7 @@ def test_distance_outside_a_grid_is_a_lower_bound(device):
 def test_centres_and_axes_give_finite_answers(device, name):
     """Where the gradient does not exist, some unit vector is given."""
     points = np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, -0.1], [0, 0, 0.6], [0, 0.1, 0]], np.float32)
-    expected, _ = SHAPES[name].signed_distance(points)
+    expected, _ = exact_distance(SHAPES[name], points)
     found, direction = measure(SHAPES[name], points, device)
     np.testing.assert_allclose(found, expected, atol=2e-6)
     np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, atol=1e-5)
@@ -184,7 +200,7 @@ def test_border_rule_far_from_borders_is_the_plain_distance(device, shape):
     else:
         excess = np.stack([np.linalg.norm(points[:, :2], axis=1) - half[0], np.abs(points[:, 2]) - half[2]], axis=1)
     border = 0.005 * half.min()
-    expected, gradient = shape.signed_distance(points)
+    expected, gradient = exact_distance(shape, points)
     opposing = -gradient + 0.3 * np.random.default_rng(5).normal(size=gradient.shape)
     opposing /= np.linalg.norm(opposing, axis=1, keepdims=True)
     several = (excess > border).sum(axis=1) > 1

@@ -24,6 +24,7 @@ from warp_rigid.scene.shapes import (
     Mesh,
     PartKind,
     Plane,
+    Shape,
     Sphere,
 )
 
@@ -242,6 +243,13 @@ def test_equal_shapes_share_a_key_and_shapes_cannot_be_changed():
         Sphere(1).radius = 2.0
     with pytest.raises(ValueError):
         Box((1, 1, 1)).half_extents[0] = 2.0
+
+
+def test_two_shapes_of_one_name_are_refused():
+    """Saved scenes name shapes by their class."""
+    with pytest.raises(TypeError, match="Sphere: warp_rigid.scene.shapes.sphere.Sphere already has this name"):
+        type("Sphere", (Shape,), {})
+    assert Shape.classes["sphere"] is Sphere
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,17 @@
 """Signed distance of every kind of shape part, with its direction.
 
-Every function takes a point in the part's frame and returns `vec4(direction, distance)`: the distance is negative
-inside, and the direction is the unit outward normal of the nearest surface, that is, the distance's gradient.
+Every function takes a point in the part's frame and returns `vec4(direction, distance)`. The distance is negative
+inside. The direction is the unit outward normal of the nearest surface, which is the gradient of the distance.
+
+The functions of analytic parts are generic over the scalar type: float32 in the simulation, float64 for
+`Shape.signed_distance` on the host (see `host_distance`). Constants take the type of their operand.
 
 Near the border of a box's face the gradient jumps from one face to the next, and two boxes of equal size that lie
-flush touch exactly there. `contact_distance` therefore takes the sample's own outward normal too and measures to a
-face that opposes it, as long as the sample has not really left that face sideways.
+flush touch exactly there. `contact_distance` therefore also takes the sample's outward normal and measures to a
+face that opposes it, unless the sample lies clearly beyond the border of that face.
 """
+
+from typing import Any
 
 import warp as wp
 
@@ -18,51 +23,62 @@ wp.set_module_options({"enable_backward": False})
 
 
 FAR = wp.constant(1.0e10)
-"""Distance told where there is nothing to touch [m]."""
+"""Distance returned where there is nothing to touch [m]."""
+
+X_AXIS = wp.constant(wp.vec3(1.0, 0.0, 0.0))
+Y_AXIS = wp.constant(wp.vec3(0.0, 1.0, 0.0))
+Z_AXIS = wp.constant(wp.vec3(0.0, 0.0, 1.0))
 
 OPPOSING = wp.constant(-0.1)
 """Two outward normals with a scalar product below this face each other."""
 
 BORDER = wp.constant(0.005)
-"""A sample counts as above a face until it has left it sideways by this part of the smallest half-extent."""
+"""A sample counts as above a face up to this part of the smallest half-extent beyond the face's border."""
 
 
 @wp.func
-def direction_or_up(v: wp.vec3):
+def direction_or_up(v: Any):
     """Return v normalised, or +z for the zero vector."""
     length = wp.length(v)
-    if length > 0.0:
+    if length > v.dtype(0.0):
         return v / length
-    return wp.vec3(0.0, 0.0, 1.0)
+    return type(v)(Z_AXIS)
 
 
 @wp.func
-def ball_distance(offset: wp.vec3, radius: float):
+def ball_distance(offset: Any, radius: Any):
     """Distance to a ball from an offset from its centre."""
     n = direction_or_up(offset)
-    return wp.vec4(n[0], n[1], n[2], wp.length(offset) - radius)
+    return wp.vector(n[0], n[1], n[2], wp.length(offset) - radius)
 
 
 @wp.func
-def capsule_distance(p: wp.vec3, size: wp.vec4):
+def sphere_distance(p: Any, size: Any):
+    """Distance to a sphere of radius size[0]."""
+    return ball_distance(p, size[0])
+
+
+@wp.func
+def capsule_distance(p: Any, size: Any):
     """Distance to a capsule of radius size[0] around the segment |z| <= size[1]."""
-    return ball_distance(wp.vec3(p[0], p[1], p[2] - wp.clamp(p[2], -size[1], size[1])), size[0])
+    return ball_distance(wp.vector(p[0], p[1], p[2] - wp.clamp(p[2], -size[1], size[1])), size[0])
 
 
 @wp.func
-def plane_distance(p: wp.vec3, size: wp.vec4):
+def plane_distance(p: Any, size: Any):
     """Distance to the half space n . x <= offset, size = (n, offset)."""
-    return wp.vec4(size[0], size[1], size[2], wp.dot(wp.vec3(size[0], size[1], size[2]), p) - size[3])
+    return wp.vector(size[0], size[1], size[2], wp.dot(wp.vector(size[0], size[1], size[2]), p) - size[3])
 
 
 @wp.func
-def slab_distance(separation: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3):
+def slab_distance(separation: Any, n0: Any, n1: Any, n2: Any):
     """Distance to the intersection of three slabs with orthogonal normals, given the separation from each."""
-    outside = wp.vec3(wp.max(separation[0], 0.0), wp.max(separation[1], 0.0), wp.max(separation[2], 0.0))
+    zero = separation.dtype(0.0)
+    outside = wp.vector(wp.max(separation[0], zero), wp.max(separation[1], zero), wp.max(separation[2], zero))
     length = wp.length(outside)
     n = n0
     distance = separation[0]
-    if length > 0.0:
+    if length > zero:
         n = (outside[0] * n0 + outside[1] * n1 + outside[2] * n2) / length
         distance = length
     else:
@@ -72,27 +88,25 @@ def slab_distance(separation: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3):
         if separation[2] > distance:
             n = n2
             distance = separation[2]
-    return wp.vec4(n[0], n[1], n[2], distance)
+    return wp.vector(n[0], n[1], n[2], distance)
 
 
 @wp.func
-def facing_slab_distance(
-    separation: wp.vec3, thickness: wp.vec3, n0: wp.vec3, n1: wp.vec3, n2: wp.vec3, sample_normal: wp.vec3, half: float
-):
+def facing_slab_distance(separation: Any, thickness: Any, n0: Any, n1: Any, n2: Any, sample_normal: Any, half: Any):
     """`slab_distance`, but within the border measured to the nearest face that opposes the sample's normal.
 
-    The far face of a slab, a thickness away, counts too: a sample that has passed the middle of a thin wall is held to
-    touch the face through which it came. `half` is the smallest half-extent.
+    The far face of a slab, a thickness away, is a candidate too: a sample that has passed the middle of a thin wall
+    touches the face through which it came. `half` is the smallest half-extent.
     """
-    border = BORDER * half
+    border = half.dtype(BORDER) * half
     beyond = int(0)
     for i in range(3):
         if separation[i] > border:
             beyond += 1
-    if beyond > 1 or wp.length_sq(sample_normal) == 0.0:
+    if beyond > 1 or wp.length_sq(sample_normal) == half.dtype(0.0):
         return slab_distance(separation, n0, n1, n2)
-    result = wp.vec4(n0[0], n0[1], n0[2], FAR)
-    nearest = -FAR
+    nearest = -half.dtype(FAR)
+    result = wp.vector(n0[0], n0[1], n0[2], -nearest)
     for i in range(3):
         n = n0
         if i == 1:
@@ -101,52 +115,67 @@ def facing_slab_distance(
             n = n2
         facing = wp.dot(n, sample_normal)
         behind = -separation[i] - thickness[i]
-        if separation[i] > nearest and (separation[i] > border or facing < OPPOSING):
+        if separation[i] > nearest and (separation[i] > border or facing < half.dtype(OPPOSING)):
             nearest = separation[i]
-            result = wp.vec4(n[0], n[1], n[2], nearest)
-        elif beyond == 0 and behind > nearest and facing > -OPPOSING:
+            result = wp.vector(n[0], n[1], n[2], nearest)
+        elif beyond == 0 and behind > nearest and facing > -half.dtype(OPPOSING):
             nearest = behind
-            result = wp.vec4(-n[0], -n[1], -n[2], nearest)
+            result = wp.vector(-n[0], -n[1], -n[2], nearest)
     return result
 
 
 @wp.func
-def outward(coordinate: float, axis: wp.vec3):
+def outward(coordinate: Any, axis: Any):
     """The axis, turned to the side on which the coordinate lies."""
-    return wp.where(coordinate < 0.0, -1.0, 1.0) * axis
+    return wp.where(coordinate < coordinate.dtype(0.0), coordinate.dtype(-1.0), coordinate.dtype(1.0)) * axis
 
 
 @wp.func
-def box_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
+def box_distance(p: Any, size: Any, sample_normal: Any):
     """Distance to a box with half-extents size[0:3]."""
-    half = wp.vec3(size[0], size[1], size[2])
-    nx = outward(p[0], wp.vec3(1.0, 0.0, 0.0))
-    ny = outward(p[1], wp.vec3(0.0, 1.0, 0.0))
-    nz = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
-    separation = wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2])) - half
-    return facing_slab_distance(separation, 2.0 * half, nx, ny, nz, sample_normal, wp.min(half))
+    half = wp.vector(size[0], size[1], size[2])
+    nx = outward(p[0], type(p)(X_AXIS))
+    ny = outward(p[1], type(p)(Y_AXIS))
+    nz = outward(p[2], type(p)(Z_AXIS))
+    separation = wp.vector(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2])) - half
+    return facing_slab_distance(separation, p.dtype(2.0) * half, nx, ny, nz, sample_normal, wp.min(half))
 
 
 @wp.func
-def cylinder_distance(p: wp.vec3, size: wp.vec4, sample_normal: wp.vec3):
+def cylinder_distance(p: Any, size: Any, sample_normal: Any):
     """Distance to a cylinder of radius size[0] and half height size[1] along z."""
-    radial = wp.vec3(p[0], p[1], 0.0)
+    radial = wp.vector(p[0], p[1], p.dtype(0.0))
     side = direction_or_up(radial)
-    if side[2] > 0.5:
-        side = wp.vec3(1.0, 0.0, 0.0)
-    cap = outward(p[2], wp.vec3(0.0, 0.0, 1.0))
-    separation = wp.vec3(wp.length(radial) - size[0], -FAR, wp.abs(p[2]) - size[1])
-    thickness = wp.vec3(FAR, FAR, 2.0 * size[1])
+    if side[2] > p.dtype(0.5):
+        side = type(p)(X_AXIS)
+    cap = outward(p[2], type(p)(Z_AXIS))
+    far = p.dtype(FAR)
+    separation = wp.vector(wp.length(radial) - size[0], -far, wp.abs(p[2]) - size[1])
+    thickness = wp.vector(far, far, p.dtype(2.0) * size[1])
     around = wp.cross(cap, side)
     return facing_slab_distance(separation, thickness, side, around, cap, sample_normal, wp.min(size[0], size[1]))
+
+
+@wp.func
+def analytic_distance(kind: int, size: Any, p: Any, sample_normal: Any):
+    """Distance to a part of any kind but GRID and HEIGHTFIELD, in the part's own frame."""
+    if kind == PartKind.BOX:
+        return box_distance(p, size, sample_normal)
+    if kind == PartKind.PLANE:
+        return plane_distance(p, size)
+    if kind == PartKind.SPHERE:
+        return sphere_distance(p, size)
+    if kind == PartKind.CYLINDER:
+        return cylinder_distance(p, size, sample_normal)
+    return capsule_distance(p, size)
 
 
 @wp.func
 def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     """Trilinear interpolation in a part's grid, and its gradient.
 
-    Outside the grid, with d the distance at its nearest point c and a the way to c, every surface point is at least
-    sqrt(d^2 + a^2) away, since the grid's box is convex: a bound that never rejects too much.
+    Outside the grid, let c be the grid's nearest point, d the distance at c and a the length to c. As the grid's box is
+    convex, every surface point is at least sqrt(d^2 + a^2) away, so that this is a safe bound for culling.
     """
     dims = shapes.parts[part].grid_dims
     top = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
@@ -190,19 +219,11 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
 def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3):
     """Distance to one part, in the part's own frame."""
     kind = shapes.parts[part].kind
-    size = shapes.parts[part].size
     if kind == PartKind.GRID:
         return grid_distance(shapes, part, p)
-    if kind == PartKind.BOX:
-        return box_distance(p, size, sample_normal)
-    if kind == PartKind.PLANE:
-        return plane_distance(p, size)
-    if kind == PartKind.SPHERE:
-        return ball_distance(p, size[0])
-    if kind == PartKind.CYLINDER:
-        return cylinder_distance(p, size, sample_normal)
-    if kind == PartKind.CAPSULE:
-        return capsule_distance(p, size)
+    # In this order: with the height field first, the compiled swept detection is 18 % longer.
+    if kind != PartKind.HEIGHTFIELD:
+        return analytic_distance(kind, shapes.parts[part].size, p, sample_normal)
     return heightfield_distance(shapes, part, p)
 
 

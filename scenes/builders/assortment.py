@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 
 from warp_rigid.checks import number_in, one_of, whole_in
-from warp_rigid.scene.shapes import tessellation
+from warp_rigid.scene.shapes import Box, Sphere, tessellation
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.mesh import Mesh
-from warp_rigid.scene.shapes.primitives import Box, Sphere
 from warp_rigid.scenes.builders import meshes
 
 __all__ = ["CONVEX_KINDS", "convex_solid", "convex_solids"]

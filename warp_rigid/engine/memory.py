@@ -1,4 +1,4 @@
-"""What a simulation needs of a device's memory, told before it is taken."""
+"""Memory that a simulation needs on a device, computed before allocation."""
 
 import os
 from pathlib import Path
@@ -11,8 +11,6 @@ from warp_rigid.engine.model import body_sizes
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Compound, Heightfield, Mesh, Shape
-from warp_rigid.scene.shapes.distance_grid import grid_layout
 
 LARGEST_LIMIT = 2**50
 
@@ -47,22 +45,11 @@ def shape_bytes(scene: Scene) -> int:
         + _record_bytes(schema.ClusterRecord) * len(shape.samples().cluster_radius)
         for shape in shapes
     )
-    return records + sum(_grid_bytes(shape) for shape in shapes)
+    return records + sum(4 * shape.grid_nodes for shape in shapes)
 
 
 def _record_bytes(record: Any) -> int:
     return wp.types.type_size_in_bytes(record)
-
-
-def _grid_bytes(shape: Shape) -> int:
-    if isinstance(shape, Compound):
-        return sum(_grid_bytes(child) for child, _, _ in shape.children)
-    if isinstance(shape, Heightfield):
-        return 4 * shape.heights.size
-    if isinstance(shape, Mesh):
-        nx, ny, nz = grid_layout(shape.vertices, shape.sdf_resolution)[2]
-        return 4 * nx * ny * nz
-    return 0
 
 
 def device_memory(device: Any) -> tuple[int, int]:

@@ -10,38 +10,14 @@ from warp_rigid.checks import unit_quaternion, whole_in
 from warp_rigid.files.archive import shaped
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.scene import Motion, Scene
-from warp_rigid.scene.shapes import (
-    Box,
-    Capsule,
-    Compound,
-    Cylinder,
-    HarmonicMotion,
-    Heightfield,
-    Mesh,
-    Plane,
-    Shape,
-    Sphere,
-)
-
-NUMBERS: dict[str, tuple[type[Shape], tuple[str, ...]]] = {
-    "sphere": (Sphere, ("radius",)),
-    "box": (Box, ("half_extents",)),
-    "capsule": (Capsule, ("radius", "half_height")),
-    "cylinder": (Cylinder, ("radius", "half_height")),
-    "plane": (Plane, ("normal", "offset")),
-}
-"""Shapes that are given by a few numbers, and the attributes that hold them."""
+from warp_rigid.scene.shapes import Shape
 
 SURFACE = ("friction", "restitution", "rolling_friction", "spinning_friction")
 VELOCITIES = ("linear_velocity", "angular_velocity")
 
 
 def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Plain data for JSON, and arrays by name.
-
-    Raises:
-        ValueError: a shape is of a kind that is not known here.
-    """
+    """Plain data for JSON, and arrays by name."""
     arrays: dict[str, np.ndarray] = {}
     shapes: list[dict[str, Any]] = []
     places: dict[str, int] = {}
@@ -111,62 +87,18 @@ def _place_shape(shape: Shape, shapes: list, arrays: dict, places: dict[str, int
     """Index of a shape in the list, to which it is added if it is new; a compound comes after its children."""
     if shape.key in places:
         return places[shape.key]
-    entry: dict[str, Any] = {"key": shape.key}
-    if isinstance(shape, Compound):
-        entry["kind"] = "compound"
-        entry["children"] = [
-            [_place_shape(child, shapes, arrays, places), position.tolist(), orientation]
-            for child, position, orientation in shape.children
-        ]
-    elif isinstance(shape, Mesh):
-        entry |= {"kind": "mesh", "sdf_resolution": shape.sdf_resolution, "repairs": shape.repairs}
-        for name, array in (("vertices", shape.vertices), ("faces", shape.faces), ("distances", shape.grid.values)):
-            arrays[f"shape_{len(shapes)}_{name}"] = array
-    elif isinstance(shape, Heightfield):
-        entry |= {"kind": "heightfield", "size": shape.extent.tolist()}
-        arrays[f"shape_{len(shapes)}_heights"] = shape.heights
-        if shape.moving:
-            entry["angular_frequency"] = shape.angular_frequency
-            arrays[f"shape_{len(shapes)}_amplitude"] = shape.amplitude
-            arrays[f"shape_{len(shapes)}_phase"] = shape.phase
-    else:
-        entry |= _numbers_of(shape)
+    data, own = shape.to_data(lambda child: _place_shape(child, shapes, arrays, places))
+    arrays |= {f"shape_{len(shapes)}_{name}": array for name, array in own.items()}
     places[shape.key] = len(shapes)
-    shapes.append(entry)
+    shapes.append({"key": shape.key, "kind": shape.kind(), **data})
     return places[shape.key]
 
 
-def _numbers_of(shape: Shape) -> dict[str, Any]:
-    for kind, (cls, names) in NUMBERS.items():
-        if type(shape) is cls:
-            return {"kind": kind} | {name: np.asarray(getattr(shape, name)).tolist() for name in names}
-    raise ValueError(f"shape: a {type(shape).__name__} cannot be saved")
-
-
 def _shape_from_data(index: int, entry: dict[str, Any], arrays: dict[str, np.ndarray], earlier: list[Shape]) -> Shape:
-    kind, name = entry["kind"], f"shape_{index}"
-    if kind == "compound":
-        last = len(earlier) - 1
-        children = [
-            (earlier[whole_in(f"{name} child", child, 0, last)], position, orientation)
-            for child, position, orientation in entry["children"]
-        ]
-        return Compound(children)
-    if kind == "mesh":
-        vertices = shaped(arrays, f"{name}_vertices", np.float64, (None, 3))
-        faces = shaped(arrays, f"{name}_faces", np.int32, (None, 3))
-        distances = shaped(arrays, f"{name}_distances", np.float32, (None, None, None))
-        return Mesh.restored(vertices, faces, entry["sdf_resolution"], entry["repairs"], distances)
-    if kind == "heightfield":
-        heights = shaped(arrays, f"{name}_heights", np.float64, (None, None))
-        motion = None
-        if "angular_frequency" in entry:
-            parts = (shaped(arrays, f"{name}_{part}", np.float64, heights.shape) for part in ("amplitude", "phase"))
-            amplitude, phase = parts
-            motion = HarmonicMotion(amplitude, entry["angular_frequency"], phase)
-        return Heightfield(heights, entry["size"], motion)
-    cls, names = NUMBERS[kind]
-    return cls(**{part: entry[part] for part in names})
+    def array(name: str, dtype: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+        return shaped(arrays, f"shape_{index}_{name}", dtype, shape)
+
+    return Shape.classes[entry["kind"]].from_data(entry, array, earlier)
 
 
 def _field_to_data(field: UniformField | PointField) -> dict[str, Any]:

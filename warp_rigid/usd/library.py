@@ -1,6 +1,7 @@
 """Library of the shapes of a file, each defined once and referenced by its bodies."""
 
 from dataclasses import dataclass
+from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -148,73 +149,90 @@ def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
 
 def _write_shape(layer: Sdf.Layer, path: str, shape: Shape, position, orientation, time: float) -> Sdf.PrimSpec:
     """Write one collider at a time [s]."""
-    names = Sdf.ValueTypeNames
     if isinstance(shape, Plane):
         position, orientation = frame_of_plane(shape)
-    scale = None
-    apis = ["PhysicsCollisionAPI", "MaterialBindingAPI"]
-    if isinstance(shape, Mesh | Heightfield):
-        apis += ["PhysicsMeshCollisionAPI"] + ["NewtonSDFCollisionAPI"] * isinstance(shape, Mesh)
-    prim = define(layer, path, _TYPES[type(shape)], apis)
-    if isinstance(shape, Sphere):
-        set_attribute(prim, "radius", names.Double, shape.radius)
-    elif isinstance(shape, Box):
-        set_attribute(prim, "size", names.Double, 2.0)
-        scale = shape.half_extents
-    elif isinstance(shape, Capsule | Cylinder):
-        set_attribute(prim, "axis", names.Token, "Z", uniform=True)
-        set_attribute(prim, "radius", names.Double, shape.radius)
-        set_attribute(prim, "height", names.Double, 2.0 * shape.half_height)
-    elif isinstance(shape, Plane):
-        set_attribute(prim, "axis", names.Token, "Z", uniform=True)
-        set_attribute(prim, "width", names.Double, PLANE_WIDTH)
-        set_attribute(prim, "length", names.Double, PLANE_WIDTH)
-    elif isinstance(shape, Mesh | Heightfield):
-        _write_triangles(prim, shape, time)
-    if not isinstance(shape, Mesh | Heightfield):
-        set_attribute(prim, "extent", names.Float3Array, _gprim_extent(shape))
+    prim = define(layer, path, "Mesh", ["PhysicsCollisionAPI", "MaterialBindingAPI"])
+    scale = _write_geometry(shape, prim, time)
     write_pose(prim, position, orientation, scale)
     return prim
 
 
-_TYPES = {
-    Sphere: "Sphere", Box: "Cube", Capsule: "Capsule", Cylinder: "Cylinder", Plane: "Plane", Mesh: "Mesh",
-    Heightfield: "Mesh",
-}  # fmt: skip
+@singledispatch
+def _write_geometry(shape: Shape, prim: Sdf.PrimSpec, time: float) -> np.ndarray | None:
+    """Write a shape's type and geometry, and return the scale of its prim, if it has one.
+
+    A shape for which USD has no schema is written as its triangles.
+    """
+    _write_triangles(prim, shape)
+    return None
 
 
-def _write_triangles(prim: Sdf.PrimSpec, shape: Mesh | Heightfield, time: float) -> None:
-    """Write the triangles, and the resolution of the signed distance grid."""
-    names = Sdf.ValueTypeNames
-    write_mesh(prim, *shape.surface())
-    set_attribute(prim, "physics:approximation", names.Token, "none", uniform=True)
-    if isinstance(shape, Heightfield):
-        rows, columns = shape.heights.shape
-        custom: dict[str, Any] = {"heightfieldRows": rows, "heightfieldColumns": columns}
-        if shape.moving:
-            custom |= {
-                "heightfieldHeights": Vt.DoubleArray(shape.heights.reshape(-1).tolist()),
-                "heightfieldAmplitude": Vt.DoubleArray(shape.amplitude.reshape(-1).tolist()),
-                "heightfieldPhase": Vt.DoubleArray((shape.phase + shape.angular_frequency * time).reshape(-1).tolist()),
-                "heightfieldSize": Vt.DoubleArray(shape.extent.tolist()),
-                "heightfieldFrequency": shape.angular_frequency,
-            }
-        prim.SetInfo("customData", {MARK: custom})
-        return
+@_write_geometry.register
+def _(shape: Sphere, prim: Sdf.PrimSpec, time: float) -> None:
+    _begin_primitive(prim, "Sphere", shape.bounds[1])
+    set_attribute(prim, "radius", Sdf.ValueTypeNames.Double, shape.radius)
+
+
+@_write_geometry.register
+def _(shape: Box, prim: Sdf.PrimSpec, time: float) -> np.ndarray:
+    _begin_primitive(prim, "Cube", np.ones(3))
+    set_attribute(prim, "size", Sdf.ValueTypeNames.Double, 2.0)
+    return shape.half_extents
+
+
+@_write_geometry.register
+def _(shape: Capsule | Cylinder, prim: Sdf.PrimSpec, time: float) -> None:
+    _begin_primitive(prim, type(shape).__name__, shape.bounds[1])
+    set_attribute(prim, "axis", Sdf.ValueTypeNames.Token, "Z", uniform=True)
+    set_attribute(prim, "radius", Sdf.ValueTypeNames.Double, shape.radius)
+    set_attribute(prim, "height", Sdf.ValueTypeNames.Double, 2.0 * shape.half_height)
+
+
+@_write_geometry.register
+def _(shape: Plane, prim: Sdf.PrimSpec, time: float) -> None:
+    _begin_primitive(prim, "Plane", np.array([0.5 * PLANE_WIDTH, 0.5 * PLANE_WIDTH, 0.0]))
+    set_attribute(prim, "axis", Sdf.ValueTypeNames.Token, "Z", uniform=True)
+    set_attribute(prim, "width", Sdf.ValueTypeNames.Double, PLANE_WIDTH)
+    set_attribute(prim, "length", Sdf.ValueTypeNames.Double, PLANE_WIDTH)
+
+
+@_write_geometry.register
+def _(shape: Mesh, prim: Sdf.PrimSpec, time: float) -> None:
+    _write_triangles(prim, shape, "NewtonSDFCollisionAPI")
     rounded = -(-shape.sdf_resolution // SDF_BLOCK) * SDF_BLOCK
-    set_attribute(prim, "newton:sdfMaxResolution", names.Int, rounded, uniform=True)
+    set_attribute(prim, "newton:sdfMaxResolution", Sdf.ValueTypeNames.Int, rounded, uniform=True)
     prim.SetInfo("customData", {MARK: {"sdfResolution": shape.sdf_resolution}})
 
 
-def _gprim_extent(shape: Shape) -> Vt.Vec3fArray:
-    """Bounds of a primitive in its own frame, before its scale."""
-    if isinstance(shape, Box):
-        upper = np.ones(3)
-    elif isinstance(shape, Plane):
-        upper = np.array([0.5 * PLANE_WIDTH, 0.5 * PLANE_WIDTH, 0.0])
-    else:
-        upper = shape.bounds[1]
-    return Vt.Vec3fArray.FromNumpy(np.stack([-upper, upper]).astype(np.float32))
+@_write_geometry.register
+def _(shape: Heightfield, prim: Sdf.PrimSpec, time: float) -> None:
+    _write_triangles(prim, shape)
+    rows, columns = shape.heights.shape
+    data: dict[str, Any] = {"heightfieldRows": rows, "heightfieldColumns": columns}
+    if shape.moving:
+        data |= {
+            "heightfieldHeights": Vt.DoubleArray(shape.heights.reshape(-1).tolist()),
+            "heightfieldAmplitude": Vt.DoubleArray(shape.amplitude.reshape(-1).tolist()),
+            "heightfieldPhase": Vt.DoubleArray((shape.phase + shape.angular_frequency * time).reshape(-1).tolist()),
+            "heightfieldSize": Vt.DoubleArray(shape.extent.tolist()),
+            "heightfieldFrequency": shape.angular_frequency,
+        }
+    prim.SetInfo("customData", {MARK: data})
+
+
+def _begin_primitive(prim: Sdf.PrimSpec, type_name: str, upper: np.ndarray) -> None:
+    """Set the type of a prim, and its extent from the upper corner of its bounds, before its scale."""
+    prim.typeName = type_name
+    extent = Vt.Vec3fArray.FromNumpy(np.stack([-upper, upper]).astype(np.float32))
+    set_attribute(prim, "extent", Sdf.ValueTypeNames.Float3Array, extent)
+
+
+def _write_triangles(prim: Sdf.PrimSpec, shape: Shape, *apis: str) -> None:
+    """Exact triangles that collide as a mesh."""
+    schemas = [*prim.GetInfo("apiSchemas").prependedItems, "PhysicsMeshCollisionAPI", *apis]
+    prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=schemas))
+    write_mesh(prim, *shape.surface())
+    set_attribute(prim, "physics:approximation", Sdf.ValueTypeNames.Token, "none", uniform=True)
 
 
 def write_pose(prim: Sdf.PrimSpec, position, orientation, scale=None) -> tuple[Sdf.AttributeSpec, Sdf.AttributeSpec]:

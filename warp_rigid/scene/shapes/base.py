@@ -1,16 +1,22 @@
-"""What every shape is made of: parts, grids, and the base class that holds the common rules."""
+"""Parts, grids, and the base class of all shapes."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import numpy as np
+import warp as wp
 
+from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
 
 IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
+
+ReadArray = Callable[[str, Any, tuple[int | None, ...]], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +52,36 @@ class Part:
 class Shape:
     """Base of all shapes: immutable, compared by content.
 
-    A subclass gives `mass_properties`, `support`, `signed_distance`, `parts`, `surface`,
-    `sample_list` and `_content` (what its key is made from).
+    A subclass of analytic shape names its `parameters` and gives `mass_properties`, `support`, `parts` (one analytic
+    part), `sample_list` and `surface`. A subclass with other data also overrides `signed_distance`, `_content`,
+    `to_data` and `from_data`. The distance itself is a device function in `warp_rigid.kernels.collide.distance`.
+
+    Attributes:
+        classes: all subclasses by their name in saved scenes, which is the class name in lower case.
+        parameters: the constructor's parameters, each a number or a vector kept in the attribute of that name.
+        static_only: whether dynamic bodies cannot have this shape.
     """
 
+    classes: ClassVar[dict[str, type["Shape"]]] = {}
+    parameters: ClassVar[tuple[str, ...]] = ()
     static_only = False
+
+    def __init_subclass__(cls, **options):
+        """Register a shape for saved scenes.
+
+        Raises:
+            TypeError: another shape has this name.
+        """
+        super().__init_subclass__(**options)
+        known = Shape.classes.setdefault(cls.kind(), cls)
+        if (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
+            raise TypeError(f"{cls.__name__}: {known.__module__}.{known.__qualname__} already has this name")
+        Shape.classes[cls.kind()] = cls
+
+    @classmethod
+    def kind(cls) -> str:
+        """Name of the shape in saved scenes."""
+        return cls.__name__.lower()
 
     def __setattr__(self, name, value):
         """Set an attribute once, and never again."""
@@ -83,11 +114,25 @@ class Shape:
         raise NotImplementedError
 
     def signed_distance(self, points) -> tuple[np.ndarray, np.ndarray]:
-        """Distance to the surface (n,) [m], negative inside, and its gradient (n, 3)."""
-        raise NotImplementedError
+        """Distance to the surface and its gradient, in float64.
+
+        For an analytic shape this is the kernels' own distance. Where the gradient does not exist (the centre of a
+        sphere), it is some unit vector.
+
+        Args:
+            points: (n, 3) in the shape's frame [m].
+
+        Returns:
+            Distance (n,) [m], negative inside, and gradient (n, 3).
+
+        Raises:
+            ValueError: the points have another shape.
+        """
+        (part,) = self.parts()
+        return analytic_distance(part, point_array(points))
 
     def parts(self) -> list[Part]:
-        """The signed distance functions whose union is the shape."""
+        """Parts whose union is the shape."""
         raise NotImplementedError
 
     def sample_list(self) -> SampleList:
@@ -106,8 +151,36 @@ class Shape:
         """Triangles that face outward: vertices (n, 3) float64 [m], faces (m, 3) int32."""
         raise NotImplementedError
 
+    @property
+    def grid_nodes(self) -> int:
+        """Number of grid values among the parts, without computing them."""
+        return 0
+
+    def to_data(self, place: Callable[["Shape"], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Plain data for JSON and arrays by name, from which `from_data` makes the same shape.
+
+        Args:
+            place: saves another shape, which this one contains, and returns its index.
+        """
+        return {name: np.asarray(getattr(self, name)).tolist() for name in self.parameters}, {}
+
+    @classmethod
+    def from_data(cls, data: dict[str, Any], array: ReadArray, earlier: list["Shape"]) -> Self:
+        """The shape that `to_data` described.
+
+        Args:
+            data: its plain data.
+            array: function(name, dtype, shape) that returns one of its arrays; a length may be None for any.
+            earlier: the shapes saved before this one, by index.
+
+        Raises:
+            ValueError, TypeError, KeyError: the data are damaged.
+        """
+        return cls(**{name: data[name] for name in cls.parameters})
+
     def _content(self) -> list:
-        raise NotImplementedError
+        """Numbers and arrays that determine the shape, for its key."""
+        return [getattr(self, name) for name in self.parameters]
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -132,6 +205,23 @@ class Shape:
     def __hash__(self) -> int:
         """Hash by content."""
         return hash(self.key)
+
+
+def analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (n,) [m] and its gradient (n, 3) of an analytic part, in its own frame.
+
+    Evaluates the device function of the collision kernels on the CPU, in float64. Warp compiles it at the first call.
+
+    Args:
+        part: of an analytic kind, neither GRID nor HEIGHTFIELD.
+        points: (n, 3) float64 in the part's frame [m].
+    """
+    places = wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
+    found = wp.empty(len(points), dtype=wp.vec4d, device="cpu")
+    inputs = [int(part.kind), wp.vec4d(*part.size), places]
+    wp.launch(host_distance.part_distances, len(points), inputs=inputs, outputs=[found], device="cpu")
+    columns = found.numpy()
+    return columns[:, 3].copy(), columns[:, :3].copy()
 
 
 def content_hash(*items) -> str:

@@ -1,11 +1,12 @@
 """Compound: several shapes rigidly joined into one."""
 
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.checks import finite_vector, shown, unit_quaternion
+from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
     Part,
@@ -19,8 +20,8 @@ from warp_rigid.scene.shapes.sampling import SampleKind, SampleList
 class Compound(Shape):
     """Union of shapes, each at its own pose.
 
-    Masses add: where children overlap, the overlap counts twice. Let children touch rather than
-    overlap where the mass matters. `size` is the smallest of the children's sizes.
+    Masses add, so that an overlap of two children counts twice. Where the mass matters, place children in contact
+    without overlap. `size` is the smallest of the children's sizes.
     """
 
     def __init__(self, children):
@@ -41,7 +42,7 @@ class Compound(Shape):
 
     @cached_property
     def mass_properties(self):
-        """Sum of the children's by the parallel axis theorem."""
+        """Sum over the children, by the parallel axis theorem."""
         return mass_properties.combine(
             (shape.mass_properties, position, rotation)
             for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True)
@@ -65,7 +66,7 @@ class Compound(Shape):
     def signed_distance(self, points):
         """Distance to the nearest child.
 
-        Exact outside. Inside, the depth is that in the deepest child: at most the true depth.
+        Exact outside. Inside, the depth is that in the deepest child, which is at most the true depth.
         """
         points = point_array(points)
         distance = np.full(len(points), np.inf)
@@ -83,6 +84,28 @@ class Compound(Shape):
         distance, gradient = shape.signed_distance((points - position) @ rotation)
         return distance, gradient @ rotation.T
 
+    @property
+    def grid_nodes(self):
+        """Those of all children."""
+        return sum(shape.grid_nodes for shape, _, _ in self.children)
+
+    def to_data(self, place):
+        """The children by index, each with its pose."""
+        return {
+            "children": [
+                [place(child), position.tolist(), orientation] for child, position, orientation in self.children
+            ]
+        }, {}
+
+    @classmethod
+    def from_data(cls, data, array, earlier) -> Self:
+        """Join shapes that were saved earlier."""
+        last = len(earlier) - 1
+        return cls(
+            (earlier[whole_in("child", child, 0, last)], position, orientation)
+            for child, position, orientation in data["children"]
+        )
+
     def parts(self):
         """The children's parts, in order, at their poses."""
         flat = []
@@ -94,7 +117,7 @@ class Compound(Shape):
         return flat
 
     def sample_list(self):
-        """The children's samples, less those inside another child."""
+        """The children's samples, without those inside another child."""
         collected = SampleList()
         for index, (shape, position, _) in enumerate(self.children):
             rotation = self._rotations[index].T

@@ -2,8 +2,8 @@
 
 Grids are kept in the folder named by the environment variable WARP_RIGID_CACHE, or in the
 platform's user cache folder under `warp_rigid`. A file is named by the hash of all that its grid
-depends on; a file that cannot be read or does not fit is computed anew, and a folder that cannot be
-written to means only that nothing is kept.
+depends on. If a file cannot be read or does not fit, the grid is computed again. If the folder cannot be
+written to, nothing is cached.
 """
 
 import os

@@ -1,9 +1,9 @@
-"""Height fields: terrain over a rectangle, and ground that moves up and down in waves."""
+"""Height fields: terrain over a rectangle, which can move up and down in waves."""
 
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeGuard
+from typing import Self, TypeGuard
 
 import numpy as np
 
@@ -17,10 +17,10 @@ __all__ = ["HarmonicMotion", "Heightfield", "moves"]
 
 @dataclass(frozen=True, eq=False)
 class HarmonicMotion:
-    """How a height field moves: each vertex by `amplitude * sin(angular_frequency * t + phase)`.
+    """Vertical motion of a height field: each vertex by `amplitude * sin(angular_frequency * t + phase)`.
 
-    One amplitude and phase for all make a vibrating table; phases that fall along a direction make a wave that
-    travels that way; amplitudes of both signs, a standing wave.
+    One amplitude and phase for all vertices give a vibrating table. Phases that decrease along a direction give a wave
+    that travels in that direction. Amplitudes of both signs give a standing wave.
 
     Attributes:
         amplitude: [m], a number or one for each vertex.
@@ -36,9 +36,8 @@ class HarmonicMotion:
 class Heightfield(Shape):
     """Terrain over a rectangle around the origin, solid below; for static and kinematic bodies.
 
-    Heights are linear over two triangles a cell, cut from corner (i, j) to (i + 1, j + 1). At the border the
-    solid ends with upright sides. With a motion the vertices go up and down, and the surface's velocity takes part
-    in contacts.
+    Each cell has two triangles, divided from corner (i, j) to (i + 1, j + 1). The solid has vertical sides at the
+    border. With a motion the vertices move up and down, and contacts include the surface's velocity.
     """
 
     static_only = True
@@ -51,7 +50,7 @@ class Heightfield(Shape):
             heights: (nx, ny), at least 2 x 2, finite [m]; heights[i, j] belongs to
                 x = size_x (i / (nx - 1) - 1/2), y = size_y (j / (ny - 1) - 1/2).
             size: (size_x, size_y) of the rectangle [m], both greater than 0.
-            motion: how the heights move in time; such a field belongs to a kinematic body. None stands still.
+            motion: of the heights in time, for kinematic bodies; None for a field that does not move.
         """
         heights = number_array("heights", heights)
         if heights.ndim != 2 or min(heights.shape) < 2:
@@ -86,6 +85,29 @@ class Heightfield(Shape):
     def _content(self):
         return [self.heights, self.extent, self.moving, self.amplitude, self.phase, self.angular_frequency]
 
+    @property
+    def grid_nodes(self):
+        """One per vertex."""
+        return self.heights.size
+
+    def to_data(self, place):
+        """Heights and motion as arrays."""
+        data, arrays = {"size": self.extent.tolist()}, {"heights": self.heights}
+        if self.moving:
+            data["angular_frequency"] = self.angular_frequency
+            arrays |= {"amplitude": self.amplitude, "phase": self.phase}
+        return data, arrays
+
+    @classmethod
+    def from_data(cls, data, array, earlier) -> Self:
+        """The field with its motion, if it has one."""
+        heights = array("heights", np.float64, (None, None))
+        motion = None
+        if "angular_frequency" in data:
+            amplitude, phase = (array(name, np.float64, heights.shape) for name in ("amplitude", "phase"))
+            motion = HarmonicMotion(amplitude, data["angular_frequency"], phase)
+        return cls(heights, data["size"], motion)
+
     def heights_at(self, time: float) -> np.ndarray:
         """Heights at a time [s], (nx, ny) [m]."""
         return self.heights + self.amplitude * np.sin(self.angular_frequency * time + self.phase)
@@ -113,7 +135,7 @@ class Heightfield(Shape):
 
     @cached_property
     def bounds(self):
-        """The rectangle, from the lowest to the highest height at any time; the solid goes on below."""
+        """The rectangle, from the lowest to the highest height at any time; the solid extends further below."""
         half, swing = 0.5 * self.extent, np.abs(self.amplitude)
         return (
             np.array([*-half, (self.heights - swing).min()]),
@@ -124,7 +146,8 @@ class Heightfield(Shape):
         """Distance at time 0 to the solid below the triangles, and its direction.
 
         Exact above, below and beside the solid. Beyond the rectangle and above the height of its border it is a lower
-        bound, `sqrt(d^2 + a^2)` with the distance d at the border's nearest point and the way a to it.
+        bound, `sqrt(d^2 + a^2)` with the distance d at the border's nearest point and the length a to it. Computed in
+        float64 on the host: the kernels' distance is exact only within the reach of contacts, from float32 heights.
         """
         points = point_array(points)
         half = 0.5 * self.extent
@@ -147,7 +170,7 @@ class Heightfield(Shape):
         return distance, normal
 
     def _distance_within(self, points):
-        """The same within the rectangle, to the upper surface alone."""
+        """The same within the rectangle, to the upper surface only."""
         vertices, faces = self._surface_at(self.heights_at(0.0))
         corners = vertices[faces]
         portion = max(1, 200_000 // len(corners))
@@ -181,7 +204,7 @@ class Heightfield(Shape):
         return [Part(PartKind.HEIGHTFIELD, (*self.extent.tolist(), self.steepest_slope, 0.0), grid=grid)]
 
     def sample_list(self):
-        """The grid's vertices, as FACE points: what slides over one must not be stopped by it."""
+        """The grid's vertices, as FACE points: a body that slides over a vertex must not be stopped by it."""
         vertices, _ = self.surface()
         spacing = self.extent / (np.array(self.heights.shape) - 1)
         slope_x, slope_y = np.gradient(self.heights_at(0.0), *spacing)
@@ -193,13 +216,13 @@ class Heightfield(Shape):
 
     @cached_property
     def _samples(self):
-        """Clusters of a moving field hold their vertices at any time."""
+        """Clusters of a moving field contain their vertices at any time."""
         samples = self.sample_list().cluster()
         swing = np.float32(2.0 * np.abs(self.amplitude).max())
         return replace(samples, cluster_radius=samples.cluster_radius + swing)
 
     def surface(self):
-        """Two triangles a cell, at time 0."""
+        """Two triangles per cell, at time 0."""
         return self._surface_at(self.heights_at(0.0))
 
     def _surface_at(self, heights):
@@ -212,12 +235,12 @@ class Heightfield(Shape):
 
 
 def moves(shape: Shape) -> TypeGuard[Heightfield]:
-    """Whether a shape is ground that moves."""
+    """Whether a shape is a height field that moves."""
     return isinstance(shape, Heightfield) and shape.moving
 
 
 def _to_triangles(points, corners):
-    """For each of some points the way from the nearest triangle, its normal, and whether it ends inside it."""
+    """For each point the vector from the nearest triangle, its normal, and whether it starts inside the triangle."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

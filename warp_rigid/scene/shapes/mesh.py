@@ -119,6 +119,24 @@ class Mesh(Shape):
         mesh.__dict__["grid"] = Grid(tuple(origin.tolist()), spacing, frozen_array(distances, np.float32))
         return mesh
 
+    @property
+    def grid_nodes(self):
+        """From the bounds and the resolution."""
+        nx, ny, nz = distance_grid.grid_layout(self.vertices, self.sdf_resolution)[2]
+        return nx * ny * nz
+
+    def to_data(self, place):
+        """Triangles and distances as arrays."""
+        arrays = {"vertices": self.vertices, "faces": self.faces, "distances": self.grid.values}
+        return {"sdf_resolution": self.sdf_resolution, "repairs": self.repairs}, arrays
+
+    @classmethod
+    def from_data(cls, data, array, earlier):
+        """The mesh as it was; its grid is not computed again."""
+        vertices, faces = array("vertices", np.float64, (None, 3)), array("faces", np.int32, (None, 3))
+        distances = array("distances", np.float32, (None, None, None))
+        return cls.restored(vertices, faces, data["sdf_resolution"], data["repairs"], distances)
+
     def _content(self):
         return [self.vertices, self.faces, self.sdf_resolution]
 

@@ -1,5 +1,6 @@
 """Surface samples of shapes, and their grouping into tight clusters."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ class Samples:
 
     Attributes:
         point: (n, 3) float32, a surface point, the middle of a segment, or a circle's centre.
-        normal: (n, 3) float32, unit outward; zero where a sample has no direction of its own.
+        normal: (n, 3) float32, unit outward; zero where a sample has no direction.
         slide: (n, 3) float32, half of the segment of an EDGE sample, else zero.
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
@@ -50,13 +51,20 @@ class SampleList:
         self._columns = {name: [] for name in COLUMNS}
 
     def add(self, kind, point, normal=(0, 0, 0), slide=(0, 0, 0), radius=0.0, rank=OTHER):
-        """Append n samples; each argument is one value for all, or one a sample."""
+        """Append n samples; each argument is one value for all, or one per sample."""
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
         count = len(point)
         values = (point, normal, slide, radius, kind, rank)
         for (name, column), value in zip(self._columns.items(), values, strict=True):
             shape = (count, 3) if name in ("point", "normal", "slide") else (count,)
             column.append(np.broadcast_to(np.asarray(value), shape))
+
+    def add_axis(self, half_length: float, radius: float) -> None:
+        """Append EDGE segments with a radius along z, each about one radius long, 8 at most."""
+        pieces = int(np.clip(math.ceil(half_length / radius), 1, 8))
+        end = np.array([[0.0, 0.0, half_length]])
+        middle, half, _ = split_segments(-end, end, np.array([pieces]))
+        self.add(SampleKind.EDGE, middle, slide=half, radius=radius)
 
     def columns(self) -> dict[str, np.ndarray]:
         """All samples: point, normal, slide (n, 3), and radius, kind, rank (n,)."""
@@ -77,7 +85,7 @@ def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
         slide: (n, 3) as in `Samples`.
         radius: (n,) as in `Samples`.
         kind: (n,) as in `Samples`.
-        rank: (n,) order inside a cluster; where equal, samples stay as they were given.
+        rank: (n,) order inside a cluster; samples of equal rank keep their order.
     """
     groups = []
     for family in ((SampleKind.POINT, SampleKind.RIM, SampleKind.CAP), (SampleKind.EDGE,), (SampleKind.FACE,)):
@@ -168,7 +176,7 @@ def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> Samp
     All vertices (angle-weighted normals); EDGE segments, no longer than the spacing, on boundary
     edges and convex edges of more than 30 degrees if longer than half of the spacing; FACE points
     on the other edges and inside triangles that are longer than the spacing. Concave edges need no
-    EDGE: what enters a notch is the other body's edge.
+    EDGE: contact in a notch is with the other body's edge.
     """
     edges = topology.find_edges(faces)
     normals, _ = topology.face_normals(vertices, faces)

@@ -1,0 +1,76 @@
+"""Cylinder about z with flat ends."""
+
+from functools import cached_property
+
+import numpy as np
+
+from warp_rigid.checks import number_in
+from warp_rigid.scene.shapes import mass_properties, tessellation
+from warp_rigid.scene.shapes.base import Part, PartKind, Shape
+from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
+
+RIM_POINTS = 16
+CLEAR_OF_CAP = 1.02
+"""Radii from a cap to the nearest ball on the axis: on the ground, the cap must touch before the ball does."""
+SURFACE_SECTIONS = 64
+
+
+class Cylinder(Shape):
+    """Cylinder about z with flat ends."""
+
+    parameters = ("radius", "half_height")
+
+    def __init__(self, radius: float, half_height: float):
+        """Make a cylinder.
+
+        Args:
+            radius: [m], greater than 0.
+            half_height: half of the length [m], greater than 0.
+        """
+        self.radius = number_in("radius", radius, above=0)
+        self.half_height = number_in("half_height", half_height, above=0)
+
+    @cached_property
+    def mass_properties(self):
+        """Closed form."""
+        return mass_properties.cylinder(self.radius, self.half_height)
+
+    def support(self, directions):
+        """Largest `direction . x` over the cylinder."""
+        along = np.abs(directions[:, 2]) * self.half_height
+        return along + self.radius * np.linalg.norm(directions[:, :2], axis=1)
+
+    def parts(self):
+        """One CYLINDER."""
+        return [Part(PartKind.CYLINDER, (self.radius, self.half_height, 0.0, 0.0))]
+
+    def sample_list(self):
+        """For each cap a RIM, 16 CAP points on its circle and 9 FACE points; for the side, EDGE segments.
+
+        The side of a cylinder longer than wide is sampled as a capsule inside it, whose end balls are clear of the
+        caps; the side of a disc by 16 lines.
+        """
+        radius, height = self.radius, self.half_height
+        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(RIM_POINTS)])
+        collected = SampleList()
+        for sign in (-1.0, 1.0):
+            cap = np.array([0.0, 0.0, sign])
+            collected.add(SampleKind.CAP, radius * circle + height * cap, cap, rank=VERTEX)
+            collected.add(SampleKind.RIM, height * cap, cap, radius=radius)
+            collected.add(SampleKind.FACE, height * cap, cap)
+            collected.add(SampleKind.FACE, 0.5 * radius * circle[::2] + height * cap, cap)
+        axis = height - CLEAR_OF_CAP * radius
+        if axis > 0.0:
+            collected.add(SampleKind.POINT, [[0.0, 0.0, -axis], [0.0, 0.0, axis]], radius=radius)
+            collected.add_axis(axis, radius)
+        else:
+            slide = (0.0, 0.0, height)
+            collected.add(SampleKind.EDGE, radius * circle, circle, slide)
+        return collected
+
+    def surface(self):
+        """64-sided prism."""
+        radii = [self.radius, self.radius]
+        heights = [-self.half_height, -self.half_height, self.half_height, self.half_height]
+        return tessellation.revolve(radii, heights, SURFACE_SECTIONS)

@@ -1,0 +1,66 @@
+"""Plane: a half space, for static bodies only."""
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from warp_rigid.checks import finite_number, finite_vector, shown
+from warp_rigid.scene.shapes import mass_properties, tessellation
+from warp_rigid.scene.shapes.base import Part, PartKind, Shape, frozen_array
+from warp_rigid.scene.shapes.sampling import SampleList
+
+DRAWN_HALF_WIDTH = 10.0
+"""Half of the side of the square that is drawn for a plane [m]."""
+
+
+class Plane(Shape):
+    """Half space `normal . x <= offset`; for static bodies only."""
+
+    parameters = ("normal", "offset")
+    static_only = True
+    size = math.inf
+
+    def __init__(self, normal=(0.0, 0.0, 1.0), offset: float = 0.0):
+        """Make a plane.
+
+        Args:
+            normal: outward direction, (3,), scaled to unit length.
+            offset: distance of the plane from the origin along the unit normal [m].
+        """
+        direction = np.array(finite_vector("normal", normal))
+        length = float(np.linalg.norm(direction))
+        if length < 1e-6:
+            raise ValueError(f"normal: must have a length > 0, got {shown(normal)}")
+        # A unit normal is not scaled again, so that it keeps its bits.
+        self.normal = frozen_array(direction if abs(length - 1.0) <= 1e-15 else direction / length)
+        self.offset = finite_number("offset", offset)
+
+    @cached_property
+    def mass_properties(self):
+        """None: a plane has no mass."""
+        return mass_properties.no_solid()
+
+    def support(self, directions):
+        """Infinite in all directions except the normal's."""
+        along = directions @ self.normal
+        norm = np.linalg.norm(directions, axis=1)
+        return np.where(along > norm * (1.0 - 1e-12), norm * self.offset, math.inf)
+
+    def parts(self):
+        """One PLANE."""
+        return [Part(PartKind.PLANE, (*self.normal.tolist(), self.offset))]
+
+    def sample_list(self):
+        """None: contacts with a plane come from the other body's samples."""
+        return SampleList()
+
+    def surface(self):
+        """A square of 20 m."""
+        helper = np.eye(3)[np.argmin(np.abs(self.normal))]
+        first = np.cross(helper, self.normal)
+        first /= np.linalg.norm(first)
+        second = np.cross(self.normal, first)
+        corners = [a * first + b * second for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        vertices = DRAWN_HALF_WIDTH * np.array(corners) + self.offset * self.normal
+        return vertices, tessellation.triangulate_quads(np.array([[0, 1, 2, 3]]))

@@ -1,0 +1,48 @@
+"""Sphere: a ball around the origin."""
+
+from functools import cached_property
+
+import numpy as np
+
+from warp_rigid.checks import number_in
+from warp_rigid.scene.shapes import mass_properties, tessellation
+from warp_rigid.scene.shapes.base import Part, PartKind, Shape
+from warp_rigid.scene.shapes.sampling import SampleKind, SampleList
+
+
+class Sphere(Shape):
+    """Ball around the origin."""
+
+    parameters = ("radius",)
+
+    def __init__(self, radius: float):
+        """Make a sphere.
+
+        Args:
+            radius: [m], greater than 0.
+        """
+        self.radius = number_in("radius", radius, above=0)
+
+    @cached_property
+    def mass_properties(self):
+        """Closed form."""
+        return mass_properties.sphere(self.radius)
+
+    def support(self, directions):
+        """Largest `direction . x` over the ball."""
+        return self.radius * np.linalg.norm(directions, axis=1)
+
+    def parts(self):
+        """One SPHERE."""
+        return [Part(PartKind.SPHERE, (self.radius, 0.0, 0.0, 0.0))]
+
+    def sample_list(self):
+        """One POINT at the centre, with the sphere's radius."""
+        collected = SampleList()
+        collected.add(SampleKind.POINT, np.zeros((1, 3)), radius=self.radius)
+        return collected
+
+    def surface(self):
+        """1280 nearly equal triangles."""
+        vertices, faces = tessellation.geodesic(8)
+        return self.radius * vertices, faces
