@@ -60,6 +60,12 @@ def record(name: str, doc: str, **fields: Field) -> Any:
     return wp.struct(cls)
 
 
+def packed_record(name: str, doc: str, **fields: Field) -> Any:
+    """Declare an array element that is read by rows of four words (packed.py); FILLER completes the last row."""
+    words = sum(wp.types.type_size_in_bytes(field.dtype) for field in fields.values()) // 4
+    return record(name, doc, **fields, **{f"end_{k}": FILLER for k in range(-words % 4)})
+
+
 def allocate(struct: Any, sizes: dict[str, int], device: Any) -> Any:
     """Return an instance of `struct` with all its arrays zero and sized by the symbols in `sizes`."""
     instance = struct()
@@ -291,9 +297,8 @@ Cells = layout(
 FieldForces = layout(
     "FieldForces",
     "Force fields besides gravity, the same in all environments.",
-    kind=Field(int, "fields", "", "0 uniform, 1 point"),
-    vector=Field(wp.vec3, "fields", "m/s^2 or m", "acceleration of a uniform field, centre of a point field"),
-    strength=Field(float, "fields", "m^3/s^2", "of a point field: acceleration strength / distance^2"),
+    kind=Field(int, "fields", "", "FieldKind"),
+    parameters=Field(float, "fields, field_parameters", "SI", "attributes of the field's host class, in their order"),
 )
 
 Pairs = layout(
@@ -320,7 +325,7 @@ Pairs = layout(
     searched_position=Field(wp.vec3, "pairs", "m", "relative position at that look"),
 )
 
-ContactRecord = record(
+ContactRecord = packed_record(
     "ContactRecord",
     "What is fixed about a contact while it is solved. The normal points from the second body to the first.",
     normal=Field(wp.vec3, "", "", "unit normal in the world"),

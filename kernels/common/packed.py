@@ -8,7 +8,16 @@ from typing import Any
 
 import warp as wp
 
-from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord, Motions, PairRecord, SolverBodyRecord
+from warp_rigid.kernels.schema import (
+    FILLER,
+    RECORDS,
+    ContactRecord,
+    Contacts,
+    ImpulseRecord,
+    Motions,
+    PairRecord,
+    SolverBodyRecord,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,6 +68,58 @@ put_impulse_quad = writer(ImpulseRecord)
 solver_body_quad = reader(SolverBodyRecord)
 put_solver_body_quad = writer(SolverBodyRecord)
 
+
+def optional_words() -> dict[str, int]:
+    """Where the fields of ContactRecord from `surface` to before `body_a` lie: C++ expression of a word, and its index.
+
+    These fields are zero in most contacts.
+    """
+    found, end, fields = {}, 0, RECORDS["ContactRecord"]
+    names = list(fields)
+    for name in names[: names.index("body_a")]:
+        count = wp.types.type_size_in_bytes(fields[name].dtype) // 4
+        if names.index(name) >= names.index("surface") and fields[name] is not FILLER:
+            found |= {f"row.{name}" + (f"[{k}]" if count > 1 else ""): end + k for k in range(count)}
+        end += count
+    return found
+
+
+OPTIONAL = optional_words()
+
+RECORD_START = """
+    float* p = (float*)__builtin_assume_aligned((float*)(records.data + c), 16);
+"""
+
+READ_OPTIONAL = f"""
+    if (row.more != 0.0f) {{
+        {RECORD_START}
+        {" ".join(f"{member} = p[{word}];" for member, word in OPTIONAL.items())}
+    }}
+"""
+
+WRITE_OPTIONAL = RECORD_START + " ".join(f"p[{word}] = {member};" for member, word in OPTIONAL.items())
+
+ANY_OPTIONAL = f"return ({' || '.join(f'{member} != 0.0f' for member in OPTIONAL)}) ? 1.0f : 0.0f;"
+
+
+@wp.func_native(READ_OPTIONAL)
+def read_optional_fields(records: wp.array(dtype=ContactRecord), c: int, row: wp.ref[ContactRecord]):
+    """Read the optional fields of a contact where `more` says that one of them is not zero."""
+    ...
+
+
+@wp.func_native(WRITE_OPTIONAL)
+def put_optional_fields(records: wp.array(dtype=ContactRecord), c: int, row: ContactRecord):
+    """Store the optional fields of a contact."""
+    ...
+
+
+@wp.func_native(ANY_OPTIONAL)
+def any_optional_field(row: ContactRecord) -> float:
+    """1 if an optional field of the contact is not zero, else 0."""
+    ...
+
+
 IMPULSE = wp.constant(0)
 ANGULAR_IMPULSE = wp.constant(1)
 IMPACT_IMPULSE = wp.constant(2)
@@ -78,7 +139,7 @@ def first_three(q: wp.vec4):
 
 @wp.func
 def contact_row(c: int, contacts: Contacts):
-    """What is fixed about a contact; its bodies are those of its pair. What is seldom there is read if it is."""
+    """Read what is fixed about a contact, except its bodies. Optional fields are read only where one is not zero."""
     row = ContactRecord()
     q = contact_quad(contacts.rows, c, 0)
     row.normal = first_three(q)
@@ -101,30 +162,22 @@ def contact_row(c: int, contacts: Contacts):
     q = contact_quad(contacts.rows, c, 6)
     row.coupling_a = wp.vec2(q[0], q[1])
     row.coupling_b = wp.vec2(q[2], q[3])
-    if row.more != 0.0:
-        q = contact_quad(contacts.rows, c, 7)
-        row.surface = first_three(q)
-        row.rolling_friction = q[3]
-        row.spinning_friction = contacts.rows[c].spinning_friction
-        row.restitution = contacts.rows[c].restitution
+    read_optional_fields(contacts.rows, c, row)
     return row
 
 
 @wp.func
 def put_contact_row(c: int, row: ContactRecord, contacts: Contacts):
     """Store what is fixed about a contact."""
-    more = wp.abs(row.rolling_friction) + wp.abs(row.spinning_friction) + row.restitution + wp.length(row.surface)
     put_contact_quad(contacts.rows, c, 0, row.normal, row.bias_velocity)
     put_contact_quad(contacts.rows, c, 1, row.tangent, row.friction)
     put_contact_quad(contacts.rows, c, 2, row.arm_a, row.gap)
-    put_contact_quad(contacts.rows, c, 3, row.arm_b, more)
+    put_contact_quad(contacts.rows, c, 3, row.arm_b, any_optional_field(row))
     put_contact_quad(contacts.rows, c, 4, row.tangent_a, row.normal_a)
     put_contact_quad(contacts.rows, c, 5, row.tangent_b, row.normal_b)
     coupling = wp.vec3(row.coupling_a[0], row.coupling_a[1], row.coupling_b[0])
     put_contact_quad(contacts.rows, c, 6, coupling, row.coupling_b[1])
-    put_contact_quad(contacts.rows, c, 7, row.surface, row.rolling_friction)
-    contacts.rows[c].spinning_friction = row.spinning_friction
-    contacts.rows[c].restitution = row.restitution
+    put_optional_fields(contacts.rows, c, row)
     contacts.rows[c].body_a = row.body_a
     contacts.rows[c].body_b = row.body_b
 

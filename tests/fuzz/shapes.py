@@ -1,5 +1,6 @@
 """Shapes and scenes out of wild numbers, used as a simulation would use them."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ from hypothesis import strategies as st
 
 import warp_rigid as wr
 from tests.fuzz.harness import NUMBERS, ODDITIES, Target, vectors
+from warp_rigid.scene.coefficients import COEFFICIENTS, Coefficient
+from warp_rigid.scene.fields import FIELDS
 
 SIZES = st.one_of(st.floats(0.01, 2), NUMBERS, ODDITIES)
 
@@ -65,6 +68,13 @@ def try_mesh(case: Any, folder: Path) -> None:
     use(wr.Mesh(vertices, faces, sdf_resolution=resolution))
 
 
+def coefficient_values(coefficient: Coefficient) -> st.SearchStrategy:
+    """Values in the range, and odd ones."""
+    if math.isinf(coefficient.upper):
+        return SIZES
+    return st.one_of(st.floats(coefficient.lower, coefficient.upper), ODDITIES)
+
+
 BODY = st.fixed_dictionaries(
     {"shape": SIMPLE, "add": st.sampled_from(["add_body", "add_body", "add_kinematic", "add_static"])},
     optional={
@@ -74,17 +84,16 @@ BODY = st.fixed_dictionaries(
         "angular_velocity": vectors(3),
         "density": SIZES,
         "mass": SIZES,
-        "friction": SIZES,
-        "restitution": st.one_of(st.floats(0, 1), ODDITIES),
-        "rolling_friction": SIZES,
-        "spinning_friction": SIZES,
+        **{name: coefficient_values(coefficient) for name, coefficient in COEFFICIENTS.items()},
         "name": st.one_of(st.text(max_size=3), ODDITIES),
     },
 )
 
 FIELD = st.one_of(
-    st.tuples(st.just(wr.UniformField), st.tuples(vectors(3))),
-    st.tuples(st.just(wr.PointField), st.tuples(vectors(3), NUMBERS)),
+    *(
+        st.tuples(st.just(cls), st.tuples(*(vectors(3) if vector else NUMBERS for vector in cls.parameters().values())))
+        for cls in FIELDS.values()
+    )
 )
 
 SCENE = st.fixed_dictionaries(
@@ -100,7 +109,7 @@ def scene_of(case: dict) -> wr.Scene:
     refused: ValueError | None = None
     for entry in case["bodies"]:
         given = {name: value for name, value in entry.items() if name not in ("shape", "add")}
-        kept = ("position", "orientation", "friction", "restitution", "rolling_friction", "spinning_friction", "name")
+        kept = ("position", "orientation", *COEFFICIENTS, "name")
         if entry["add"] == "add_kinematic":
             kept += ("linear_velocity", "angular_velocity")
         if entry["add"] != "add_body":

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
 
 KIND = "checkpoint"
-VERSION = 5  # raise whenever older files could no longer be read
+VERSION = 6  # raise whenever older files could no longer be read
 
 FROM_SCENE = ("shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scene."""

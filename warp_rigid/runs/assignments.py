@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from warp_rigid.checks import shown
-from warp_rigid.engine.quantities import COEFFICIENTS, STATE_NAMES
+from warp_rigid.engine.quantities import STATE_NAMES
 from warp_rigid.engine.settings import Settings
+from warp_rigid.scene.coefficients import COEFFICIENTS
 
-__all__ = ["COEFFICIENTS", "PROPERTIES", "Assignments", "parse_assignment", "place_of", "sort_assignments"]
+__all__ = ["PROPERTIES", "Assignments", "parse_assignment", "place_of", "sort_assignments"]
 
 PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "gravity")
 """What can be set in a simulation beside the settings; all bodies get the same value."""

@@ -14,8 +14,9 @@ import numpy as np
 from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.variation import structure
-from warp_rigid.runs.assignments import COEFFICIENTS, place_of
+from warp_rigid.runs.assignments import place_of
 from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.design import Run, address
@@ -224,7 +225,7 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
     if plain != "gravity":
         chosen_bodies(scene, name, plain, choice.rstrip("]"))
     if plain in COEFFICIENTS:
-        number_in(name, value, 0.0, 1.0 if plain == "restitution" else math.inf)
+        number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
         number_in(name, value, above=0.0)
     elif plain == "orientation":

@@ -9,12 +9,13 @@ from pxr import Sdf, Tf, Vt
 
 from warp_rigid.render.appearance import frame_colors, rotate
 from warp_rigid.runs.recording import Frame, Recording
-from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import STEADY
+from warp_rigid.usd.force_fields import fields_to_data
 from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
-from warp_rigid.usd.library import Library, Material, simple_shapes, write_pose
+from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
 
 __all__ = ["Bodies"]
@@ -67,7 +68,7 @@ class Bodies:
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
-            library.refer(geometry, library.collider(body.shape, Material(*self._coefficients(index))))
+            library.refer(geometry, library.collider(body.shape, self._coefficients(index)))
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")
         self._keep_apart(samples.layer, paths)
@@ -90,9 +91,8 @@ class Bodies:
             prim.SetInfo("apiSchemas", applied)
             relate(prim, "physics:filteredPairs", *targets)
 
-    def _coefficients(self, index: int) -> tuple[float, ...]:
-        names = ("friction", "restitution", "rolling_friction", "spinning_friction")
-        return tuple(float(self._film.start[name][self._row, index]) for name in names)
+    def _coefficients(self, index: int) -> dict[str, float]:
+        return {name: float(self._film.start[name][self._row, index]) for name in COEFFICIENTS}
 
     def _define_body(self, samples: Samples, path: str, index: int, body: Body) -> Sdf.PrimSpec:
         """A body without its geometry."""
@@ -156,18 +156,8 @@ def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray)
     direction = np.asarray(gravity, dtype=np.float64) / strength if strength > 0.0 else np.array([0.0, 0.0, -1.0])
     set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, _vector(direction))
     set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
-    points = [field for field in scene.force_fields if isinstance(field, PointField)]
-    uniform = [field for field in scene.force_fields if not isinstance(field, PointField)]
-    told: dict[str, Any] = {
-        "frictionCombine": scene.friction_combine,
-        "restitutionCombine": scene.restitution_combine,
-    }
-    if points:
-        told["pointFieldCenters"] = Vt.Vec3dArray([tuple(field.center) for field in points])
-        told["pointFieldStrengths"] = Vt.DoubleArray([field.strength for field in points])
-    if uniform:
-        told["uniformFields"] = Vt.Vec3dArray([tuple(field.acceleration) for field in uniform])
-    prim.SetInfo("customData", {MARK: told})
+    rules = {"frictionCombine": scene.friction_combine, "restitutionCombine": scene.restitution_combine}
+    prim.SetInfo("customData", {MARK: rules | fields_to_data(scene.force_fields)})
 
 
 def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:

@@ -1,6 +1,6 @@
 """The shapes of a file, each defined once and referred to by all bodies that have it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +13,15 @@ from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfiel
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION, quaternion_matrix, quaternion_product
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
+from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import Samples, Track, define, relate, set_attribute
 
-__all__ = ["Library", "Material", "simple_shapes", "write_pose"]
+__all__ = ["Library", "simple_shapes", "write_pose"]
 
 PLANE_WIDTH = 20.0
 """A plane is endless; this much of it is drawn [m]."""
 SDF_BLOCK = 8
 """The schema of signed distance grids wants resolutions that are multiples of this."""
-
-
-@dataclass(frozen=True)
-class Material:
-    """What a collider's surface is like; names and units as in Scene.add_body."""
-
-    friction: float
-    restitution: float
-    rolling_friction: float
-    spinning_friction: float
 
 
 class Library:
@@ -47,7 +38,7 @@ class Library:
         self.layer, self.root, self._time = layer, root, time
         self._samples = Samples(layer)
         self._moving: dict[str, tuple[Surface, list[Track]]] = {}
-        self._colliders: dict[tuple[str, Material], str] = {}
+        self._colliders: dict[tuple[str, tuple[float, ...]], str] = {}
         define(layer, root, "Scope", specifier=Sdf.SpecifierClass)
 
     def mesh_path(self, index: int) -> str:
@@ -85,14 +76,14 @@ class Library:
         file = "" if prim.layer == self.layer else f"./{Path(self.layer.realPath).name}"
         prim.referenceList.prependedItems = [Sdf.Reference(file, path)]
 
-    def collider(self, shape: Shape, material: Material) -> str:
-        """The path of an Xform with a shape's colliders and their material."""
-        key = (shape.key, material)
+    def collider(self, shape: Shape, coefficients: Mapping[str, float]) -> str:
+        """Return the path of an Xform with a shape's colliders and their material, whose coefficients are given."""
+        key = (shape.key, tuple(coefficients.values()))
         if key not in self._colliders:
             path = f"{self.root}/shape_{len(self._colliders)}"
             self._colliders[key] = path
             define(self.layer, path, "Xform")
-            _write_material(self.layer, f"{path}/material", material)
+            write_material(self.layer, f"{path}/material", coefficients)
             for index, (part, position, orientation) in enumerate(simple_shapes(shape)):
                 prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, self._time)
                 if moves(part):
@@ -120,18 +111,6 @@ def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> N
 
 def _extent(points: np.ndarray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(bound_corners(points)[[0, -1]], dtype=np.float32))
-
-
-def _write_material(layer: Sdf.Layer, path: str, material: Material) -> None:
-    names = Sdf.ValueTypeNames
-    turning = material.rolling_friction > 0.0 or material.spinning_friction > 0.0
-    prim = define(layer, path, "Material", ["PhysicsMaterialAPI"] + ["NewtonMaterialAPI"] * turning)
-    set_attribute(prim, "physics:staticFriction", names.Float, material.friction)
-    set_attribute(prim, "physics:dynamicFriction", names.Float, material.friction)
-    set_attribute(prim, "physics:restitution", names.Float, material.restitution)
-    if turning:
-        set_attribute(prim, "newton:rollingFriction", names.Float, material.rolling_friction)
-        set_attribute(prim, "newton:torsionalFriction", names.Float, material.spinning_friction)
 
 
 def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:
