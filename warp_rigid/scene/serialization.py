@@ -95,7 +95,8 @@ def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     add: Callable[..., int] = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip
-    given = {name: entry[name] for name in ("position", "orientation", "name", "active", *COEFFICIENTS)}
+    given = {name: entry[name] for name in ("position", "orientation", "name", "active")}
+    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}  # older files have fewer
     if entry["motion"] != Motion.STATIC.name:
         given |= {name: entry[name] for name in VELOCITIES}
     if entry["motion"] == Motion.DYNAMIC.name:
