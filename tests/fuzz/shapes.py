@@ -1,4 +1,4 @@
-"""Shapes and scenes out of wild numbers, used as a simulation would use them."""
+"""Shapes and scenes of random and invalid numbers, used as a simulation uses them."""
 
 import math
 from pathlib import Path
@@ -40,7 +40,7 @@ FACES = st.one_of(
 
 
 def use(shape: wr.Shape) -> None:
-    """What a simulation asks of a shape."""
+    """Evaluate everything that a simulation needs of a shape."""
     assert np.isfinite(shape.volume) and np.isfinite(shape.inertia).all()
     shape.samples()
     shape.surface()
@@ -69,7 +69,7 @@ def try_mesh(case: Any, folder: Path) -> None:
 
 
 def coefficient_values(coefficient: Coefficient) -> st.SearchStrategy:
-    """Values in the range, and odd ones."""
+    """Values in the range, and invalid ones."""
     if math.isinf(coefficient.upper):
         return SIZES
     return st.one_of(st.floats(coefficient.lower, coefficient.upper), ODDITIES)
@@ -103,7 +103,7 @@ SCENE = st.fixed_dictionaries(
 
 
 def scene_of(case: dict) -> wr.Scene:
-    """A scene of those bodies that are not refused, if there is one."""
+    """The scene of all bodies that are not refused; raises the refusal if none is left."""
     head = {name: case[name] for name in ("gravity", "friction_combine") if name in case}
     scene = wr.Scene(**head)
     refused: ValueError | None = None
@@ -126,7 +126,7 @@ def scene_of(case: dict) -> wr.Scene:
 
 
 def try_scene(case: dict, folder: Path) -> None:
-    """Either all is refused, or it runs: whatever is no longer finite is told by status."""
+    """Either the scene is refused, or it runs, and status reports every environment that is no longer finite."""
     sim = wr.Simulator(scene_of(case), num_envs=2, device="cpu")
     sim.step(3)
     sim.penetration()

@@ -85,7 +85,9 @@ class Panel:
             self._set(name, bool(sim.get(name)[env]))
         self._set("shock_propagation", str(sim.get("shock_propagation")[env]))
         for name, step in COEFFICIENT_STEPS.items():
-            self._set(name, round(round(float(np.median(sim.get(name)[env])) / step) * step, 9))
+            value = round(round(float(np.median(sim.get(name)[env])) / step) * step, 9)
+            widgets[name].max = max(COEFFICIENTS[name].typical_max, value)
+            self._set(name, value)
         self._set("gravity", round(float(-sim.get("gravity")[env, 2]), 2))
         rate = f"{1.0 / sim.settings.dt:.6g}"
         self._options("dt", [*STEP_RATES, *({rate} - set(STEP_RATES))], rate)
