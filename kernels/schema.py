@@ -212,9 +212,8 @@ Cells = layout(
 FieldForces = layout(
     "FieldForces",
     "Force fields besides gravity, the same in all environments.",
-    kind=Field(int, "fields", "", "0 uniform, 1 point"),
-    vector=Field(wp.vec3, "fields", "m/s^2 or m", "acceleration of a uniform field, centre of a point field"),
-    strength=Field(float, "fields", "m^3/s^2", "of a point field: acceleration strength / distance^2"),
+    kind=Field(int, "fields", "", "FieldKind"),
+    parameters=Field(float, "fields, field_parameters", "SI", "attributes of the field's host class, in their order"),
 )
 
 Pairs = layout(

@@ -14,6 +14,7 @@ from tests.oracles import random_pile, rotate_about, stages_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files import atomic
 from warp_rigid.kernels.collide.narrowphase import BY_CENTER
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.scenes.builders import meshes
 
@@ -237,7 +238,21 @@ def with_header(saved, path, change):
 
 def test_a_newer_version_is_told(saved, tmp_path):
     path = with_header(saved, tmp_path / "newer", lambda header: header.update(version=99))
-    assert "version must be 5, got 99" in refused(path)
+    assert "version must be 6, got 99" in refused(path)
+
+
+def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path):
+    def forget(header):
+        for body in header["scene"]["bodies"]:
+            del body["restitution"]
+
+    path = with_header(saved, tmp_path / "older", forget)
+    parts = members(path)
+    assert parts.pop("Bodies.restitution.npy")
+    sim = Simulator.load(rewritten(tmp_path / "older", parts), device="cpu")
+    assert (sim.get("restitution") == COEFFICIENTS["restitution"].default).all()
+    del parts["Bodies.friction.npy"]
+    assert "Bodies.friction" in refused(rewritten(tmp_path / "damaged", parts))
 
 
 @pytest.mark.parametrize(

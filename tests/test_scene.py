@@ -1,10 +1,13 @@
 """The scene keeps what it is given, in order, and refuses bad values in one clear line."""
 
+import inspect
 import math
 
 import numpy as np
 import pytest
 
+from warp_rigid.kernels import schema
+from warp_rigid.scene.coefficients import COEFFICIENTS, Coefficient
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes.base import Shape
@@ -179,6 +182,34 @@ def test_static_and_kinematic_are_checked_too():
             add(Lump(), restitution=2)
     with pytest.raises(ValueError, match="^angular_velocity: "):
         Scene().add_kinematic(Lump(), angular_velocity=(0, 0, math.nan))
+
+
+@pytest.mark.parametrize("add", [Scene.add_body, Scene.add_static, Scene.add_kinematic])
+def test_signature_and_keywords_list_the_coefficients(add):
+    parameters = inspect.signature(add).parameters
+    assert {name: parameters[name].default for name in COEFFICIENTS} == {
+        "friction": 0.5, "restitution": 0.0, "rolling_friction": 0.0, "spinning_friction": 0.0,
+    }  # fmt: skip
+    with pytest.raises(TypeError, match="^unexpected keyword argument 'fricton'$"):
+        add(Scene(), Lump(), fricton=0.5)
+
+
+def test_docstring_describes_each_coefficient():
+    text = inspect.getdoc(Scene.add_body)
+    assert "    restitution: rebound speed over approach speed, from 0 to 1.\n" in text
+    assert "against rolling, >= 0 [m].\n" in text and "**coefficients" not in text
+
+
+def test_device_arrays_have_the_units_of_the_coefficients():
+    arrays = schema.LAYOUTS["Bodies"]
+    assert {name: arrays[name].unit for name in COEFFICIENTS} == {c.name: c.unit for c in COEFFICIENTS.values()}
+
+
+@pytest.mark.parametrize(
+    ("unit", "power"), [("", 0), ("m", 1), ("s/m", -1), ("kg m^2/s", 2), ("kg/m^3", -3), ("m/rad", 1)]
+)
+def test_power_of_the_metre_in_a_unit(unit, power):
+    assert Coefficient("x", 0.0, unit, "", 1.0).length_power == power
 
 
 def test_density_and_mass_exclude_each_other():

@@ -7,6 +7,7 @@ import warp as wp
 from tests.oracles import ground_scene, moving, random_pile, rotate_about, rotation_matrix
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Plane, Sphere
@@ -39,10 +40,7 @@ READ_WRITE = {
     "angular_velocity": (3,),
     "force": (3,),
     "torque": (3,),
-    "friction": (),
-    "restitution": (),
-    "rolling_friction": (),
-    "spinning_friction": (),
+    **dict.fromkeys(COEFFICIENTS, ()),
 }
 
 

@@ -11,6 +11,7 @@ from tests.oracles import rotation_matrix
 from tests.usd_tools import Resting, start_of, validator_errors
 from warp_rigid import scenes
 from warp_rigid.runs.recording import Recorder
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.usd.check import check_usd
 
@@ -77,7 +78,7 @@ def assert_same(one, other):
             rotation_matrix(mine.orientation), rotation_matrix(theirs.orientation), rtol=0, atol=1e-6
         )
         assert theirs.mass == pytest.approx(mine.mass, rel=1e-5)
-        for name in ("friction", "restitution", "rolling_friction", "spinning_friction"):
+        for name in COEFFICIENTS:
             assert getattr(theirs, name) == pytest.approx(getattr(mine, name), rel=1e-6)
         for name in ("linear_velocity", "angular_velocity"):
             np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name), rtol=1e-5, atol=1e-5)

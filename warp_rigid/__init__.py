@@ -16,7 +16,9 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.render.gltf import export_gltf
 from warp_rigid.runs.recording import Recording, record
-from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene import fields
+from warp_rigid.scene.coefficients import Coefficients
+from warp_rigid.scene.fields import *  # noqa: F403
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import (
     Box,
@@ -40,6 +42,7 @@ __all__ = [
     "CapacityError",
     "Capsule",
     "Choice",
+    "Coefficients",
     "Compound",
     "Cylinder",
     "HarmonicMotion",
@@ -51,7 +54,6 @@ __all__ = [
     "NonFiniteError",
     "Normal",
     "Plane",
-    "PointField",
     "Recording",
     "Scene",
     "Settings",
@@ -60,7 +62,6 @@ __all__ = [
     "Sphere",
     "SweepResult",
     "Uniform",
-    "UniformField",
     "UsdStream",
     "export_gltf",
     "export_usd",
@@ -70,3 +71,4 @@ __all__ = [
     "search",
     "sweep",
 ]
+__all__ += fields.__all__

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.enums import FieldKind, Motion, Role
+from warp_rigid.kernels.enums import Motion, Role
 from warp_rigid.kernels.schema import (
     Bodies,
     Environments,
@@ -13,6 +13,7 @@ from warp_rigid.kernels.schema import (
     SolverBodyRecord,
     State,
 )
+from warp_rigid.kernels.update.force_fields import field_acceleration
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,20 +28,6 @@ UNBOUNDED_EXTENT = wp.constant(1.0e9)
 def smaller_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
     """Size of the smaller body of a pair [m], by which lengths at their contact are measured."""
     return wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
-
-
-@wp.func
-def field_acceleration(fields: FieldForces, field_count: int, x: wp.vec3):
-    """Acceleration at x by all force fields [m/s^2]; the point field after Newton: strength / distance^2."""
-    a = wp.vec3(0.0, 0.0, 0.0)
-    for f in range(field_count):
-        if fields.kind[f] == FieldKind.POINT:
-            to_center = fields.vector[f] - x
-            distance = wp.max(wp.length(to_center), 1.0e-6)
-            a += fields.strength[f] / (distance * distance * distance) * to_center
-        else:
-            a += fields.vector[f]
-    return a
 
 
 @wp.func

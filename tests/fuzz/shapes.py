@@ -1,5 +1,6 @@
-"""Shapes and scenes out of wild numbers, used as a simulation would use them."""
+"""Shapes and scenes of random and invalid numbers, used as a simulation uses them."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ from hypothesis import strategies as st
 
 import warp_rigid as wr
 from tests.fuzz.harness import NUMBERS, ODDITIES, Target, vectors
+from warp_rigid.scene.coefficients import COEFFICIENTS, Coefficient
+from warp_rigid.scene.fields import FIELDS
 
 SIZES = st.one_of(st.floats(0.01, 2), NUMBERS, ODDITIES)
 
@@ -37,7 +40,7 @@ FACES = st.one_of(
 
 
 def use(shape: wr.Shape) -> None:
-    """What a simulation asks of a shape."""
+    """Evaluate everything that a simulation needs of a shape."""
     assert np.isfinite(shape.volume) and np.isfinite(shape.inertia).all()
     shape.samples()
     shape.surface()
@@ -65,6 +68,13 @@ def try_mesh(case: Any, folder: Path) -> None:
     use(wr.Mesh(vertices, faces, sdf_resolution=resolution))
 
 
+def coefficient_values(coefficient: Coefficient) -> st.SearchStrategy:
+    """Values in the range, and invalid ones."""
+    if math.isinf(coefficient.upper):
+        return SIZES
+    return st.one_of(st.floats(coefficient.lower, coefficient.upper), ODDITIES)
+
+
 BODY = st.fixed_dictionaries(
     {"shape": SIMPLE, "add": st.sampled_from(["add_body", "add_body", "add_kinematic", "add_static"])},
     optional={
@@ -74,17 +84,16 @@ BODY = st.fixed_dictionaries(
         "angular_velocity": vectors(3),
         "density": SIZES,
         "mass": SIZES,
-        "friction": SIZES,
-        "restitution": st.one_of(st.floats(0, 1), ODDITIES),
-        "rolling_friction": SIZES,
-        "spinning_friction": SIZES,
+        **{name: coefficient_values(coefficient) for name, coefficient in COEFFICIENTS.items()},
         "name": st.one_of(st.text(max_size=3), ODDITIES),
     },
 )
 
 FIELD = st.one_of(
-    st.tuples(st.just(wr.UniformField), st.tuples(vectors(3))),
-    st.tuples(st.just(wr.PointField), st.tuples(vectors(3), NUMBERS)),
+    *(
+        st.tuples(st.just(cls), st.tuples(*(vectors(3) if vector else NUMBERS for vector in cls.parameters().values())))
+        for cls in FIELDS.values()
+    )
 )
 
 SCENE = st.fixed_dictionaries(
@@ -94,13 +103,13 @@ SCENE = st.fixed_dictionaries(
 
 
 def scene_of(case: dict) -> wr.Scene:
-    """A scene of those bodies that are not refused, if there is one."""
+    """The scene of all bodies that are not refused; raises the refusal if none is left."""
     head = {name: case[name] for name in ("gravity", "friction_combine") if name in case}
     scene = wr.Scene(**head)
     refused: ValueError | None = None
     for entry in case["bodies"]:
         given = {name: value for name, value in entry.items() if name not in ("shape", "add")}
-        kept = ("position", "orientation", "friction", "restitution", "rolling_friction", "spinning_friction", "name")
+        kept = ("position", "orientation", *COEFFICIENTS, "name")
         if entry["add"] == "add_kinematic":
             kept += ("linear_velocity", "angular_velocity")
         if entry["add"] != "add_body":
@@ -117,7 +126,7 @@ def scene_of(case: dict) -> wr.Scene:
 
 
 def try_scene(case: dict, folder: Path) -> None:
-    """Either all is refused, or it runs: whatever is no longer finite is told by status."""
+    """Either the scene is refused, or it runs, and status reports every environment that is no longer finite."""
     sim = wr.Simulator(scene_of(case), num_envs=2, device="cpu")
     sim.step(3)
     sim.penetration()

@@ -92,7 +92,7 @@ APIS = [
 MARKS = [
     "int sdfResolution", "int heightfieldRows", "int heightfieldColumns", "string motion",
     "double heightfieldFrequency", "double[] heightfieldHeights", "string frictionCombine",
-    "double3[] pointFieldCenters", "double[] pointFieldStrengths", "double3[] uniformFields",
+    "double3[] pointFieldCenters", "double[] pointFieldStrengths", "double3[] uniformFieldAccelerations",
 ]  # fmt: skip
 MARKED = {
     "int": st.sampled_from(["8", "2", "0", "-1", "600"]),

@@ -21,6 +21,7 @@ from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.narrowphase import BY_CENTER
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.version import __version__
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
 
 KIND = "checkpoint"
-VERSION = 5  # raise whenever older files could no longer be read
+VERSION = 6  # raise whenever older files could no longer be read
 
 FROM_SCENE = ("env", "shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scene."""
@@ -93,7 +94,10 @@ def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarr
         CapacityError: there is no room for the contacts of the last step.
     """
     used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
-    rows = {name: _checked(name, own, arrays, used, sim) for name, own in _stored(sim).items()}
+    newer = _newer_coefficients(header)
+    rows = {
+        name: own if name in newer else _checked(name, own, arrays, used, sim) for name, own in _stored(sim).items()
+    }
     _check_neighbours(sim, rows)
     steps = whole_in("steps", header["steps"], 0, 2**62)
     most_wanted = [whole_in("fitted", n, 0, LARGEST) for _, n in zip(NAMES, header["fitted"], strict=True)]
@@ -167,6 +171,12 @@ def _history(sim: "Simulator") -> dict[str, np.ndarray]:
 def _counted_by(field: declare.Field) -> str:
     """What there is a row for; sums have one more."""
     return field.shape.partition(" + ")[0]
+
+
+def _newer_coefficients(header: dict[str, Any]) -> set[str]:
+    """Arrays of the coefficients that were declared after the file was written: they keep their defaults."""
+    known = {name for body in header["scene"]["bodies"] for name in body}
+    return {f"Bodies.{name}" for name in COEFFICIENTS if name not in known}
 
 
 def _checked(

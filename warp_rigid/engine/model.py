@@ -10,7 +10,8 @@ from warp_rigid.engine.moving_ground import build_surfaces, with_copies
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
-from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.scene.fields import ForceField
 from warp_rigid.scene.scene import COMBINE_RULES, Body, Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
 from warp_rigid.scene.shapes.heightfield import moves
@@ -83,9 +84,6 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
     pooled, place, step = with_copies(shapes, num_envs)
     pool, surfaces, surface_vertices = _pool_shapes(pooled, _exact_reach(scene.bodies), num_envs, device)
     small, oversized, grid_radius = _split_by_size(scene.bodies)
-    fields = declare.allocate(schema.FieldForces, {"fields": len(scene.force_fields)}, device)
-    if scene.force_fields:
-        _upload_fields(fields, scene.force_fields)
     return Model(
         scene=scene,
         num_envs=num_envs,
@@ -94,7 +92,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
         surface_vertices=surface_vertices,
         surface_node=pool.grid_value.shape[0] - surface_vertices,
         bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], oversized, num_envs, device),
-        fields=fields,
+        fields=_upload_fields(scene.force_fields, device),
         field_count=len(scene.force_fields),
         combine_rules=wp.vec2i(
             COMBINE_RULES.index(scene.friction_combine), COMBINE_RULES.index(scene.restitution_combine)
@@ -196,14 +194,15 @@ def _filtered(scene: Scene) -> list[list[int]]:
     return others
 
 
-def _upload_fields(fields: Any, force_fields: list) -> None:
-    """Write the force fields."""
-    point = [isinstance(field, PointField) for field in force_fields]
-    fields.kind.assign(np.array(point, np.int32))
-    vectors = [f.center if isinstance(f, PointField) else f.acceleration for f in force_fields]
-    fields.vector.assign(np.array(vectors, np.float32))
-    strengths = [f.strength if isinstance(f, PointField) else 0.0 for f in force_fields]
-    fields.strength.assign(np.array(strengths, np.float32))
+def _upload_fields(force_fields: list[ForceField], device: Any) -> Any:
+    """Write the kinds and parameters of the force fields."""
+    rows = [field.row() for field in force_fields]
+    width = max((len(row) for row in rows), default=0)
+    fields = declare.allocate(schema.FieldForces, {"fields": len(rows), "field_parameters": width}, device)
+    if rows:
+        fields.kind.assign(np.array([int(field.kind) for field in force_fields], np.int32))
+        fields.parameters.assign(np.array([np.pad(row, (0, width - len(row))) for row in rows]))
+    return fields
 
 
 def _upload_bodies(
@@ -222,7 +221,7 @@ def _upload_bodies(
         "oversized": np.isin(np.arange(len(bodies)), oversized).astype(np.int32),
         "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
     }
-    for name in ("friction", "restitution", "rolling_friction", "spinning_friction"):
+    for name in COEFFICIENTS:
         host[name] = np.array([getattr(body, name) for body in bodies], np.float32)
     shapes = {"mass": (), "inverse_mass": (), "inertia": (3, 3), "inverse_inertia": (3, 3)}
     for name, tail in shapes.items():

@@ -11,7 +11,7 @@ from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.shard import Shard
 from warp_rigid.kernels import declare, schema
-from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity",
 REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "angular_velocity_remainder"}
 """Where the device keeps what rounding left over of a quantity."""
 
-COEFFICIENTS = ("friction", "restitution", "rolling_friction", "spinning_friction")
 DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
 WRITABLE = (*STATE_NAMES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
 
@@ -183,9 +182,7 @@ def _write_rows(sim: "Simulator", name: str, value: Any, chosen: np.ndarray, bod
     rows = _rows(sim, getattr(owner, name))
     new = _broadcast(name, value, (len(chosen), len(bodies), *rows.shape[2:]))
     if name in COEFFICIENTS:
-        top = 1.0 if name == "restitution" else np.inf
-        if (new < 0.0).any() or (new > top).any():
-            raise ValueError(f"{name}: must be from 0{' to 1' if top == 1.0 else ''}")
+        COEFFICIENTS[name].check_array(new)
     if name == "orientation":
         length = np.linalg.norm(new, axis=-1, keepdims=True)
         if (length < 1e-6).any():
@@ -359,10 +356,7 @@ def _potential_energy(sim: "Simulator") -> np.ndarray:
     x = _center_of_mass(sim)
     per_mass = -np.einsum("ebi,ei->eb", x, sim._envs.gravity.numpy())
     for field in sim.scene.force_fields:
-        if isinstance(field, PointField):
-            per_mass -= field.strength / np.linalg.norm(x - np.array(field.center), axis=-1)
-        else:
-            per_mass -= x @ np.array(field.acceleration)
+        per_mass += field.potential(x)
     return read(sim, "active") * read(sim, "mass") * per_mass
 
 

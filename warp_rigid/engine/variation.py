@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_rigid.engine.model import mass_arrays
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion, Scene
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["start_each", "structure"]
 
 POSES = ("position", "orientation", "linear_velocity", "angular_velocity")
-COEFFICIENTS = ("friction", "restitution", "rolling_friction", "spinning_friction")
 
 
 def structure(scene: Scene) -> Hashable:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from warp_rigid.checks import shown
-from warp_rigid.engine.quantities import COEFFICIENTS, STATE_NAMES
+from warp_rigid.engine.quantities import STATE_NAMES
 from warp_rigid.engine.settings import Settings
+from warp_rigid.scene.coefficients import COEFFICIENTS
 
-__all__ = ["COEFFICIENTS", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
+__all__ = ["PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
 
 PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "gravity")
 """Quantities that can be set in a simulation besides the settings; all bodies get the same value."""

@@ -14,9 +14,10 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.assignments import COEFFICIENTS, PROPERTIES, Assignments, sort_assignments
+from warp_rigid.runs.assignments import PROPERTIES, Assignments, sort_assignments
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.usd import import_usd

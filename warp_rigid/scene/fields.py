@@ -1,29 +1,91 @@
-"""Force fields: accelerations that act on every dynamic body, beside the scene's gravity."""
+"""Force fields: accelerations that act on every dynamic body besides the scene's gravity.
 
-from dataclasses import dataclass
+A field is a frozen dataclass derived from `ForceField`. From its declaration follow the checks, the device rows,
+checkpoints, USD files and the list of exported names. `kernels/update/force_fields.py` has its device function.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
 
 from warp_rigid.checks import finite_number, finite_vector
+from warp_rigid.kernels.enums import FieldKind
 
-__all__ = ["PointField", "UniformField"]
+__all__ = ["ForceField", "PointField", "UniformField"]
+
+Vector3 = tuple[float, float, float]
+
+FIELDS: dict[str, type["ForceField"]] = {}
+"""All kinds of force fields by class name."""
+
+
+class ForceField(ABC):
+    """Base of all force fields. Each attribute is a number or three numbers, and becomes a parameter on the device.
+
+    Attributes:
+        kind: selects the device function.
+
+    Raises:
+        ValueError: A parameter is not finite.
+    """
+
+    kind: ClassVar[FieldKind]
+
+    def __init_subclass__(cls) -> None:
+        """Register the kind."""
+        FIELDS[cls.__name__] = cls
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        for name, is_vector in self.parameters().items():
+            check = finite_vector if is_vector else finite_number
+            object.__setattr__(self, name, check(name, getattr(self, name)))
+
+    @classmethod
+    def parameters(cls) -> dict[str, bool]:
+        """Return for each parameter whether it is a vector."""
+        return {entry.name: entry.type is Vector3 for entry in fields(cls)}  # type: ignore[arg-type]
+
+    def values(self) -> dict[str, Any]:
+        """Return the parameters by name, as for the constructor."""
+        return {name: getattr(self, name) for name in self.parameters()}
+
+    def row(self) -> np.ndarray:
+        """Return the parameters one after another, (n,) float32, as the device function reads them."""
+        return np.hstack([np.asarray(value, np.float32) for value in self.values().values()])
+
+    @abstractmethod
+    def potential(self, x: np.ndarray) -> np.ndarray:
+        """Return the potential energy per mass at points.
+
+        Args:
+            x: (..., 3) points [m].
+
+        Returns:
+            (...) potential [J/kg].
+        """
 
 
 @dataclass(frozen=True)
-class UniformField:
+class UniformField(ForceField):
     """The same acceleration everywhere.
 
     Attributes:
         acceleration: (3,) acceleration in the world frame [m/s^2].
     """
 
-    acceleration: tuple[float, float, float]
+    kind = FieldKind.UNIFORM
+    acceleration: Vector3
 
-    def __post_init__(self):
-        """Refuse an acceleration that is not three finite numbers with a ValueError."""
-        object.__setattr__(self, "acceleration", finite_vector("acceleration", self.acceleration))
+    def potential(self, x: np.ndarray) -> np.ndarray:
+        """Return -acceleration . x [J/kg]."""
+        return -(x @ np.array(self.acceleration))
 
 
 @dataclass(frozen=True)
-class PointField:
+class PointField(ForceField):
     """Attraction by a point: acceleration strength / d^2 toward the centre at distance d.
 
     Attributes:
@@ -31,10 +93,10 @@ class PointField:
         strength: acceleration times distance squared [m^3/s^2]; a negative one repels.
     """
 
-    center: tuple[float, float, float]
+    kind = FieldKind.POINT
+    center: Vector3
     strength: float
 
-    def __post_init__(self):
-        """Refuse a centre or strength that is not finite with a ValueError."""
-        object.__setattr__(self, "center", finite_vector("center", self.center))
-        object.__setattr__(self, "strength", finite_number("strength", self.strength))
+    def potential(self, x: np.ndarray) -> np.ndarray:
+        """Return -strength / d [J/kg]."""
+        return -self.strength / np.linalg.norm(x - np.array(self.center), axis=-1)

@@ -1,18 +1,19 @@
 """Scene: the bodies, fields and rules of one environment, as plain data.
 
-A scene is described once and simulated many times over; it holds nothing of the device. Every
-value is checked when it is given, so that a mistake is reported at the line that made it.
+A scene is described once and simulated in many environments. It holds no device data. Every value is checked when it
+is given, so that an error is reported at the line that caused it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
 from warp_rigid.kernels.enums import CombineRule, Motion
-from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coefficients, list_coefficients
+from warp_rigid.scene.fields import FIELDS, ForceField
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield
 
@@ -31,8 +32,8 @@ _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True)
-class Body:
-    """One body of a scene.
+class Body(Coefficients):
+    """One body of a scene, with the attributes of Coefficients besides these.
 
     Attributes:
         shape: its shape, in the shape's own frame.
@@ -42,10 +43,6 @@ class Body:
         linear_velocity: (3,) velocity of the centre of mass [m/s].
         angular_velocity: (3,) in the world frame [rad/s].
         mass: [kg]; 0 for static and kinematic bodies, on which impulses have no effect.
-        friction: Coulomb coefficient, static and sliding alike.
-        restitution: rebound speed over approach speed.
-        rolling_friction: resisting torque over normal force, against rolling [m].
-        spinning_friction: resisting torque over normal force, about the contact normal [m].
         name: a label for tables and files; need not be unique.
         active: whether it takes part from the start.
     """
@@ -57,10 +54,6 @@ class Body:
     linear_velocity: tuple[float, float, float]
     angular_velocity: tuple[float, float, float]
     mass: float
-    friction: float
-    restitution: float
-    rolling_friction: float
-    spinning_friction: float
     name: str
     active: bool = True
 
@@ -74,15 +67,15 @@ class Scene:
             make the pair's: "min" (the 2003 method), "average", "multiply" or "max".
         restitution_combine: the same for restitution.
         bounds: (lower, upper) corners of the box within which bodies belong, infinite where there is no bound [m];
-            None for no bounds at all. A moving body whose centre leaves it is told of by Simulator.status.
-        out_of_bounds: what becomes of such a body: "report", nothing else, or "remove", it is switched off
-            (`active` becomes False).
+            None for no bounds. Simulator.status reports a moving body whose centre leaves the box.
+        out_of_bounds: what happens to such a body: "report" changes nothing else, "remove" switches it off (`active`
+            becomes False).
 
     Attributes:
         bodies: list of Body, in the order in which they were added.
-        force_fields: list of fields that act on the dynamic bodies beside gravity.
+        force_fields: list of fields that act on the dynamic bodies besides gravity.
         filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
-        import_report: what a file had that the scene has not; None unless import_usd made the scene.
+        import_report: what import_usd left out or changed; None for a scene that was not imported.
         gravity: as given.
         friction_combine: as given.
         restitution_combine: as given.
@@ -90,7 +83,7 @@ class Scene:
         out_of_bounds: as given.
 
     Raises:
-        ValueError: gravity is not three finite numbers, a rule is unknown, or the bounds are no box.
+        ValueError: gravity is not three finite numbers, a rule is unknown, or the bounds are not a box.
     """
 
     def __init__(
@@ -108,15 +101,16 @@ class Scene:
         self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
         self.bodies: list[Body] = []
-        self.force_fields: list[UniformField | PointField] = []
+        self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.import_report: ImportReport | None = None
 
     def __repr__(self) -> str:
-        """Tell how many bodies of each kind the scene holds."""
+        """Return the number of bodies of each kind as text."""
         counts = [sum(body.motion == motion for body in self.bodies) for motion in Motion]
         return f"Scene({counts[2]} dynamic, {counts[1]} kinematic, {counts[0]} static bodies)"
 
+    @list_coefficients
     def add_body(
         self,
         shape: Shape,
@@ -127,12 +121,9 @@ class Scene:
         angular_velocity: Vector = (0.0, 0.0, 0.0),
         density: float | None = None,
         mass: float | None = None,
-        friction: float = 0.5,
-        restitution: float = 0.0,
-        rolling_friction: float = 0.0,
-        spinning_friction: float = 0.0,
         name: str | None = None,
         active: bool = True,
+        **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
         """Add a body that forces and contacts move.
 
@@ -144,19 +135,16 @@ class Scene:
             angular_velocity: (3,) in the world frame [rad/s].
             density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
             mass: [kg], > 0; instead of density.
-            friction: Coulomb coefficient, >= 0.
-            restitution: from 0 (no rebound) to 1 (elastic).
-            rolling_friction: resisting torque over normal force, >= 0 [m].
-            spinning_friction: the same about the contact normal, >= 0 [m].
             name: label; the shape's kind and the body's index where none is given.
-            active: False for a body that waits to be switched on, `sim.set("active", True, ...)`; until then it takes
-                no part.
+            active: False for a body that takes no part until `sim.set("active", True, ...)` switches it on.
+            **coefficients: coefficients of the body by name; see Coefficients.
 
         Returns:
             The body's index.
 
         Raises:
-            ValueError: A value is not of the kind or not in the range above.
+            ValueError: A value has the wrong type or is outside its range.
+            TypeError: A keyword is unknown.
         """
         self._check_shape(shape, Motion.DYNAMIC)
         return self._add(
@@ -164,36 +152,35 @@ class Scene:
             Motion.DYNAMIC,
             (position, orientation, linear_velocity, angular_velocity),
             _mass(shape, density, mass),
-            (friction, restitution, rolling_friction, spinning_friction),
             name,
             active,
+            coefficients,
         )
 
+    @list_coefficients
     def add_static(
         self,
         shape: Shape,
         *,
         position: Vector = (0.0, 0.0, 0.0),
         orientation: Vector = (0.0, 0.0, 0.0, 1.0),
-        friction: float = 0.5,
-        restitution: float = 0.0,
-        rolling_friction: float = 0.0,
-        spinning_friction: float = 0.0,
         name: str | None = None,
         active: bool = True,
+        **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
-        """Add a body that never moves. Arguments, result and errors as in add_body."""
+        """Add a body that never moves. Arguments, result and errors are those of add_body."""
         self._check_shape(shape, Motion.STATIC)
         return self._add(
             shape,
             Motion.STATIC,
             (position, orientation, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
             0.0,
-            (friction, restitution, rolling_friction, spinning_friction),
             name,
             active,
+            coefficients,
         )
 
+    @list_coefficients
     def add_kinematic(
         self,
         shape: Shape,
@@ -202,16 +189,13 @@ class Scene:
         orientation: Vector = (0.0, 0.0, 0.0, 1.0),
         linear_velocity: Vector = (0.0, 0.0, 0.0),
         angular_velocity: Vector = (0.0, 0.0, 0.0),
-        friction: float = 0.5,
-        restitution: float = 0.0,
-        rolling_friction: float = 0.0,
-        spinning_friction: float = 0.0,
         name: str | None = None,
         active: bool = True,
+        **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
-        """Add a body that moves with its own velocity, whatever it meets.
+        """Add a body that moves with a prescribed velocity; contacts do not change it.
 
-        Arguments, result and errors as in add_body.
+        Arguments, result and errors are those of add_body.
         """
         self._check_shape(shape, Motion.KINEMATIC)
         return self._add(
@@ -219,26 +203,26 @@ class Scene:
             Motion.KINEMATIC,
             (position, orientation, linear_velocity, angular_velocity),
             0.0,
-            (friction, restitution, rolling_friction, spinning_friction),
             name,
             active,
+            coefficients,
         )
 
-    def add_force_field(self, field: UniformField | PointField) -> None:
-        """Add a UniformField or PointField, which acts on all dynamic bodies beside gravity.
+    def add_force_field(self, field: ForceField) -> None:
+        """Add a force field, such as a UniformField or PointField, which acts on all dynamic bodies besides gravity.
 
         Raises:
-            ValueError: The field is of another kind.
+            ValueError: The argument is not a force field.
         """
-        if not isinstance(field, UniformField | PointField):
-            raise ValueError(f"field: must be a UniformField or a PointField, got {shown(field)}")
+        if not isinstance(field, ForceField):
+            raise ValueError(f"field: must be a {' or a '.join(FIELDS)}, got {shown(field)}")
         self.force_fields.append(field)
 
     def filter_pair(self, a: int, b: int) -> None:
         """Let two bodies pass through each other.
 
         Args:
-            a: index of one body, as add_body gave it.
+            a: index of one body, as returned by add_body.
             b: index of the other.
 
         Raises:
@@ -260,9 +244,11 @@ class Scene:
             kind = type(shape).__name__
             raise ValueError(f"shape: a {kind} can only be static, not {motion.name.lower()}")
 
-    def _add(self, shape, motion, state, mass, surface, name, active):
+    def _add(self, shape, motion, state, mass, name, active, coefficients):
         position, orientation, linear_velocity, angular_velocity = state
-        friction, restitution, rolling_friction, spinning_friction = surface
+        for keyword in coefficients:
+            if keyword not in COEFFICIENTS:
+                raise TypeError(f"unexpected keyword argument {keyword!r}")
         if name is not None and not isinstance(name, str):
             raise ValueError(f"name: must be a string, got {shown(name)}")
         if not isinstance(active, bool):
@@ -275,12 +261,9 @@ class Scene:
             linear_velocity=finite_vector("linear_velocity", linear_velocity),
             angular_velocity=finite_vector("angular_velocity", angular_velocity),
             mass=mass,
-            friction=number_in("friction", friction, 0.0),
-            restitution=number_in("restitution", restitution, 0.0, 1.0),
-            rolling_friction=number_in("rolling_friction", rolling_friction, 0.0),
-            spinning_friction=number_in("spinning_friction", spinning_friction, 0.0),
             name=name or f"{type(shape).__name__.lower()}_{len(self.bodies)}",
             active=active,
+            **coefficients,
         )
         self.bodies.append(body)
         return len(self.bodies) - 1

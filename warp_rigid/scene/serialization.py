@@ -8,23 +8,24 @@ import numpy as np
 
 from warp_rigid.checks import unit_quaternion, whole_in
 from warp_rigid.files.archive import shaped
-from warp_rigid.scene.fields import PointField, UniformField
+from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.scene.fields import FIELDS
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
-SURFACE = ("friction", "restitution", "rolling_friction", "spinning_friction")
 VELOCITIES = ("linear_velocity", "angular_velocity")
 
 
 def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Plain data for JSON, and arrays by name."""
+    """Return plain data for JSON, and arrays by name."""
     arrays: dict[str, np.ndarray] = {}
     shapes: list[dict[str, Any]] = []
     places: dict[str, int] = {}
     bodies = []
     for body in scene.bodies:
         numbers = {
-            name: getattr(body, name) for name in ("position", "orientation", *VELOCITIES, "mass", "active", *SURFACE)
+            name: getattr(body, name)
+            for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS)
         }
         shape = _place_shape(body.shape, shapes, arrays, places)
         bodies.append({"shape": shape, "motion": body.motion.name, "name": body.name, **numbers})
@@ -34,7 +35,7 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         "restitution_combine": scene.restitution_combine,
         "bounds": scene.bounds,
         "out_of_bounds": scene.out_of_bounds,
-        "fields": [_field_to_data(field) for field in scene.force_fields],
+        "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "shapes": shapes,
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
@@ -43,15 +44,15 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scene:
-    """The scene that `scene_to_data` took apart.
+    """Return the scene that `scene_to_data` was called with.
 
     Raises:
-        ValueError, TypeError, KeyError: data or arrays are not what it gave.
+        ValueError, TypeError, KeyError: Data or arrays do not have that form.
     """
     rules = {name: data[name] for name in ("friction_combine", "restitution_combine", "bounds", "out_of_bounds")}
     scene = Scene(data["gravity"], **rules)
     for field in data["fields"]:
-        scene.add_force_field(PointField(**field) if "center" in field else UniformField(**field))
+        scene.add_force_field(FIELDS[field["kind"]](**{name: field[name] for name in field if name != "kind"}))
     shapes: list[Shape] = []
     for index, entry in enumerate(data["shapes"]):
         shape = _shape_from_data(index, entry, arrays, shapes)
@@ -70,7 +71,8 @@ def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     add: Callable[..., int] = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip
-    given = {name: entry[name] for name in ("position", "orientation", "name", "active", *SURFACE)}
+    given = {name: entry[name] for name in ("position", "orientation", "name", "active")}
+    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}  # older files have fewer
     if entry["motion"] != Motion.STATIC.name:
         given |= {name: entry[name] for name in VELOCITIES}
     if entry["motion"] == Motion.DYNAMIC.name:
@@ -99,9 +101,3 @@ def _shape_from_data(index: int, entry: dict[str, Any], arrays: dict[str, np.nda
         return shaped(arrays, f"shape_{index}_{name}", dtype, shape)
 
     return Shape.classes[entry["kind"]].from_data(entry, array, earlier)
-
-
-def _field_to_data(field: UniformField | PointField) -> dict[str, Any]:
-    if isinstance(field, PointField):
-        return {"center": field.center, "strength": field.strength}
-    return {"acceleration": field.acceleration}

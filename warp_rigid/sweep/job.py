@@ -3,7 +3,6 @@
 import hashlib
 import inspect
 import logging
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +13,9 @@ import numpy as np
 from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.variation import structure
-from warp_rigid.runs.assignments import COEFFICIENTS, assignment_target
+from warp_rigid.runs.assignments import assignment_target
 from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.design import Run, stable_hash
@@ -219,7 +219,7 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
     if plain != "gravity":
         chosen_bodies(scene, name, plain, choice.rstrip("]"))
     if plain in COEFFICIENTS:
-        number_in(name, value, 0.0, 1.0 if plain == "restitution" else math.inf)
+        number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
         number_in(name, value, above=0.0)
     elif plain == "orientation":

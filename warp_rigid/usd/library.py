@@ -1,6 +1,6 @@
 """Library of the shapes of a file, each defined once and referenced by its bodies."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import singledispatch
 from pathlib import Path
 from typing import Any
@@ -15,24 +15,15 @@ from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfiel
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
+from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
-__all__ = ["Library", "Material", "simple_shapes", "write_pose"]
+__all__ = ["Library", "simple_shapes", "write_pose"]
 
 PLANE_WIDTH = 20.0
 """Drawn width of an infinite plane [m]."""
 SDF_BLOCK = 8
 """The schema of signed distance grids requires resolutions that are multiples of this."""
-
-
-@dataclass(frozen=True)
-class Material:
-    """Material of a collider; names and units as in Scene.add_body."""
-
-    friction: float
-    restitution: float
-    rolling_friction: float
-    spinning_friction: float
 
 
 class Library:
@@ -49,7 +40,7 @@ class Library:
         self.layer, self.root, self._time = layer, root, time
         self._samples = SampleWriter(layer)
         self._moving: dict[str, tuple[DrawnSurface, list[Track]]] = {}
-        self._colliders: dict[tuple[str, Material], str] = {}
+        self._colliders: dict[tuple[str, tuple[float, ...]], str] = {}
         define(layer, root, "Scope", specifier=Sdf.SpecifierClass)
 
     def mesh_path(self, index: int) -> str:
@@ -87,14 +78,14 @@ class Library:
         file = "" if prim.layer == self.layer else f"./{Path(self.layer.realPath).name}"
         prim.referenceList.prependedItems = [Sdf.Reference(file, path)]
 
-    def collider(self, shape: Shape, material: Material) -> str:
+    def collider(self, shape: Shape, coefficients: Mapping[str, float]) -> str:
         """Path of an Xform with the colliders of a shape and their material."""
-        key = (shape.key, material)
+        key = (shape.key, tuple(coefficients.values()))
         if key not in self._colliders:
             path = f"{self.root}/shape_{len(self._colliders)}"
             self._colliders[key] = path
             define(self.layer, path, "Xform")
-            _write_material(self.layer, f"{path}/material", material)
+            write_material(self.layer, f"{path}/material", coefficients)
             for index, (part, position, orientation) in enumerate(simple_shapes(shape)):
                 prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, self._time)
                 if moves(part):
@@ -122,18 +113,6 @@ def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> N
 
 def _extent(points: np.ndarray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(bound_corners(points)[[0, -1]], dtype=np.float32))
-
-
-def _write_material(layer: Sdf.Layer, path: str, material: Material) -> None:
-    names = Sdf.ValueTypeNames
-    turning = material.rolling_friction > 0.0 or material.spinning_friction > 0.0
-    prim = define(layer, path, "Material", ["PhysicsMaterialAPI"] + ["NewtonMaterialAPI"] * turning)
-    set_attribute(prim, "physics:staticFriction", names.Float, material.friction)
-    set_attribute(prim, "physics:dynamicFriction", names.Float, material.friction)
-    set_attribute(prim, "physics:restitution", names.Float, material.restitution)
-    if turning:
-        set_attribute(prim, "newton:rollingFriction", names.Float, material.rolling_friction)
-        set_attribute(prim, "newton:torsionalFriction", names.Float, material.spinning_friction)
 
 
 def simple_shapes(shape: Shape) -> list[tuple[Shape, np.ndarray, tuple]]:

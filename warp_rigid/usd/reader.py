@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,16 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from warp_rigid import rotations
-from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.filters import filter_pairs
+from warp_rigid.usd.force_fields import fields_from_data
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
+from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.opening import open_stage
-from warp_rigid.usd.prims import Unreadable, convert_prim, custom_array, custom_data, matrix_of
+from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 
 __all__ = ["Reader"]
 
@@ -160,14 +162,8 @@ class Reader:
             friction_combine=custom.get("frictionCombine", "min"),
             restitution_combine=custom.get("restitutionCombine", "min"),
         )
-        if "pointFieldCenters" in custom:
-            centers = custom_array(custom, "pointFieldCenters", (-1, 3))
-            strengths = custom_array(custom, "pointFieldStrengths", (len(centers),))
-            for center, strength in zip(centers, strengths, strict=True):
-                scene.add_force_field(PointField(tuple(center), strength))
-        if "uniformFields" in custom:
-            for acceleration in custom_array(custom, "uniformFields", (-1, 3)):
-                scene.add_force_field(UniformField(tuple(acceleration)))
+        for force_field in fields_from_data(custom):
+            scene.add_force_field(force_field)
         return scene
 
     @staticmethod
@@ -308,16 +304,8 @@ class Reader:
         """Coefficients of a collider, and the density of its material in stage units."""
         if not material or not material.HasAPI(UsdPhysics.MaterialAPI):
             return {}, None
-        api = UsdPhysics.MaterialAPI(material)
-        friction, static = api.GetDynamicFrictionAttr().Get(), api.GetStaticFrictionAttr().Get()
-        if api.GetStaticFrictionAttr().HasAuthoredValue() and not math.isclose(friction, static, rel_tol=1e-6):
-            self._change(prim, f"static friction {static:g} is replaced by the dynamic friction {friction:g}")
-        found = {"friction": friction, "restitution": api.GetRestitutionAttr().Get()}
-        for name, source in (("rolling_friction", "rollingFriction"), ("spinning_friction", "torsionalFriction")):
-            attribute = material.GetAttribute(f"newton:{source}")
-            if attribute and attribute.HasAuthoredValue():
-                found[name] = attribute.Get() * self._meter
-        return found, _positive(api.GetDensityAttr())
+        found = read_material(material, self._meter, partial(self._change, prim))
+        return found, _positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
 
     def _coefficients(self, body: _Body, group: list[_Collider]) -> dict[str, float]:
         if any(collider.coefficients != group[0].coefficients for collider in group):

@@ -10,12 +10,13 @@ from pxr import Sdf, Tf, Vt
 from warp_rigid.render.appearance import frame_colors
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs.recording import Frame, Recording
-from warp_rigid.scene.fields import PointField
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
+from warp_rigid.usd.force_fields import fields_to_data
 from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
-from warp_rigid.usd.library import Library, Material, simple_shapes, write_pose
+from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
 __all__ = ["Bodies"]
@@ -68,7 +69,7 @@ class Bodies:
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
-            library.add_reference(geometry, library.collider(body.shape, Material(*self._coefficients(index))))
+            library.add_reference(geometry, library.collider(body.shape, self._coefficients(index)))
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")
         self._write_filtered_pairs(samples.layer, paths)
@@ -91,9 +92,8 @@ class Bodies:
             prim.SetInfo("apiSchemas", applied)
             set_relationship(prim, "physics:filteredPairs", *targets)
 
-    def _coefficients(self, index: int) -> tuple[float, ...]:
-        names = ("friction", "restitution", "rolling_friction", "spinning_friction")
-        return tuple(float(self._film.start[name][self._row, index]) for name in names)
+    def _coefficients(self, index: int) -> dict[str, float]:
+        return {name: float(self._film.start[name][self._row, index]) for name in COEFFICIENTS}
 
     def _define_body(self, samples: SampleWriter, path: str, index: int, body: Body) -> Sdf.PrimSpec:
         """Define a body without its geometry."""
@@ -163,18 +163,8 @@ def _write_scene(layer: Sdf.Layer, path: str, scene: Scene, gravity: np.ndarray)
     direction = np.asarray(gravity, dtype=np.float64) / strength if strength > 0.0 else np.array([0.0, 0.0, -1.0])
     set_attribute(prim, "physics:gravityDirection", NAMES.Vector3f, _vector(direction))
     set_attribute(prim, "physics:gravityMagnitude", NAMES.Float, strength)
-    points = [field for field in scene.force_fields if isinstance(field, PointField)]
-    uniform = [field for field in scene.force_fields if not isinstance(field, PointField)]
-    custom: dict[str, Any] = {
-        "frictionCombine": scene.friction_combine,
-        "restitutionCombine": scene.restitution_combine,
-    }
-    if points:
-        custom["pointFieldCenters"] = Vt.Vec3dArray([tuple(field.center) for field in points])
-        custom["pointFieldStrengths"] = Vt.DoubleArray([field.strength for field in points])
-    if uniform:
-        custom["uniformFields"] = Vt.Vec3dArray([tuple(field.acceleration) for field in uniform])
-    prim.SetInfo("customData", {MARK: custom})
+    rules = {"frictionCombine": scene.friction_combine, "restitutionCombine": scene.restitution_combine}
+    prim.SetInfo("customData", {MARK: rules | fields_to_data(scene.force_fields)})
 
 
 def _write_mass(prim: Sdf.PrimSpec, body: Body, mass: float) -> None:

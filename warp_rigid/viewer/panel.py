@@ -1,5 +1,6 @@
 """The controls of the live page. They only name what is wanted; the viewer's own thread does it."""
 
+import math
 from functools import partial
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.engine.settings import SHOCK_MODES
 from warp_rigid.render.appearance import COLORINGS
+from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.viewer.controls import check_value
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.overlays import OVERLAYS
@@ -23,10 +25,11 @@ SLIDERS = {
     "collision_iterations": (0, 40, 1),
     "contact_iterations": (0, 40, 1),
     "shock_iterations": (0, 8, 1),
-    "friction": (0.0, 1.5, 0.01),
-    "restitution": (0.0, 1.0, 0.01),
 }
-"""Smallest, largest and step of what a slider changes."""
+"""Smallest value, largest value and step of the sliders for settings."""
+
+COEFFICIENT_STEPS = {name: 10.0 ** (math.floor(math.log10(c.typical_max)) - 2) for name, c in COEFFICIENTS.items()}
+"""Steps of the sliders for coefficients."""
 
 SWITCHES = {
     "collision_first": "Collisions before velocities",
@@ -81,8 +84,10 @@ class Panel:
         for name in SWITCHES:
             self._set(name, bool(sim.get(name)[env]))
         self._set("shock_propagation", str(sim.get("shock_propagation")[env]))
-        for name in ("friction", "restitution"):
-            self._set(name, round(float(np.median(sim.get(name)[env])), 2))
+        for name, step in COEFFICIENT_STEPS.items():
+            value = round(round(float(np.median(sim.get(name)[env])) / step) * step, 9)
+            widgets[name].max = max(COEFFICIENTS[name].typical_max, value)
+            self._set(name, value)
         self._set("gravity", round(float(-sim.get("gravity")[env, 2]), 2))
         rate = f"{1.0 / sim.settings.dt:.6g}"
         self._options("dt", [*STEP_RATES, *({rate} - set(STEP_RATES))], rate)
@@ -147,9 +152,10 @@ class Panel:
 
     def _add_bodies(self) -> None:
         gui = self._gui
-        for name in ("friction", "restitution"):
-            hint = "Moving it gives all bodies this value; it shows the median."
-            self._add(name, gui.add_slider(_label(name), *SLIDERS[name], 0.0, hint=hint))
+        for name, coefficient in COEFFICIENTS.items():
+            hint = f"{coefficient}. The slider sets all bodies to this value and shows the median."
+            span = (coefficient.lower, coefficient.typical_max, COEFFICIENT_STEPS[name])
+            self._add(name, gui.add_slider(_label(name), *span, coefficient.lower, hint=hint))
         self._add("gravity", gui.add_slider("Gravity [m/s2]", -5.0, 25.0, 0.01, 9.81))
         self._add("first_env", gui.add_slider("First environment", 0, 2, 1, 0))
         self._add("shown_envs", gui.add_slider("Environments shown", 1, 2, 1, 1))
@@ -220,7 +226,7 @@ class Panel:
             self._contact_iterations = int(value) or self._contact_iterations
             self._set("contact_processing", value > 0)
             viewer.change(name, int(value))
-        elif name in SLIDERS:
+        elif name in SLIDERS or name in COEFFICIENTS:
             viewer.change(name, int(value) if name.endswith("_iterations") else float(value))
         elif name in SWITCHES or name == "shock_propagation":
             viewer.change(name, value)

@@ -1,0 +1,45 @@
+"""Accelerations of the force fields: one device function for each FieldKind.
+
+The host classes are in `warp_rigid/scene/fields.py`. Their attributes are the columns of `fields.parameters`, one after
+another: a vector takes three columns.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.enums import FieldKind
+from warp_rigid.kernels.schema import FieldForces
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def vector_parameter(fields: FieldForces, f: int, column: int):
+    """Vector parameter of field f that begins at a column."""
+    return wp.vec3(fields.parameters[f, column], fields.parameters[f, column + 1], fields.parameters[f, column + 2])
+
+
+@wp.func
+def uniform_acceleration(fields: FieldForces, f: int, x: wp.vec3):
+    """Parameters: acceleration."""
+    return vector_parameter(fields, f, 0)
+
+
+@wp.func
+def point_acceleration(fields: FieldForces, f: int, x: wp.vec3):
+    """Parameters: center, strength. Newton's law of gravitation: strength / distance^2 toward the centre."""
+    to_center = vector_parameter(fields, f, 0) - x
+    distance = wp.max(wp.length(to_center), 1.0e-6)
+    return fields.parameters[f, 3] / (distance * distance * distance) * to_center
+
+
+@wp.func
+def field_acceleration(fields: FieldForces, field_count: int, x: wp.vec3):
+    """Acceleration at x by all force fields [m/s^2]."""
+    a = wp.vec3(0.0, 0.0, 0.0)
+    for f in range(field_count):
+        kind = fields.kind[f]
+        if kind == FieldKind.UNIFORM:
+            a += uniform_acceleration(fields, f, x)
+        elif kind == FieldKind.POINT:
+            a += point_acceleration(fields, f, x)
+    return a

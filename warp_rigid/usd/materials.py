@@ -1,0 +1,59 @@
+"""Body coefficients as attributes of a USD material."""
+
+import math
+from collections.abc import Callable, Mapping
+
+from pxr import Sdf, Usd
+
+from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.usd.specs import define, set_attribute
+
+__all__ = ["read_material", "write_material"]
+
+SCHEMAS = {"physics": "PhysicsMaterialAPI", "newton": "NewtonMaterialAPI"}
+"""Applied schemas by the namespace of their attributes."""
+
+BASE = "physics"
+"""Namespace whose attributes are always written; the others are left out while all their values are defaults."""
+
+
+def write_material(layer: Sdf.Layer, path: str, values: Mapping[str, float]) -> None:
+    """Define a material.
+
+    Args:
+        layer: takes the definition.
+        path: of the material's prim.
+        values: all coefficients by name.
+    """
+    changed = [c for c in COEFFICIENTS.values() if values[c.name] != c.default]
+    written = {BASE} | {_namespace(attribute) for c in changed for attribute in c.usd_attributes}
+    prim = define(layer, path, "Material", [schema for space, schema in SCHEMAS.items() if space in written])
+    for name, coefficient in COEFFICIENTS.items():
+        for attribute in coefficient.usd_attributes:
+            if _namespace(attribute) in written:
+                set_attribute(prim, attribute, Sdf.ValueTypeNames.Float, values[name])
+
+
+def read_material(material: Usd.Prim, meter: float, note: Callable[[str], None]) -> dict[str, float]:
+    """Return the coefficients that a material has.
+
+    Args:
+        material: a prim with PhysicsMaterialAPI.
+        meter: length unit of the stage [m].
+        note: receives a message about each value that is not used.
+    """
+    found = {}
+    for name, coefficient in COEFFICIENTS.items():
+        first, *others = (material.GetAttribute(attribute) for attribute in coefficient.usd_attributes)
+        if not first or not (first.HasAuthoredValue() or _namespace(first.GetName()) == BASE):
+            continue
+        value = first.Get()
+        for other in others:
+            if other.HasAuthoredValue() and not math.isclose(value, other.Get(), rel_tol=1e-6):
+                note(f"{name}: {value:g} of {first.GetName()} is used, not {other.Get():g} of {other.GetName()}")
+        found[name] = value * meter**coefficient.length_power
+    return found
+
+
+def _namespace(attribute: str) -> str:
+    return attribute.partition(":")[0]
