@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare
 from warp_rigid.scene.coefficients import COEFFICIENTS, Coefficient
 from warp_rigid.scene.fields import PointField, UniformField
 from warp_rigid.scene.scene import Motion, Scene
@@ -201,7 +201,7 @@ def test_docstring_describes_each_coefficient():
 
 
 def test_device_arrays_have_the_units_of_the_coefficients():
-    arrays = schema.LAYOUTS["Bodies"]
+    arrays = declare.LAYOUTS["Bodies"]
     assert {name: arrays[name].unit for name in COEFFICIENTS} == {c.name: c.unit for c in COEFFICIENTS.values()}
 
 

@@ -25,10 +25,6 @@ wp.set_module_options({"enable_backward": False})
 FAR = wp.constant(1.0e10)
 """Distance returned where there is nothing to touch [m]."""
 
-X_AXIS = wp.constant(wp.vec3(1.0, 0.0, 0.0))
-Y_AXIS = wp.constant(wp.vec3(0.0, 1.0, 0.0))
-Z_AXIS = wp.constant(wp.vec3(0.0, 0.0, 1.0))
-
 OPPOSING = wp.constant(-0.1)
 """Two outward normals with a scalar product below this face each other."""
 
@@ -42,7 +38,7 @@ def direction_or_up(v: Any):
     length = wp.length(v)
     if length > v.dtype(0.0):
         return v / length
-    return type(v)(Z_AXIS)
+    return wp.vector(v.dtype(0.0), v.dtype(0.0), v.dtype(1.0))
 
 
 @wp.func
@@ -134,9 +130,11 @@ def outward(coordinate: Any, axis: Any):
 def box_distance(p: Any, size: Any, sample_normal: Any):
     """Distance to a box with half-extents size[0:3]."""
     half = wp.vector(size[0], size[1], size[2])
-    nx = outward(p[0], type(p)(X_AXIS))
-    ny = outward(p[1], type(p)(Y_AXIS))
-    nz = outward(p[2], type(p)(Z_AXIS))
+    zero = p.dtype(0.0)
+    one = p.dtype(1.0)
+    nx = outward(p[0], wp.vector(one, zero, zero))
+    ny = outward(p[1], wp.vector(zero, one, zero))
+    nz = outward(p[2], wp.vector(zero, zero, one))
     separation = wp.vector(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2])) - half
     return facing_slab_distance(separation, p.dtype(2.0) * half, nx, ny, nz, sample_normal, wp.min(half))
 
@@ -147,8 +145,8 @@ def cylinder_distance(p: Any, size: Any, sample_normal: Any):
     radial = wp.vector(p[0], p[1], p.dtype(0.0))
     side = direction_or_up(radial)
     if side[2] > p.dtype(0.5):
-        side = type(p)(X_AXIS)
-    cap = outward(p[2], type(p)(Z_AXIS))
+        side = wp.vector(p.dtype(1.0), p.dtype(0.0), p.dtype(0.0))
+    cap = outward(p[2], wp.vector(p.dtype(0.0), p.dtype(0.0), p.dtype(1.0)))
     far = p.dtype(FAR)
     separation = wp.vector(wp.length(radial) - size[0], -far, wp.abs(p[2]) - size[1])
     thickness = wp.vector(far, far, p.dtype(2.0) * size[1])

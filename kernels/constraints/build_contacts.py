@@ -15,12 +15,15 @@ from warp_rigid.kernels.constraints.contact import (
     set_impulse,
     write_contact,
 )
+from warp_rigid.kernels.constraints.records import store_constraint
 from warp_rigid.kernels.enums import CombineRule
 from warp_rigid.kernels.schema import (
     Bodies,
+    Constraints,
     ContactRecord,
     Contacts,
     Environments,
+    Graph,
     History,
     Motions,
     Pairs,
@@ -216,19 +219,28 @@ def store_contact(target: int, c: int, contacts: Contacts, history: History):
     history.gap[target] = row.gap
 
 
+@wp.func
+def store_pair(i: int, pairs: Pairs, history: History):
+    """Keep a row of the list of pairs, and what is known of the last search for its contacts."""
+    if i < history.pair_start.shape[0]:
+        history.pair_start[i] = pairs.start[i]
+    if i < pairs.start[pairs.start.shape[0] - 1]:
+        history.body_b[i] = pairs.body_b[i]
+        history.searched[i] = pairs.searched[i]
+        history.searched_orientation[i] = pairs.searched_orientation[i]
+        history.searched_position[i] = pairs.searched_position[i]
+    if i < history.contact_start.shape[0]:
+        history.contact_start[i] = pairs.contact_start[i]
+
+
 @wp.kernel
-def store_pairs(threads: int, pairs: Pairs, history: History):
-    """Last stage, first half: the threads share the rows of the history and remember which pairs touched, and how."""
-    for i in range(wp.tid(), wp.max(history.pair_start.shape[0], history.contact_start.shape[0]), threads):
-        if i < history.pair_start.shape[0]:
-            history.pair_start[i] = pairs.start[i]
-        if i < pairs.start[pairs.start.shape[0] - 1]:
-            history.body_b[i] = pairs.body_b[i]
-            history.searched[i] = pairs.searched[i]
-            history.searched_orientation[i] = pairs.searched_orientation[i]
-            history.searched_position[i] = pairs.searched_position[i]
-        if i < history.contact_start.shape[0]:
-            history.contact_start[i] = pairs.contact_start[i]
+def store_lists(threads: int, pairs: Pairs, constraints: Constraints, history: History, graph: Graph):
+    """Last stage, first half: the threads share the pairs and the constraints and keep them for the next step."""
+    count = wp.max(history.pair_start.shape[0], history.contact_start.shape[0])
+    count = wp.max(count, wp.max(constraints.kind.shape[0], constraints.start.shape[0]))
+    for i in range(wp.tid(), count, threads):
+        store_pair(i, pairs, history)
+        store_constraint(i, constraints, graph)
 
 
 @wp.kernel

@@ -69,13 +69,12 @@ def list_pairs(threads: int, envs: Environments, bodies: Bodies, pairs: Pairs, c
             set_constraint(k, CONTACT, a, pairs.body_b[i], first, rows, last, constraints)
 
 
-@wp.kernel
-def store_constraints(threads: int, constraints: Constraints, graph: Graph):
-    """Last stage: the threads share the constraints and keep what the next step compares its graph with."""
+@wp.func
+def store_constraint(k: int, constraints: Constraints, graph: Graph):
+    """Keep what the next step compares a constraint of its graph with, and where those of an environment begin."""
     last = constraints.start.shape[0] - 1
-    for k in range(wp.tid(), wp.max(constraints.start[last], last + 1), threads):
-        if k < constraints.start[last]:
-            graph.supports_before[k] = wp.where(is_active(k, constraints), graph.supports[k], -1)
-            graph.color_before[k] = graph.color[k]
-        if k <= last:
-            constraints.start_before[k] = constraints.start[k]
+    if k < constraints.start[last]:
+        graph.supports_before[k] = wp.where(is_active(k, constraints), graph.supports[k], -1)
+        graph.color_before[k] = graph.color[k]
+    if k <= last:
+        constraints.start_before[k] = constraints.start[k]

@@ -80,6 +80,8 @@ def find_support(
     env = team.env
     if team.lane == 0:
         graph.active[env] = 0
+        graph.sweeps[env] = 0
+        graph.residual[env] = 0.0
         graph.shock_sweeps[env] = 0
         graph.push_out_sweeps[env] = 0
     sync_team(team)

@@ -119,14 +119,13 @@ def spare_sweeps(env: int, envs: Environments, graph: Graph):
 
 
 @wp.func
-def report_sweeps(sweeps: int, change: float, after_shock: int, team: Team, graph: Graph):
-    """Note how many sweeps were done, and the residual of the last one."""
+def report_sweeps(sweeps: int, residual: float, after_shock: int, team: Team, envs: Environments, graph: Graph):
+    """Note how many sweeps were done, and the residual of the step's last one; both are 0 before the first launch."""
     if team.lane == 0:
-        graph.sweeps[team.env] = after_shock * graph.sweeps[team.env] + sweeps
-        graph.residual[team.env] = wp.where(sweeps > 0, 0.0, graph.residual[team.env] * float(after_shock))
-    sync_team(team)
-    if sweeps > 0:
-        wp.atomic_max(graph.residual, team.env, change)
+        graph.sweeps[team.env] += sweeps
+    more_follow = after_shock == 0 and sweeps_of(team.env, 1, envs, graph) > 0
+    if sweeps > 0 and not more_follow:
+        wp.atomic_max(graph.residual, team.env, residual)
 
 
 @wp.kernel
@@ -170,6 +169,6 @@ def sweep_constraints(
             calm = 1 - any_of_team(wp.where(change > tolerance_without_shock(env, graph), 1, 0), team)
             left = calm * spare
             spare = 0
-    report_sweeps(done, residual, after_shock, team, graph)
-    if after_shock == 0 and team.lane == 0:
+    if after_shock == 0:
         graph.converged[env] = wp.max(1 - unsolved, calm)
+    report_sweeps(done, residual, after_shock, team, envs, graph)

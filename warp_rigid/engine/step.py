@@ -325,9 +325,8 @@ class Stages:
                 [pairs, contacts, history, self.motions],
                 [self.kept],
             )
-        self._shared(build_contacts.store_pairs, rows, [], [pairs], [history])
-        rows = max(self.pools.sizes["constraints"], self.num_envs + 1)
-        self._shared(records.store_constraints, rows, [], [self.pools.constraints], [self.pools.graph])
+        inputs = [pairs, self.pools.constraints]
+        self._shared(build_contacts.store_lists, rows, [], inputs, [history, self.pools.graph])
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
             self._shared(sleep.replace_history, self.pools.sizes["contacts"], [], [self.kept], [history])

@@ -13,8 +13,8 @@ from warp_rigid import rotations
 from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
+from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs
-from warp_rigid.usd.force_fields import fields_from_data
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.materials import read_material

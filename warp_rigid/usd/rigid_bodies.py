@@ -14,7 +14,7 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
-from warp_rigid.usd.force_fields import fields_to_data
+from warp_rigid.usd.field_data import fields_to_data
 from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
