@@ -242,7 +242,7 @@ def _settled(case: BenchmarkCase, envs: int, device: Any, settle: int) -> Simula
 
 def count(sim: Simulator) -> Counts:
     """Count the work of the next step without changing the state."""
-    (shard,) = sim._shards
+    (shard,) = sim._world.shards
     shard.save(attempt=0)
     stages, pools = shard.stages, shard.pools
     pools.pairs.patch_count.fill_(-1)
@@ -256,14 +256,21 @@ def count(sim: Simulator) -> Counts:
     shard.undo(attempt=0)
     stages.predict(sim.settings.dt)
     counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
-    inputs = [sim.settings.dt, sim._model.shapes, sim._model.bodies, sim._state, stages.motions, pools.pairs]
+    inputs = [
+        sim.settings.dt,
+        sim._world.model.shapes,
+        sim._world.model.bodies,
+        sim._world.state,
+        stages.motions,
+        pools.pairs,
+    ]
     wp.launch(count_samples, dim=pairs, inputs=inputs, outputs=[counted], device=sim.device)
     clusters, near, samples, close = (int(total) for total in counted.numpy().sum(axis=0))
     return Counts(
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
-        small=len(sim._model.small),
-        wide=len(sim._model.oversized),
+        small=len(sim._world.model.small),
+        wide=len(sim._world.model.oversized),
         pairs=pairs,
         searched=searched,
         clusters=clusters,
@@ -277,9 +284,9 @@ def count(sim: Simulator) -> Counts:
         unsettled=int(contacts[~converged].sum()),
         unsettled_rows=int((~converged).sum()) * sim.num_bodies,
         gridded=stages.grid.buckets > 0,
-        pool_clusters=sim._model.shapes.clusters.shape[0],
-        pool_samples=sim._model.shapes.samples.shape[0],
-        pool_nodes=sim._model.shapes.grid_value.shape[0],
+        pool_clusters=sim._world.model.shapes.clusters.shape[0],
+        pool_samples=sim._world.model.shapes.samples.shape[0],
+        pool_nodes=sim._world.model.shapes.grid_value.shape[0],
     )
 
 
@@ -298,7 +305,7 @@ def sweeps_needed(sim: Simulator) -> np.ndarray:
 
 def _velocities_after(sim: Simulator, iterations: np.ndarray) -> np.ndarray:
     sim.set("contact_iterations", iterations)
-    (shard,) = sim._shards
+    (shard,) = sim._world.shards
     shard.save(attempt=0)
     shard.stages.replay()
     found = np.concatenate([sim.get("linear_velocity"), sim.get("angular_velocity")], axis=-1)
@@ -310,7 +317,7 @@ def count_launches(sim: Simulator) -> dict[str, int]:
     """Number of kernels, sums, copies and fills that each stage of a step launches."""
     found: dict[str, int] = {}
     running: list[str | None] = [None]
-    (shard,) = sim._shards
+    (shard,) = sim._world.shards
     shard.save(attempt=0)
     with _counted_launches(lambda: found.update({running[-1]: found.get(running[-1], 0) + 1})):
 

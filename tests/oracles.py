@@ -16,7 +16,7 @@ GROUND = Plane(normal=(0, 0, 1), offset=0.0)
 
 def stages_of(sim):
     """The stages of a simulator of one shard: the only way in which these tests reach behind its surface."""
-    (shard,) = sim._shards
+    (shard,) = sim._world.shards
     return shard.stages
 
 

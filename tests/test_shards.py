@@ -36,7 +36,7 @@ def on_cores(monkeypatch):
     def make(count, scene, num_envs=ENVS, **arguments):
         monkeypatch.setattr(batch, "usable_cores", lambda: count)
         sim = Simulator(scene, num_envs=num_envs, device="cpu", **arguments)
-        assert len(list(sim._shards)) == min(count, num_envs)
+        assert len(list(sim._world.shards)) == min(count, num_envs)
         return sim
 
     return make
@@ -122,7 +122,7 @@ def test_cores_change_no_bit(on_cores, tmp_path):
     for count in (1, 3):
         on_cores(count, lively_scene())
         sim = Simulator.load(tmp_path / "2" / "asleep.ckpt")
-        assert len(list(sim._shards)) == count
+        assert len(list(sim._world.shards)) == count
         first = look(sim)
         sim.step(40)
         goes_on.append((first, look(sim)))
@@ -164,12 +164,12 @@ def test_the_room_of_one_shard_grows(on_cores, caplog):
         caplog.clear()
         sim = on_cores(count, boxes_apart(), capacity={"pairs": 70, "contacts": 300})
         sim.step(20)
-        before = [some.pools.sizes["pairs"] for some in sim._shards]
+        before = [some.pools.sizes["pairs"] for some in sim._world.shards]
         with caplog.at_level(logging.INFO, logger="warp_rigid"):
             crowding(sim)
             sim.step(40)
         assert caplog.text.count("room grows") == 1
-        grew = [some.pools.sizes["pairs"] > size for some, size in zip(sim._shards, before, strict=True)]
+        grew = [some.pools.sizes["pairs"] > size for some, size in zip(sim._world.shards, before, strict=True)]
         assert grew == {1: [True], 3: [False, False, True]}[count]
         runs.append(look(sim))
     assert runs[0] == runs[1]
@@ -220,7 +220,7 @@ def test_memory_refused_to_one_shard_stops_all_at_the_same_step(on_cores):
     sim.step(20)
     crowding(sim)
     before = [sim.get(name).tobytes() for name in STATE], sim.time
-    sim._shards._limit = MemoryLimit(sim.device, sim.memory + 1000)
+    sim._world.shards._limit = MemoryLimit(sim.device, sim.memory + 1000)
     with pytest.raises(CapacityError, match=r"^memory_limit: room for more \(pairs 70 -> "):
         sim.step(40)
     assert ([sim.get(name).tobytes() for name in STATE], sim.time) == before
@@ -247,7 +247,7 @@ def test_an_interrupt_leaves_all_environments_at_the_same_step(on_cores, monkeyp
 
     def interrupted(stages):
         calls.append(stages)
-        if calls.count(stages) == 5 and stages is list(sim._shards)[-1].stages:
+        if calls.count(stages) == 5 and stages is list(sim._world.shards)[-1].stages:
             raise KeyboardInterrupt
         replay(stages)
 
@@ -282,7 +282,7 @@ def test_other_threads_run_while_a_step_does(on_cores):
     sim = on_cores(1, boxes_apart(), num_envs=2500)
     sim.step(1)
     naps, done = 0, threading.Event()
-    stepping = threading.Thread(target=lambda: (next(iter(sim._shards)).stages.replay(), done.set()))
+    stepping = threading.Thread(target=lambda: (next(iter(sim._world.shards)).stages.replay(), done.set()))
     begin = time.perf_counter()
     stepping.start()
     while not done.is_set():

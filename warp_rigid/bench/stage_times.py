@@ -28,7 +28,7 @@ def stage_times(sim: Simulator, steps: int) -> dict[str, float]:
         Stages by name, in their order.
     """
     seconds: dict[str, float] = {}
-    for shard in sim._shards:
+    for shard in sim._world.shards:
         measure = _record_on_cuda(shard.stages) if sim.device.is_cuda else _record_on_cpu(shard.stages)
         shard.save(attempt=0)
         for name, _ in measure():

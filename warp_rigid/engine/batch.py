@@ -73,13 +73,13 @@ class Shards:
         state: what a step changes.
         rest: who sleeps.
         envs: settings of the environments.
-        room: "pairs" and "contacts" that all together may want; None if pools grow.
+        capacity: largest numbers of "pairs" and "contacts" of all together; None if pools grow.
         limit: what the simulator may take of the memory.
         other_bytes: what it takes beside pools.
 
     Attributes:
         steps: steps done.
-        room: as given.
+        capacity: as given.
         most_wanted: (2,) most pairs and contacts that a step has wanted.
     """
 
@@ -90,7 +90,7 @@ class Shards:
         state: Any,
         sleep_state: Any,
         envs: Any,
-        room: dict[str, int] | None,
+        capacity: dict[str, int] | None,
         limit: MemoryLimit,
         other_bytes: int,
     ) -> None:
@@ -98,7 +98,7 @@ class Shards:
         self._shards = [Shard(*some, model, state, sleep_state, envs) for some in ranges]
         self._envs, self._limit, self._other_bytes, self._growth_told = envs, limit, other_bytes, False
         self._threads, self._attempt = usable_cores(), 0
-        self.steps, self.room, self.most_wanted = 0, room, np.zeros(2, np.int64)
+        self.steps, self.capacity, self.most_wanted = 0, capacity, np.zeros(2, np.int64)
 
     def __iter__(self) -> Iterator[Shard]:
         """In the order of their environments."""
@@ -117,7 +117,7 @@ class Shards:
 
     def sizes(self) -> dict[str, int]:
         """Pairs and contacts that there is room for, or may be, in all environments together."""
-        return self.room or {name: sum(shard.pools.sizes[name] for shard in self._shards) for name in NAMES}
+        return self.capacity or {name: sum(shard.pools.sizes[name] for shard in self._shards) for name in NAMES}
 
     @property
     def memory(self) -> int:
@@ -218,7 +218,7 @@ class Shards:
         known = wanted[:, : void + 1].sum(axis=0)
         if void < steps and too_much[:, void, 0].any():
             known[void, 1] = 0
-        over = np.argwhere(known > [self.room[name] if self.room else LARGEST for name in NAMES])
+        over = np.argwhere(known > [self.capacity[name] if self.capacity else LARGEST for name in NAMES])
         if len(over) == 0:
             return Tally(known.max(axis=0), short)
         step, pool = (int(k) for k in over[0])
@@ -247,7 +247,7 @@ class Shards:
             for name, now in ((name, sum(shard.pools.sizes[name] for shard in self._shards)) for name in names)
         )
         self._limit.check(self.memory, sum(pool_bytes(sizes) for _, sizes in larger), f"room for more ({told})")
-        level = logging.DEBUG if self._growth_told or self.room else logging.INFO
+        level = logging.DEBUG if self._growth_told or self.capacity else logging.INFO
         log.log(level, "room grows: %s; the steps are repeated", told)
         self._growth_told = True
         for shard, sizes in larger:

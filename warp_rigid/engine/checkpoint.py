@@ -6,8 +6,9 @@ how many cores shared the environments: any machine goes on from it.
 """
 
 import logging
+from collections.abc import Callable
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -17,6 +18,7 @@ from warp_rigid.engine import quantities
 from warp_rigid.engine.pools import LARGEST, NAMES
 from warp_rigid.engine.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
 from warp_rigid.engine.shard import Shard
+from warp_rigid.engine.world import World
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
@@ -24,9 +26,6 @@ from warp_rigid.kernels.collide.narrowphase import BY_CENTER
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.version import __version__
-
-if TYPE_CHECKING:
-    from warp_rigid.engine.simulator import Simulator
 
 KIND = "checkpoint"
 VERSION = 6  # raise whenever older files could no longer be read
@@ -37,56 +36,60 @@ FROM_SCENE = ("env", "shape", "motion", "oversized", "center_of_mass", "filtered
 log = logging.getLogger("warp_rigid")
 
 
-def save(sim: "Simulator", path: Any, more: dict[str, Any] | None = None, arrays: dict | None = None) -> None:
+def save(world: World, path: Any, more: dict[str, Any] | None = None, arrays: dict | None = None) -> None:
     """Write a checkpoint; see Simulator.save.
 
     Args:
-        sim: the simulator.
+        world: that of the simulator.
         path: where.
         more: plain data to keep beside it, in the header under "more".
         arrays: arrays to keep beside it; their names begin with "more_".
     """
-    scene, shapes = scene_to_data(sim.scene)
-    used = {name: sim.counts()[name] for name in NAMES}
+    scene, shapes = scene_to_data(world.scene)
+    used = {name: quantities.counts(world)[name] for name in NAMES}
     header = {
         "warp_rigid": __version__,
         "warp": wp.__version__,
-        "device": str(sim.device),
+        "device": str(world.device),
         "scene": scene,
-        "num_envs": sim.num_envs,
-        "settings": asdict(sim.settings),
-        "seed": sim.seed,
-        "steps": sim._shards.steps,
-        "on_overflow": sim.on_overflow,
-        "on_nonfinite": sim.on_nonfinite,
-        "memory_limit": sim._memory_limit.given,
-        "capacity": sim._shards.room,
+        "num_envs": world.num_envs,
+        "settings": asdict(world.settings),
+        "seed": world.seed,
+        "steps": world.shards.steps,
+        "on_overflow": world.on_overflow,
+        "on_nonfinite": world.on_nonfinite,
+        "memory_limit": world.memory_limit.given,
+        "capacity": world.shards.capacity,
         "used": used,
-        "fitted": sim._shards.most_wanted.tolist(),
+        "fitted": world.shards.most_wanted.tolist(),
         "more": more or {},
     }
-    archive.save(path, KIND, VERSION, header, {**shapes, **_stored(sim), **(arrays or {})})
+    archive.save(path, KIND, VERSION, header, {**shapes, **_stored(world), **(arrays or {})})
 
 
-def load(path: Any, device: Any = None) -> "Simulator":
-    """Read a checkpoint; see Simulator.load."""
-    from warp_rigid.engine.simulator import Simulator
+def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
+    """Return the simulator of a checkpoint; see Simulator.load.
 
+    Args:
+        path: the file.
+        device: None takes the device it was saved on.
+        make: called with the arguments of Simulator by name; the result has its World as `_world`.
+    """
     header, arrays = archive.load(path, KIND, VERSION)
     try:
         arguments = _arguments(header, arrays)
         if device is None:
             device = header["device"] if isinstance(header["device"], str) else "cpu"
-        sim = Simulator(**arguments, device=device)
-        restore(sim, header, arrays)
-        return sim
+        made = make(**arguments, device=device)
+        restore(made._world, header, arrays)
+        return made
     except archive.UNREADABLE as error:
         if str(error).startswith(("device:", "memory")):
             raise
         raise archive.unusable(path, KIND, error) from None
 
 
-def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+def restore(world: World, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
     """Bring a simulator of the same scene and as many environments to where a checkpoint was written.
 
     Raises:
@@ -96,15 +99,15 @@ def restore(sim: "Simulator", header: dict[str, Any], arrays: dict[str, np.ndarr
     used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
     newer = _newer_coefficients(header)
     rows = {
-        name: own if name in newer else _checked(name, own, arrays, used, sim) for name, own in _stored(sim).items()
+        name: own if name in newer else _checked(name, own, arrays, used, world) for name, own in _stored(world).items()
     }
-    _check_neighbours(sim, rows)
+    _check_neighbours(world, rows)
     steps = whole_in("steps", header["steps"], 0, 2**62)
     most_wanted = [whole_in("fitted", n, 0, LARGEST) for _, n in zip(NAMES, header["fitted"], strict=True)]
-    _upload(sim, rows)
-    sim._shards.most_wanted = np.array(most_wanted, np.int64)
-    sim._shards.steps = steps
-    quantities.renew_stages(sim)
+    _upload(world, rows)
+    world.shards.most_wanted = np.array(most_wanted, np.int64)
+    world.shards.steps = steps
+    world.record()
 
 
 def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -124,37 +127,37 @@ def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[st
     }
 
 
-def _whole(sim: "Simulator") -> dict[str, wp.array]:
+def _whole(world: World) -> dict[str, wp.array]:
     """Device arrays of all environments that are stored as they are."""
     owners = [
-        (schema.Bodies, sim._model.bodies, [n for n in declare.field_names(schema.Bodies) if n not in FROM_SCENE]),
-        (schema.State, sim._state, declare.field_names(schema.State)),
-        (schema.SleepState, sim._sleep_state, [n for n in declare.field_names(schema.SleepState) if n != "island"]),
-        (schema.Environments, sim._envs, [n for n in declare.field_names(schema.Environments) if n != "first_body"]),
+        (schema.Bodies, world.model.bodies, [n for n in declare.field_names(schema.Bodies) if n not in FROM_SCENE]),
+        (schema.State, world.state, declare.field_names(schema.State)),
+        (schema.SleepState, world.sleep_state, [n for n in declare.field_names(schema.SleepState) if n != "island"]),
+        (schema.Environments, world.envs, [n for n in declare.field_names(schema.Environments) if n != "first_body"]),
     ]
     return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
 
 
-def _stored(sim: "Simulator") -> dict[str, np.ndarray]:
+def _stored(world: World) -> dict[str, np.ndarray]:
     """All arrays that a checkpoint holds, numbered as if all environments were one shard."""
-    stored = {name: array.numpy() for name, array in _whole(sim).items()}
-    island = sim._sleep_state.island.numpy() + _first_bodies(sim)
+    stored = {name: array.numpy() for name, array in _whole(world).items()}
+    island = world.sleep_state.island.numpy() + _first_bodies(world)
     stored["SleepState.island"] = np.where(stored["SleepState.asleep"] == 1, island, 0).astype(np.int32)
-    stored |= {f"History.{name}": rows for name, rows in _history(sim).items()}
-    levels = [shard.pools.levels for shard in sim._shards]
+    stored |= {f"History.{name}": rows for name, rows in _history(world).items()}
+    levels = [shard.pools.levels for shard in world.shards]
     return stored | {name: np.concatenate([some[name].numpy() for some in levels]) for name in levels[0]}
 
 
-def _first_bodies(sim: "Simulator") -> np.ndarray:
+def _first_bodies(world: World) -> np.ndarray:
     """For each body the first one of its shard, (envs * bodies,)."""
-    return sim._shards.gather(lambda shard: np.full(shard.end_body - shard.first_body, shard.first_body, np.int32))
+    return world.shards.gather(lambda shard: np.full(shard.end_body - shard.first_body, shard.first_body, np.int32))
 
 
-def _history(sim: "Simulator") -> dict[str, np.ndarray]:
+def _history(world: World) -> dict[str, np.ndarray]:
     """The contacts of the last step, shard after shard; only rows that are in use."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name in declare.field_names(schema.History)}
     last = {"pair_start": 0, "contact_start": 0}
-    for shard in sim._shards:
+    for shard in world.shards:
         history = shard.pools.history
         pairs, contacts = int(history.pair_start.numpy()[-1]), int(history.contact_start.numpy()[-1])
         used = {"bodies": shard.end_body - shard.first_body, "pairs": pairs, "contacts": contacts}
@@ -180,7 +183,7 @@ def _newer_coefficients(header: dict[str, Any]) -> set[str]:
 
 
 def _checked(
-    name: str, own: np.ndarray, arrays: dict[str, np.ndarray], used: dict[str, int], sim: "Simulator"
+    name: str, own: np.ndarray, arrays: dict[str, np.ndarray], used: dict[str, int], world: World
 ) -> np.ndarray:
     """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
     struct, _, last = name.partition(".")
@@ -197,13 +200,13 @@ def _checked(
     if last == "contact_start" and np.diff(rows).max(initial=0) > schema.PAIR_SLOTS:
         raise ValueError(f"{name} must not give a pair more than {schema.PAIR_SLOTS} contacts")
     if last == "key":
-        _within(name, rows, BY_CENTER - 1, 2 * sim._model.shapes.samples.shape[0] - 1)
+        _within(name, rows, BY_CENTER - 1, 2 * world.model.shapes.samples.shape[0] - 1)
     return rows
 
 
-def _check_neighbours(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
+def _check_neighbours(world: World, rows: dict[str, np.ndarray]) -> None:
     """Pairs and sleeping islands are of bodies of one environment."""
-    env = np.arange(sim.num_envs * sim.num_bodies) // sim.num_bodies
+    env = np.arange(world.num_envs * world.num_bodies) // world.num_bodies
     env_of_pair = np.repeat(env, np.diff(rows["History.pair_start"]))
     for name, bodies, envs in (
         ("History.body_b", rows["History.body_b"], env_of_pair),
@@ -213,7 +216,7 @@ def _check_neighbours(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
             env[rows["SleepState.asleep"] == 1],
         ),
     ):
-        if (bodies // sim.num_bodies != envs).any():
+        if (bodies // world.num_bodies != envs).any():
             raise ValueError(f"{name} must be bodies of the same environment")
 
 
@@ -232,22 +235,22 @@ def _check_stored_setting(name: str, value: int) -> None:
         check_setting(name, bool(whole_in(name, value, 0, 1)))
 
 
-def _upload(sim: "Simulator", rows: dict[str, np.ndarray]) -> None:
+def _upload(world: World, rows: dict[str, np.ndarray]) -> None:
     """Write all arrays, each shard's part of the contacts to its own pools."""
-    parts = [_part_of_history(shard, rows) for shard in sim._shards]
-    for shard, part in zip(sim._shards, parts, strict=True):
-        sim._shards.ensure_capacity(shard, {"pairs": len(part["body_b"]), "contacts": len(part["key"])})
-    for shard, part in zip(sim._shards, parts, strict=True):
+    parts = [_part_of_history(shard, rows) for shard in world.shards]
+    for shard, part in zip(world.shards, parts, strict=True):
+        world.shards.ensure_capacity(shard, {"pairs": len(part["body_b"]), "contacts": len(part["key"])})
+    for shard, part in zip(world.shards, parts, strict=True):
         for name, values in part.items():
             _fill(getattr(shard.pools.history, name), values)
         shard.pools.forget_graph()
         levels = shard.pools.levels
         levels["Graph.level"].assign(rows["Graph.level"][shard.first_body : shard.end_body])
         levels["Graph.level_count"].assign(rows["Graph.level_count"][shard.first : shard.end])
-    for name, array in _whole(sim).items():
+    for name, array in _whole(world).items():
         array.assign(rows[name])
-    island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - _first_bodies(sim), 0)
-    sim._sleep_state.island.assign(island.astype(np.int32))
+    island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - _first_bodies(world), 0)
+    world.sleep_state.island.assign(island.astype(np.int32))
 
 
 def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -14,18 +14,20 @@ MOST_ITERATIONS = 10_000
 
 @dataclass(frozen=True)
 class Settings:
-    """How a step is done.
+    """Settings of the solver; all but dt can differ between environments.
 
     Attributes:
         dt: time step [s].
-        collision_iterations: sweeps over impacts with restitution.
-        contact_iterations: sweeps over resting contacts, half before and half after shock propagation.
+        collision_iterations: largest number of sweeps over impacts with restitution.
+        contact_iterations: largest number of sweeps over resting contacts, half of them before and half after shock
+            propagation. Where shock propagation has been ineffective for 8 steps (in heaps), two more sweeps follow for
+            each body on the shortest path to the ground. `Simulator.stats` reports the sweeps that were done.
         shock_iterations: repetitions of shock propagation.
-        shock_propagation: "off", "one_pass" (Guendelman et al. 2003) or "two_pass" (guarded, the default).
-        collision_first: collisions before the velocity update (2003); False: after it.
-        warm_starting: start from the last step's impulses; False: from zero, as in 2003.
-        edge_samples: edges take part in contact; False: vertices, faces and balls only.
-        sleeping: bodies at rest fall asleep, island by island, and cost nearly nothing until something disturbs them.
+        shock_propagation: "off", "one_pass" (Guendelman et al. 2003) or "two_pass" (with a line search, the default).
+        collision_first: impacts are solved before the velocity update (2003); False: after it.
+        warm_starting: start from the impulses of the last step; False: from zero, as in 2003.
+        edge_samples: edges generate contacts; False: only vertices, faces and balls.
+        sleeping: islands at rest fall asleep, and cost little until a body of theirs is disturbed.
     """
 
     dt: float = 1.0 / 240.0

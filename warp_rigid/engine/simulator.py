@@ -7,20 +7,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.checks import one_of, whole_in
-from warp_rigid.engine import checkpoint, pools, quantities
-from warp_rigid.engine.batch import Shards, plan
-from warp_rigid.engine.loading import GRIDS, STEP, load_kernels
-from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
-from warp_rigid.engine.model import build_model, initial_environments, initial_state
+from warp_rigid.checks import whole_in
+from warp_rigid.engine import checkpoint, quantities
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.shard import WATCHED
-from warp_rigid.engine.teams import team_sizes
+from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Compound, Mesh
 
 log = logging.getLogger("warp_rigid")
 
@@ -71,51 +66,30 @@ class Simulator:
         capacity: Mapping[str, int] | None = None,
     ) -> None:
         """Upload the scene and compile the step."""
-        if not scene.bodies:
-            raise ValueError("scene.bodies: must hold at least one body")
-        self.scene = scene
-        self.num_envs = whole_in("num_envs", num_envs, 1, 10_000_000)
-        self.num_bodies = len(scene.bodies)
-        self.settings = settings or Settings()
-        self.device = choose_device(device)
-        self.seed = whole_in("seed", seed, 0, 2**63 - 1)
-        self.on_overflow = one_of("on_overflow", on_overflow, ("grow", "raise"))
-        self.on_nonfinite = one_of("on_nonfinite", on_nonfinite, ("quarantine", "raise"))
-        self._memory_limit = MemoryLimit(self.device, memory_limit)
-        room = self._initial_capacity(capacity or {})
-        ranges = plan(scene, self.num_envs, room, self.device)
-        other_bytes = body_bytes(scene, self.num_envs) + shape_bytes(scene)
-        needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
-        self._memory_limit.check(0, needed, f"simulating {num_envs} environment(s)")
-        baking = any(isinstance(body.shape, Mesh | Compound) for body in scene.bodies)
-        modules = [*STEP, *(GRIDS if baking else ())]
-        load_kernels(self.device, modules, team_sizes(self.device, num_envs, self.num_bodies))
-        self._model = build_model(scene, num_envs, self.device)
-        self._state = initial_state(scene, num_envs, self.device)
-        self._start = initial_state(scene, num_envs, self.device)
-        self._sleep_state = declare.allocate(schema.SleepState, {"bodies": num_envs * self.num_bodies}, self.device)
-        self._envs = initial_environments(scene, self.settings, num_envs, self.device)
-        self._shards = Shards(
-            ranges,
-            self._model,
-            self._state,
-            self._sleep_state,
-            self._envs,
-            room if on_overflow == "raise" else None,
-            self._memory_limit,
-            other_bytes,
+        self._world = World(
+            scene,
+            num_envs,
+            settings or Settings(),
+            choose_device(device),
+            seed,
+            on_overflow,
+            on_nonfinite,
+            memory_limit,
+            capacity or {},
         )
-        quantities.renew_stages(self)
+        self.scene, self.settings, self.device = scene, self._world.settings, self._world.device
+        self.num_envs, self.num_bodies = self._world.num_envs, self._world.num_bodies
+        self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
 
     @property
     def time(self) -> float:
         """Simulated time since the start or the last reset of all environments [s]."""
-        return self._shards.steps * self.settings.dt
+        return self._world.shards.steps * self.settings.dt
 
     @property
     def memory(self) -> int:
         """Bytes that the simulator holds on its device."""
-        return self._shards.memory
+        return self._world.shards.memory
 
     def step(self, count: int = 1) -> None:
         """Advance all environments by `count` steps of dt.
@@ -127,14 +101,14 @@ class Simulator:
         left = whole_in("count", count, 0, 2**31)
         while left > 0:
             chunk = min(left, CHUNK)
-            self._shards.step(chunk)
+            self._world.shards.step(chunk)
             left -= chunk
             if self.on_nonfinite == "raise":
                 self._raise_if_nonfinite()
 
     def get(self, name: str) -> np.ndarray:
         """A copy of a quantity, shaped (envs, bodies, ...), or (envs, ...) for gravity and settings."""
-        return quantities.read(self, name)
+        return quantities.read(self._world, name)
 
     def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None) -> None:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
@@ -148,11 +122,11 @@ class Simulator:
         Raises:
             ValueError: unknown name, wrong shape, or a value out of range.
         """
-        quantities.write(self, name, value, envs, bodies)
+        quantities.write(self._world, name, value, envs, bodies)
 
     def array(self, name: str) -> wp.array:
         """The live device array of a state or body quantity, shaped (envs * bodies, ...), without a copy."""
-        return quantities.live_array(self, name)
+        return quantities.live_array(self._world, name)
 
     def reset(self, envs: Any = None) -> None:
         """Put environments back to the scene's start, bit for bit; parameters and settings stay as they were set.
@@ -160,23 +134,23 @@ class Simulator:
         Args:
             envs: indices of the environments; None for all, which also resets the time.
         """
-        chosen = quantities.env_indices(self, envs)
+        chosen = quantities.env_indices(self._world, envs)
         for name in declare.field_names(schema.State):
-            rows = getattr(self._state, name).numpy().reshape(self.num_envs, self.num_bodies, -1)
-            start = getattr(self._start, name).numpy().reshape(rows.shape)
+            rows = getattr(self._world.state, name).numpy().reshape(self.num_envs, self.num_bodies, -1)
+            start = getattr(self._world.start, name).numpy().reshape(rows.shape)
             rows[chosen] = start[chosen]
-            getattr(self._state, name).assign(rows.reshape(getattr(self._state, name).numpy().shape))
+            getattr(self._world.state, name).assign(rows.reshape(getattr(self._world.state, name).numpy().shape))
         for name in declare.field_names(schema.SleepState):
-            values = getattr(self._sleep_state, name).numpy()
+            values = getattr(self._world.sleep_state, name).numpy()
             values.reshape(self.num_envs, self.num_bodies, -1)[chosen] = 0
-            getattr(self._sleep_state, name).assign(values)
+            getattr(self._world.sleep_state, name).assign(values)
         for name in WATCHED:
-            values = getattr(self._envs, name).numpy()
+            values = getattr(self._world.envs, name).numpy()
             values[chosen] = 0
-            getattr(self._envs, name).assign(values)
-        quantities.forget_history(self, chosen)
+            getattr(self._world.envs, name).assign(values)
+        quantities.forget_history(self._world, chosen)
         if envs is None:
-            self._shards.steps = 0
+            self._world.shards.steps = 0
 
     def save(self, path: Any) -> None:
         """Write a checkpoint: one file from which `load` goes on bit for bit.
@@ -187,7 +161,7 @@ class Simulator:
             OSError: it cannot be written.
             ValueError: the scene has a shape of a kind of its own.
         """
-        checkpoint.save(self, path)
+        checkpoint.save(self._world, path)
 
     @staticmethod
     def load(path: Any, device: Any = None) -> "Simulator":
@@ -202,33 +176,46 @@ class Simulator:
             ValueError: it is no whole checkpoint of this version, or the device does not exist.
             CapacityError: it does not fit into the memory.
         """
-        return checkpoint.load(path, device)
+        return checkpoint.load(path, device, Simulator)
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """Apply an impulse [N s] at a world point [m] to a body, at once; it wakes the body and its island."""
-        quantities.apply_impulse(self, impulse, point, body, envs)
+        quantities.apply_impulse(self._world, impulse, point, body, envs)
 
     def contacts(self) -> np.ndarray:
         """Contacts of the last step as records: env, body_a, body_b, position, normal, depth, impulse.
 
         The normal points from body_b to body_a, the impulse [N s] is the one on body_a, depth [m] is positive inside.
         """
-        return quantities.contact_records(self)
+        return quantities.contact_records(self._world)
 
     def penetration(self) -> np.ndarray:
         """Deepest overlap now in each environment, over all surface samples, (envs,) [m]."""
-        return self._shards.deepest_overlap()
+        return self._world.shards.deepest_overlap()
 
     def status(self) -> np.ndarray:
         """Records (envs,): status, and the step, time [s] and body where it began (-1 if ok).
 
         "ok"; "non-finite": the environment is halted; "out of bounds": a body's centre has left `Scene.bounds`.
         """
-        return quantities.status_records(self)
+        return quantities.status_records(self._world)
 
     def counts(self) -> dict[str, int]:
         """Pairs, contacts and levels of the last step, and the pools' sizes and high-water marks."""
-        return quantities.counts(self)
+        return quantities.counts(self._world)
+
+    def stats(self) -> dict[str, np.ndarray]:
+        """What the solver did in the last step, by name; arrays are (envs,).
+
+        "pairs", "contacts": numbers found. "islands": groups of dynamic bodies connected by contacts and other
+        constraints; of these, "islands_shock" were solved with shock propagation, "islands_sweeps" by sweeps alone
+        (shock propagation is off, was not needed, or has been ineffective for the island), and "islands_asleep" were
+        not solved. "sweeps": sweeps over the
+        constraints; "shock_sweeps", "push_out_sweeps": those of shock propagation and of the push-out. "residual": the
+        largest change of a velocity by a constraint row in the last sweep [m/s]. "pair_capacity_used",
+        "contact_capacity_used": fractions of the capacity of the environment's pool.
+        """
+        return quantities.solver_stats(self._world)
 
     def swept_boxes(self) -> np.ndarray:
         """Boxes by which pairs were last looked for, (envs, bodies, 2, 3): lower and upper corners [m].
@@ -236,25 +223,15 @@ class Simulator:
         After a step they hold what each body may reach within it, after `penetration` what it fills now. Planes have
         no end: their boxes reach 2e9 m.
         """
-        return quantities.swept_boxes(self)
+        return quantities.swept_boxes(self._world)
 
     @property
     def grid_cell(self) -> float:
         """Width of the cells in which bodies look for each other [m]; environments of few bodies try all pairs."""
-        return self._model.grid_radius
-
-    def _initial_capacity(self, given: Mapping[str, int]) -> dict[str, int]:
-        """Room for six pairs a dynamic body and six contacts a pair, unless told otherwise."""
-        for name in given:
-            one_of("capacity", name, pools.NAMES)
-        dynamic = sum(body.mass > 0.0 for body in self.scene.bodies)
-        estimate, _ = pools.expected_capacity(self.num_envs, dynamic)
-        pairs = whole_in("capacity pairs", given.get("pairs", estimate), 1, pools.LARGEST)
-        contacts = whole_in("capacity contacts", given.get("contacts", min(6 * pairs, pools.LARGEST)), 1, pools.LARGEST)
-        return {"pairs": pairs, "contacts": contacts}
+        return self._world.model.grid_radius
 
     def _raise_if_nonfinite(self) -> None:
-        failed = np.flatnonzero(self._envs.failed.numpy())
+        failed = np.flatnonzero(self._world.envs.failed.numpy())
         if len(failed):
             record = self.status()[failed[0]]
             raise NonFiniteError(int(failed[0]), int(record["step"]), float(record["time"]), int(record["body"]))

@@ -50,18 +50,18 @@ def start_each(sim: "Simulator", scenes: Sequence[Scene], which: Sequence[int] |
     chosen = np.asarray(which)
     for name in POSES:
         rows = _rows(scenes, name)[chosen].reshape(sim.num_envs * sim.num_bodies, -1)
-        for state in (sim._state, sim._start):
+        for state in (sim._world.state, sim._world.start):
             getattr(state, name).assign(rows)
     active = np.array([[body.active for body in scene.bodies] for scene in scenes], np.int32)[chosen].reshape(-1)
-    for state in (sim._state, sim._start):
+    for state in (sim._world.state, sim._world.start):
         state.active.assign(active)
-    bodies = sim._model.bodies
+    bodies = sim._world.model.bodies
     for name in COEFFICIENTS:
         getattr(bodies, name).assign(_rows(scenes, name)[chosen].reshape(-1))
     for name, rows in _mass_rows(scenes, bodies).items():
         array = getattr(bodies, name)
         array.assign(rows[chosen].reshape(array.numpy().shape))
-    sim._envs.gravity.assign(np.array([scene.gravity for scene in scenes], np.float32)[chosen])
+    sim._world.envs.gravity.assign(np.array([scene.gravity for scene in scenes], np.float32)[chosen])
 
 
 def _rows(scenes: Sequence[Scene], name: str) -> np.ndarray:

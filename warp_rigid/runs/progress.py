@@ -70,7 +70,7 @@ class Checkpoints:
                 if not isinstance(value, Scene | Body | Shape)
             },
         }
-        checkpoint.save(plan.sim, self.path, more, arrays)
+        checkpoint.save(plan.sim._world, self.path, more, arrays)
 
     def resume(self, plan: Any, progress: Progress) -> bool:
         """Restore the simulator of the plan and the progress from the checkpoint.
@@ -104,7 +104,7 @@ class Checkpoints:
             frames = {name[len(FRAMES) :]: array for name, array in arrays.items() if name.startswith(FRAMES)}
             progress.recorder.restore(frames)
             vars(progress.outcome).update({k: _from_plain(v, arrays) for k, v in more["outcome"].items()})
-            checkpoint.restore(plan.sim, header, arrays)
+            checkpoint.restore(plan.sim._world, header, arrays)
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         return True

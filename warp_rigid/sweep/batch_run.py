@@ -136,7 +136,7 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
         step_frame(sim, min(steps_per_sample, remaining), events)
         remaining -= steps_per_sample
         recorder.observe()
-        peak_counts = np.maximum(peak_counts, counts_of_environments(sim))
+        peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
         for outcome, view in zip(outcomes, prepared.views, strict=False):
             outcome.observe(view)
         _append_frame(job, sim, frames)

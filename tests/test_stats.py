@@ -1,0 +1,89 @@
+"""Solver statistics: what the solver decided and did in the last step."""
+
+import numpy as np
+
+from tests.oracles import ground_scene, random_pile
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders.stacks import add_stack
+
+
+def two_stacks():
+    """Two stacks of three cubes that do not touch each other, and a cube in the air."""
+    scene = ground_scene()
+    for x in (0.0, 2.0):
+        for level in range(3):
+            scene.add_body(Box((0.1,) * 3), position=(x, 0.0, 0.1 + 0.2 * level))
+    scene.add_body(Box((0.1,) * 3), position=(5.0, 0.0, 30.0))
+    return scene
+
+
+def test_counts_of_every_environment(device):
+    sim = Simulator(two_stacks(), num_envs=2, device=device)
+    sim.set("position", (5.0, 0.0, 0.1), envs=[1], bodies=[7])
+    sim.step(3)
+    stats = sim.stats()
+    assert all(values.shape == (2,) for values in stats.values())
+    contacts = sim.contacts()
+    np.testing.assert_array_equal(stats["contacts"], np.bincount(contacts["env"], minlength=2))
+    np.testing.assert_array_equal(stats["islands"], [3, 3])
+    assert stats["pairs"].sum() == sim.counts()["pairs"]
+    for name in ("pair", "contact"):
+        capacity = sim.counts()[f"{name}_capacity"]
+        used = stats[f"{name}_capacity_used"]
+        assert (used > 0).all() and (used <= 1).all() and capacity > 0
+
+
+def test_islands_are_counted_by_how_they_were_solved(device):
+    modes = ["off", "two_pass", "two_pass"]
+    sim = Simulator(two_stacks(), num_envs=3, device=device)
+    sim.set("shock_propagation", modes)
+    sim.set("warm_starting", [False, False, True])
+    sim.set("contact_iterations", [4, 4, 40])
+    sim.step(1)
+    stats = sim.stats()
+    parts = stats["islands_shock"] + stats["islands_sweeps"] + stats["islands_asleep"]
+    np.testing.assert_array_equal(parts, stats["islands"])
+    assert stats["islands_shock"][0] == 0 and stats["shock_sweeps"][0] == 0
+    assert stats["islands_shock"][1] == 3 and stats["shock_sweeps"][1] > 0
+    sim.step(100)
+    settled = sim.stats()
+    assert settled["islands_shock"][2] == 0 and settled["residual"][2] < 1e-6
+
+
+def test_sweeps_are_those_of_the_settings_where_nothing_converges(device):
+    """Cold starts of a stack under its weight: no sweep converges, so all that are allowed are done."""
+    iterations = [1, 5, 10]
+    scene = ground_scene()
+    add_stack(scene, 8)
+    sim = Simulator(scene, num_envs=3, settings=Settings(warm_starting=False), device=device)
+    sim.set("shock_propagation", ["off"] * 3)
+    sim.set("contact_iterations", iterations)
+    sim.step(20)
+    stats = sim.stats()
+    np.testing.assert_array_equal(stats["sweeps"], iterations)
+    assert (stats["residual"] > 1e-6).all()
+    assert stats["residual"][0] > stats["residual"][2]
+
+
+def test_sleeping_islands_are_counted(device):
+    sim = Simulator(two_stacks(), settings=Settings(sleeping=True), device=device)
+    sim.set("position", (5.0, 0.0, 0.1), bodies=[7])
+    sim.step(480)
+    stats = sim.stats()
+    assert sim.get("asleep")[0, 1:].all()
+    assert (stats["islands"][0], stats["islands_asleep"][0]) == (3, 3)
+    assert stats["islands_shock"][0] == stats["islands_sweeps"][0] == 0
+
+
+def test_environments_report_what_they_report_alone(device):
+    """A pile in a batch has the statistics of the same pile alone, the capacity apart."""
+    scene = random_pile(np.random.default_rng(3))
+    batch, alone = (Simulator(scene, num_envs=count, device=device) for count in (3, 1))
+    for sim in (batch, alone):
+        sim.step(40)
+    one = alone.stats()
+    for name, values in batch.stats().items():
+        if not name.endswith("capacity_used"):
+            np.testing.assert_array_equal(values, np.repeat(one[name], 3))
