@@ -206,7 +206,7 @@ def test_room_that_may_not_grow_is_that_of_all_shards_together(on_cores, place, 
             sim.step(100)
         told = error.value
         assert (told.pool, told.wanted, told.had) == (name, free.counts()[name], room[name])
-        most = counts_of_environments(free)[list(room).index(name)].argmax()
+        most = counts_of_environments(free._world)[list(room).index(name)].argmax()
         assert (told.env, told.step) == (most, round(free.time * 240) - 1)
         assert look(sim)[:-1] == before
         with pytest.raises(CapacityError) as again:
