@@ -10,7 +10,7 @@ from warp_rigid import rotations
 from warp_rigid.checks import shown
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
-from warp_rigid.engine.shard import Shard
+from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.enums import ShockMode
@@ -220,6 +220,24 @@ def forget_history(world: World, chosen: np.ndarray) -> None:
             searched[pairs[first] : pairs[last]] = 0
         history.key.assign(keys)
         history.searched.assign(searched)
+
+
+def reset(world: World, envs: Any) -> None:
+    """Reset environments to their initial state; see Simulator.reset."""
+    chosen = env_indices(world, envs)
+    everyone = np.arange(world.num_bodies)
+    for name in declare.field_names(schema.State):
+        start = _rows(world, getattr(world.start, name))[chosen]
+        _assign_rows(world, getattr(world.state, name), start, chosen, everyone)
+    for name in declare.field_names(schema.SleepState):
+        _assign_rows(world, getattr(world.sleep_state, name), 0, chosen, everyone)
+    for name in WATCHED:
+        values = getattr(world.envs, name).numpy()
+        values[chosen] = 0
+        getattr(world.envs, name).assign(values)
+    forget_history(world, chosen)
+    if envs is None:
+        world.shards.steps = 0
 
 
 def apply_impulse(world: World, impulse: Any, point: Any, body: int, envs: Any) -> None:
