@@ -179,7 +179,7 @@ class Simulator:
     def status(self) -> np.ndarray:
         """Return records (envs,): the status, and the step, time [s] and body at which it began (-1 if ok).
 
-        The status is "ok", "non-finite" (the environment is halted) or "out of bounds" (the centre of mass of a body has
+            device: None selects the device on which it was saved. Results on another kind of device differ by rounding.
         left `Scene.bounds`).
         """
         return quantities.status_records(self._world)
