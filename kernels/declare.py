@@ -38,10 +38,19 @@ RECORDS: dict[str, dict[str, Field]] = {}
 DESCRIPTIONS: dict[str, str] = {}
 """What each declared struct or record is."""
 
+STRUCTS: dict[str, Any] = {}
+"""The Warp struct of each declared struct or record."""
+
+PACKED: list[str] = []
+"""Names of the packed records."""
+
 WORDS: dict[Any, int] = {float: 1, int: 1, wp.vec2: 2, wp.vec3: 3, wp.vec4: 4}
 """Words of four bytes that a member of a packed record takes."""
 
 WORDS_OF_A_GROUP = 4
+
+PADDING = "padding_"
+"""Start of the names of members that only fill a group."""
 
 
 def layout(name: str, doc: str, **fields: Field) -> Any:
@@ -68,18 +77,20 @@ def packed_record(name: str, doc: str, **fields: Field) -> Any:
         padded[key] = field
         used += WORDS[field.dtype]
     _pad(padded, used, -used % WORDS_OF_A_GROUP)
+    PACKED.append(name)
     return record(name, doc, **padded)
 
 
 def _pad(fields: dict[str, Field], used: int, count: int) -> int:
     for word in range(used, used + count):
-        fields[f"padding_{word}"] = Field(float, "", "", "fills a group of four words")
+        fields[f"{PADDING}{word}"] = Field(float, "", "", "fills a group of four words")
     return used + count
 
 
 def _struct(name: str, doc: str, annotations: dict[str, Any]) -> Any:
     DESCRIPTIONS[name] = doc
-    return wp.struct(type(name, (), {"__annotations__": annotations, "__module__": __name__, "__doc__": doc}))
+    STRUCTS[name] = wp.struct(type(name, (), {"__annotations__": annotations, "__module__": __name__, "__doc__": doc}))
+    return STRUCTS[name]
 
 
 def first_word(packed: Any, name: str) -> int:
@@ -200,7 +211,7 @@ def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:
     """For each group of four words the members in it, and the word within the group at which each begins."""
     groups: dict[int, list[tuple[str, int]]] = {}
     for key in RECORDS[packed.key]:
-        if not key.startswith("padding_"):
+        if not key.startswith(PADDING):
             word = first_word(packed, key)
             groups.setdefault(word // WORDS_OF_A_GROUP, []).append((key, word % WORDS_OF_A_GROUP))
     return groups

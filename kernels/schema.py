@@ -25,6 +25,28 @@ PATCH_SLOTS = EXTREME_DIRECTIONS + 1
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples remembered a pair before doubles are taken out."""
 
+SYMBOLS = {
+    "envs": "environments",
+    "bodies": "bodies of all environments",
+    "filtered": "bodies that a body never touches, over all bodies",
+    "shapes": "shapes in the pool",
+    "parts": "signed distance functions in the pool",
+    "clusters": "sample clusters in the pool",
+    "samples": "surface samples in the pool",
+    "nodes": "grid nodes in the pool",
+    "vertices": "vertices of moving height fields",
+    "fields": "force fields besides gravity",
+    "field_parameters": "parameters of the force field that has most",
+    "small": "bodies in the hash grid",
+    "oversized": "bodies outside the hash grid",
+    "points": "bodies in the hash grid; 0 if every pair is tested",
+    "buckets": "buckets of the hash grid, over all environments",
+    "pairs": "capacity for pairs of bodies",
+    "contacts": "capacity for contacts",
+    "constraints": "capacity for pairs and for constraints of other kinds than contact",
+}
+"""What the symbols in the shapes of arrays count."""
+
 
 PartRecord = record(
     "PartRecord",
@@ -229,12 +251,12 @@ Pairs = layout(
     candidates=Field(int, "pairs", "", "pairs whose samples are searched in this step, in any order"),
     candidate_count=Field(int, "1", "", "how many they are"),
     patch_count=Field(int, "pairs", "", "patches in use"),
-    patch_normal=Field(wp.vec3, "pairs, 4", "", "normal of a patch in the second body's frame"),
+    patch_normal=Field(wp.vec3, f"pairs, {PATCHES}", "", "normal of a patch in the second body's frame"),
     dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 if it was searched"),
-    slot_score=Field(float, "pairs, 36", "m", "how far out the remembered sample lies in its direction"),
-    slot_gap=Field(float, "pairs, 36", "m", "the gap that it is ranked by"),
-    slot_key=Field(int, "pairs, 36", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
-    kept=Field(int, "pairs, 36", "", "identities of the samples that become contacts"),
+    slot_score=Field(float, f"pairs, {PAIR_SLOTS}", "m", "how far out the remembered sample lies in its direction"),
+    slot_gap=Field(float, f"pairs, {PAIR_SLOTS}", "m", "the gap that it is ranked by"),
+    slot_key=Field(int, f"pairs, {PAIR_SLOTS}", "", "its identity: 2 * sample + side, -1 if the slot is empty"),
+    kept=Field(int, f"pairs, {PAIR_SLOTS}", "", "identities of the samples that become contacts"),
     searched=Field(int, "pairs", "", "edge_samples + 1 at the last look for contacts; 0 if the next step must look"),
     searched_orientation=Field(wp.quat, "pairs", "", "relative orientation at that look"),
     searched_position=Field(wp.vec3, "pairs", "m", "relative position at that look"),
@@ -372,7 +394,7 @@ Graph = layout(
     bid=Field(int, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
     color=Field(int, "constraints", "", "colour; -1 for a constraint that is not active or has none yet"),
     color_before=Field(int, "constraints", "", "the same in the last step"),
-    tally=Field(int, "envs, 32", "", "constraints of a colour, then where they go in the order"),
+    tally=Field(int, f"envs, {COLORS}", "", "constraints of a colour, then where they go in the order"),
     support_count=Field(int, "bodies", "", "active constraints in which the body is not the lower one"),
     changed=Field(int, "bodies", "", "turn in which impacts or shock propagation last changed its velocity"),
     converged=Field(int, "envs", "", "1: the constraints are solved, shock propagation is not needed"),
@@ -389,6 +411,6 @@ Order = layout(
     "Order",
     "Active constraints in the order of solving, colour by colour.",
     entries=Field(OrderRecord, "constraints", "", "active constraints"),
-    color_start=Field(int, "envs, 33", "", "first entry of a colour, and the end"),
+    color_start=Field(int, f"envs, {COLORS + 1}", "", "first entry of a colour, and the end"),
     color_count=Field(int, "envs", "", "colours in use; 32 if some are solved one after another"),
 )

@@ -19,24 +19,6 @@ MAX_FILE_LINES = 600
 MAX_LINES = 60
 MAX_ARGUMENTS = 12
 
-SHARED_FILE_NAMES = {
-    "batch.py": "environments of one simulator in engine, runs of one simulator in sweep",
-    "memory.py": "memory of a simulator in engine, of a batch of runs in sweep",
-    "picture.py": "a picture of bodies in render, of measurements in bench",
-    "plots.py": "tables in sweep, checks in validation",
-}
-"""File names that occur twice, with the reason. A command's file has the name of what it runs."""
-
-SHARED_CLASS_NAMES = {
-    "Case": "a validation case and a benchmark case",
-    "Check": "of a validation case and of the machine",
-    "Finding": "of an import report and of a validation case",
-    "Instances": "those of the viewer and of the ray caster",
-    "Samples": "of a USD attribute and of a shape's surface",
-    "Surface": "of a mesh repair and of a recording",
-}
-"""Class names that are defined twice, with what they are. No name is added here."""
-
 
 def decorator_name(node: ast.expr) -> str:
     return ast.unparse(node.func if isinstance(node, ast.Call) else node)
@@ -153,9 +135,9 @@ def repeated(found: list[tuple[str, Path]]) -> dict[str, list[str]]:
 
 
 def test_a_file_name_occurs_once():
-    """A file can be named without its folder."""
+    """A file can be named without its folder; a command's file has the name of what it runs."""
     named = [(file.name, file) for file in PACKAGE if file.name != "__init__.py" and file.parent.name != "commands"]
-    assert {name: files for name, files in repeated(named).items() if name not in SHARED_FILE_NAMES} == {}
+    assert repeated(named) == {}
 
 
 def test_a_class_name_is_defined_once():
@@ -165,7 +147,7 @@ def test_a_class_name_is_defined_once():
         for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, ast.ClassDef)
     ]
-    assert {name: files for name, files in repeated(named).items() if name not in SHARED_CLASS_NAMES} == {}
+    assert repeated(named) == {}
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.relative_to(ROOT).as_posix())

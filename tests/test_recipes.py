@@ -1,6 +1,7 @@
 """The recipes of CONTRIBUTING.md, applied to a copy of the checkout and run there.
 
-A new recipe needs one test below: apply it, compare the files that it touches, and run a program in the copy.
+A new recipe needs one test below: apply it, compare the files that it touches, and run a program in the copy. The files
+are as many as the recipe states.
 """
 
 import json
@@ -14,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("kernels", "scenes", "warp_rigid")
+NUMBERS = ("No", "One", "Two", "Three", "Four")
 
 
 @pytest.fixture
@@ -44,6 +46,8 @@ def apply(title, copy):
             for hunk in re.split(r"^@@.*\n", block, flags=re.M):
                 change(file, hunk.splitlines(keepends=True))
         touched.append(name)
+    (stated,) = re.findall(r"\b(\w+)\s+files\s+change\.", section)
+    assert NUMBERS.index(stated) == len(touched)
     return touched
 
 
@@ -136,3 +140,94 @@ def test_a_scene_takes_two_files(copy, device):
     (verdict,) = json.loads(run(copy, *command, "--frames", "60"))["verdicts"]
     assert verdict["passed"] == [True]
     assert verdict["values"] == pytest.approx([2.0**2 / (2 * 0.5 * 9.81) - 2.0 / 240 / 2], abs=1e-4)
+
+
+VISCOUS_FRICTION = """
+import sys
+import numpy as np
+import warp_rigid as wr
+
+g, dt, k, v0, steps = 9.81, 1 / 240, 0.5, 2.0, 120
+scene = wr.Scene()
+scene.add_static(wr.Plane((0, 0, 1), 0.0), friction=0.0, viscous_friction=10.0)
+scene.add_body(
+    wr.Box((0.2, 0.2, 0.05)), position=(0, 0, 0.05), linear_velocity=(v0, 0, 0), friction=0.0, viscous_friction=k
+)
+try:
+    scene.add_body(wr.Sphere(0.1), viscous_friction=-1.0)
+    raise SystemExit("a negative value was accepted")
+except ValueError as error:
+    assert str(error) == "viscous_friction: must be a finite number >= 0, got -1.0", error
+
+sim = wr.Simulator(scene, num_envs=3, settings=wr.Settings(dt=dt), device=sys.argv[1])
+factors = np.array([1.0, 0.5, 0.0])
+sim.set("viscous_friction", k * factors[:, None], bodies=[1])
+sim.save("box.ckpt")
+sim = wr.Simulator.load("box.ckpt", device=sys.argv[1])
+assert np.allclose(sim.get("viscous_friction")[:, 1], k * factors)
+recording = wr.record(sim, frames=0, fps=60)
+wr.export_usd(recording, "box.usda", envs=[0])
+assert abs(wr.import_usd("box.usda").bodies[1].viscous_friction - k) < 1e-6
+
+# dv/dt = -k g v; the solver finds the velocity at the end of each step, so v = v0 / (1 + k g dt)^n.
+sim.step(steps)
+expected = v0 / (1 + k * factors * g * dt) ** steps
+found = sim.get("linear_velocity")[:, 1, 0]
+assert np.allclose(found, expected, rtol=1e-4), (found, expected)
+
+result = wr.sweep(scene, {"viscous_friction": [0.1, 0.2]}, duration=0.1, device=sys.argv[1])
+assert [row["viscous_friction"] for row in result.rows] == [0.1, 0.2]
+"""
+
+OSCILLATOR = """
+import sys
+import numpy as np
+import warp_rigid as wr
+
+center, stiffness, dt, steps = np.array([0.5, 0.0, 0.0]), 4.0, 1e-3, 1000
+scene = wr.Scene(gravity=(0, 0, 0))
+scene.add_force_field(wr.SpringField(center, stiffness))
+scene.add_body(wr.Sphere(0.1), position=(1.5, 0, 0), linear_velocity=(0, 1, 0))
+try:
+    wr.SpringField(center, np.inf)
+    raise SystemExit("an infinite value was accepted")
+except ValueError as error:
+    assert str(error) == "stiffness: must be a finite number, got inf", error
+
+sim = wr.Simulator(scene, settings=wr.Settings(dt=dt), device=sys.argv[1])
+sim.save("spring.ckpt")
+sim = wr.Simulator.load("spring.ckpt", device=sys.argv[1])
+assert sim.scene.force_fields == scene.force_fields
+wr.export_usd(wr.record(sim, frames=0, fps=50), "spring.usda")
+assert wr.import_usd("spring.usda").force_fields == scene.force_fields
+
+# Harmonic motion with angular frequency w; the integrator's position error is at most of the size of w dt.
+w, t = np.sqrt(stiffness), steps * dt
+energy = (sim.get("kinetic_energy") + sim.get("potential_energy"))[0, 0]
+mass = scene.bodies[0].mass
+assert np.isclose(energy, mass * (0.5 + 0.5 * stiffness), rtol=1e-5), energy
+sim.step(steps)
+expected = center + np.array([np.cos(w * t), np.sin(w * t) / w, 0.0])
+assert np.abs(sim.get("position")[0, 0] - expected).max() < w * dt, (sim.get("position"), expected)
+"""
+
+
+def test_a_body_coefficient_takes_four_files(copy, device):
+    """Speed of a box that slides with a friction coefficient proportional to its speed."""
+    assert apply("Add a body coefficient", copy) == [
+        "warp_rigid/scene/coefficients.py",
+        "kernels/schema.py",
+        "kernels/constraints/build_contacts.py",
+        "kernels/constraints/contact.py",
+    ]
+    run(copy, "-c", VISCOUS_FRICTION, str(device))
+
+
+def test_a_force_field_takes_three_files(copy, device):
+    """Energy of a body on a spring, and its position after a second."""
+    assert apply("Add a force field", copy) == [
+        "kernels/enums.py",
+        "warp_rigid/scene/fields.py",
+        "kernels/update/force_fields.py",
+    ]
+    run(copy, "-c", OSCILLATOR, str(device))

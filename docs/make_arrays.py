@@ -1,0 +1,116 @@
+"""Write docs/arrays.md: all device arrays and enumerations, from their declarations in kernels/.
+
+Run it from the top of the repository: `.venv/bin/python docs/make_arrays.py`.
+"""
+
+import ast
+import inspect
+from collections.abc import Iterator
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import warp_rigid.kernels.constraints.rows  # noqa: F401  declares the arrays of all kinds of constraints
+from warp_rigid.kernels import declare, enums, schema
+
+PAGE = Path(__file__).parent / "arrays.md"
+
+INTRODUCTION = """
+# Arrays
+
+All arrays on the device, as declared in `kernels/schema.py`. The Warp structs, the allocation and the packing of
+records follow from the same declarations. The rows of all environments are in one array: the bodies of environment `e`
+are rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` generates this page.
+
+## Sizes
+
+The first dimension of a shape is a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
+"""
+
+RECORDS = """
+## Records
+
+Records are elements of arrays. A packed record consists of groups of 16 bytes, each of which a GPU reads or writes
+with one request; unused bytes at the end of a group are not listed.
+"""
+
+ENUMERATIONS = """
+## Enumerations
+
+Integers shared by the host and the kernels, as declared in `kernels/enums.py`.
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    sizes = table("symbol", "counts", rows=[(code(name), text) for name, text in schema.SYMBOLS.items()])
+    structs = [section(name, struct_table(fields)) for name, fields in declare.LAYOUTS.items()]
+    records = [section(name, record_table(name, fields)) for name, fields in declare.RECORDS.items()]
+    parts = [INTRODUCTION, sizes, "## Structs of arrays", *structs, RECORDS, *records, ENUMERATIONS, *enumerations()]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def section(name: str, content: str) -> str:
+    """A struct or a record with its description."""
+    return f"### {name}\n\n{declare.DESCRIPTIONS[name]}\n\n{content}"
+
+
+def struct_table(fields: dict[str, declare.Field]) -> str:
+    """The arrays of a struct."""
+    lines = [(code(key), type_name(f.dtype), f"({f.shape})", f.unit, f.description) for key, f in fields.items()]
+    return table("array", "type", "shape", "unit", "description", rows=lines)
+
+
+def record_table(name: str, fields: dict[str, declare.Field]) -> str:
+    """The members of a record, with their place in it."""
+    layout = declare.STRUCTS[name].numpy_dtype()
+    offsets = dict(zip(layout["names"], layout["offsets"], strict=True))
+    lines = [
+        (code(key), type_name(f.dtype), str(offsets[key]), f.unit, f.description)
+        for key, f in fields.items()
+        if not key.startswith(declare.PADDING)
+    ]
+    size = f"{layout['itemsize']} bytes{', packed' if name in declare.PACKED else ''}."
+    return size + "\n\n" + table("member", "type", "offset [bytes]", "unit", "description", rows=lines)
+
+
+def enumerations() -> Iterator[str]:
+    """All enumerations. The descriptions of their members are strings below them in the source."""
+    for node in ast.parse(inspect.getsource(enums)).body:
+        if isinstance(node, ast.ClassDef):
+            yield enumeration(node, getattr(enums, node.name))
+
+
+def enumeration(node: ast.ClassDef, declared: type[IntEnum]) -> str:
+    """One enumeration; the column of descriptions is left out if no member has one."""
+    described = {
+        above.targets[0].id: below.value.value
+        for above, below in zip(node.body, node.body[1:], strict=False)
+        if isinstance(above, ast.Assign) and isinstance(below, ast.Expr)
+    }
+    lines = [(code(name), str(int(value)), described.get(name, "")) for name, value in declared.__members__.items()]
+    width = 3 if described else 2
+    columns = ("member", "value", "description")[:width]
+    return f"### {node.name}\n\n{inspect.getdoc(declared)}\n\n{table(*columns, rows=[line[:width] for line in lines])}"
+
+
+def table(*columns: str, rows: list[tuple[str, ...]]) -> str:
+    """A table in Markdown."""
+    lines = [columns, ("---",) * len(columns), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines)
+
+
+def code(text: str) -> str:
+    """Text as code."""
+    return f"`{text}`"
+
+
+def type_name(dtype: Any) -> str:
+    """An element type; a record links to its table."""
+    if dtype in (int, float):
+        return f"{dtype.__name__}32"
+    return dtype.__name__ if isinstance(dtype, type) else f"[{dtype.key}](#{dtype.key.lower()})"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())

@@ -1,0 +1,341 @@
+"""The declarations of arrays, and what follows from them: structs, packed records, slices and the page of arrays."""
+
+import ast
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+from warp_rigid import Box, Scene, Settings
+from warp_rigid.engine import model
+from warp_rigid.kernels import declare, enums, schema
+from warp_rigid.kernels.constraints import contact
+from warp_rigid.kernels.constraints.rows import OTHER_KINDS
+from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
+
+wp.set_module_options({"enable_backward": False})
+
+ROOT = Path(__file__).resolve().parents[1]
+KERNELS = sorted((ROOT / "kernels").rglob("*.py"))
+DECLARED = {**declare.LAYOUTS, **declare.RECORDS}
+ROWS = 37
+BASE_UNITS = {"kg", "m", "s", "rad", "N", "J", "1"}
+CONTACT_FLAG = {"flag": "more", "optional_from": "surface"}
+
+
+def make_arrays():
+    """The program that writes the page of arrays."""
+    spec = importlib.util.spec_from_file_location("make_arrays", ROOT / "docs" / "make_arrays.py")
+    program = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(program)
+    return program
+
+
+def fields():
+    return [(struct, name, field) for struct, members in DECLARED.items() for name, field in members.items()]
+
+
+def test_the_page_of_arrays_follows_the_declarations():
+    assert (ROOT / "docs" / "arrays.md").read_text() == make_arrays().page(), "run docs/make_arrays.py"
+
+
+def test_the_page_names_every_array_and_every_member():
+    """Read from the page's text: a table that is left out would pass the test above."""
+    sections = dict(part.split("\n", 1) for part in (ROOT / "docs" / "arrays.md").read_text().split("\n### ")[1:])
+    for struct, name, field in fields():
+        if not name.startswith("padding_"):
+            (row,) = [line for line in sections[struct].splitlines() if line.startswith(f"| `{name}` |")]
+            assert row.endswith(f"| {field.unit} | {field.description} |")
+    for name, kind in vars(enums).items():
+        if isinstance(kind, type) and kind.__module__ == enums.__name__:
+            for member, value in kind.__members__.items():
+                assert f"| `{member}` | {value.value} |" in sections[name]
+
+
+def test_every_array_and_member_is_described():
+    assert [f"{struct}.{name}" for struct, name, field in fields() if not field.description.strip()] == []
+    assert [name for name in DECLARED if not declare.DESCRIPTIONS[name].strip()] == []
+
+
+def test_units_are_products_of_si_units():
+    """A unit is written as "N m s" or "1/(kg m^2)"; "SI" stands for several."""
+    for struct, name, field in fields():
+        symbols = field.unit.replace("/", " ").replace("(", " ").replace(")", " ").replace("^2", "").split()
+        assert field.unit == "SI" or set(symbols) <= BASE_UNITS, f"{struct}.{name} [{field.unit}]"
+
+
+def test_shapes_are_sums_of_known_symbols_and_numbers():
+    known = set(schema.SYMBOLS) | {kind.NAME for kind in OTHER_KINDS}
+    used = set()
+    for struct, members in declare.LAYOUTS.items():
+        for name, field in members.items():
+            terms = {term.strip() for size in field.shape.split(",") for term in size.split("+")}
+            symbols = {term for term in terms if not term.isdigit()}
+            assert symbols <= known, f"{struct}.{name} ({field.shape})"
+            assert {field.index_of} <= known | {""}, f"{struct}.{name} counts {field.index_of}"
+            used |= symbols
+    assert set(schema.SYMBOLS) == used & set(schema.SYMBOLS), "a symbol that no array has"
+    assert {field.shape for members in declare.RECORDS.values() for field in members.values()} == {""}
+
+
+@pytest.mark.parametrize("struct", DECLARED)
+def test_a_struct_has_the_declared_members(struct):
+    declared = DECLARED[struct]
+    made = declare.STRUCTS[struct].vars
+    assert list(made) == list(declared)
+    for name, field in declared.items():
+        if struct in declare.RECORDS:
+            assert wp.types.type_size_in_bytes(made[name].type) == wp.types.type_size_in_bytes(field.dtype)
+            assert wp.types.types_equal(made[name].type, field.dtype)
+        else:
+            assert wp.types.types_equal(made[name].type.dtype, field.dtype)
+            assert made[name].type.ndim == len(field.shape.split(","))
+
+
+@pytest.mark.parametrize("struct", declare.LAYOUTS)
+def test_arrays_are_allocated_with_the_declared_sizes(struct):
+    """Symbols stand for different primes, so that no two shapes agree by accident."""
+    primes = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89)
+    symbols = [*schema.SYMBOLS, *(kind.NAME for kind in OTHER_KINDS)]
+    sizes = dict(zip(symbols, primes, strict=False))
+    arrays = declare.allocate(declare.STRUCTS[struct], sizes, "cpu")
+    total = 0
+    for name, field in declare.LAYOUTS[struct].items():
+        array = getattr(arrays, name)
+        assert array.shape == tuple(eval(size, {}, sizes) for size in field.shape.split(","))
+        assert not array.numpy().view(np.uint8).any()
+        total += array.size * array.strides[-1]
+    assert declare.byte_size(declare.STRUCTS[struct], sizes) == total
+
+
+@pytest.mark.parametrize("name", declare.PACKED)
+def test_words_of_a_packed_record_are_those_of_its_memory(name):
+    """Against the layout that Warp gives to NumPy. No member but one of a whole group crosses a group's end."""
+    record = declare.STRUCTS[name]
+    layout = record.numpy_dtype()
+    dtype = np.dtype(layout)
+    assert dtype.itemsize % 16 == 0
+    for key in dtype.names:
+        member, offset = dtype.fields[key][:2]
+        assert offset == 4 * declare.first_word(record, key)
+        assert offset // 16 == declare.group_of(record, key) == (offset + member.itemsize - 1) // 16
+    with pytest.raises(KeyError, match="no member nothing"):
+        declare.first_word(record, "nothing")
+
+
+def random_records(name, seed):
+    """Records whose members are random and not 0, with padding 0."""
+    rng = np.random.default_rng(seed)
+    records = np.zeros(ROWS, np.dtype(declare.STRUCTS[name].numpy_dtype()))
+    for key in records.dtype.names:
+        if not key.startswith("padding_"):
+            member = records[key]
+            numbers = rng.integers(1, 1 << 24, member.shape) * rng.choice([-1, 1], member.shape)
+            records[key] = numbers if member.dtype == np.int32 else numbers / 4096.0
+    return records
+
+
+def is_of_integers(name):
+    return all(field.dtype is int for field in declare.RECORDS[name].values())
+
+
+def read_all(record, read, source, device):
+    """Records that the device function `read` returns, stored member by member by Warp."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def copy(source: wp.array[record], target: wp.array[record]):
+        """Read a record."""
+        row = wp.tid()
+        target[row] = read(row, source)
+
+    given = wp.array(source, dtype=record, device=device)
+    target = wp.zeros(len(source), dtype=record, device=device)
+    wp.launch(copy, len(source), [given], [target], device=device)
+    return target.numpy()
+
+
+def write_all(record, write, source, device):
+    """Records that the device function `write` stores, loaded member by member by Warp."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def copy(source: wp.array[record], target: wp.array[record]):
+        """Write a record."""
+        row = wp.tid()
+        write(row, source[row], target)
+
+    given = wp.array(source, dtype=record, device=device)
+    target = wp.zeros(len(source), dtype=record, device=device)
+    wp.launch(copy, len(source), [given], [target], device=device)
+    return target.numpy()
+
+
+@pytest.mark.parametrize("name", declare.PACKED)
+def test_packed_records_are_read_and_written_whole(name, device):
+    record, records = declare.STRUCTS[name], random_records(name, seed=1)
+    np.testing.assert_array_equal(read_all(record, declare.record_reader(record), records, device), records)
+    if not is_of_integers(name):
+        np.testing.assert_array_equal(write_all(record, declare.record_writer(record), records, device), records)
+
+
+@pytest.mark.parametrize("name", declare.PACKED)
+def test_groups_are_the_words_of_a_record(name, device):
+    record, records = declare.STRUCTS[name], random_records(name, seed=2)
+    word, four = (np.int32, wp.vec4i) if is_of_integers(name) else (np.float32, wp.vec4)
+    words = records.view(word).reshape(ROWS, -1, 4)
+    read = declare.group_reader(record)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def copy(source: wp.array[record], target: wp.array2d[four]):
+        """Read a group."""
+        row, group = wp.tid()
+        target[row, group] = read(source, row, group)
+
+    given = wp.array(records, dtype=record, device=device)
+    target = wp.zeros(words.shape[:2], dtype=four, device=device)
+    wp.launch(copy, words.shape[:2], [given], [target], device=device)
+    np.testing.assert_array_equal(target.numpy(), words)
+
+
+@pytest.mark.parametrize("name", [name for name in declare.PACKED if not is_of_integers(name)])
+def test_a_group_is_written_alone(name, device):
+    record, records = declare.STRUCTS[name], random_records(name, seed=3)
+    groups = records.dtype.itemsize // 16
+    write = declare.group_writer(record)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def change(group: int, target: wp.array[record]):
+        """Write a group."""
+        row = wp.tid()
+        write(target, row, group, wp.vec3(1.5, float(row), -2.0), float(group))
+
+    for group in {0, groups // 2, groups - 1}:
+        target = wp.array(records, dtype=record, device=device)
+        wp.launch(change, ROWS, [group], [target], device=device)
+        expected = records.copy().view(np.float32).reshape(ROWS, -1, 4)
+        expected[:, group] = [[1.5, row, -2.0, group] for row in range(ROWS)]
+        found = target.numpy().view(np.float32).reshape(ROWS, -1, 4)
+        np.testing.assert_array_equal(found, expected)
+
+
+OPTIONAL = ("surface", "rolling_friction", "spinning_friction", "restitution")
+
+
+def test_the_optional_members_of_a_contact_are_the_last_ones():
+    members = [name for name in declare.RECORDS["ContactRecord"] if not name.startswith("padding_")]
+    assert tuple(members[members.index("surface") :]) == OPTIONAL
+    assert declare.first_word(schema.ContactRecord, "surface") % 4 == 0
+
+
+@pytest.mark.parametrize("name", OPTIONAL)
+def test_a_contact_notes_whether_it_has_optional_members(name, device):
+    """One optional member of every second record is not 0, in one component; the flag follows from the members."""
+    records = random_records("ContactRecord", seed=4)
+    for other in OPTIONAL:
+        records[other] = 0.0
+    some = np.arange(0, ROWS, 2)
+    if records[name].ndim == 2:
+        records[name][some, some % 3] = -0.25
+    else:
+        records[name][some] = 0.25
+    written = write_all(schema.ContactRecord, contact.write_contact, records, device)
+    expected = records.copy()
+    expected["more"] = np.arange(ROWS) % 2 == 0
+    np.testing.assert_array_equal(written, expected)
+    np.testing.assert_array_equal(read_all(schema.ContactRecord, contact.read_contact, written, device), expected)
+
+
+def test_a_contact_without_the_flag_has_optional_members_of_0(device):
+    """What an earlier contact left in the memory behind the flag is not read."""
+    records = random_records("ContactRecord", seed=5)
+    records["more"] = np.arange(ROWS) % 2
+    expected = records.copy()
+    for name in OPTIONAL:
+        expected[name][::2] = 0.0
+    np.testing.assert_array_equal(read_all(schema.ContactRecord, contact.read_contact, records, device), expected)
+
+
+def scene_with_filters_and_moving_ground(moving):
+    scene = Scene()
+    if moving:
+        waves = HarmonicMotion(0.01, 2.0, 0.0)
+        scene.add_kinematic(Heightfield(np.zeros((4, 3)), (3.0, 2.0), waves))
+    for i in range(4):
+        scene.add_body(Box((0.1 + 0.01 * i,) * 3), position=(i, 0, 1), friction=0.1 * i)
+    scene.filter_pair(0, 2)
+    scene.filter_pair(1, 2)
+    return scene
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_part_of_the_arrays_counts_from_its_own_start(moving):
+    """Environments 1 and 2 of 3 are what a model of 2 has. Places in the pool of shapes stay those of the whole."""
+    scene = scene_with_filters_and_moving_ground(moving)
+    whole, alone = (model.build_model(scene, count, "cpu") for count in (3, 2))
+    part = whole.part(1, 3)
+    for struct, pooled in (("bodies", "shape"), ("surfaces", "sample")):
+        found, expected = getattr(part, struct), getattr(alone, struct)
+        for name in declare.field_names(found._cls):
+            if name != pooled:
+                np.testing.assert_array_equal(getattr(found, name).numpy(), getattr(expected, name).numpy(), name)
+    ranges = model.env_ranges(scene, 1, 3)
+    envs, expected = (model.initial_environments(scene, Settings(), count, "cpu") for count in (3, 2))
+    first_body = declare.part(envs, ranges).first_body.numpy()
+    np.testing.assert_array_equal(first_body, expected.first_body.numpy())
+
+
+def test_a_part_shares_memory_with_the_whole():
+    scene = scene_with_filters_and_moving_ground(moving=False)
+    state = model.initial_state(scene, 3, "cpu")
+    part = declare.part(state, model.env_ranges(scene, 1, 3))
+    part.position.fill_(wp.vec3(7.0, 8.0, 9.0))
+    changed = (state.position.numpy() == [7.0, 8.0, 9.0]).all(axis=1)
+    np.testing.assert_array_equal(changed, np.arange(3 * len(scene.bodies)) >= len(scene.bodies))
+
+
+def repeated_members(source):
+    """Constants of a module that have the name and the value of a member of an enumeration, and bare numbers that
+    something named after an enumeration is compared with."""
+    kinds = [kind for kind in vars(enums).values() if isinstance(kind, type) and kind.__module__ == enums.__name__]
+    members = {(name, int(member)) for kind in kinds for name, member in kind.__members__.items()}
+    tree = ast.parse(source)
+    found = []
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            value = node.value.args[0] if isinstance(node.value, ast.Call) and node.value.args else node.value
+            if isinstance(value, ast.Constant):
+                names = [target.id for target in node.targets if isinstance(target, ast.Name)]
+                found += [
+                    name
+                    for name in names
+                    for member, number in members
+                    if value.value == number and (name == member or name.endswith(f"_{member}"))
+                ]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            named = {ast.unparse(side).split("[")[0].split(".")[-1] for side in sides}
+            if named & {"kind", "motion", "role", "shock_propagation"} and any(
+                isinstance(side, ast.Constant) and isinstance(side.value, int) for side in sides
+            ):
+                found.append(ast.unparse(node))
+    return found
+
+
+@pytest.mark.parametrize("file", KERNELS, ids=lambda file: file.relative_to(ROOT).as_posix())
+def test_a_member_of_an_enumeration_is_not_written_again(file):
+    assert file.name == "enums.py" or repeated_members(file.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "HEIGHTFIELD = 6",
+        "SAMPLE_EDGE = wp.constant(1)",
+        "def f(kind: int):\n    return kind == 3",
+        "if bodies.motion[b] != 2: pass",
+    ],
+)
+def test_a_repeated_member_is_found(source):
+    assert len(repeated_members(source)) == 1
