@@ -11,6 +11,7 @@ from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.shard import Shard
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion
 
@@ -234,6 +235,14 @@ def forget_history(sim: "Simulator", chosen: np.ndarray) -> None:
             searched[pairs[first] : pairs[last]] = 0
         history.key.assign(keys)
         history.searched.assign(searched)
+    for kind in OTHER_KINDS:
+        count = len(kind.definitions(sim.scene))
+        rows = np.add.outer(chosen * count, np.arange(count)).reshape(-1)
+        for name in kind.KEPT:
+            array = getattr(sim._model.constraint_rows[kind.NAME], name)
+            values = array.numpy()
+            values[rows] = 0
+            array.assign(values)
 
 
 def apply_impulse(sim: "Simulator", impulse: Any, point: Any, body: int, envs: Any) -> None:
