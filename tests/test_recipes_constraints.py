@@ -63,13 +63,13 @@ for settings in (wr.Settings(dt=DT), wr.Settings(dt=DT, warm_starting=False)):
     before = np.flatnonzero((x[:-1] > 0) & (x[1:] <= 0))
     crossings = DT * (1 + before + x[before] / (x[before] - x[before + 1]))
     period = np.diff(crossings).mean()
-    # The elliptic integral to fourth order in the angle; energy as of the swing, whose velocity lags by g dt / 2.
+    # The elliptic integral to fourth order in the angle.
     expected = 2 * np.pi * np.sqrt(length / G) * (1 + angle**2 / 16 + 11 * angle**4 / 3072)
     print("pendulum", len(crossings), period / expected - 1, error, change)
     assert len(crossings) == 5
-    assert abs(period / expected - 1) < 1e-3, (period, expected)
+    assert abs(period / expected - 1) < 1e-4, (period, expected)
     assert error < 1e-4, error
-    assert change < 0.02, change
+    assert change < 0.02, "the velocity lags the position by half a step: pi dt / period of the energy of the swing"
 """
 
 CHAIN = """
@@ -110,9 +110,8 @@ scene.add_static(wr.Plane())
 half = 0.1
 for x, z in ((-0.3, 0.2), (0.3, 0.4), (2.0, 0.2)):
     scene.add_body(wr.Box((half, half, half)), position=(x, 0, z), orientation=(0.05, 0.02, 0, 1), friction=0.5)
-tops = (0.0, 0.0, half)
 length = float(np.hypot(0.6, 0.2))
-scene.constraints.append(FixedDistance(1, 2, tops, tops, length))
+scene.constraints.append(FixedDistance(1, 2, ORIGIN, ORIGIN, length))
 try:
     wr.Simulator(scene, device=DEVICE).save("boxes.ckpt")
     raise SystemExit("a checkpoint leaves the constraints out")
@@ -127,16 +126,10 @@ def simulate(envs=1, steps=600, **more):
     return sim
 
 
-def tip(sim, body):
-    x, y, z, w = sim.get("orientation")[0, body].astype(float)
-    up = np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
-    return sim.get("position")[0, body] + half * up
-
-
 falling = simulate(steps=20)
-assert graph(falling).island.numpy()[1:].tolist() == [1, 1, 3], "joined bodies share an island before they touch anything"
+assert graph(falling).island.numpy()[1:].tolist() == [1, 1, 3], "joined in the air"
 sim = simulate()
-apart = np.linalg.norm(tip(sim, 1) - tip(sim, 2))
+apart = np.linalg.norm(np.diff(sim.get("position")[0, 1:3].astype(float), axis=0))
 print("boxes", apart - length, sim.get("position")[0, 1:, 2], np.abs(sim.get("linear_velocity")).max())
 assert abs(apart - length) < 1e-4, apart
 assert np.allclose(sim.get("position")[0, 1:, 2], half, atol=2e-4)
@@ -152,10 +145,12 @@ for settings in (wr.Settings(), wr.Settings(sleeping=True), wr.Settings(warm_sta
     assert all(bits(many, env) == end for env in range(0, 40, 3)), settings
     assert bits(many, 1) != end
     many.reset([1])
+    many.step(600)
+    assert bits(many, 1) == end, "a reset of one environment, which starts with the velocity of the scene"
     assert bits(simulate(settings=settings, capacity={"pairs": 1, "contacts": 1})) == end, "growth of the pools"
     alone.reset()
     alone.step(600)
-    assert bits(alone) == end, "a reset forgets the impulses"
+    assert bits(alone) == end, "a reset clears the impulses"
 
 sleeping = simulate(settings=wr.Settings(sleeping=True), steps=900)
 assert sleeping.get("asleep")[0, 1:].all()
@@ -164,6 +159,44 @@ sleeping.step()
 sleeping.step()
 print("asleep", sleeping.get("asleep")[0])
 assert sleeping.get("asleep")[0].tolist() == [False, False, False, True], "joined bodies wake together"
+"""
+
+TUMBLING = """
+# Without gravity: points off the centres of mass, so that the impulses turn the bodies.
+scene = wr.Scene(gravity=(0, 0, 0))
+scene.add_body(wr.Box((0.1, 0.2, 0.3)), linear_velocity=(0.5, 0.2, 0), angular_velocity=(1, 2, 0.5))
+scene.add_body(wr.Box((0.2, 0.1, 0.1)), position=(1.2, 0.2, 0.1), angular_velocity=(-2, 0, 1))
+anchors = np.array([[0.1, 0.2, -0.3], [-0.2, 0.1, 0.1]])
+length = float(np.linalg.norm([1.2 - 0.2 - 0.1, 0.2 + 0.1 - 0.2, 0.1 + 0.1 + 0.3]))
+scene.constraints.append(FixedDistance(0, 1, tuple(anchors[0]), tuple(anchors[1]), length))
+mass = np.array([body.mass for body in scene.bodies])
+sim = wr.Simulator(scene, settings=wr.Settings(dt=DT), device=DEVICE)
+
+
+def momenta():
+    place, v, w = (sim.get(name)[0].astype(float) for name in ("position", "linear_velocity", "angular_velocity"))
+    spin = np.einsum("bij,bj->bi", sim.get("inertia")[0].astype(float), w)
+    p = mass[:, None] * v
+    return p.sum(axis=0), (np.cross(place, p) + spin).sum(axis=0)
+
+
+def point(body):
+    q = sim.get("orientation")[0, body].astype(float)
+    turned = anchors[body] + 2 * np.cross(q[:3], np.cross(q[:3], anchors[body]) + q[3] * anchors[body])
+    return sim.get("position")[0, body] + turned
+
+
+linear, angular = momenta()
+error, lost = 0.0, 0.0
+for _ in range(480):
+    sim.step()
+    error = max(error, abs(np.linalg.norm(point(0) - point(1)) - length))
+    now = momenta()
+    lost = max(lost, np.abs(now[0] - linear).max() / np.abs(linear).max(),
+               np.abs(now[1] - angular).max() / np.abs(angular).max())
+print("tumbling", error, lost, distances(sim).impulse.numpy())
+assert error < 1e-4, error
+assert lost < 1e-4, lost
 """
 
 KINEMATIC = """
@@ -194,7 +227,7 @@ sim.step(10)
 sim.reset()
 for constraint, text in (
     ("glue", "scene.constraints: number 0 is of no known kind, got 'glue'"),
-    (FixedDistance(0, 1, ORIGIN, ORIGIN, 1.0), "body_b: must be an integer from 0 to 0, got 1"),
+    (FixedDistance(0, 1, ORIGIN, ORIGIN, 1.0), "body_b: must be a whole number from 0 to 0, got 1"),
 ):
     scene.constraints[:] = [constraint]
     try:
@@ -238,6 +271,10 @@ def test_a_pendulum_keeps_its_length_period_and_energy(changed, tmp_path, device
 def test_a_chain_hangs_and_swings(changed, tmp_path, device):
     """The tension of each link is the weight below it."""
     run(CHAIN, changed[0], tmp_path, device)
+
+
+def test_momenta_of_tumbling_bodies_are_kept(changed, tmp_path, device):
+    run(TUMBLING, changed[0], tmp_path, device)
 
 
 def test_joined_boxes_land_and_rest(changed, tmp_path, device):
