@@ -39,14 +39,14 @@ def slot_of_pair(pair: int, env: int, constraints: Constraints):
 
 @wp.func
 def slot_of_other(index: int, env: int, constraints: Constraints):
-    """The slot of a constraint of another kind, by its index among those of all environments."""
-    return constraints.start[env + 1] - constraints.other_start[env + 1] + index
+    """The slot of a constraint of another kind, by its index among those of its environment."""
+    return constraints.start[env + 1] - (constraints.other_start[env + 1] - constraints.other_start[env]) + index
 
 
 @wp.func
 def last_slot_of_other(index: int, env: int, constraints: Constraints):
-    """The slot that the same constraint had in the last step."""
-    return constraints.start_before[env + 1] - constraints.other_start[env + 1] + index
+    """The slot that the same constraint had in the last step; negative if there was none."""
+    return constraints.start_before[env + 1] - (constraints.other_start[env + 1] - constraints.other_start[env]) + index
 
 
 @wp.kernel

@@ -1,7 +1,8 @@
 """Constraint rows of all kinds: the solver calls these functions, and they call those of the kind.
 
 A kind of constraint is a file beside this one. It declares its arrays and has a KIND and the device functions called
-below; `contact` is the example. Kinds besides contacts also have the host functions that `OTHER_KINDS` states.
+below; `contact` is the example. Kinds besides contacts also have what `OTHER_KINDS` states. CONTRIBUTING.md shows how
+to add one.
 """
 
 from types import ModuleType
@@ -15,12 +16,19 @@ from warp_rigid.kernels.schema import Contacts
 wp.set_module_options({"enable_backward": False})
 
 OTHER_KINDS: tuple[ModuleType, ...] = ()
-"""Kinds besides contacts. Each module has NAME, that of its member in `Rows`, ROWS, the layout of its arrays, and
+"""Kinds besides contacts. Each module has the device functions called below, and
 
-`definitions(scene)`: the constraints of this kind in a scene;
-`upload(scene, num_envs, device)`: its arrays, sized by the symbol NAME, environment by environment;
-`build(arrays, constraints, model, state, motions, dt, device)`: launch the kernel that writes the rows and the
-entries in `Constraints` (constraints/records.py) of a step.
+KIND: the number of the kind in `Constraints`, different for each kind;
+NAME: of its member in `Rows`, and the symbol that counts its constraints in the shapes of its arrays;
+ROWS: the layout of its arrays, among them `body_a` and `body_b` (with index_of="bodies");
+KEPT: names of the arrays that one step leaves for the next, such as impulses for the warm start; a reset clears them;
+`definitions(scene)`: the constraints of this kind in `scene.constraints`, a list;
+`upload(scene, num_envs, device)`: an instance of ROWS with the constraints of all environments, one environment after
+another; raises a ValueError where a constraint does not fit the scene;
+`build(stages, constraints, first)`: launch a kernel of this module that writes the rows of a step, and for each
+constraint its slot in `constraints` (`set_constraint` in constraints/records.py). `stages` is the Stages of the step,
+with the arrays as `stages.model.constraint_rows[NAME]`; `first` is how many constraints of the kinds before it an
+environment has.
 """
 
 

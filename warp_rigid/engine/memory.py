@@ -10,6 +10,7 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.engine.model import body_sizes
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.scene import Scene
 
 LARGEST_LIMIT = 2**50
@@ -31,9 +32,10 @@ def pool_bytes(sizes: dict[str, int]) -> int:
 
 
 def body_bytes(scene: Scene, num_envs: int) -> int:
-    """Bytes of all that is sized with bodies and environments: parameters, state and its copies, settings."""
+    """Bytes of all that is sized with bodies, environments or constraints besides contacts, with copies for undoing."""
     sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
-    structs = (schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments)
+    structs = [schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments]
+    structs += [struct for kind in OTHER_KINDS for struct in [kind.ROWS] * 2]
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.checks import shown
 from warp_rigid.engine.moving_ground import build_surfaces, with_copies
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.kernels import declare, schema
@@ -169,19 +170,28 @@ def _extent(shape: Shape) -> np.ndarray:
 
 
 def body_sizes(scene: Scene, num_envs: int) -> dict[str, int]:
-    """How long the arrays of Bodies are."""
-    count = len(scene.bodies)
-    return {"bodies": num_envs * count, "filtered": 2 * num_envs * len(scene.filtered_pairs)}
+    """How long the arrays of Bodies are, and those of the kinds of constraints besides contacts."""
+    one = {"bodies": len(scene.bodies), "filtered": 2 * len(scene.filtered_pairs)}
+    one |= {kind.NAME: len(kind.definitions(scene)) for kind in OTHER_KINDS}
+    return {symbol: num_envs * size for symbol, size in one.items()}
 
 
 def other_constraints(scene: Scene) -> int:
-    """Constraints of other kinds than contact in a scene."""
-    return sum(len(kind.definitions(scene)) for kind in OTHER_KINDS)
+    """Constraints of other kinds than contact in a scene.
+
+    Raises:
+        ValueError: a constraint of the scene is of no known kind.
+    """
+    known = [definition for kind in OTHER_KINDS for definition in kind.definitions(scene)]
+    for index, constraint in enumerate(scene.constraints):
+        if not any(constraint is definition for definition in known):
+            raise ValueError(f"scene.constraints: number {index} is of no known kind, got {shown(constraint)}")
+    return len(known)
 
 
 def env_ranges(scene: Scene, first: int, end: int) -> dict[str, tuple[int, int]]:
     """Rows of the environments from `first` to before `end`, by the symbol that counts them."""
-    sizes = {"envs": 1, **body_sizes(scene, 1)} | {kind.NAME: len(kind.definitions(scene)) for kind in OTHER_KINDS}
+    sizes = {"envs": 1, **body_sizes(scene, 1)}
     return {symbol: (first * size, end * size) for symbol, size in sizes.items()}
 
 

@@ -13,6 +13,7 @@ from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_f
 from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.solve.gauss_seidel import INEFFECTIVE_STEPS
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -220,6 +221,14 @@ def forget_history(world: World, chosen: np.ndarray) -> None:
             searched[pairs[first] : pairs[last]] = 0
         history.key.assign(keys)
         history.searched.assign(searched)
+    for kind in OTHER_KINDS:
+        count = len(kind.definitions(world.scene))
+        rows = np.add.outer(chosen * count, np.arange(count)).reshape(-1)
+        for name in kind.KEPT:
+            array = getattr(world.model.constraint_rows[kind.NAME], name)
+            values = array.numpy()
+            values[rows] = 0
+            array.assign(values)
 
 
 def reset(world: World, envs: Any) -> None:

@@ -142,6 +142,6 @@ class Shard:
         both += [
             (array, wp.clone(array))
             for kind in OTHER_KINDS
-            for array in (getattr(self._model.constraint_rows[kind.NAME], n) for n in declare.field_names(kind.ROWS))
+            for array in (getattr(self._model.constraint_rows[kind.NAME], name) for name in kind.KEPT)
         ]
         return both + self._saved_envs + [(some, wp.clone(some)) for some in pools.levels.values()]

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any
 
 import warp as wp
@@ -209,6 +210,8 @@ class Stages:
     def wake_disturbed_islands(self) -> None:
         """Wake the islands of the bodies that are marked as disturbed, and those that lie on them."""
         self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
+        for kind in OTHER_KINDS:
+            self._wake_constrained(kind)
         self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
 
     @stage
@@ -428,5 +431,14 @@ class Stages:
         pairs, constraints = self.pools.pairs, self.pools.constraints
         count = max(self.pools.sizes["pairs"], self.num_envs + 1)
         self._shared(records.list_pairs, count, [], [self.envs, self.model.bodies, pairs], [constraints])
+        first = 0
         for kind in OTHER_KINDS:
-            kind.build(self, constraints)
+            kind.build(self, constraints, first)
+            first += len(kind.definitions(self.model.scene))
+
+    def _wake_constrained(self, kind: ModuleType) -> None:
+        """Name the islands that wake because of constraints of a kind."""
+        rows = self.model.constraint_rows[kind.NAME]
+        count = self.num_envs * len(kind.definitions(self.model.scene))
+        inputs = [rows.body_a, rows.body_b, self.motions]
+        wp.launch(sleep.wake_constrained, dim=count, inputs=inputs, outputs=[self.sleep_state], device=self.device)

@@ -1,7 +1,7 @@
 """Scenes that differ from environment to environment of one simulator.
 
 Environments share the arrays of shapes, so only scenes of one structure fit together: the same shapes in the same
-order, moving in the same way, under the same fields, filters, bounds and rules. Poses, velocities, masses,
+order, moving in the same way, under the same fields, filters, constraints, bounds and rules. Poses, velocities, masses,
 coefficients, gravity and whether a body is switched on are kept for each environment and may differ.
 """
 
@@ -27,8 +27,9 @@ def structure(scene: Scene) -> Hashable:
     bodies = tuple((body.shape.key, int(body.motion), body.name) for body in scene.bodies)
     fields = tuple(repr(field) for field in scene.force_fields)
     apart = tuple(sorted(scene.filtered_pairs))
+    constraints = tuple(repr(constraint) for constraint in scene.constraints)
     limits = repr(scene.bounds), scene.out_of_bounds
-    return bodies, fields, apart, limits, scene.friction_combine, scene.restitution_combine
+    return bodies, fields, apart, constraints, limits, scene.friction_combine, scene.restitution_combine
 
 
 def start_each(sim: "Simulator", scenes: Sequence[Scene], which: Sequence[int] | np.ndarray) -> None:

@@ -6,7 +6,7 @@ is given, so that an error is reported at the line that caused it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -75,6 +75,8 @@ class Scene:
         bodies: list of Body, in the order in which they were added.
         force_fields: list of fields that act on the dynamic bodies besides gravity.
         filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
+        constraints: constraints besides contacts, empty at first: each an object of a kind that is listed in
+            kernels/constraints/rows.py. A scene with constraints cannot be saved yet.
         import_report: what import_usd left out or changed; None for a scene that was not imported.
         gravity: as given.
         friction_combine: as given.
@@ -103,6 +105,7 @@ class Scene:
         self.bodies: list[Body] = []
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
+        self.constraints: list[Any] = []
         self.import_report: ImportReport | None = None
 
     def __repr__(self) -> str:

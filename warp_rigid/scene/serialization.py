@@ -17,7 +17,13 @@ VELOCITIES = ("linear_velocity", "angular_velocity")
 
 
 def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return plain data for JSON, and arrays by name."""
+    """Return plain data for JSON, and arrays by name.
+
+    Raises:
+        ValueError: The scene has constraints besides contacts.
+    """
+    if scene.constraints:
+        raise ValueError(f"scene.constraints: must be empty to save the scene, got {len(scene.constraints)}")
     arrays: dict[str, np.ndarray] = {}
     shapes: list[dict[str, Any]] = []
     places: dict[str, int] = {}
