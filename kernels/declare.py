@@ -257,6 +257,6 @@ def field_names(struct: Any) -> list[str]:
 
 
 def extent(term: str, sizes: Mapping[str, int]) -> int:
-    """Evaluate a sum of symbols and numbers such as "bodies + 1"; at least 1, since empty arrays are avoided."""
+    """Evaluate a sum of symbols and numbers such as "bodies + 1"; at least 1, so that no array is empty."""
     parts = (part.strip() for part in term.split("+"))
     return max(1, sum(int(part) if part.isdigit() else sizes[part] for part in parts))

@@ -53,7 +53,7 @@ def solve_constraint(entry: OrderRecord, motions: Motions, rows: Rows):
 
 @wp.kernel
 def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
-    """A team an environment: apply the impulses that the rows start from."""
+    """One team per environment: apply the impulses that the rows start from."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if envs.warm_starting[env] == 0:
@@ -139,7 +139,7 @@ def sweep_constraints(
     rows: Rows,
     state: State,
 ):
-    """A team an environment: half of the contact iterations, before or after the two passes of shock propagation.
+    """One team per environment: half of the contact iterations, before or after the two passes of shock propagation.
 
     A single pass comes after all of them, as in 2003: what it has frozen is not to be moved again, and sweeps prepare
     it best from the ground up. Sweeps end early when one changes nothing, and what has converged then needs no shock

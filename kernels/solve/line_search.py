@@ -42,7 +42,7 @@ def store_before_shock(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: keep velocities and impulses as they are before the passes."""
+    """One team per environment: keep velocities and impulses as they are before the passes."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if graph.converged[env] == 1 or envs.shock_propagation[env] == ShockMode.OFF:
@@ -86,7 +86,7 @@ def sum_energy(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: both sums of the line search for each island, and how far it would change a velocity.
+    """One team per environment: both sums of the line search for each island, and how far it would change a velocity.
 
     The parts of the pairs are added as multiples of a 2^40th of the island's largest part.
     """
@@ -151,7 +151,7 @@ def accept(
     rows: Rows,
     state: State,
 ):
-    """A team an environment: go the accepted share of the way, and note whether the first repetition was of use."""
+    """One team per environment: go the accepted share of the way, and note whether the first repetition was of use."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if not searched(env, envs, graph):

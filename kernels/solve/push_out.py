@@ -149,7 +149,7 @@ def find_overlaps(
     graph: Graph,
     rows: Rows,
 ):
-    """A team an environment: the separation speed that each contact needs, and whether any needs one."""
+    """One team per environment: the separation speed that each contact needs, and whether any needs one."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     begin = pairs.contact_start[pairs.start[envs.first_body[env]]]
@@ -193,7 +193,7 @@ def push_apart(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: separate all pairs, each upper body against the frozen one below it.
+    """One team per environment: separate all pairs, each upper body against the frozen one below it.
 
     As in shock propagation, all levels are iterated together. What is caught between two frozen bodies then has to
     push them apart; without shock propagation, no body is frozen in the first place.

@@ -186,7 +186,7 @@ def solve_impacts(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
+    """One team per environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     first = envs.collision_first[env]

@@ -227,7 +227,7 @@ def propagate(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: the pass up, and with two_pass the pass down."""
+    """One team per environment: the pass up, and with two_pass the pass down."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     mode = envs.shock_propagation[env]

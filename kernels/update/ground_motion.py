@@ -24,7 +24,7 @@ def height_at(k: int, time: wp.float64, surfaces: Surfaces):
 
 @wp.kernel
 def move_ground(dt: wp.float64, first: int, envs: Environments, surfaces: Surfaces, shapes: Shapes):
-    """One thread a vertex: height, speed, and the sample there. `first`: the first vertex's node in the pool."""
+    """One thread per vertex: height, speed, and the sample there. `first`: the first vertex's node in the pool."""
     k = wp.tid()
     time = wp.float64(envs.step[surfaces.env[k]]) * dt
     now = height_at(k, time, surfaces)
@@ -46,7 +46,7 @@ def move_ground(dt: wp.float64, first: int, envs: Environments, surfaces: Surfac
 
 @wp.kernel
 def drive_ground(shapes: Shapes, bodies: Bodies, envs: Environments, motions: Motions):
-    """One thread a body: ground that moves is driven, though its body stands still. Nothing falls asleep on it."""
+    """One thread per body: ground that moves is driven, though its body stands still. Nothing falls asleep on it."""
     b = wp.tid()
     if shapes.shapes[bodies.shape[b]].rise > 0.0 and motions.role[b] == Role.STATIC:
         motions.role[b] = Role.KINEMATIC
@@ -94,7 +94,7 @@ def set_surface_velocity(
     pairs: Pairs,
     contacts: Contacts,
 ):
-    """One thread a contact: the surfaces' relative velocity, `before` this step (for collisions that come first)."""
+    """One thread per contact: the surfaces' relative velocity, `before` this step (for collisions that come first)."""
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return

@@ -96,7 +96,7 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
 
 @wp.kernel
 def find_non_finite(bodies: Bodies, motions: Motions, envs: Environments):
-    """One thread a body: note it if its velocity or pose is not finite; the environment's first such body counts.
+    """One thread per body: note it if its velocity or pose is not finite; the environment's first such body counts.
 
     What was not finite before the step comes before what it has touched in it: ranks fall with the body's number.
     """
@@ -128,7 +128,7 @@ def keep_inside(
     state: State,
     envs: Environments,
 ):
-    """One thread a body: note it if its centre has left the bounds, and switch it off if that is wanted."""
+    """One thread per body: note it if its centre has left the bounds, and switch it off if that is wanted."""
     b = wp.tid()
     env = bodies.env[b]
     if bodies.motion[b] == Motion.STATIC or motions.role[b] == Role.ABSENT:
@@ -142,7 +142,7 @@ def keep_inside(
 
 @wp.kernel
 def close_step(envs: Environments):
-    """One thread an environment: halt it if a state was not finite, note who left the bounds first, count the step."""
+    """One thread per environment: halt it if a state was not finite, note who left the bounds first, count the step."""
     env = wp.tid()
     count = envs.first_body[env + 1] - envs.first_body[env]
     strayed = envs.strayed[env]
@@ -173,7 +173,7 @@ def without_added_speed(v: wp.vec3, a: wp.vec3, time: float):
 
 @wp.kernel
 def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Environments, state: State):
-    """One thread a body: position and orientation follow the velocity and the push-out; angular momentum is kept.
+    """One thread per body: position and orientation follow the velocity and the push-out; angular momentum is kept.
 
     The rotation is done in float64, and what rounding leaves over is kept for the next step: it would otherwise be what
     changes the angular momentum. The spin turns along with the push-out, which so leaves the energy as it is: a thin

@@ -76,7 +76,7 @@ def has_changed(b: int, state: State, motions: Motions, sleep_state: SleepState)
 
 @wp.kernel
 def find_changed(bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState, envs: Environments):
-    """One thread a body: what was changed since the last step. A fixed body that was moved counts as driven.
+    """One thread per body: what was changed since the last step. A fixed body that was moved counts as driven.
 
     Only where bodies may sleep: elsewhere it must not matter that they do in other environments.
     """
@@ -93,7 +93,7 @@ def find_changed(bodies: Bodies, state: State, motions: Motions, sleep_state: Sl
 
 @wp.kernel
 def wake_neighbors(history: History, sleep_state: SleepState):
-    """One thread a body: name the islands that wake because of it or of what it lay on."""
+    """One thread per body: name the islands that wake because of it or of what it lay on."""
     a = wp.tid()
     if sleep_state.disturbed[a] == 1 and sleep_state.asleep[a] == 1:
         sleep_state.wake[sleep_state.island[a]] = 1
@@ -108,7 +108,7 @@ def wake_neighbors(history: History, sleep_state: SleepState):
 
 @wp.kernel
 def wake_touched(pairs: Pairs, sleep_state: SleepState):
-    """One thread a pair: name the islands that wake because something that moves touches them."""
+    """One thread per pair: name the islands that wake because something that moves touches them."""
     pair = wp.tid()
     if pair >= pairs.start[pairs.start.shape[0] - 1] or pairs.contact_count[pair] == 0:
         return
@@ -122,7 +122,7 @@ def wake_touched(pairs: Pairs, sleep_state: SleepState):
 
 @wp.kernel
 def wake_islands(bodies: Bodies, motions: Motions, sleep_state: SleepState, envs: Environments):
-    """One thread a body: wake the islands that were named."""
+    """One thread per body: wake the islands that were named."""
     b = wp.tid()
     if sleep_state.asleep[b] == 1 and sleep_state.wake[sleep_state.island[b]] == 1:
         envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
@@ -141,7 +141,7 @@ def keep_pose(b: int, state: State, sleep_state: SleepState):
 
 @wp.kernel
 def track_motion(shapes: Shapes, bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState):
-    """One thread a body, after it has moved: count the steps for which it has kept still."""
+    """One thread per body, after it has moved: count the steps for which it has kept still."""
     b = wp.tid()
     role = motions.role[b]
     sleep_state.wake[b] = 0
@@ -175,7 +175,7 @@ def test_bodies_for_sleep(
     state: State,
     sleep_state: SleepState,
 ):
-    """One thread a body: an island with a body that is not ready stays awake."""
+    """One thread per body: an island with a body that is not ready stays awake."""
     b = wp.tid()
     env = bodies.env[b]
     if motions.role[b] != Role.FREE:
@@ -188,7 +188,7 @@ def test_bodies_for_sleep(
 
 @wp.kernel
 def test_support_for_sleep(pairs: Pairs, motions: Motions, bodies: Bodies, graph: Graph, sleep_state: SleepState):
-    """One thread a pair: whether an island lies on something fixed, or on something that moves."""
+    """One thread per pair: whether an island lies on something fixed, or on something that moves."""
     pair = wp.tid()
     if pairs.contact_start[pair + 1] == pairs.contact_start[pair]:
         return
@@ -205,7 +205,7 @@ def test_support_for_sleep(pairs: Pairs, motions: Motions, bodies: Bodies, graph
 
 @wp.kernel
 def put_islands_to_sleep(motions: Motions, graph: Graph, state: State, sleep_state: SleepState):
-    """One thread a body: islands that are ready fall asleep, in the pose and under the forces that they have."""
+    """One thread per body: islands that are ready fall asleep, in the pose and under the forces that they have."""
     b = wp.tid()
     if motions.role[b] == Role.ASLEEP:
         graph.level[b] = sleep_state.level[b]
