@@ -28,7 +28,7 @@ KINEMATIC_AND_ASLEEP = wp.constant(int(Role.KINEMATIC | Role.ASLEEP))
 
 @wp.func
 def may_meet(a: int, b: int):
-    """Whether bodies with these roles can come into contact: at least one moves, and at least one responds to contacts."""
+    """Whether bodies with these roles can come into contact: at least one moves, and at least one responds."""
     both = a | b
     return a != Role.ABSENT and b != Role.ABSENT and ((both & Role.FREE) != 0 or both == KINEMATIC_AND_ASLEEP)
 

@@ -147,9 +147,9 @@ def trace(
 
 @wp.func
 def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
-    """Deepest point of the segment middle +- slide in a convex shape: its parameter from -1 to 1, and the distance there.
+    """Deepest point of a segment, middle +- slide, in a convex shape: parameter from -1 to 1, and distance.
 
-    In each round, one end of the interval is replaced by the intersection of the tangents at both ends, as in samples.py.
+    Each round replaces one end of the interval by the intersection of the tangents at both ends, as in samples.py.
     """
     low = wp.vec4(0.0, 0.0, 0.0, 0.0)
     high = wp.vec4(0.0, 0.0, 0.0, 0.0)

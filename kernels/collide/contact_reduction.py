@@ -107,7 +107,7 @@ def offer_sample(
     lanes: int,
     pairs: Pairs,
 ):
-    """Offer a touching sample, in the second body's frame, to the slots of its patch; each lane updates its own slots."""
+    """Offer a touching sample, in the second body's frame, to the slots of its patch; a lane updates its own slots."""
     gap = wp.min(height, FURTHEST_RANKED * size)
     patch = patch_for(pair, normal, lane, lanes, pairs)
     n = pairs.patch_normal[pair, patch]

@@ -34,7 +34,7 @@ UNSUPPORTED = wp.constant(1 << 30)
 MOST_PASSES = wp.constant(4)
 
 SLANT = wp.constant(0.05)
-"""A body is supported if at least this fraction of its acceleration is along the normal; vertical walls are excluded."""
+"""A body is supported if at least this fraction of its acceleration is normal to the contact; vertical walls do not count."""
 
 
 @wp.func
@@ -66,7 +66,7 @@ def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constr
 
 @wp.func
 def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, graph: Graph):
-    """Whether an active constraint was active in the last step, at the same index in the list, with the same supports."""
+    """Whether an active constraint was active in the last step too, at the same index and with the same supports."""
     place = constraints.start_before[env] + k - constraints.start[env]
     last = constraints.last[k]
     return last >= 0 and last == place and graph.supports_before[last] == supports
