@@ -34,7 +34,7 @@ UNSUPPORTED = wp.constant(1 << 30)
 MOST_PASSES = wp.constant(4)
 
 SLANT = wp.constant(0.05)
-"""A body is supported if at least this fraction of its acceleration is normal to the contact; vertical walls do not count."""
+"""A body is supported if at least this fraction of its acceleration is along the normal, so not by vertical walls."""
 
 
 @wp.func

@@ -141,8 +141,8 @@ def sweep_constraints(
 ):
     """One team per environment: half of the contact iterations, before or after the two passes of shock propagation.
 
-    With a single pass, all iterations come before it, as in 2003: bodies frozen in the pass must not be moved again, and
-    the sweeps go level by level from the ground up. Sweeps end early once the velocities have converged; shock
+    With a single pass, all iterations come before it, as in 2003: bodies frozen in it must not move again, and the
+    sweeps go level by level from the ground up. Sweeps end early once the velocities have converged; shock
     propagation is then skipped. It is also skipped for heaps that the first half has nearly solved: there the second
     half follows immediately.
     """

@@ -5,7 +5,7 @@ change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is 
 
     t = clamp(-(v0.M dv + b.dl) / (dv.M dv), 0, 1)
 
-is computed for each island. The friction cones are convex, so the impulses stay admissible, and f never increases. Since
+is computed for each island. The friction cones are convex, so impulses stay admissible, and f never increases. Since
 dv = M^-1 J^T dl, both sums can be computed over the contacts: v0.M dv = sum dl.(J v0) and dv.M dv = sum dl.(J dv).
 """
 
@@ -151,7 +151,7 @@ def accept(
     rows: Rows,
     state: State,
 ):
-    """One team per environment: apply the accepted step length, and record whether the first repetition was effective."""
+    """One team per environment: apply the accepted step length, and record if the first repetition was effective."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if not searched(env, envs, graph):

@@ -1,8 +1,8 @@
 """Push-out: separates bodies that would still overlap after the velocity solve, without changing the velocities.
 
 Contacts that would end the step deeper than the slop get a pseudo-velocity that moves the bodies in this step only. An
-existing overlap is removed over several steps; an additional overlap is prevented completely. Of two bodies in different
-levels, the lower one is frozen (Guendelman et al. 2003, section 8.3), so a stack is corrected from the ground up.
+existing overlap is removed over several steps; an additional overlap is prevented completely. Of two bodies in
+different levels the lower one is frozen (Guendelman et al. 2003, section 8.3): a stack is corrected from the ground up.
 """
 
 import warp as wp

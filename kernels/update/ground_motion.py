@@ -1,8 +1,8 @@
 """Moving ground: height fields whose vertices move vertically in harmonic motion.
 
 Each environment has its own copy of such a field in the pool of shapes, so that distance queries read the current
-heights. At the start of a step, `move_ground` computes the heights from the environment's step counter, and the vertical
-velocities of the vertices as the change of height over the step, so that bodies resting on the ground follow it exactly.
+heights. At the start of a step, `move_ground` computes the heights from the environment's step counter. The vertical
+velocity of a vertex is its change of height over the step, so that bodies resting on the ground follow it exactly.
 `set_surface_velocity` then assigns the surface velocity to each contact. Restitution uses the surface velocity of the
 previous step, which equals the velocity of a resting body, so that resting bodies do not bounce.
 """

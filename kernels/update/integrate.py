@@ -52,9 +52,9 @@ def spin_of(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d):
 def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float64, parts: int):
     """Orientation after a torque-free time dt, in `parts` substeps with constant angular momentum.
 
-    The scheme is of fourth order and composed of rotations only, so that a steady spin is exact (Celledoni, Marthinsen and Owren 2003,
-    commutator-free method). The second-order update of Guendelman et al. 2003, section 3, conserves the energy to
-    4e-5; a body that flips about its intermediate axis requires more.
+    The scheme is of fourth order and composed of rotations only, so that a steady spin is exact (Celledoni, Marthinsen
+    and Owren 2003, commutator-free method). The second-order update of Guendelman et al. 2003, section 3, conserves the
+    energy to 4e-5; a body that flips about its intermediate axis requires more.
     """
     h = dt / wp.float64(parts)
     half = wp.float64(0.5) * h
@@ -77,8 +77,8 @@ def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float6
 def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64):
     """Orientation and angular velocity after a torque-free time dt.
 
-    The rotation of a thin rod is stiff: a small error of its axis changes the spin for a given angular momentum greatly.
-    The number of substeps is therefore increased until the energy is conserved. If the maximum is not enough, the
+    The rotation of a thin rod is stiff: a small error of its axis greatly changes the spin for its momentum. The
+    number of substeps is therefore increased until the energy is conserved. If the maximum is not enough, the
     angular velocity is taken as constant.
     """
     inverse = wp.inverse(inertia)
@@ -143,7 +143,7 @@ def keep_inside(
 
 @wp.kernel
 def close_step(envs: Environments):
-    """One thread per environment: halt it after a non-finite state, record the first body out of bounds, count the step."""
+    """One thread per environment: halt it if not finite, record the first body out of bounds, count the step."""
     env = wp.tid()
     count = envs.first_body[env + 1] - envs.first_body[env]
     strayed = envs.strayed[env]
