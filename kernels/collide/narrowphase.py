@@ -286,19 +286,19 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     shape = bodies.shape[own]
     query = bodies.center_of_mass[own]
     radius = float(0.0)
-    asked = int(0)
-    while asked < 2:
+    evaluated = int(0)
+    while evaluated < 2:
         # First the radius of the sphere, then its distance from the other body.
         d = signed_distance(shapes, shape, query)
-        if asked == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
+        if evaluated == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
-        elif asked == 0 and shapes.shapes[shape].convex == 1:
+        elif evaluated == 0 and shapes.shapes[shape].convex == 1:
             radius = -d[3]
         shape = bodies.shape[other]
         query = placed.query
-        asked = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), asked + 1, 2)
+        evaluated = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), evaluated + 1, 2)
     return touch_of(placed, side, other, state)
 
 

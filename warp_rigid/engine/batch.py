@@ -96,7 +96,7 @@ class Shards:
     ) -> None:
         """Create the shards; `record` must be called next."""
         self._shards = [Shard(*some, model, state, sleep_state, envs) for some in ranges]
-        self._envs, self._limit, self._other_bytes, self._growth_told = envs, limit, other_bytes, False
+        self._envs, self._limit, self._other_bytes, self._growth_reported = envs, limit, other_bytes, False
         self._threads, self._attempt = usable_cores(), 0
         self.steps, self.room, self.most_wanted = 0, room, np.zeros(2, np.int64)
 
@@ -246,10 +246,10 @@ class Shards:
             f"{name} {now} -> {now + sum(sizes[name] - shard.pools.sizes[name] for shard, sizes in larger)}"
             for name, now in ((name, sum(shard.pools.sizes[name] for shard in self._shards)) for name in names)
         )
-        self._limit.check(self.memory, sum(pool_bytes(sizes) for _, sizes in larger), f"room for more ({growth})")
-        level = logging.DEBUG if self._growth_told or self.room else logging.INFO
-        log.log(level, "room grows: %s; the steps are repeated", growth)
-        self._growth_told = True
+        self._limit.check(self.memory, sum(pool_bytes(sizes) for _, sizes in larger), f"larger capacity ({growth})")
+        level = logging.DEBUG if self._growth_reported or self.room else logging.INFO
+        log.log(level, "capacity grows: %s; the steps are repeated", growth)
+        self._growth_reported = True
         for shard, sizes in larger:
             shard.undo(self._attempt)
             shard.grow(sizes)
@@ -265,7 +265,7 @@ class Shards:
         if wanted > LARGEST:
             advice = f"more than {LARGEST} cannot be counted: simulate fewer environments at once"
         return CapacityError(
-            f"{name}: {wanted} wanted, room for {room} (most wanted by environment {env} in step {step}); {advice}",
+            f"{name}: {wanted} required, capacity {room} (most by environment {env} in step {step}); {advice}",
             name,
             wanted,
             room,

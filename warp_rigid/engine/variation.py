@@ -46,7 +46,7 @@ def start_each(sim: "Simulator", scenes: Sequence[Scene], which: Sequence[int] |
     """
     for index, scene in enumerate(scenes):
         if structure(scene) != structure(sim.scene):
-            raise ValueError(f"scenes: number {index} has another structure than the simulator's scene")
+            raise ValueError(f"scenes: number {index} has a different structure than the simulator's scene")
     chosen = np.asarray(which)
     for name in POSES:
         rows = _rows(scenes, name)[chosen].reshape(sim.num_envs * sim.num_bodies, -1)
