@@ -174,7 +174,7 @@ Motions = layout(
     upper=Field(wp.vec3, "bodies", "m", "upper corner of the swept bounding box of this step"),
     radius=Field(float, "bodies", "m", "radius of the bounding sphere about the centre of mass"),
     role=Field(int, "bodies", "", "role in this step: absent, static, asleep, kinematic or free"),
-    max_travel=Field(float, "bodies", "m", "upper bound of the displacement; the swept box is extended by it"),
+    max_travel=Field(float, "bodies", "m", "largest displacement covered by the broad phase; limits the motion"),
     time_of_impact=Field(float, "bodies", "", "time of impact of the previous round, as a fraction of the step"),
     next_time_of_impact=Field(
         float, "bodies", "", "time of impact after the current round; the body moves for this fraction of the step"
@@ -189,7 +189,7 @@ Environments = layout(
     ),
     gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),
     collision_iterations=Field(int, "envs", "", "maximum sweeps of the restitution stage"),
-    contact_iterations=Field(int, "envs", "", "maximum sweeps of the contact solver"),
+    contact_iterations=Field(int, "envs", "", "sweeps of the contact solver (gauss_seidel.py)"),
     shock_iterations=Field(int, "envs", "", "repetitions of shock propagation"),
     shock_propagation=Field(int, "envs", "", "a ShockMode: off, one_pass or two_pass"),
     collision_first=Field(int, "envs", "", "1: restitution is solved before the velocity update"),
