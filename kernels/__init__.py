@@ -1,6 +1,6 @@
-"""The stages of a step as Warp kernels, one stage a module, in the order in which data flows.
+"""The stages of a step as Warp kernels, one module per stage.
 
-`data` declares every device array once. `distance` answers "how far, and which way" for every shape. Then come the
-stages: `predict`, `broadphase`, `narrowphase`, `contacts`, `support`, `ordering`, `collisions`, `impulses`, `shock`,
-`push_out` and `integrate`. No module here knows the host classes.
+`schema` declares every device array once. The stages are in `update` (prediction, integration, sleeping), `collide`
+(broad phase, narrow phase, continuous collision detection), `constraints`, `graph` (supports, levels, islands, colours)
+and `solve`. `common` holds device functions shared by all stages. No module here imports the host classes.
 """

@@ -1,8 +1,8 @@
-"""Declarations of device arrays, and what follows from them: Warp structs, allocation, packing and slices.
+"""Declarations of device arrays, and what is derived from them: Warp structs, allocation, packing and slices.
 
 `schema` declares the arrays of the simulator with these functions. A declaration states a field's element type, its
 symbolic shape, its unit and a description. Records are elements of arrays; packed records are laid out in groups of
-four words, so that a GPU reads each group by one request of sixteen bytes.
+four words, so that a GPU reads each group with one 16-byte load.
 """
 
 from collections.abc import Mapping
@@ -18,8 +18,8 @@ class Field(NamedTuple):
         dtype: element type.
         shape: symbolic, such as "bodies + 1" or "pairs, 36"; empty for a member of a record.
         unit: SI unit; empty for pure numbers, indices and flags.
-        description: what it holds.
-        index_of: the symbol whose rows the values count, if they do; a slice of the arrays counts from its own start.
+        description: contents.
+        index_of: if the values are row indices, the symbol of the indexed rows; in a slice they count from its start.
     """
 
     dtype: Any
@@ -36,7 +36,7 @@ RECORDS: dict[str, dict[str, Field]] = {}
 """Declared array elements, and their fields."""
 
 DESCRIPTIONS: dict[str, str] = {}
-"""What each declared struct or record is."""
+"""Description of each declared struct or record."""
 
 STRUCTS: dict[str, Any] = {}
 """The Warp struct of each declared struct or record."""
@@ -45,7 +45,7 @@ PACKED: list[str] = []
 """Names of the packed records."""
 
 WORDS: dict[Any, int] = {float: 1, int: 1, wp.vec2: 2, wp.vec3: 3, wp.vec4: 4}
-"""Words of four bytes that a member of a packed record takes."""
+"""Size of a member of a packed record, in words of four bytes."""
 
 WORDS_OF_A_GROUP = 4
 
@@ -67,7 +67,7 @@ def record(name: str, doc: str, **fields: Field) -> Any:
 
 
 def packed_record(name: str, doc: str, **fields: Field) -> Any:
-    """Declare a record in groups of four words; a member that does not fit into a group begins the next one."""
+    """Declare a record in groups of four words; a member that does not fit into a group starts the next one."""
     padded: dict[str, Field] = {}
     used = 0
     for key, field in fields.items():
@@ -152,8 +152,8 @@ def record_reader(packed: Any, flag: str = "", optional_from: str = "") -> Any:
 
     Args:
         packed: the record.
-        flag: a float member that is 0 where all members from `optional_from` on are 0: they are then not read.
-        optional_from: the first member that is not always read; it begins a group.
+        flag: a float member that is 0 if all members from `optional_from` on are 0; these are then not read.
+        optional_from: the first member that is not always read; it must start a group.
     """
     word = "int" if _is_of_integers(packed) else "float"
     lines = [f"const {word}* p = (const {word}*)__builtin_assume_aligned((const {word}*)(records.data + row), 16);"]
@@ -208,7 +208,7 @@ def _is_of_integers(packed: Any) -> bool:
 
 
 def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:
-    """For each group of four words the members in it, and the word within the group at which each begins."""
+    """Members of each group of four words, with the word within the group at which each begins."""
     groups: dict[int, list[tuple[str, int]]] = {}
     for key in RECORDS[packed.key]:
         if not key.startswith(PADDING):
@@ -218,7 +218,7 @@ def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:
 
 
 def _from_words(packed: Any, key: str, word: int) -> str:
-    """The native expression of a member in the words `p` of its record."""
+    """Native expression that reads a member from the words `p` of its record."""
     size = WORDS[RECORDS[packed.key][key].dtype]
     words = ", ".join(f"p[{word + k}]" for k in range(size))
     return words if size == 1 else f"wp::vec{size}({words})"
@@ -234,9 +234,9 @@ def allocate(struct: Any, sizes: Mapping[str, int], device: Any) -> Any:
 
 
 def part(whole: Any, ranges: Mapping[str, tuple[int, int]]) -> Any:
-    """Return a struct of the same arrays, those counted by a symbol in `ranges` cut to its rows, first to before end.
+    """Return a struct of views of the same arrays, restricted to the rows first to end - 1 of each symbol in `ranges`.
 
-    Nothing is copied but arrays of indices: these count from the first row of the part.
+    Only arrays of indices are copied, so that they count from the first row of the part.
     """
     struct = type(whole)()
     for key, field in LAYOUTS[whole._cls.key].items():
@@ -252,7 +252,7 @@ def part(whole: Any, ranges: Mapping[str, tuple[int, int]]) -> Any:
 
 
 def byte_size(struct: Any, sizes: Mapping[str, int]) -> int:
-    """Return how many bytes `allocate` would take."""
+    """Return the number of bytes that `allocate` would use."""
     total = 0
     for field in LAYOUTS[struct.key].values():
         count = 1
@@ -268,6 +268,6 @@ def field_names(struct: Any) -> list[str]:
 
 
 def extent(term: str, sizes: Mapping[str, int]) -> int:
-    """Evaluate a sum of symbols and numbers such as "bodies + 1"; at least 1, since Warp has no empty arrays."""
+    """Evaluate a sum of symbols and numbers such as "bodies + 1"; at least 1, so that no array is empty."""
     parts = (part.strip() for part in term.split("+"))
     return max(1, sum(int(part) if part.isdigit() else sizes[part] for part in parts))

@@ -11,11 +11,11 @@ class Motion(IntEnum):
     KINEMATIC = 1
     """Moves with its own velocity; contacts do not change it."""
     DYNAMIC = 2
-    """Moves by forces and contacts."""
+    """Moves under forces and contacts."""
 
 
 class Role(IntFlag):
-    """Part of a body in the current step."""
+    """Role of a body in the current step."""
 
     ABSENT = 0
     STATIC = 1
@@ -25,7 +25,7 @@ class Role(IntFlag):
 
 
 class PartKind(IntEnum):
-    """Which signed distance function a part of a shape has."""
+    """Signed distance function of a part of a shape."""
 
     SPHERE = 0
     BOX = 1
@@ -40,19 +40,19 @@ class SampleKind(IntEnum):
     """What a surface sample represents."""
 
     POINT = 0
-    """A vertex, or the centre of a ball."""
+    """A vertex, or the centre of a sphere."""
     EDGE = 1
-    """A segment of an edge; the contact point is searched along it."""
+    """A segment of an edge; the contact point is searched for along it."""
     RIM = 2
-    """A circle; the contact point is searched around it."""
+    """A circle; the contact point is searched for around it."""
     FACE = 3
     """A point inside a face, for contacts with nonconvex shapes."""
     CAP = 4
-    """A point on the rim of a cylinder's cap, for a cap that lies flat; RIM is used where it is tilted."""
+    """A point on the rim of a cylinder's cap, used when the cap lies flat; RIM is used when it is tilted."""
 
 
 class FieldKind(IntEnum):
-    """Force fields."""
+    """Kinds of force fields."""
 
     UNIFORM = 0
     POINT = 1
@@ -67,7 +67,7 @@ class ShockMode(IntEnum):
 
 
 class CombineRule(IntEnum):
-    """How the coefficients of two bodies combine."""
+    """How the coefficients of two bodies are combined."""
 
     MIN = 0
     AVERAGE = 1

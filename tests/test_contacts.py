@@ -1,4 +1,4 @@
-"""Fourth stage: the contact records against float64, and the impulses that they start from."""
+"""Contact rows, compared with float64, and their initial impulses."""
 
 import numpy as np
 import pytest

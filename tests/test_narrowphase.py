@@ -1,4 +1,4 @@
-"""Third stage: which places touch, exactly where, and which few of them are kept."""
+"""Narrow phase: which samples touch, the exact contact points, and contact reduction."""
 
 import numpy as np
 import pytest

@@ -168,7 +168,7 @@ def test_the_room_of_one_shard_grows(on_cores, caplog):
         with caplog.at_level(logging.INFO, logger="warp_rigid"):
             crowding(sim)
             sim.step(40)
-        assert caplog.text.count("room grows") == 1
+        assert caplog.text.count("capacity grows") == 1
         grew = [some.pools.sizes["pairs"] > size for some, size in zip(sim._world.shards, before, strict=True)]
         assert grew == {1: [True], 3: [False, False, True]}[count]
         runs.append(look(sim))
@@ -221,7 +221,7 @@ def test_memory_refused_to_one_shard_stops_all_at_the_same_step(on_cores):
     crowding(sim)
     before = [sim.get(name).tobytes() for name in STATE], sim.time
     sim._world.shards._limit = MemoryLimit(sim.device, sim.memory + 1000)
-    with pytest.raises(CapacityError, match=r"^memory_limit: room for more \(pairs 70 -> "):
+    with pytest.raises(CapacityError, match=r"^memory_limit: larger capacity \(pairs 70 -> "):
         sim.step(40)
     assert ([sim.get(name).tobytes() for name in STATE], sim.time) == before
 

@@ -84,7 +84,7 @@ def test_reset_returns_to_each_start():
     sim.reset()
     assert sim.get("position")[:, 1, 2].tolist() == [2, 1, 2]
     assert sim.get("mass")[:, 1].tolist() == [2, 1, 2]
-    with pytest.raises(ValueError, match="number 1 has another structure"):
+    with pytest.raises(ValueError, match="number 1 has a different structure"):
         start_each(sim, [made[0], ball(count=2)], [0, 1, 0])
 
 

@@ -44,7 +44,7 @@ def test_a_thousand_boxes_in_pools_for_ten_end_as_with_room_for_all(device, capl
     assert bits(tight) == bits(roomy)
     assert tight.contacts().tobytes() == roomy.contacts().tobytes()
     assert roomy.counts()["pair_capacity"] == 40_000 < 10 * tight.counts()["pair_capacity"]
-    assert caplog.text.count("room grows") == 1, "growth is told once"
+    assert caplog.text.count("capacity grows") == 1, "growth is reported once"
 
 
 def test_overflow_raises_where_asked_and_loses_nothing(device):
@@ -54,7 +54,7 @@ def test_overflow_raises_where_asked_and_loses_nothing(device):
     sim = Simulator(scene, num_envs=3, device=device, on_overflow="raise", capacity={"pairs": 1000, "contacts": 200})
     for one in (free, sim):
         one.set("gravity", (0, 0, -30), envs=[1])
-    with pytest.raises(CapacityError, match="^contacts: .* wanted, room for 200") as error:
+    with pytest.raises(CapacityError, match="^contacts: .* required, capacity 200") as error:
         sim.step(200)
     told = error.value
     assert (told.pool, told.had) == ("contacts", 200) and told.wanted > 200
@@ -91,7 +91,7 @@ def test_totals_beyond_32_bits_are_refused(device, monkeypatch, on_overflow, cou
         stages._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
 
     monkeypatch.setattr(stages, "replay", replay)
-    with pytest.raises(CapacityError, match="^pairs: 2147483647 wanted, .* simulate fewer environments") as error:
+    with pytest.raises(CapacityError, match="^pairs: 2147483647 required, .* simulate fewer environments") as error:
         sim.step(3)
     assert not pairs.start.numpy().any(), "nothing may be read or written at places that do not exist"
     assert (error.value.pool, error.value.wanted, error.value.step) == ("pairs", 2**31 - 1, 2)
@@ -103,7 +103,7 @@ def test_totals_beyond_32_bits_are_refused(device, monkeypatch, on_overflow, cou
 def test_measuring_penetration_raises_too(device):
     sim = Simulator(heap(27), device=device, on_overflow="raise", capacity={"pairs": 2})
     for _ in range(2):
-        with pytest.raises(CapacityError, match="^pairs: .* wanted, room for 2"):
+        with pytest.raises(CapacityError, match="^pairs: .* required, capacity 2"):
             sim.penetration()
 
 
@@ -112,7 +112,7 @@ def test_a_limit_on_memory_stops_growth_and_names_the_number_to_raise(device):
     small = {"pairs": 10, "contacts": 10}
     held = Simulator(scene, device=device, capacity=small).memory
     sim = Simulator(scene, device=device, capacity=small, memory_limit=held + 10_000)
-    with pytest.raises(CapacityError, match="^memory_limit: room for more .pairs 10 -> ") as error:
+    with pytest.raises(CapacityError, match="^memory_limit: larger capacity .pairs 10 -> ") as error:
         sim.step(30)
     assert error.value.pool == "memory" and error.value.had == held + 10_000
     assert str(error.value.wanted) in str(error.value)

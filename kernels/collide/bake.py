@@ -10,7 +10,7 @@ EVERYWHERE = wp.constant(1.0e18)  # its square is still a float32
 
 @wp.struct
 class MeshTables:
-    """A mesh and what decides the sign of a distance to it.
+    """A mesh and the data that determine the sign of a distance to it.
 
     Attributes:
         mesh: handle of the `wp.Mesh`.
@@ -31,7 +31,7 @@ class MeshTables:
 
 @wp.func
 def pseudonormal(tables: MeshTables, face: int, u: float, v: float) -> wp.vec3:
-    """Normal of the vertex, side or face that holds the point of weights u, v, 1 - u - v.
+    """Normal of the vertex, side or face that contains the point with barycentric weights u, v, 1 - u - v.
 
     The angle-weighted pseudonormal gives the right sign wherever the nearest point lies
     (Baerentzen and Aanaes 2005).
@@ -81,10 +81,10 @@ def distance_columns(
     first: int,
     values: wp.array3d[float],
 ):
-    """One thread a column of grid nodes along z, from column `first` on.
+    """One thread per column of grid nodes along z, from column `first` on.
 
-    Distances of neighbouring nodes differ by no more than the spacing, so each query but the first
-    need not look far.
+    Distances at neighbouring nodes differ by at most the spacing, which limits the search radius of each query after
+    the first.
     """
     column = first + wp.tid()
     i = column // values.shape[1]
@@ -105,6 +105,6 @@ def distance_points(
     first: int,
     arms: wp.array[wp.vec4],
 ):
-    """One thread a point, from point `first` on; see `signed_arm`."""
+    """One thread per point, from point `first` on; see `signed_arm`."""
     point = first + wp.tid()
     arms[point] = signed_arm(tables, points[point], EVERYWHERE)

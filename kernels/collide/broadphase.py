@@ -1,15 +1,15 @@
-"""Second stage: which pairs of bodies can meet in this step.
+"""Broad phase: pairs of bodies whose swept bounding boxes overlap in this step.
 
-A body lists the pairs in which it comes first. Small bodies find each other through a hash grid, or, in small
-environments, by trying all (faster up to hundreds of bodies). Wide bodies (statics, planes, kinematic ones, and those
-much larger than the rest) never enter the grid: each is tried against every body of its environment.
-The grid is the engine's own: a grid of Warp keeps what a recorded build needs in one place for all grids, so that of
-two simulators on a GPU one would search in the cells of the other.
+Each body lists the pairs in which it is the first body. Pairs of small bodies are found with a hash grid or, in small
+environments, by testing all pairs (faster up to hundreds of bodies). Oversized bodies (static and kinematic bodies,
+planes, and bodies much larger than the others) are not in the grid; they are tested against every body of their
+environment. The grid of Warp is not used: all its grids share the data of a recorded build, so that of two simulators
+on a GPU one would search in the cells of the other.
 
-Pairs are counted, the counts are summed, and the same search writes them: their order depends on nothing but the scene.
+Pairs are counted, the counts are summed, and a second search writes the pairs. Their order is deterministic.
 
-Pairs of two sleeping bodies, or of a sleeping and a fixed one, are not searched: those that touched when they fell
-asleep are carried over from the last step's list as dormant pairs.
+Pairs of two sleeping bodies, or of a sleeping and a static body, are not searched for. Pairs in contact when they fell
+asleep are copied from the last step's list as dormant pairs.
 """
 
 import warp as wp
@@ -28,7 +28,7 @@ KINEMATIC_AND_ASLEEP = wp.constant(int(Role.KINEMATIC | Role.ASLEEP))
 
 @wp.func
 def may_meet(a: int, b: int):
-    """Whether bodies of two roles can come into contact anew: one moves, and one of them gives way."""
+    """Whether bodies with these roles can come into contact: at least one moves, and at least one responds."""
     both = a | b
     return a != Role.ABSENT and b != Role.ABSENT and ((both & Role.FREE) != 0 or both == KINEMATIC_AND_ASLEEP)
 
@@ -45,7 +45,7 @@ def boxes_overlap(motions: Motions, i: int, j: int):
 
 @wp.func
 def is_filtered(i: int, number: int, bodies: Bodies):
-    """Whether contact between body i and another one, by its number within the environment, is filtered out."""
+    """Whether contact between body i and a body given by its index within the environment is filtered out."""
     found = bool(False)
     for k in range(bodies.filtered_start[i], bodies.filtered_start[i + 1]):
         found = found or bodies.filtered[k] == number
@@ -54,7 +54,7 @@ def is_filtered(i: int, number: int, bodies: Bodies):
 
 @wp.func
 def add_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodies, motions: Motions, pairs: Pairs):
-    """Count the pair if its boxes overlap, and write it in the second round. Returns the new count."""
+    """Count the pair if its boxes overlap and, in the second search, write it. Returns the new count."""
     if not boxes_overlap(motions, i, j) or is_filtered(i, j - first, bodies):
         return found
     if write == 1:
@@ -67,7 +67,7 @@ def add_pair(i: int, j: int, first: int, found: int, write: int, bodies: Bodies,
 
 @wp.func
 def keep_dormant(i: int, found: int, write: int, motions: Motions, history: History, pairs: Pairs):
-    """Keep the pairs of body i that touched in the last step and now sleep. Returns the new count."""
+    """Keep the pairs of body i that were in contact in the last step and now sleep. Returns the new count."""
     total = int(found)
     for row in range(history.pair_start[i], history.pair_start[i + 1]):
         j = history.body_b[row]
@@ -88,7 +88,7 @@ def keep_dormant(i: int, found: int, write: int, motions: Motions, history: Hist
 def visit_oversized(
     i: int, env: int, first: int, found: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs
 ):
-    """Visit the pairs of body i with the wide bodies of its environment, each pair of wide ones once."""
+    """Test body i against the oversized bodies of its environment; pairs of oversized bodies are tested once."""
     total = int(found)
     for w in range(cells.oversized_start[env], cells.oversized_start[env + 1]):
         j = first + cells.oversized[w]
@@ -100,7 +100,7 @@ def visit_oversized(
 
 @wp.func
 def visit_small(i: int, env: int, first: int, write: int, cells: Cells, bodies: Bodies, motions: Motions, pairs: Pairs):
-    """Visit the pairs of body i with all later small bodies of its environment."""
+    """Test body i against all later small bodies of its environment. Returns the number of pairs."""
     total = int(0)
     for s in range(cells.small_start[env], cells.small_start[env + 1]):
         j = first + cells.small[s]
@@ -120,7 +120,7 @@ def pairs_by_trying_all(
     history: History,
     pairs: Pairs,
 ):
-    """The threads share the bodies: try all later small bodies of the environment, then the wide ones."""
+    """The threads share the bodies: test all later small bodies of the environment, then the oversized ones."""
     for i in range(wp.tid(), motions.role.shape[0], threads):
         env = bodies.env[i]
         first = envs.first_body[env]
@@ -137,13 +137,13 @@ def pairs_by_trying_all(
 
 @wp.func
 def cell_along(x: float, width: float):
-    """Number of the cell at a place along an axis."""
+    """Index of the cell at a coordinate along an axis."""
     return int(wp.floor(wp.clamp(x / width, -FURTHEST_CELL, FURTHEST_CELL)))
 
 
 @wp.func
 def bucket_of(env: int, x: int, y: int, z: int, buckets: int):
-    """The bucket of a cell, one of `buckets`, a power of two, that the environment has (Teschner et al. 2003)."""
+    """The bucket of a cell; each environment has `buckets` of them, a power of two (Teschner et al. 2003)."""
     mixed = wp.uint32(x) * wp.uint32(73856093)
     mixed = mixed ^ (wp.uint32(y) * wp.uint32(19349663))
     mixed = mixed ^ (wp.uint32(z) * wp.uint32(83492791))
@@ -153,7 +153,7 @@ def bucket_of(env: int, x: int, y: int, z: int, buckets: int):
 
 @wp.kernel
 def choose_buckets(buckets: int, width: float, envs: Environments, motions: Motions, cells: Cells):
-    """One thread a small body: the bucket of its swept box's centre, and the environment's largest half-width."""
+    """One thread per small body: the bucket of its swept box's centre, and the environment's largest half-extent."""
     k = wp.tid()
     env = cells.small_env[k]
     b = envs.first_body[env] + cells.small[k]
@@ -166,7 +166,7 @@ def choose_buckets(buckets: int, width: float, envs: Environments, motions: Moti
 
 @wp.kernel
 def find_bucket_starts(count: int, cells: Cells):
-    """One thread a place in the sorted list, and one past it: the buckets up to this one's that begin here."""
+    """One thread per entry of the sorted list, and one past its end: store the start of the buckets that begin here."""
     k = wp.tid()
     last = int(-1)
     if k > 0:
@@ -192,7 +192,7 @@ def visit_cell(
     motions: Motions,
     pairs: Pairs,
 ):
-    """Visit the pairs of body i with the later small bodies of a cell. Returns the new count."""
+    """Test body i against the later small bodies of a cell. Returns the new count."""
     total = int(found)
     for k in range(cells.start[bucket], cells.start[bucket + 1]):
         j = cells.member[k]
@@ -217,9 +217,9 @@ def visit_around(
     motions: Motions,
     pairs: Pairs,
 ):
-    """Visit the pairs of body i with the later small bodies in the cells around it.
+    """Test body i against the later small bodies in the cells around it. Returns the number of pairs.
 
-    Where something moves so fast that there are more cells to look into than bodies, all are tried instead.
+    If a body moves so fast that there are more cells to search than bodies, all bodies are tested instead.
     """
     around = wp.vec3(cells.reach[env], cells.reach[env], cells.reach[env])
     lower = motions.lower[i] - around
@@ -250,7 +250,7 @@ def pairs_by_grid(
     history: History,
     pairs: Pairs,
 ):
-    """The threads share the bodies: small bodies look around in the hash grid, then try the wide ones."""
+    """The threads share the bodies: search the hash grid for small bodies, then test the oversized ones."""
     for i in range(wp.tid(), motions.role.shape[0], threads):
         env = bodies.env[i]
         first = envs.first_body[env]

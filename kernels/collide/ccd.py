@@ -1,15 +1,15 @@
-"""Swept detection: what moves far in a step is followed along its way, so that it cannot pass through anything.
+"""Continuous collision detection: the motion of fast bodies is limited so that they cannot pass through other bodies.
 
-Contacts are looked for near the pose at the start of a step: further on, neither the place nor the direction of a touch
-is known. So before the bodies move, pairs whose motion in the step is large against the smaller of both sizes are
-followed with the velocities that the solver has given them: the ball around a body, then the balls around its clusters,
-then its samples and its centre, each traced in the other body's distance (conservative advancement). Edges are traced
-whole, at their deepest place: where two of them cross, no sampled point need come near. A pair moves only up to where
-it would touch; the next step finds the contact there, with the true normal and the full speed, so that it rebounds as
-it should.
+The narrow phase finds contacts near the pose at the start of a step. Further along the motion, neither the position nor
+the normal of a contact is known. Therefore, before the bodies move, pairs whose motion in the step is large compared
+with the smaller of both sizes are traced with the velocities computed by the solver: first the bounding sphere of a
+body, then the bounding spheres of its clusters, then its samples and its centre, each against the signed distance of
+the other body (conservative advancement). Edges are traced as whole segments, at their deepest point, because no sample
+point need be close to where two edges cross. A pair moves only up to its time of impact. The next step finds the
+contact there, with the true normal and the full speed, so that the bodies rebound correctly.
 
-In a convex distance the way ahead is bounded by the tangent of the distance and by how fast the motion can curve, so a
-few rounds are enough, and what moves along a surface is not held up; elsewhere by the speed alone.
+For a convex distance, the safe step is bounded by the tangent of the distance and the curvature of the motion. A few
+rounds are enough, and motion along a surface is not limited. For other distances it is bounded by the speed alone.
 """
 
 import warp as wp
@@ -25,25 +25,25 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
 FAST = wp.constant(0.25)
-"""A pair is followed if it moves further in a step than this part of the smaller size."""
+"""A pair is traced if its relative motion in a step exceeds this fraction of the smaller size."""
 
 DEPTH = wp.constant(0.02)
-"""How deep others may go when they are stopped, as a part of the size."""
+"""Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
 
 CLOSE_ENOUGH = wp.constant(2.0e-3)
-"""A trace ends when this part of the size is left."""
+"""A trace ends when the remaining distance is below this fraction of the smaller size."""
 
 ROUNDS = wp.constant(64)
-"""Most rounds of a trace; one that needs more is taken to touch where it has come to."""
+"""Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""
 
 
 EDGE_ROUNDS = wp.constant(4)
-"""Rounds of the search for an edge's deepest place; a V takes one."""
+"""Rounds of the search for the deepest point of an edge; a V-shaped distance takes one."""
 
 
 @wp.struct
 class Course:
-    """How a body moves in a step: uniformly, about its centre of mass."""
+    """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass."""
 
     center: wp.vec3
     turn: wp.quat
@@ -56,7 +56,7 @@ class Course:
 
 @wp.func
 def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
-    """The course of a body that moves a share of its step."""
+    """The motion of a body whose velocities are scaled by `share`."""
     course = Course()
     course.center = motions.center[b]
     course.turn = state.orientation[b]
@@ -71,7 +71,7 @@ def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motio
 
 @wp.func
 def rotation_after(angular: wp.vec3, t: float):
-    """Rotation by an angular velocity in a time."""
+    """Rotation by an angular velocity in a time t."""
     speed = wp.length(angular)
     if speed == 0.0:
         return wp.quat_identity()
@@ -80,9 +80,9 @@ def rotation_after(angular: wp.vec3, t: float):
 
 @wp.func
 def lead(shapes: Shapes, shape: int, x: wp.vec3, left: float, ball: float):
-    """How far a ball about x can surely go until nothing is left of its distance.
+    """Distance that a sphere about x can move in any direction without touching the shape.
 
-    The height over a heightfield holds for its own neighbourhood only, the way down to its highest place everywhere.
+    The height above a height field is valid only near the point; the distance to its highest point is valid everywhere.
     """
     part = shapes.shapes[shape].part_start
     if shapes.parts[part].kind != PartKind.HEIGHTFIELD:
@@ -95,7 +95,7 @@ def lead(shapes: Shapes, shape: int, x: wp.vec3, left: float, ball: float):
 
 @wp.func
 def place_at(own: Course, other: Course, arm: wp.vec3, t: float):
-    """Where a point at an arm from a body's centre is after a time, in the frame of the other body's shape."""
+    """Position at time t of a point at `arm` from a body's centre, in the frame of the other body's shape."""
     offset = own.center - other.center + t * (own.linear - other.linear)
     offset = offset + wp.quat_rotate(rotation_after(own.angular, t), arm)
     turn = rotation_after(other.angular, t) * other.turn
@@ -104,7 +104,7 @@ def place_at(own: Course, other: Course, arm: wp.vec3, t: float):
 
 @wp.func
 def closing_speed(own: Course, other: Course, arm: wp.vec3, x: wp.vec3, n: wp.vec3, t: float):
-    """Speed at which a point comes nearer to the other body along its normal n; x and n in that one's frame."""
+    """Approach speed of a point to the other body along its normal n; x and n are in the other body's frame."""
     turn = rotation_after(other.angular, t) * other.turn
     v = own.linear + wp.cross(own.angular, wp.quat_rotate(rotation_after(own.angular, t), arm))
     w = other.linear + wp.cross(other.angular, wp.quat_rotate(turn, x - other.local_center))
@@ -123,7 +123,7 @@ def trace(
     begin: float,
     end: float,
 ):
-    """Time from `begin` at which a ball at an arm enters the other body deeper than allowed, or `end`."""
+    """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`."""
     other_spin = wp.length(other.angular)
     away = wp.length(own.center + arm - other.center)
     speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * wp.length(arm) + other_spin * away
@@ -147,9 +147,9 @@ def trace(
 
 @wp.func
 def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
-    """Where a segment, middle +- slide, is deepest in a convex shape: from -1 to 1, with the distance there.
+    """Deepest point of a segment, middle +- slide, in a convex shape: parameter from -1 to 1, and distance.
 
-    Ends are replaced by where the tangents at both meet, as for contacts (samples.py).
+    Each round replaces one end of the interval by the intersection of the tangents at both ends, as in samples.py.
     """
     low = wp.vec4(0.0, 0.0, 0.0, 0.0)
     high = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -199,8 +199,8 @@ def trace_edge(
 ):
     """`trace` for a whole segment, arm +- slide, against a convex shape.
 
-    The tangent at its deepest place bounds the distance of both ends, and so of all between, as long as it has hardly
-    a slope along the segment: it has where edges cross below the surface, and there the speed alone counts.
+    The tangent at the deepest point bounds the distance of both ends, and so of all points between them, if its slope
+    along the segment is small. The slope is large where edges cross below the surface; there, the speed alone is used.
     """
     other_spin = wp.length(other.angular)
     reach = wp.max(wp.length(arm - slide), wp.length(arm + slide))
@@ -235,7 +235,7 @@ def trace_edge(
 def trace_segment(
     shapes: Shapes, own: Course, other: Course, s: int, near: float, begin: float, end: float, size: float
 ):
-    """Time at which an edge's sample would enter the other body, which is convex, too deep; see `trace_sample`."""
+    """Time at which an edge sample would penetrate the other, convex body too deep; see `trace_sample`."""
     arm = wp.quat_rotate(own.turn, shapes.samples[s].point - own.local_center)
     slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
     radius = shapes.samples[s].radius
@@ -266,9 +266,9 @@ def trace_sample(
     end: float,
     size: float,
 ):
-    """Time at which a sample would enter the other body too deep, or `end`; it cannot before `begin`.
+    """Time at which a sample would penetrate the other body too deep, or `end`; this cannot happen before `begin`.
 
-    A sample that starts nearer than `near` is the solver's, and may go so much deeper.
+    A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`.
     """
     arm = wp.quat_rotate(own.turn, p - own.local_center)
     d = signed_distance(shapes, other.shape, place_at(own, other, arm, 0.0))
@@ -283,7 +283,7 @@ def trace_sample(
 
 @wp.func
 def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: float):
-    """Time at which a sample, an edge or the centre of one body would first enter the other too deep, at most `end`."""
+    """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`."""
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
@@ -311,7 +311,7 @@ def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: fl
 
 @wp.func
 def is_fast(a: Course, b: Course, dt: float, size: float):
-    """Whether two bodies move so far against each other in a step that they must be followed."""
+    """Whether the relative motion of two bodies in a step is so large that they must be traced."""
     small = a
     if b.radius < a.radius:
         small = b
@@ -322,7 +322,7 @@ def is_fast(a: Course, b: Course, dt: float, size: float):
 
 @wp.kernel
 def limit_travel(dt: float, motions: Motions):
-    """One thread a body: it may move no further than other bodies were looked for."""
+    """One thread per body: limit its displacement to the distance covered by the broad phase."""
     b = wp.tid()
     way = dt * wp.length(motions.solver_bodies[b].linear)
     share = wp.min(1.0, motions.max_travel[b] / wp.max(way, 1.0e-12))
@@ -334,9 +334,9 @@ def limit_travel(dt: float, motions: Motions):
 def limit_motion(
     again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
 ):
-    """The threads share the pairs: how much of the step's motion its two bodies may make.
+    """The threads share the pairs: the fraction of the step's motion that the two bodies of a pair may make.
 
-    Who is stopped may be run into by who follows: a second round does the pairs of all that were stopped once more.
+    A stopped body may be hit by another one, so a second round repeats the pairs of all bodies that were stopped.
     """
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
@@ -363,6 +363,6 @@ def limit_motion(
 
 @wp.kernel
 def commit_time_of_impact(motions: Motions):
-    """One thread a body: what the first round allows holds for the second."""
+    """One thread per body: use the result of the first round in the second."""
     b = wp.tid()
     motions.time_of_impact[b] = motions.next_time_of_impact[b]

@@ -1,15 +1,16 @@
-"""Thinning: which few of the samples that touch represent the contact of a pair.
+"""Contact reduction: selects a few of the touching samples to represent the contact of a pair.
 
-Touching samples are sorted into patches of like normal. A patch keeps the furthest sample in each of eight fixed
-directions of its tangent plane, and the deepest. What carries a load at all carries it with its convex hull, so nothing
-is lost; ties go to the first sample, so identities persist.
+Touching samples are grouped into patches with similar normals. A patch keeps the furthest sample in each of eight fixed
+directions of its tangent plane, and the deepest sample. The convex hull of the samples can support the same loads as
+all of them. Ties are resolved in favour of the first sample, so that contact identities persist.
 
-What lies higher counts as less far out, as if the bodies were tipped by an angle. In every other direction that is the
-angle of a fall: what is nearest must not push out the corners that a fast body turns onto. In the directions between it
-is, for slow bodies, a small one: a bumpy shape then keeps the samples on which it stands and not those about its bumps,
-on which it would rock for ever.
+The score of a sample is its extent in the direction, reduced by its gap times a weight; this corresponds to tilting the
+bodies by a small angle. In every other direction the weight is small (TIPPED), so that the closest samples do not
+replace the corners onto which a fast body rotates. In the directions between, the weight is large for slow bodies
+(UPRIGHT): a bumpy shape then keeps the samples that support it, and not those around its bumps, on which it would rock
+indefinitely.
 
-A team of lanes does it together. All of them find the patch, and each keeps its own slots.
+A team of lanes processes a pair. All lanes find the patch, and each lane updates its own slots.
 """
 
 import warp as wp
@@ -27,37 +28,38 @@ SLOTS = wp.constant(PATCH_SLOTS)
 MOST_PATCHES = wp.constant(PATCHES)
 
 SAME_PATCH = wp.constant(0.94)
-"""Cosine (20 degrees) above which two contact normals belong to one patch."""
+"""Cosine (20 degrees) above which two contact normals belong to the same patch."""
 
 TIPPED = wp.constant(20.0)
-"""How much less far out a sample counts for each metre that it lies higher: it touches first once the bodies have
-tipped by three degrees."""
+"""Reduction of a sample's extent per metre of gap: the sample touches first once the bodies have tilted by three
+degrees."""
 
 UPRIGHT = wp.constant(200.0)
 """The same for bodies at rest, in every other direction."""
 
 TRAVEL_WEIGHT = wp.constant(0.5)
-"""The weight between, for each size that fits into the way that a pair goes in the step."""
+"""Weight between the two values above: this constant times the smaller size over the pair's travel in the step."""
 
 FURTHEST_RANKED = wp.constant(0.02)
-"""Gaps beyond this part of the smaller size count as equal."""
+"""Gaps beyond this fraction of the smaller size count as equal."""
 
 TIE = wp.constant(1.0e-6)
-"""A later sample must be better by what a gap of this part of the size counts: by more than rounding errors."""
+"""A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
+size, so that rounding errors have no effect."""
 
 AGAINST = wp.constant(-0.8)
-"""Two contact normals with a cosine below this push against each other."""
+"""Two contact normals with a cosine below this oppose each other."""
 
 
 @wp.func
 def gap_weight(way: float, size: float):
-    """How much a gap counts in every other direction, by how far the bodies of a pair go against each other."""
+    """Weight of a gap in every other direction, from the relative travel `way` of the bodies in the step [m]."""
     return wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
 
 
 @wp.func
 def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
-    """The patch of like normal, a new one, or, when all are in use, the nearest. The whole team finds it."""
+    """The patch with a similar normal, or a new one, or the most similar one if all are in use. Runs in all lanes."""
     count = pairs.patch_count[pair]
     best = int(0)
     likeness = float(-2.0)
@@ -80,7 +82,7 @@ def patch_for(pair: int, normal: wp.vec3, lane: int, lanes: int, pairs: Pairs):
 
 @wp.func
 def extent(k: int, x: float, y: float):
-    """How far a place (x, y) of the tangent plane lies in one of the eight directions."""
+    """Extent of a point (x, y) of the tangent plane in one of the eight directions."""
     c = float(0.9)
     s = float(0.43588989)
     if k % 2 == 1:
@@ -105,7 +107,7 @@ def offer_sample(
     lanes: int,
     pairs: Pairs,
 ):
-    """Offer a touching sample, given in the second body's frame, to the slots of its patch; a lane keeps its own."""
+    """Offer a touching sample, in the second body's frame, to the slots of its patch; a lane updates its own slots."""
     gap = wp.min(height, FURTHEST_RANKED * size)
     patch = patch_for(pair, normal, lane, lanes, pairs)
     n = pairs.patch_normal[pair, patch]
@@ -127,7 +129,7 @@ def offer_sample(
 
 @wp.func
 def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
-    """List the samples to keep: each once, and a deepest one only if it is deeper than the rest. Returns how many."""
+    """List the kept samples, each once, and a deepest sample only if deeper than the others. Returns their number."""
     kept = int(0)
     slots = pairs.patch_count[pair] * SLOTS
     for base in range(0, slots, lanes):
@@ -152,7 +154,7 @@ def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
 
 @wp.func
 def contradictory(pair: int, pairs: Pairs):
-    """Whether two patches of a pair push against each other."""
+    """Whether two patches of a pair have opposing normals."""
     for p in range(pairs.patch_count[pair]):
         for q in range(p):
             if wp.dot(pairs.patch_normal[pair, p], pairs.patch_normal[pair, q]) < AGAINST:

@@ -1,4 +1,4 @@
-"""Signed distance of every kind of shape part, with its direction.
+"""Signed distance of every kind of shape part, with its gradient.
 
 Every function takes a point in the part's frame and returns `vec4(direction, distance)`. The distance is negative
 inside. The direction is the unit outward normal of the nearest surface, which is the gradient of the distance.
@@ -6,9 +6,9 @@ inside. The direction is the unit outward normal of the nearest surface, which i
 The functions of analytic parts are generic over the scalar type: float32 in the simulation, float64 for
 `Shape.signed_distance` on the host (see `host_distance`). Constants take the type of their operand.
 
-Near the border of a box's face the gradient jumps from one face to the next, and two boxes of equal size that lie
-flush touch exactly there. `contact_distance` therefore also takes the sample's outward normal and measures to a
-face that opposes it, unless the sample lies clearly beyond the border of that face.
+At the border of a box's face the gradient is discontinuous, and two aligned boxes of equal size touch exactly there.
+`contact_distance` therefore also takes the sample's outward normal and returns the distance to a face that opposes it,
+unless the sample lies clearly beyond the border of that face.
 """
 
 from typing import Any
@@ -23,13 +23,13 @@ wp.set_module_options({"enable_backward": False})
 
 
 FAR = wp.constant(1.0e10)
-"""Distance returned where there is nothing to touch [m]."""
+"""Distance returned if there is no contact [m]."""
 
 OPPOSING = wp.constant(-0.1)
-"""Two outward normals with a scalar product below this face each other."""
+"""Two outward normals with a scalar product below this oppose each other."""
 
 BORDER = wp.constant(0.005)
-"""A sample counts as above a face up to this part of the smallest half-extent beyond the face's border."""
+"""A sample counts as above a face up to this fraction of the smallest half-extent beyond the face's border."""
 
 
 @wp.func
@@ -43,7 +43,7 @@ def direction_or_up(v: Any):
 
 @wp.func
 def ball_distance(offset: Any, radius: Any):
-    """Distance to a ball from an offset from its centre."""
+    """Distance to a sphere, from the offset from its centre."""
     n = direction_or_up(offset)
     return wp.vector(n[0], n[1], n[2], wp.length(offset) - radius)
 
@@ -62,7 +62,7 @@ def capsule_distance(p: Any, size: Any):
 
 @wp.func
 def plane_distance(p: Any, size: Any):
-    """Distance to the half space n . x <= offset, size = (n, offset)."""
+    """Distance to the half-space n . x <= offset, size = (n, offset)."""
     return wp.vector(size[0], size[1], size[2], wp.dot(wp.vector(size[0], size[1], size[2]), p) - size[3])
 
 
@@ -89,10 +89,10 @@ def slab_distance(separation: Any, n0: Any, n1: Any, n2: Any):
 
 @wp.func
 def facing_slab_distance(separation: Any, thickness: Any, n0: Any, n1: Any, n2: Any, sample_normal: Any, half: Any):
-    """`slab_distance`, but within the border measured to the nearest face that opposes the sample's normal.
+    """`slab_distance`, but within the border the distance to the nearest face that opposes the sample's normal.
 
-    The far face of a slab, a thickness away, is a candidate too: a sample that has passed the middle of a thin wall
-    touches the face through which it came. `half` is the smallest half-extent.
+    The opposite face of a slab, a thickness away, is a candidate too: a sample that has passed the middle of a thin
+    wall is in contact with the face through which it entered. `half` is the smallest half-extent.
     """
     border = half.dtype(BORDER) * half
     beyond = int(0)
@@ -122,7 +122,7 @@ def facing_slab_distance(separation: Any, thickness: Any, n0: Any, n1: Any, n2: 
 
 @wp.func
 def outward(coordinate: Any, axis: Any):
-    """The axis, turned to the side on which the coordinate lies."""
+    """The axis with the sign of the coordinate."""
     return wp.where(coordinate < coordinate.dtype(0.0), coordinate.dtype(-1.0), coordinate.dtype(1.0)) * axis
 
 
@@ -156,7 +156,7 @@ def cylinder_distance(p: Any, size: Any, sample_normal: Any):
 
 @wp.func
 def analytic_distance(kind: int, size: Any, p: Any, sample_normal: Any):
-    """Distance to a part of any kind but GRID and HEIGHTFIELD, in the part's own frame."""
+    """Distance to a part of any kind except GRID and HEIGHTFIELD, in the part's own frame."""
     if kind == PartKind.BOX:
         return box_distance(p, size, sample_normal)
     if kind == PartKind.PLANE:
@@ -173,7 +173,7 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
     """Trilinear interpolation in a part's grid, and its gradient.
 
     Outside the grid, let c be the grid's nearest point, d the distance at c and a the length to c. As the grid's box is
-    convex, every surface point is at least sqrt(d^2 + a^2) away, so that this is a safe bound for culling.
+    convex, every surface point is at least sqrt(d^2 + a^2) away, which is a safe bound for culling.
     """
     dims = shapes.parts[part].grid_dims
     top = wp.vec3(float(dims[0] - 1), float(dims[1] - 1), float(dims[2] - 1))
@@ -219,7 +219,7 @@ def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3)
     kind = shapes.parts[part].kind
     if kind == PartKind.GRID:
         return grid_distance(shapes, part, p)
-    # In this order: with the height field first, the compiled swept detection is 18 % longer.
+    # The order matters: with the height field first, the compiled code of ccd.py is 18 % longer.
     if kind != PartKind.HEIGHTFIELD:
         return analytic_distance(kind, shapes.parts[part].size, p, sample_normal)
     return heightfield_distance(shapes, part, p)

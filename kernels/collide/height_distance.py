@@ -1,7 +1,7 @@
 """Exact distance to a height field: two triangles per cell, solid below, with vertical sides at its border.
 
-The vertical gap is an upper bound of the distance, so that the nearest triangle lies in the cells within that reach.
-A lower bound is gap / sqrt(1 + L^2), L the steepest slope. Where it exceeds the reach of contacts, it is returned.
+The vertical gap is an upper bound of the distance, so the nearest triangle lies in a cell within this distance. A lower
+bound is gap / sqrt(1 + L^2), with the steepest slope L. If it exceeds the reach of contacts, it is returned instead.
 """
 
 import warp as wp
@@ -12,12 +12,12 @@ wp.set_module_options({"enable_backward": False})
 
 
 MARGIN = wp.constant(2.0e-3)
-"""A point beyond the border by less than this part of a body's size counts as above the field."""
+"""A point beyond the border by less than this fraction of a body's size counts as above the field."""
 
 
 @wp.struct
 class Nearest:
-    """The nearest place found so far: squared distance, vector from it to the point, its triangle's normal."""
+    """The nearest point found so far: squared distance, vector from it to the query point, normal of its triangle."""
 
     square: float
     arm: wp.vec3
@@ -35,7 +35,7 @@ def from_segment(p: wp.vec3, a: wp.vec3, b: wp.vec3):
 
 @wp.func
 def nearer(best: Nearest, p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """The nearest place, after one more triangle."""
+    """The nearest point, updated with one more triangle."""
     n = wp.normalize(wp.cross(b - a, c - a))
     height = wp.dot(p - a, n)
     ab = wp.dot(wp.cross(b - a, p - a), n)
@@ -75,7 +75,7 @@ def node(shapes: Shapes, part: int, i: int, j: int):
 
 @wp.func
 def nearer_in_cell(best: Nearest, shapes: Shapes, part: int, i: int, j: int, p: wp.vec3):
-    """The nearest place, after the two triangles of a cell."""
+    """The nearest point, updated with the two triangles of a cell."""
     a = node(shapes, part, i, j)
     c = node(shapes, part, i + 1, j + 1)
     best = nearer(best, p, a, node(shapes, part, i + 1, j), c)
@@ -99,7 +99,7 @@ def plane_below(shapes: Shapes, part: int, i: int, j: int, x: float, y: float):
 
 @wp.func
 def nearest_around(shapes: Shapes, part: int, i: int, j: int, p: wp.vec3):
-    """The nearest place of the field, among the cell (i, j) and all cells within the distance found there."""
+    """The nearest point of the field, in the cell (i, j) and all cells within the distance found there."""
     dims = shapes.parts[part].grid_dims
     size = shapes.parts[part].size
     cell_x = size[0] / float(dims[0] - 1)
@@ -127,7 +127,8 @@ def nearest_around(shapes: Shapes, part: int, i: int, j: int, p: wp.vec3):
 def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
     """Distance to the solid below a height field; size = (x, y, steepest slope, distance up to which it is exact).
 
-    Beside the solid it is the distance to the vertical side; beside and above the solid, a bound as outside a grid.
+    Beside the solid it is the distance to the vertical side; beside and above the solid it is a bound as in
+    `grid_distance`.
     """
     dims = shapes.parts[part].grid_dims
     size = shapes.parts[part].size
@@ -145,7 +146,7 @@ def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
         n = best.normal
         distance = wp.dot(best.arm, n)
         length = wp.sqrt(best.square)
-        # Very near an edge the vector from it is dominated by rounding; the face's normal is more accurate.
+        # Very close to an edge, rounding errors dominate the vector from it; the face's normal is more accurate.
         if best.inner == 0 and length > 1.0e-5 * (size[0] + size[1]):
             distance = wp.where(gap < 0.0, -length, length)
             n = best.arm / distance

@@ -9,6 +9,6 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def part_distances(kind: int, size: wp.vec4d, points: wp.array[wp.vec3d], found: wp.array[wp.vec4d]):
-    """Direction and distance of each point in the part's frame."""
+    """One thread per point: direction and distance, in the part's frame."""
     i = wp.tid()
     found[i] = analytic_distance(kind, size, points[i], wp.vec3d())

@@ -1,17 +1,19 @@
-"""Third stage: which surface samples of one body touch the other, and which few of them represent the contact.
+"""Narrow phase: finds the surface samples of each body that touch the other, and reduces them to a few contacts.
 
-Both directions are tried: samples of A in the distance of B and samples of B in that of A. A cluster of samples is
-passed over when the distance at its centre exceeds its reach. A sample touches if its gap, less what its velocity
-closes within the step, is below the contact distance, and if its own outward normal opposes the distance's gradient.
-Where one does, so may others near by that move away: a body that lands on a corner turns round within the step.
+Both directions are tested: samples of A against the distance of B, and samples of B against the distance of A. A
+cluster of samples is skipped if the distance at its centre exceeds its radius plus the reach. A sample touches if its
+gap at the end of the step, predicted from the relative velocity, is below the contact distance, and if its outward
+normal opposes the gradient of the distance. If one sample touches, nearby samples that move away are contacts too: a
+body that lands on a corner may rotate back onto them within the step.
 
-Contacts are thinned while they are found (thinning.py).
+Contacts are reduced while they are found (contact_reduction.py).
 
-Bodies may be so deep in each other that no surface of one opposes the other, or that contacts push against each other.
-The ball that fits into one about its centre then makes the contact: it overlaps only if the bodies do.
+Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose each
+other. The contact is then made with the inscribed sphere about the centre of mass of one body, which overlaps the other
+body only if the bodies overlap.
 
-A team of lanes does a pair. They try clusters, then a cluster's samples side by side; what touches is told to all of
-them, in the order of the samples, and each lane keeps its own slots.
+A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of a cluster. Touching samples
+are broadcast to all lanes in sample order, and each lane updates its own slots.
 """
 
 import warp as wp
@@ -28,21 +30,21 @@ from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 REUSE_TRAVEL = wp.constant(2.5e-4)
-"""Pairs that have moved less than this part of the smaller size, half the contact distance, keep their contacts."""
+"""Pairs that have moved less than this fraction of the smaller size, half the contact distance, keep their contacts."""
 
 TURNED_BACK = wp.constant(0.25)
-"""Places that move away may come back in the step if they are nearer than this part of the pair's reach."""
+"""Separating samples closer than this fraction of the pair's reach are kept: they may come back within the step."""
 
 NEAR = wp.constant(0.25)
-"""Distance from which fast bodies have contacts, as a part of the smaller size."""
+"""Reach of contacts of fast bodies, as a fraction of the smaller size."""
 
 BY_CENTER = wp.constant(-2)
-"""Identity of the contact of the ball about the first body's centre; the second's is one less."""
+"""Identity of the contact of the first body's inscribed sphere; that of the second body is one less."""
 
 
 @wp.struct
 class Touch:
-    """A touching place in the world. The normal points from the pair's second body to the first.
+    """A contact point in the world frame. The normal points from the pair's second body to the first.
 
     `closing`: 1 if the gap closes within the step.
     """
@@ -55,9 +57,9 @@ class Touch:
 
 @wp.struct
 class Approach:
-    """How two bodies of a pair stand to each other, seen from the one whose distance is taken.
+    """Relative pose of the body with the samples (`own`) in the frame of the body with the distance (`other`).
 
-    `weight`: how much a gap counts against a sample (thinning.py).
+    `weight`: weight of a gap in the score of a sample (contact_reduction.py).
     """
 
     own: int
@@ -82,7 +84,7 @@ def last_pair(a: int, b: int, history: History):
 
 @wp.func
 def touch_of(placed: Search, side: int, other: int, state: State):
-    """The touching place in the world; on side 0 the sample is the first body's, on side 1 the second's."""
+    """The contact point in the world frame; the sample belongs to the first body on side 0, to the second on side 1."""
     result = Touch()
     turn = state.orientation[other]
     n = wp.quat_rotate(turn, placed.direction)
@@ -95,7 +97,7 @@ def touch_of(placed: Search, side: int, other: int, state: State):
 
 @wp.func
 def velocity_at(body: int, x: wp.vec3, dt: float, state: State, motions: Motions):
-    """Velocity of a body's material at world point x, with a step's acceleration."""
+    """Velocity of a body's material at world point x, after accelerating for a time dt."""
     v = state.linear_velocity[body] + dt * motions.acceleration[body]
     w = state.angular_velocity[body] + dt * motions.spin_acceleration[body]
     return v + wp.cross(w, x - motions.center[body])
@@ -103,14 +105,14 @@ def velocity_at(body: int, x: wp.vec3, dt: float, state: State, motions: Motions
 
 @wp.func
 def closing_gap(touch: Touch, a: int, b: int, dt: float, state: State, motions: Motions):
-    """The gap that is left after the step if nothing stops the approach; never more than the gap now."""
+    """The gap at the end of the step if the approach continues; at most the current gap."""
     v = velocity_at(a, touch.position, dt, state, motions) - velocity_at(b, touch.position, dt, state, motions)
     return touch.gap + dt * wp.min(wp.dot(v, touch.normal), 0.0)
 
 
 @wp.func
 def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motions):
-    """How far the surfaces of two bodies can move against each other in a time dt, accelerated for a time `ahead`."""
+    """Upper bound of the relative motion of two surfaces in a time dt, after accelerating for a time `ahead` [m]."""
     small = wp.where(motions.radius[a] < motions.radius[b], a, b)
     x = motions.center[small]
     speed = velocity_at(a, x, ahead, state, motions) - velocity_at(b, x, ahead, state, motions)
@@ -120,11 +122,11 @@ def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motio
 
 @wp.func
 def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
-    """How far apart two surfaces are now, at most, if their contact is the solver's in this step [m].
+    """Largest gap at which two surfaces can have a contact in this step [m].
 
-    They close what they travel. Bodies that travel further than their size are brought to the touch by the swept
-    detection first (swept.py): where and how they will touch cannot be told from afar. Kinematic bodies are never held
-    up.
+    It includes their relative motion in the step. Bodies that move further than their size are first moved to their
+    time of impact by continuous collision detection (ccd.py), as contact point and normal are not known from afar.
+    This does not apply to pairs with a kinematic body, whose motion is never limited.
     """
     way = travel(a, b, dt, dt, state, motions)
     if way > size and motions.role[a] != Role.KINEMATIC and motions.role[b] != Role.KINEMATIC:
@@ -134,11 +136,12 @@ def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions:
 
 @wp.func
 def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
-    """Whether samples of a kind can tell something of a contact that the others do not.
+    """Whether samples of a kind can contribute to a contact.
 
-    Between convex shapes a point inside a face never touches first, nothing but a point touches a plane first, and a
-    ball is found exactly by its own centre: but for the rounded edges and corners of a grid, and by the faces of a
-    grid that is small beside it.
+    Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
+    sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
+    shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
+    sphere.
     """
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
@@ -156,7 +159,7 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
 
 @wp.func
 def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
-    """Whether a point is further than a margin from a shape's box: a cheap bound of the distance."""
+    """Whether a point is further than a margin from a shape's bounding box, a cheap bound of the distance."""
     below = shapes.shapes[shape].lower - p
     above = p - shapes.shapes[shape].upper
     return wp.max(wp.max(below), wp.max(above)) > margin
@@ -164,7 +167,7 @@ def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
 
 @wp.func
 def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
-    """Whether a cluster may hold a sample that touches."""
+    """Whether a cluster may contain a touching sample."""
     if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
         return 0
     center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
@@ -177,7 +180,7 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
 
 @wp.func
 def sample_is_near(s: int, approach: Approach, shapes: Shapes):
-    """Whether a sample may touch, by the other shape's box."""
+    """Whether a sample is close enough to the other shape's bounding box to touch."""
     p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
     margin = approach.reach + shapes.samples[s].radius + wp.length(shapes.samples[s].slide)
     return not out_of_box(p, margin, approach.shape, shapes)
@@ -187,7 +190,7 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
 def touching(
     s: int, side: int, approach: Approach, dt: float, size: float, shapes: Shapes, state: State, motions: Motions
 ):
-    """The touching place of a sample in the second body's frame; its gap is FAR if there is none."""
+    """The contact point of a sample in the second body's frame; its gap is FAR if there is none."""
     result = Touch()
     result.gap = FAR
     if not sample_is_near(s, approach, shapes):
@@ -210,7 +213,7 @@ def touching(
 
 @wp.func
 def broadcast_touch(touch: Touch, lane: int, lanes: int):
-    """A lane's touching place, told to the whole team."""
+    """The contact point of one lane, broadcast to the whole team."""
     result = Touch()
     for i in range(3):
         result.position[i] = broadcast(touch.position[i], lane, lanes)
@@ -234,7 +237,7 @@ def try_cluster(
     motions: Motions,
     pairs: Pairs,
 ):
-    """Try the samples of a cluster, as many at a time as there are lanes. Returns 1 if one of the lane's own closes."""
+    """Test the samples of a cluster, one per lane at a time. Returns 1 if one of the lane's own samples closes."""
     closing = int(0)
     end = shapes.clusters[cluster].sample_end
     for base in range(shapes.clusters[cluster].sample_start, end, lanes):
@@ -247,15 +250,15 @@ def try_cluster(
         while hits != wp.uint32(0):
             k = lowest_bit(hits)
             hits = hits & (hits - wp.uint32(1))
-            told = broadcast_touch(touch, k, lanes)
+            hit = broadcast_touch(touch, k, lanes)
             key = 2 * (base + k) + side
-            offer_sample(pair, key, told.position, told.normal, told.gap, approach.weight, size, lane, lanes, pairs)
+            offer_sample(pair, key, hit.position, hit.normal, hit.gap, approach.weight, size, lane, lanes, pairs)
     return closing
 
 
 @wp.func
 def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State):
-    """How `own` stands in the frame of `other`."""
+    """Relative pose of `own` in the frame of `other`."""
     approach = Approach()
     approach.own = own
     approach.other = other
@@ -270,10 +273,10 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
 
 @wp.func
 def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """The touching place of the ball that fits into a pair's first (side 0) or second body about its centre of mass.
+    """The contact of the inscribed sphere about the centre of mass of a pair's first (side 0) or second (side 1) body.
 
-    Where it enters the other body, the two overlap, whatever their surfaces tell. FAR where it cannot be told: only
-    convex bodies know how large the ball is, and beyond a grid its distance is a bound.
+    If it penetrates the other body, the two bodies overlap. The gap is FAR if it is not known: the radius is exact only
+    for convex bodies, and outside a grid the distance is only a bound.
     """
     own = wp.where(side == 0, a, b)
     other = wp.where(side == 0, b, a)
@@ -283,19 +286,19 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     shape = bodies.shape[own]
     query = bodies.center_of_mass[own]
     radius = float(0.0)
-    asked = int(0)
-    while asked < 2:
-        # First how large the ball is, then how far it lies from the other body.
+    evaluated = int(0)
+    while evaluated < 2:
+        # First the radius of the sphere, then its distance from the other body.
         d = signed_distance(shapes, shape, query)
-        if asked == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
+        if evaluated == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
-        elif asked == 0 and shapes.shapes[shape].convex == 1:
+        elif evaluated == 0 and shapes.shapes[shape].convex == 1:
             radius = -d[3]
         shape = bodies.shape[other]
         query = placed.query
-        asked = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), asked + 1, 2)
+        evaluated = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), evaluated + 1, 2)
     return touch_of(placed, side, other, state)
 
 
@@ -303,7 +306,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
 def keep_center(
     pair: int, kept: int, lane: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
-    """Where samples do not tell the way out, the deeper of the balls about the centres takes their place, if any."""
+    """Replace the contacts of a deep overlap by the deeper contact of the two inscribed spheres, if there is one."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     deepest = float(0.0)
@@ -334,7 +337,7 @@ def look_for_contacts(
     motions: Motions,
     pairs: Pairs,
 ):
-    """Try the samples of both bodies of a pair. Returns how many contacts they make, none if no sample closes."""
+    """Test the samples of both bodies of a pair. Returns the number of contacts, 0 if no sample closes."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     rise = dt * (shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise)
@@ -382,9 +385,9 @@ def has_barely_moved(
     motions: Motions,
     history: History,
 ):
-    """Whether two bodies stand, and will stand after the step, as they stood when contacts were last looked for.
+    """Whether the relative pose of two bodies, now and after the step, is close to that of their last contact search.
 
-    What did not touch then was further than the contact distance away, and cannot have come as near as half of it.
+    Samples that did not touch then had a gap above the contact distance, which is still above half of it.
     """
     moved = wp.length(approach.shift - history.searched_position[last]) + travel(
         approach.own, approach.other, dt, 0.0, state, motions
@@ -398,7 +401,7 @@ def has_barely_moved(
 
 @wp.func
 def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pairs):
-    """Keep the samples of the last step's contacts, and what is known of the look that found them."""
+    """Keep the samples of the last step's contacts, and the data of the search that found them."""
     start = history.contact_start[last]
     count = history.contact_start[last + 1] - start
     for k in range(count):
@@ -411,7 +414,7 @@ def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pa
 
 @wp.func
 def smaller_approach(pair: int, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
-    """How the smaller body of a pair stands to the larger one."""
+    """Relative pose of the smaller body of a pair in the frame of the larger one."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     small = wp.where(motions.radius[a] < motions.radius[b], a, b)
@@ -431,10 +434,10 @@ def keep_contacts(
     history: History,
     pairs: Pairs,
 ):
-    """The threads share the pairs: keep the samples of those that have hardly moved, list the others to be searched.
+    """The threads share the pairs: keep the samples of pairs that have hardly moved, list the others for the search.
 
-    A first round passes over dormant pairs, a second one does those that have woken since. The order of the list is
-    free: a pair's search knows of no other pair.
+    The first round skips dormant pairs, the second one processes those that have been woken since. The order of the
+    list is arbitrary, as the pairs are searched independently.
     """
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]

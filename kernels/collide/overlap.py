@@ -1,4 +1,4 @@
-"""A measurement, not a stage: how deep surface samples lie inside other bodies now."""
+"""Diagnostics: penetration depth of surface samples in other bodies. Not a stage of the step."""
 
 import warp as wp
 
@@ -30,9 +30,10 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
 
 @wp.kernel
 def deepest_overlap(shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, deepest: wp.array2d[float]):
-    """One thread a pair: the environment's deepest overlap [m], (envs, 1).
+    """One thread per pair: the environment's deepest overlap [m], (envs, 1).
 
-    Warp compiles a kernel whose own arrays have one dimension twice for the CPU: as a second, contiguous case.
+    `deepest` has two dimensions because Warp compiles a kernel with 1D array arguments twice for the CPU, the second
+    time for contiguous arrays.
     """
     pair = wp.tid()
     if pair >= pairs.start[pairs.start.shape[0] - 1]:

@@ -1,8 +1,9 @@
-"""Bringing one surface sample to the place where it touches another shape.
+"""Contact point search: finds where one surface sample touches another shape.
 
-A point stays where it is. An edge slides to where it is deepest or leaves a face, the rim of a cylinder turns to its
-deepest point, a ball touches at its own deepest point. Each is a short search, written as a sequence of stages, so
-that the distance function, which is large, stands in one place: small code is fast code on a GPU, and compiles soon.
+The contact point of a point sample is the point itself; on an edge segment it is the deepest point, or the point where
+the edge leaves a face; on the rim of a cylinder and on a sphere it is the deepest point. Each is a short search,
+written as a state machine with a single call of the distance function. That function is large, and one call site keeps
+the GPU code small and fast, and its compilation short.
 """
 
 import warp as wp
@@ -15,35 +16,38 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
 OPPOSED = wp.constant(0.1)
-"""A vertex or edge counts only if its normal's cosine with the contact normal is below this: their cones are wide."""
+"""A vertex or edge can touch only if the cosine of its normal and the contact normal is below this value; it is not
+smaller because vertices and edges have wide normal cones."""
 
 OVERLAP = wp.constant(1.05)
-"""Edge segments are searched this much longer than they are."""
+"""Factor by which edge segments are extended for the search."""
 
 BEYOND = wp.constant(1.01)
-"""What is found further out than this many half-lengths belongs to the next segment, or lies past the edge's end."""
+"""Points beyond this many half-lengths belong to the next segment, or lie past the end of the edge."""
 
 STEEP = wp.constant(0.05)
-"""Slope beyond which an edge crosses another and does not lie along it."""
+"""Slope of the distance above which an edge crosses another edge instead of lying along it."""
 
 FLAT = wp.constant(0.01)
 """Slope of the distance along an edge below which the edge lies flat."""
 
 MUCH_DEEPER = wp.constant(3.0)
 DEEPER = wp.constant(0.1)
-"""A face that a point opposes may lie so many times as deep as the nearest, and this part of the size more."""
+"""The distance to the face that a point opposes may be MUCH_DEEPER times as deep as that to the nearest face, plus
+DEEPER times the size."""
 
 CURVED = wp.constant(1.0e-3)
-"""Where the distance lies above its tangents by more than this part of the interval, it is no kink but a curve."""
+"""A distance that lies above its tangents by more than this fraction of the interval counts as curved, not kinked."""
 
 FOUND = wp.constant(1.0e-4)
-"""An edge's place is found when it moves by less than this part of the half-length."""
+"""The search along an edge ends when the point moves by less than this fraction of the half-length."""
 
 ASIDE = wp.constant(0.01)
-"""How far to the sides of a crossing its directions are taken, as a part of the half-length."""
+"""Offset from a crossing at which the gradients on both sides are evaluated, as a fraction of the half-length."""
 
 BESIDE = wp.constant(1.0e-3)
-"""How far from where an edge leaves a face its direction is taken, as a part of the half-length."""
+"""Offset from the point where an edge leaves a face at which the gradient is evaluated, as a fraction of the
+half-length."""
 
 DONE = wp.constant(-1)
 
@@ -69,7 +73,7 @@ BALL_LAST = wp.constant(27)
 
 @wp.struct
 class Search:
-    """A sample on its way. `query` is where the distance is wanted next, `facing` the normal given with it."""
+    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`."""
 
     stage: int
     query: wp.vec3
@@ -101,13 +105,13 @@ def slope(d: wp.vec4, along: wp.vec3):
 
 @wp.func
 def gradient(d: wp.vec4):
-    """The direction that belongs to a distance."""
+    """The direction of a distance, its gradient."""
     return wp.vec3(d[0], d[1], d[2])
 
 
 @wp.func
 def nowhere(search: Search):
-    """The search ends without a place."""
+    """End the search without a contact point."""
     search.stage = DONE
     search.distance = FAR
     return search
@@ -115,7 +119,7 @@ def nowhere(search: Search):
 
 @wp.func
 def look_at(search: Search, t: float):
-    """Ask for the distance at a place of the edge."""
+    """Evaluate the distance next at parameter t of the edge."""
     search.t = t
     search.query = search.start + t * search.along
     return search
@@ -123,7 +127,7 @@ def look_at(search: Search, t: float):
 
 @wp.func
 def next_inside(search: Search, curved: bool):
-    """Ask for the place where the tangents at both ends meet, or, on a curve, where the slope passes through zero."""
+    """Evaluate next where the tangents at both ends meet or, for a curved distance, where the slope becomes zero."""
     bend = wp.max(search.slope_high - search.slope_low, 1.0e-6)
     rise = search.slope_high * search.right - search.slope_low * search.left
     t = (search.low[3] - search.high[3] + rise) / bend
@@ -134,14 +138,14 @@ def next_inside(search: Search, curved: bool):
 
 @wp.func
 def came_elsewhere(search: Search, distance: float, direction: wp.vec3, size: float, weight: float):
-    """Whether an edge lies deep under a face that it cannot have come through, nearer than to one that it can."""
+    """Whether an edge is deep inside, and nearest to a face that it cannot have entered through."""
     deep = distance < -BORDER * size and wp.dot(direction, search.normal) >= OPPOSED
     return deep and weight > 0.0 and wp.length_sq(search.facing) == 0.0
 
 
 @wp.func
 def edge_again(search: Search):
-    """Begin an edge's search once more, measured to the faces that its normal opposes."""
+    """Restart an edge's search with the distance to the faces that its normal opposes."""
     search.facing = search.normal
     search.crossing = 0
     search.left = -OVERLAP * search.half
@@ -152,9 +156,9 @@ def edge_again(search: Search):
 
 @wp.func
 def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
-    """Both ends are known: see whether the distance has an inner minimum, or the edge leaves a face.
+    """With both ends known, test whether the distance has an inner minimum or the edge leaves a face.
 
-    The distance to a convex shape lies above its tangents, so where these meet out of reach nothing touches.
+    The distance to a convex shape lies above its tangents. If they meet out of reach, there is no contact.
     """
     search.high = d
     search.slope_high = slope(d, search.along)
@@ -176,16 +180,16 @@ def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
 
 @wp.func
 def to_flat_side(search: Search):
-    """A little way along an edge, from where it leaves a face, and another is as near, to where it lies flat on it."""
+    """Small offset along an edge, from where it leaves a face (where two faces are equally near) onto that face."""
     left = wp.abs(search.slope_low) < wp.abs(search.slope_high)
     return wp.where(left, -BESIDE, BESIDE) * search.half * search.along
 
 
 @wp.func
 def edge_found(search: Search, radius: float, convex: int, weight: float):
-    """The place is found. A crossing looks to both sides, a flat edge is measured to the faces its normal opposes."""
+    """The point is found. Evaluate next both sides of a crossing, or the faces that a flat edge's normal opposes."""
     if radius > 0.0 and convex == 0:
-        # The middle line of a rod may lie beyond a grid where its surface does not.
+        # The axis of a rod may lie outside a grid where its surface does not.
         search.start = search.query
         search.stage = BALL_CENTER
         return search
@@ -205,11 +209,11 @@ def edge_found(search: Search, radius: float, convex: int, weight: float):
 
 @wp.func
 def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float):
-    """The direction of a crossing of a convex shape's edge, from the gradients on both sides of it.
+    """The contact normal where an edge crosses an edge of a convex shape, from the gradients on both sides of it.
 
-    Their mixture without slope along the edge is perpendicular to both edges. Where both faces are d away, the edge
-    leaves the shape along it through the one that it meets first, after d / (g . n). Where the search has not come near
-    enough to see both sides, its two ends stand in.
+    The combination of the gradients with zero slope along the edge is perpendicular to both edges. If both faces are at
+    a distance d, the edge moving along this normal n leaves the shape through the face that it meets first, after
+    d / (g . n). If the search is not close enough to the crossing to sample both sides, its two ends are used instead.
     """
     if slope(before, search.along) >= 0.0 or slope(after, search.along) <= 0.0:
         before = search.low
@@ -230,7 +234,7 @@ def edge_crossed(search: Search, before: wp.vec4, after: wp.vec4, radius: float)
 
 @wp.func
 def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: float):
-    """One more place of the search between the ends of an edge segment, or its end."""
+    """One more round of the search between the ends of an edge segment, or its end."""
     search.distance = d[3]
     search.direction = gradient(d)
     if search.stage == EDGE_CLAMPED:
@@ -259,12 +263,13 @@ def edge_inside(search: Search, d: wp.vec4, radius: float, convex: int, weight: 
 
 @wp.func
 def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: float, convex: int, weight: float):
-    """Where on an edge segment, between its ends, it touches.
+    """Contact point of an edge segment, between its ends.
 
-    That is the distance's inner minimum, or, for an edge that lies flat, the place where it leaves the face. In both
-    cases the slope along the edge jumps there. The tangents at both ends meet below the curve; their meeting point
-    replaces the end on its side: exact at once where two straight edges cross and the distance is a V. Neighbouring
-    segments overlap a little, so that nothing falls between them.
+    This is the inner minimum of the distance or, for an edge that lies flat, the point where it leaves the face. In
+    both cases the slope along the edge is discontinuous there. The tangents at both ends meet below the curve; the
+    point below which they meet replaces the end on its side. This is exact after one round if two straight edges
+    cross, where the distance is V-shaped. Neighbouring segments overlap slightly, so that there are no gaps between
+    them.
     """
     if search.stage == EDGE_MIDDLE:
         if d[3] > OVERLAP * search.half + reach + radius:
@@ -304,7 +309,7 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
 
 @wp.func
 def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
-    """The deepest point of a circle about `along`, nowhere if it lies flat on the surface."""
+    """The deepest point of a circle about `along`; none if it lies flat on the surface."""
     if search.stage == RIM_FACING:
         search.stage = DONE
         search.direction = gradient(d)
@@ -317,7 +322,7 @@ def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
     search.query = search.start + radius * wp.normalize(down)
     search.stage += 1
     if search.stage > RIM_LAST_TURN:
-        # Halfway between side and cap, as at a box's corner: either face may be the one that touches.
+        # Halfway between side and cap, as at a box's corner: either face may be in contact.
         search.normal = wp.normalize((search.query - search.start) / radius + search.along)
         search.facing = weight * search.normal
     return search
@@ -325,11 +330,11 @@ def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
 
 @wp.func
 def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int):
-    """A ball's deepest point.
+    """The deepest point of a sphere.
 
-    Beyond a grid the distance is only a bound, and a ball's centre may lie there; its deepest point does not. It is
-    looked for downhill over the ball's surface: toward the gradient as far as the distance falls, at most as far as the
-    shape is wide. Corners and edges of the shape need no search, as their own samples meet the ball.
+    Outside a grid the distance is only a bound. The centre of a sphere may lie there, but not its deepest point. This
+    point is found by descent over the sphere's surface: along the gradient while the distance decreases, by at most the
+    width of the shape. Corners and edges of the shape need no search, as their own samples find the sphere.
     """
     if search.stage == BALL_CENTER:
         search.direction = gradient(d)
@@ -358,10 +363,10 @@ def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int
 
 @wp.func
 def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
-    """A point's distance. `flat` ones stand for a whole face, those of a `thin` shape may lie close to its far side.
+    """Distance of a point sample. `flat` points represent a face; those of a `thin` shape may be near its far side.
 
-    Near an edge a flat point may lie inside a face that it does not oppose, far from one that it does. And where the
-    thin ear of a mesh has entered a little, what lies on the ear's other side opposes only faces that are far away.
+    Near an edge, a flat point may lie behind a face that it does not oppose, far from one that it does. If a thin part
+    of a mesh has entered slightly, the points on its other side oppose only distant faces. Both are rejected.
     """
     if search.stage == POINT_AGAIN:
         deepest = wp.where(flat == 1, 2.0 * d[3] - BORDER * size, MUCH_DEEPER * d[3] - DEEPER * size)
@@ -380,9 +385,9 @@ def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
 
 @wp.func
 def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: int, weight: float):
-    """Set a sample on its way; turn and shift map its shape's frame to that of the other shape.
+    """Start the search of a sample; `turn` and `shift` map its shape's frame to that of the other shape.
 
-    An edge's middle tells whether it is near at all, but to a convex shape its ends tell that too.
+    The distance at an edge's middle is used for culling; for a convex shape, the distances at its ends are enough.
     """
     search = Search()
     search.start = wp.quat_rotate(turn, shapes.samples[s].point) + shift
@@ -410,10 +415,10 @@ def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: 
 def bring_to_touch(
     shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float
 ):
-    """Bring sample s of `own_shape` to its touching place on `shape`, in the frame of that one.
+    """Contact point of sample s of `own_shape` on `shape`, in the frame of `shape`.
 
-    What is further than `reach` away may be told as infinitely far. With weight 1 the sample's own normal takes part
-    in choosing the face; with 0 the distance alone decides.
+    For gaps above `reach` the result may be FAR. With weight 1 the face is chosen by distance and the sample's normal,
+    with weight 0 by the distance alone.
     """
     kind = shapes.samples[s].kind
     radius = shapes.samples[s].radius
@@ -438,10 +443,10 @@ def bring_to_touch(
 
 @wp.func
 def opposed(cosine: float, kind: int, other: int):
-    """Whether a sample's normal, by its cosine with the contact normal, allows it to touch there.
+    """Whether a sample can touch, from the cosine of its normal and the contact normal.
 
-    The points of a cap stand for it only while it lies nearly flat; else its rim does, without corners. What is below
-    a plane touches it in any case: a plane has no far side.
+    CAP points represent a cylinder's cap only if it lies nearly flat; otherwise the RIM, which has no corners, does.
+    Points below a plane always touch, as a plane has no opposite side.
     """
     if kind == SampleKind.CAP:
         return cosine < -0.95
@@ -452,10 +457,10 @@ def opposed(cosine: float, kind: int, other: int):
 
 @wp.func
 def place_sample(shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
-    """Bring sample s to its touching place; FAR where it touches nothing that it faces.
+    """Contact point of sample s; the distance is FAR if the sample does not oppose the surface.
 
-    An edge that ends at a face without leaving it is no contact: its distance to the faces that it opposes is not its
-    distance.
+    An edge that ends on a face without leaving it is not a contact: the distance to the faces that it opposes is not
+    its true distance.
     """
     found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, 1.0)
     other = shapes.parts[shapes.shapes[shape].part_start].kind

@@ -1,7 +1,7 @@
-"""Divisions and roots of the solver.
+"""Fast division and square root for the solver.
 
-On a GPU a division that is rounded to the last bit takes ten instructions, and a lane of the solver waits for each. One
-that may be off by two units in the last place takes two, and the solver, which iterates, corrects it.
+On a GPU, a correctly rounded division takes ten dependent instructions. An approximate division, with an error of up to
+two units in the last place, takes two. The iterations of the solver correct the error.
 """
 
 import warp as wp

@@ -1,7 +1,7 @@
-"""Keeping count of what the pools were asked to hold.
+"""Capacity: the number of entries that each step requires of the pools, and overflow handling.
 
-A pool that is too small makes the whole step void: its list is emptied, so that nothing is read or written out of
-bounds, and the wanted size is kept, step by step. The host then undoes the step, enlarges the pool and repeats it.
+If a pool is too small, the step is invalid: the list is emptied, so that nothing is read or written out of bounds, and
+the required size is recorded for this step. The host then undoes the step, enlarges the pool and repeats the step.
 """
 
 import warp as wp
@@ -10,14 +10,14 @@ wp.set_module_options({"enable_backward": False})
 
 
 UNCOUNTABLE = wp.constant(2**31 - 1)
-"""Stands for all totals that 32 bits cannot hold."""
+"""Recorded in place of totals that exceed 32 bits."""
 
 
 @wp.kernel
 def note_wanted(which: int, start: wp.array[int], turn: wp.array[int], wanted: wp.array2d[int]):
-    """Keep the largest number of entries wanted in this step; `start` holds the exclusive sums of counts >= 0.
+    """Record the largest number of entries required in this step; `start` holds the exclusive sums of counts >= 0.
 
-    Sums that do not fit into 32 bits wrap, and the first of them is negative: two numbers < 2^31 make one < 2^32.
+    Sums that exceed 32 bits wrap around. The first such sum is negative, as the sum of two numbers < 2^31 is < 2^32.
     """
     i = wp.tid()
     if start[i] < 0:
@@ -28,12 +28,12 @@ def note_wanted(which: int, start: wp.array[int], turn: wp.array[int], wanted: w
 
 @wp.kernel
 def close_turn(wanted: wp.array2d[int], turn: wp.array[int]):
-    """Go on to the next step's row; steps beyond the last one share it."""
+    """Advance to the next step's row of `wanted`; steps beyond the last row share it."""
     turn[0] = wp.min(turn[0] + 1, wanted.shape[0] - 1)
 
 
 @wp.kernel
 def empty_if_over(which: int, capacity: int, turn: wp.array[int], wanted: wp.array2d[int], start: wp.array[int]):
-    """Empty a list that does not fit into its pool."""
+    """Empty a list that exceeds the capacity of its pool."""
     if wanted[turn[0], which] > capacity:
         start[wp.tid()] = 0

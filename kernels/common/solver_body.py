@@ -1,7 +1,7 @@
-"""Bodies as the solver sees them: velocities, inverse masses, and the two bodies of a constraint in registers.
+"""Solver bodies: velocities, inverse masses, and the two bodies of a constraint in registers.
 
-On a GPU a lane waits for memory most of the time. So the records that the solver reads often are packed in groups of
-four words (declare.py), and read by such groups.
+On a GPU, the solver is limited by memory latency. The records that it reads often are therefore packed in groups of
+four words, and read group by group (declare.py).
 """
 
 import warp as wp
@@ -15,22 +15,22 @@ read_solver_body = group_reader(SolverBodyRecord)
 write_solver_body = group_writer(SolverBodyRecord)
 
 read_entry = record_reader(OrderRecord)
-"""An entry of the order of solving: (k, entries)."""
+"""Reads an entry of the solving order: (k, entries)."""
 
 VELOCITY = wp.constant(group_of(SolverBodyRecord, "linear"))
 INERTIA = wp.constant(group_of(SolverBodyRecord, "inverse_inertia_xx"))
 PUSH = wp.constant(group_of(SolverBodyRecord, "push_linear"))
 START = wp.constant(group_of(SolverBodyRecord, "start_linear"))
 LOADED = wp.constant(group_of(SolverBodyRecord, "loaded_linear"))
-"""Where the velocities begin: a linear velocity, then the angular one."""
+"""First group of each velocity: the linear velocity, followed by the angular velocity."""
 
 
 @wp.struct
 class BodyPair:
-    """The two bodies of a constraint in registers. A body that is not moved has no inverse mass.
+    """The two bodies of a constraint in registers. Bodies that are not dynamic, or are frozen, have inverse mass 0.
 
-    Nor does one that is frozen; `frozen_impulse` and `frozen_angular_impulse` are what it did not take [N s, N m s].
-    `change` is the largest change of a velocity by a row so far [m/s].
+    `frozen_impulse` and `frozen_angular_impulse` are the impulses on a frozen body, which do not change its velocity
+    [N s, N m s]. `change` is the largest velocity change by a row so far [m/s].
     """
 
     linear_a: wp.vec3
@@ -48,7 +48,7 @@ class BodyPair:
 
 @wp.func
 def first_three(q: wp.vec4):
-    """The vector in a group of four words."""
+    """The first three components of a group of four words."""
     return wp.vec3(q[0], q[1], q[2])
 
 
@@ -68,20 +68,20 @@ def inverse_inertia_of(b: int, motions: Motions):
 
 @wp.func
 def load_velocity(b: int, which: int, motions: Motions):
-    """One of a body's linear velocities: VELOCITY, PUSH, START or LOADED; the angular one is at `which` + 1."""
+    """One of a body's linear velocities: VELOCITY, PUSH, START or LOADED; the angular velocity is at `which` + 1."""
     return first_three(read_solver_body(motions.solver_bodies, b, which))
 
 
 @wp.func
 def store_velocity(b: int, which: int, linear: wp.vec3, angular: wp.vec3, motions: Motions):
-    """Store one of a body's other velocities: PUSH, START or LOADED."""
+    """Store one of a body's additional velocities: PUSH, START or LOADED."""
     write_solver_body(motions.solver_bodies, b, which, linear, 0.0)
     write_solver_body(motions.solver_bodies, b, which + 1, angular, 0.0)
 
 
 @wp.func
 def load_bodies(a: int, b: int, share_a: float, share_b: float, motions: Motions):
-    """Load two bodies; one whose share is 0 is frozen."""
+    """Load two bodies; a body whose share is 0 is frozen."""
     pair = BodyPair()
     q = read_solver_body(motions.solver_bodies, a, VELOCITY)
     pair.linear_a = first_three(q)
@@ -100,7 +100,7 @@ def load_bodies(a: int, b: int, share_a: float, share_b: float, motions: Motions
 
 @wp.func
 def with_velocities(a: int, b: int, which: int, pair: BodyPair, motions: Motions):
-    """The pair with other velocities of its bodies: PUSH, START or LOADED."""
+    """The pair with its velocities replaced by PUSH, START or LOADED."""
     pair.linear_a = load_velocity(a, which, motions)
     pair.angular_a = load_velocity(a, which + 1, motions)
     pair.linear_b = load_velocity(b, which, motions)
@@ -110,7 +110,7 @@ def with_velocities(a: int, b: int, which: int, pair: BodyPair, motions: Motions
 
 @wp.func
 def store_bodies(a: int, b: int, pair: BodyPair, motions: Motions):
-    """Store the velocities of the bodies that are moved."""
+    """Store the velocities of the bodies that have an inverse mass."""
     if pair.inverse_mass_a > 0.0:
         write_solver_body(motions.solver_bodies, a, VELOCITY, pair.linear_a, pair.inverse_mass_a)
         write_solver_body(motions.solver_bodies, a, VELOCITY + 1, pair.angular_a, 0.0)
@@ -121,14 +121,14 @@ def store_bodies(a: int, b: int, pair: BodyPair, motions: Motions):
 
 @wp.func
 def relative_velocity(arm_a: wp.vec3, arm_b: wp.vec3, pair: BodyPair):
-    """Velocity of the first body relative to the second, at arms from their centres of mass [m/s]."""
+    """Velocity of the first body relative to the second, at points relative to their centres of mass [m/s]."""
     va = pair.linear_a + wp.cross(pair.angular_a, arm_a)
     return va - pair.linear_b - wp.cross(pair.angular_b, arm_b)
 
 
 @wp.func
 def with_impulse(arm_a: wp.vec3, arm_b: wp.vec3, impulse: wp.vec3, pair: BodyPair):
-    """The bodies after a world impulse on the first at its arm, and the opposite one on the second [N s]."""
+    """The bodies after applying an impulse [N s] to the first at `arm_a`, and its opposite to the second at `arm_b`."""
     pair.linear_a += pair.inverse_mass_a * impulse
     pair.angular_a += pair.inverse_inertia_a * wp.cross(arm_a, impulse)
     pair.linear_b -= pair.inverse_mass_b * impulse
@@ -138,7 +138,7 @@ def with_impulse(arm_a: wp.vec3, arm_b: wp.vec3, impulse: wp.vec3, pair: BodyPai
 
 @wp.func
 def with_angular_impulse(angular_impulse: wp.vec3, pair: BodyPair):
-    """The bodies after a world angular impulse on the first, and the opposite one on the second [N m s]."""
+    """The bodies after applying an angular impulse [N m s] to the first, and its opposite to the second."""
     pair.angular_a += pair.inverse_inertia_a * angular_impulse
     pair.angular_b -= pair.inverse_inertia_b * angular_impulse
     return pair

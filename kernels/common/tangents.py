@@ -1,4 +1,4 @@
-"""The tangent directions of a contact."""
+"""Tangent directions of a contact."""
 
 import warp as wp
 
@@ -7,7 +7,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def tangent_of(n: wp.vec3):
-    """A unit vector perpendicular to the unit vector n, the same for the same n."""
+    """A unit vector perpendicular to the unit vector n, determined by n alone."""
     other = wp.vec3(1.0, 0.0, 0.0)
     if wp.abs(n[0]) > 0.7:
         other = wp.vec3(0.0, 1.0, 0.0)
@@ -16,5 +16,5 @@ def tangent_of(n: wp.vec3):
 
 @wp.func
 def world_vector(n: wp.vec3, u: wp.vec3, v: wp.vec3):
-    """The world vector with components v along the normal n, the first tangent u and the second."""
+    """The world vector with components v along the normal n, the first tangent u and the second tangent n x u."""
     return v[0] * n + v[1] * u + v[2] * wp.cross(n, u)

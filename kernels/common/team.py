@@ -1,8 +1,8 @@
-"""Teams of GPU lanes that work on one environment, or on one pair of bodies, together.
+"""Teams of GPU lanes that process one environment, or one pair of bodies, together.
 
-A team is a power of two of neighbouring lanes: a part of a warp, a whole block, or several blocks, which wait for each
-other at a gate in memory; for that all of them must be at work at the same time, so there are no more than the GPU has
-multiprocessors. On the CPU a team has one lane, and what is written for a team is a plain loop there.
+The size of a team is a power of two of neighbouring lanes: a part of a warp, a whole block, or several blocks. Several
+blocks synchronize at a barrier in global memory. This requires that all of them are resident at the same time, so there
+are no more of them than multiprocessors. On the CPU a team has one lane, and loops over the team become plain loops.
 """
 
 import warp as wp
@@ -10,22 +10,22 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 256
-"""Lanes of a CUDA block of a team that is larger than a warp; such a team is one block or several."""
+"""Lanes of a CUDA block for teams larger than a warp; such a team has one or more blocks."""
 
 MOST_OF_A_BLOCK = wp.constant(BLOCK)
 
 SMALL_BLOCK = 64
-"""Lanes of a CUDA block of teams within a warp: small, so that few environments spread over the whole GPU."""
+"""Lanes of a CUDA block for teams within a warp; small, so that few environments are spread over the whole GPU."""
 
 
 def block_of(lanes: int) -> int:
-    """Lanes of a CUDA block for teams of so many lanes."""
+    """Lanes of a CUDA block for teams with the given number of lanes."""
     return SMALL_BLOCK if lanes <= 32 else BLOCK
 
 
 @wp.struct
 class Team:
-    """A lane's place in the team that solves an environment."""
+    """A lane's index in the team that processes an environment."""
 
     env: int
     lane: int
@@ -35,9 +35,10 @@ class Team:
 
 @wp.func
 def team_of(thread: int, lanes: int, gate: wp.array2d[wp.uint32]):
-    """The team of a thread: `lanes` neighbours for each environment.
+    """The team of a thread: `lanes` neighbouring threads for each environment.
 
-    If a team is several blocks, its warps are dealt to them in turn, so that all have a part of a little work.
+    In a team of several blocks, lane indices are assigned to the warps of the blocks round-robin, so that small
+    workloads are spread over all blocks.
     """
     team = Team()
     team.env = thread / lanes
@@ -77,13 +78,13 @@ def team_of(thread: int, lanes: int, gate: wp.array2d[wp.uint32]):
 #endif
 """)
 def _sync_team(env: int, lanes: int, gate: wp.array2d[wp.uint32]):
-    """Wait for all lanes of a team; writes before are visible to all of them afterwards."""
+    """Wait for all lanes of a team; earlier writes are visible to all of them afterwards."""
     ...
 
 
 @wp.func
 def sync_team(team: Team):
-    """Let all lanes of a team arrive, and see what the others wrote, before any goes on."""
+    """Barrier for all lanes of a team; earlier writes are visible to all of them afterwards."""
     _sync_team(team.env, team.lanes, team.gate)
 
 
@@ -122,7 +123,7 @@ def _any_of_team(flag: int, env: int, lanes: int, gate: wp.array2d[wp.uint32]) -
 
 @wp.func
 def any_of_team(flag: int, team: Team):
-    """Whether the flag of any lane of the team is not zero; all lanes meet."""
+    """Whether the flag of any lane of the team is not zero; also a barrier for the team."""
     return _any_of_team(flag, team.env, team.lanes, team.gate)
 
 
@@ -132,7 +133,7 @@ def any_of_team(flag: int, team: Team):
 #endif
 """)
 def sync_warp(lanes: int):
-    """Let all lanes of a team within a warp arrive, and see what the others wrote, before any goes on."""
+    """Barrier for all lanes of a team within a warp; earlier writes are visible to all of them afterwards."""
     ...
 
 
@@ -160,13 +161,13 @@ def ballot(flag: int, lanes: int) -> wp.uint32:
 #endif
 """)
 def lowest_bit(bits: wp.uint32) -> int:
-    """Place of the lowest bit that is set; bits is not zero."""
+    """Index of the lowest set bit; `bits` is not zero."""
     ...
 
 
 @wp.func
 def bits_below(bits: wp.uint32, place: int):
-    """How many bits are set below a place."""
+    """Number of bits that are set below an index."""
     count = int(0)
     left = bits
     while left != wp.uint32(0) and lowest_bit(left) < place:
@@ -184,5 +185,5 @@ def bits_below(bits: wp.uint32, place: int):
 #endif
 """)
 def broadcast(value: float, lane: int, lanes: int) -> float:
-    """A lane's value, told to the whole team. Teams within a warp only."""
+    """The value of one lane, broadcast to the whole team. Only for teams within a warp."""
     ...

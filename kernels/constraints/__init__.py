@@ -1,1 +1,1 @@
-"""Constraint rows, one kind a file."""
+"""Constraint rows, one file for each kind."""

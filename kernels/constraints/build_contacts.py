@@ -1,4 +1,4 @@
-"""Fourth stage: the contact records that the solver works on, and the impulses that they start from."""
+"""Contact rows: constraint data built from the touching samples, and the initial impulses for warm starting."""
 
 import warp as wp
 
@@ -35,21 +35,22 @@ from warp_rigid.kernels.update.predict import smaller_size
 wp.set_module_options({"enable_backward": False})
 
 NARROWPHASE = wp.get_module("warp_rigid.kernels.collide.narrowphase")
-"""Kernels that evaluate distances share one compilation unit."""
+"""Module of the kernels that evaluate distances; they are compiled together."""
 
 GONE = wp.constant(-1)
-"""Identity of a contact taken over from the last step that is none any more: it carries nothing."""
+"""Identity of a contact reused from the last step that no longer exists; it has no impulse."""
 
 
 TOUCHING = wp.constant(1.0e-4)
-"""Gaps up to this part of the smaller body's size carry load as they are.
+"""Contacts with a gap up to this fraction of the smaller body's size transmit load without closing the gap.
 
-If every gap of a rounding error had to close first, the load would jump from contact to contact at each step: a pyramid
-of 20 rows that keeps to 0.02 mm so creeps by millimetres with a fifth of it."""
+If gaps of the size of rounding errors had to close first, the load would move from contact to contact in each step. A
+pyramid of 20 rows moves by 0.02 mm with this value, but by millimetres with a fifth of it."""
 
 WIDER = wp.constant(1.05)
-"""A gap wider than that by no more than this factor carries load, too. Those that have just closed are, by rounding
-errors, and would otherwise keep closing for ever: a stack at rest is then seldom solved at once."""
+"""Contacts with a gap up to this factor times TOUCHING transmit load, too. Gaps that have just closed exceed TOUCHING
+by rounding errors. Without this factor they would have a small bias velocity in every step, and the solver would seldom
+converge in the first sweep for a stack at rest."""
 
 
 @wp.func
@@ -76,7 +77,7 @@ def tangential_inverse_mass(arm: wp.vec3, u: wp.vec3, v: wp.vec3, inverse_mass: 
 
 @wp.func
 def last_contact(pair: int, key: int, history: History):
-    """Row of the same contact of a pair, given by its row in the history, in the last step, or -1."""
+    """Row of the same contact in the last step, or -1; `pair` is the pair's row in the history."""
     if pair >= 0:
         for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
             if history.key[c] == key:
@@ -86,7 +87,7 @@ def last_contact(pair: int, key: int, history: History):
 
 @wp.func
 def with_masses(row: ContactRecord, a: int, b: int, bodies: Bodies, motions: Motions):
-    """A row with the inverse effective masses of its bodies, along its normal and in its tangent plane."""
+    """The row with the inverse effective masses of its bodies, along the normal and in the tangent plane."""
     n = row.normal
     u = row.tangent
     v = wp.cross(n, u)
@@ -111,7 +112,7 @@ def with_masses(row: ContactRecord, a: int, b: int, bodies: Bodies, motions: Mot
 
 @wp.func
 def with_coefficients(row: ContactRecord, a: int, b: int, rules: wp.vec2i, bodies: Bodies):
-    """A row with the combined coefficients of its bodies."""
+    """The row with the combined coefficients of its bodies."""
     row.friction = combine(bodies.friction[a], bodies.friction[b], rules[0])
     row.rolling_friction = combine(bodies.rolling_friction[a], bodies.rolling_friction[b], rules[0])
     row.spinning_friction = combine(bodies.spinning_friction[a], bodies.spinning_friction[b], rules[0])
@@ -128,13 +129,13 @@ def in_contact_frame(row: ContactRecord, world: wp.vec3):
 
 @wp.func
 def bias_velocity_of(gap: float, size: float, dt: float):
-    """Speed at which the bodies may still approach in the step."""
+    """Approach speed that is allowed in the step because of the gap [m/s]."""
     return wp.where(gap > WIDER * TOUCHING * size, (gap - TOUCHING * size) / dt, 0.0)
 
 
 @wp.func
 def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contacts: Contacts, history: History):
-    """Start from the last step's impulses, turned into today's tangent plane, or from zero."""
+    """Initialize the impulses from the last step, transformed to the current contact frame, or with zero."""
     impulse = wp.vec3(0.0, 0.0, 0.0)
     angular_impulse = wp.vec3(0.0, 0.0, 0.0)
     if warm == 1 and contacts.key[c] != GONE:
@@ -148,7 +149,7 @@ def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contact
 
 @wp.func
 def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """Evaluate the place of a contact's identity once more."""
+    """Evaluate the contact point of a known sample again."""
     if key <= BY_CENTER:
         return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
     side = key % 2
@@ -159,7 +160,7 @@ def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state:
 
 @wp.func
 def build_row(a: int, b: int, touch: Touch, dt: float, size: float, bodies: Bodies, motions: Motions):
-    """The geometry and the masses of a contact row."""
+    """A contact row with its geometry and effective masses."""
     row = ContactRecord()
     row.normal = touch.normal
     row.tangent = tangent_of(touch.normal)
@@ -185,7 +186,7 @@ def build_contacts(
     history: History,
     contacts: Contacts,
 ):
-    """The teams share the pairs: turn the samples kept into contact rows. `rules`: how coefficients combine."""
+    """The teams share the pairs: build contact rows from the kept samples. `rules`: combine rules of coefficients."""
     for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
         start = pairs.contact_start[pair]
         count = pairs.contact_start[pair + 1] - start
@@ -209,7 +210,7 @@ def build_contacts(
 
 @wp.func
 def store_contact(target: int, c: int, contacts: Contacts, history: History):
-    """Write a solved contact to a row of the history, its impulses in the world frame."""
+    """Write a solved contact to a row of the history, with its impulses in the world frame."""
     row = read_contact(c, contacts.rows)
     history.key[target] = contacts.key[c]
     history.impulse[target] = world_vector(row.normal, row.tangent, impulse_of(c, IMPULSE, contacts))
@@ -221,7 +222,7 @@ def store_contact(target: int, c: int, contacts: Contacts, history: History):
 
 @wp.func
 def store_pair(i: int, pairs: Pairs, history: History):
-    """Keep a row of the list of pairs, and what is known of the last search for its contacts."""
+    """Store a row of the list of pairs, with the data of its last contact search."""
     if i < history.pair_start.shape[0]:
         history.pair_start[i] = pairs.start[i]
     if i < pairs.start[pairs.start.shape[0] - 1]:
@@ -235,7 +236,7 @@ def store_pair(i: int, pairs: Pairs, history: History):
 
 @wp.kernel
 def store_lists(threads: int, pairs: Pairs, constraints: Constraints, history: History, graph: Graph):
-    """Last stage, first half: the threads share the pairs and the constraints and keep them for the next step."""
+    """History, first part: the threads share the pairs and the constraints and store them for the next step."""
     count = wp.max(history.pair_start.shape[0], history.contact_start.shape[0])
     count = wp.max(count, wp.max(constraints.kind.shape[0], constraints.start.shape[0]))
     for i in range(wp.tid(), count, threads):
@@ -245,6 +246,6 @@ def store_lists(threads: int, pairs: Pairs, constraints: Constraints, history: H
 
 @wp.kernel
 def store_impulses(threads: int, contacts: Contacts, pairs: Pairs, history: History):
-    """Last stage, second half: the threads share the contacts and remember them."""
+    """History, second part: the threads share the contacts and store them for the next step."""
     for c in range(wp.tid(), pairs.contact_start[pairs.contact_start.shape[0] - 1], threads):
         store_contact(c, c, contacts, history)

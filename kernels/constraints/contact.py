@@ -1,10 +1,11 @@
 """Contact rows: a non-penetrating contact point with Coulomb, rolling and spinning friction (projected Gauss-Seidel).
 
-A row keeps its accumulated impulse (normal, two tangents). A visit first solves the normal part: it removes the
-approach that exceeds the bias velocity, and never pulls. Then the tangential part removes the slip, inside the disk of
-radius friction times normal part. Sticking is tried with the full tangential matrix, as in Guendelman et al. 2003,
-section 7; if it leaves the disk, a projected step of the smallest safe length is taken, whose fixed point opposes the
-slip.
+A row stores its accumulated impulse (normal, two tangents). The solver first updates the normal impulse: it removes the
+approach velocity that exceeds the bias velocity, and the accumulated impulse is never negative. It then updates the
+tangential impulse: it removes the slip, within the disk of radius friction times normal impulse. First, the impulse for
+sticking is computed with the full tangential matrix, as in Guendelman et al. 2003, section 7. If it lies outside the
+disk, a projected gradient step is taken, with the largest eigenvalue as inverse step length; at its fixed point the
+friction opposes the slip.
 """
 
 import warp as wp
@@ -24,10 +25,10 @@ from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord
 wp.set_module_options({"enable_backward": False})
 
 KIND = wp.constant(0)
-"""Kind of these rows in `Constraints`."""
+"""Kind of contact rows in `Constraints`."""
 
 read_contact = record_reader(ContactRecord, flag="more", optional_from="surface")
-"""A contact row: (c, contacts.rows)."""
+"""Read a contact row: (c, contacts.rows)."""
 
 write_contact = record_writer(ContactRecord, flag="more", optional_from="surface")
 """Store a contact row: (c, row, contacts.rows)."""
@@ -40,7 +41,7 @@ ANGULAR_IMPULSE = wp.constant(group_of(ImpulseRecord, "angular_impulse"))
 IMPACT_IMPULSE = wp.constant(group_of(ImpulseRecord, "impact_impulse"))
 START_IMPULSE = wp.constant(group_of(ImpulseRecord, "start_impulse"))
 START_ANGULAR_IMPULSE = wp.constant(group_of(ImpulseRecord, "start_angular_impulse"))
-"""Which of a row's impulses; components are along the normal and the two tangents."""
+"""Impulses of a row; components are along the normal and the two tangents."""
 
 
 @wp.func
@@ -69,7 +70,7 @@ def contact_velocity(row: ContactRecord, pair: BodyPair):
 
 @wp.func
 def friction_impulse(old: wp.vec2, slip: wp.vec2, k: wp.vec3, limit: float):
-    """New tangential impulse from the old one, the slip, the tangential matrix (11, 12, 22) and the disk's radius."""
+    """New tangential impulse from the old one, the slip, the tangential matrix (11, 12, 22) and the friction limit."""
     inverse = quotient(1.0, wp.max(k[0] * k[2] - k[1] * k[1], 1.0e-30))
     stick = old - inverse * wp.vec2(k[2] * slip[0] - k[1] * slip[1], k[0] * slip[1] - k[1] * slip[0])
     if wp.length_sq(stick) <= limit * limit:
@@ -111,9 +112,9 @@ def solve_rolling(c: int, normal_impulse: float, row: ContactRecord, pair: BodyP
 
 @wp.func
 def solve_row(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
-    """Solve one contact for the velocities of a pair, and note the largest change of a velocity [m/s].
+    """Solve one contact for the velocities of a pair, and record the largest velocity change [m/s].
 
-    A share of 0 freezes that body: it counts as infinitely heavy, and what it did not take is added to the pair.
+    A body with a share of 0 is frozen: its mass counts as infinite, and the impulse on it is added to `frozen_impulse`.
     """
     row = read_contact(c, contacts.rows)
     k_normal = share_a * row.normal_a + share_b * row.normal_b
@@ -149,7 +150,7 @@ def solve_row(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: 
 
 @wp.func
 def apply_row(c: int, pair: BodyPair, contacts: Contacts):
-    """The bodies after the impulses that a contact starts from (warm start)."""
+    """The bodies after applying the initial impulses of a contact (warm start)."""
     row = read_contact(c, contacts.rows)
     impulse = world_vector(row.normal, row.tangent, impulse_of(c, IMPULSE, contacts))
     pair = with_impulse(row.arm_a, row.arm_b, impulse, pair)
@@ -158,7 +159,7 @@ def apply_row(c: int, pair: BodyPair, contacts: Contacts):
 
 @wp.func
 def direction_and_approach(c: int, pair: BodyPair, contacts: Contacts):
-    """Direction in which a contact pushes the first body, and the speed of approach against it [m/s]."""
+    """Direction in which a contact pushes the first body (x, y, z), and the approach speed along it (w) [m/s]."""
     row = read_contact(c, contacts.rows)
     n = row.normal
     return wp.vec4(n[0], n[1], n[2], -wp.dot(contact_velocity(row, pair), n))
@@ -166,14 +167,14 @@ def direction_and_approach(c: int, pair: BodyPair, contacts: Contacts):
 
 @wp.func
 def store_start(c: int, contacts: Contacts):
-    """Keep the impulses from which the line search starts."""
+    """Store the impulses at the start of the line search."""
     set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)
     set_impulse(c, START_ANGULAR_IMPULSE, impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
 
 
 @wp.func
 def energy_terms(c: int, then: BodyPair, now: BodyPair, contacts: Contacts):
-    """A row's part of both sums of the line search [J]: -(v0.M dv + b.dl) and dv.M dv."""
+    """Contribution of a row to the two sums of the line search [J]: -(v0.M dv + b.dl) and dv.M dv."""
     row = read_contact(c, contacts.rows)
     change = impulse_of(c, IMPULSE, contacts) - impulse_of(c, START_IMPULSE, contacts)
     impulse = world_vector(row.normal, row.tangent, change)
@@ -189,7 +190,7 @@ def energy_terms(c: int, then: BodyPair, now: BodyPair, contacts: Contacts):
 
 @wp.func
 def blend_row(c: int, t: float, contacts: Contacts):
-    """Go from the impulses at the start a share t of the way to those of now."""
+    """Interpolate linearly from the stored start impulses (t = 0) to the current impulses (t = 1)."""
     start = impulse_of(c, START_IMPULSE, contacts)
     set_impulse(c, IMPULSE, start + t * (impulse_of(c, IMPULSE, contacts) - start), contacts)
     turn = impulse_of(c, START_ANGULAR_IMPULSE, contacts)

@@ -1,7 +1,7 @@
-"""The list of constraints of a step: what ties which two bodies together, and where its rows are.
+"""The list of constraints of a step: the kind, the two bodies and the rows of each constraint.
 
 Each environment has a slot for every pair of bodies, then one for each constraint of another kind. A slot without rows
-is not active. Graph, colours, islands and the solver read this list and do not depend on the kinds.
+is not active. Graph, colours, islands and the solver read this list and do not depend on the kinds of constraints.
 """
 
 import warp as wp
@@ -33,7 +33,7 @@ def set_constraint(
 
 @wp.func
 def slot_of_pair(pair: int, env: int, constraints: Constraints):
-    """The slot of a pair of bodies; also of a row of the history among the slots of the last step."""
+    """The slot of a pair of bodies; for a row of the history, its slot in the last step."""
     return pair + constraints.other_start[env]
 
 
@@ -51,7 +51,7 @@ def last_slot_of_other(index: int, env: int, constraints: Constraints):
 
 @wp.kernel
 def list_pairs(threads: int, envs: Environments, bodies: Bodies, pairs: Pairs, constraints: Constraints):
-    """The threads share the pairs and the environments: where the constraints of each begin, and those of contact."""
+    """The threads share the pairs and the environments: first constraints of environments, and contact constraints."""
     count = pairs.start[pairs.start.shape[0] - 1]
     ends = constraints.start.shape[0]
     for i in range(wp.tid(), wp.max(count, ends), threads):
@@ -71,7 +71,7 @@ def list_pairs(threads: int, envs: Environments, bodies: Bodies, pairs: Pairs, c
 
 @wp.func
 def store_constraint(k: int, constraints: Constraints, graph: Graph):
-    """Keep what the next step compares a constraint of its graph with, and where those of an environment begin."""
+    """Store the supports, colour and start index of constraints, for comparison in the next step."""
     last = constraints.start.shape[0] - 1
     if k < constraints.start[last]:
         graph.supports_before[k] = wp.where(is_active(k, constraints), graph.supports[k], -1)

@@ -1,4 +1,4 @@
-"""Constraint rows of all kinds: the solver calls these functions, and they call those of the kind.
+"""Constraint rows of all kinds: the solver calls these functions, which dispatch to the functions of each kind.
 
 A kind of constraint is a file beside this one. It declares its arrays and has a KIND and the device functions called
 below; `contact` is the example. Kinds besides contacts also have what `OTHER_KINDS` states. CONTRIBUTING.md shows how
@@ -47,29 +47,29 @@ def solve_row(kind: int, row: int, share_a: float, share_b: float, pair: BodyPai
 
 @wp.func
 def apply_row(kind: int, row: int, pair: BodyPair, rows: Rows):
-    """The bodies after the impulse that a row starts from."""
+    """The bodies after applying the initial impulse of a row (warm start)."""
     return contact.apply_row(row, pair, rows.contacts)
 
 
 @wp.func
 def direction_and_approach(kind: int, row: int, pair: BodyPair, rows: Rows):
-    """Direction in which a row pushes the first body, a unit vector, and the speed of approach against it [m/s]."""
+    """Unit direction in which a row pushes the first body, and the approach speed along it [m/s]."""
     return contact.direction_and_approach(row, pair, rows.contacts)
 
 
 @wp.func
 def store_start(kind: int, row: int, rows: Rows):
-    """Keep the impulse from which the line search starts."""
+    """Store the impulse at the start of the line search."""
     contact.store_start(row, rows.contacts)
 
 
 @wp.func
 def energy_terms(kind: int, row: int, then: BodyPair, now: BodyPair, rows: Rows):
-    """A row's part of both sums of the line search [J]."""
+    """Contribution of a row to the two sums of the line search [J]."""
     return contact.energy_terms(row, then, now, rows.contacts)
 
 
 @wp.func
 def blend_row(kind: int, row: int, t: float, rows: Rows):
-    """Go from the impulse at the start a share t of the way to that of now."""
+    """Interpolate linearly from the stored start impulse (t = 0) to the current impulse (t = 1)."""
     contact.blend_row(row, t, rows.contacts)

@@ -1,11 +1,12 @@
-"""Sixth stage: the order in which touching pairs are solved.
+"""Graph colouring: the order in which constraints are solved.
 
-Pairs are coloured: no two pairs of a colour share a dynamic body, so a colour's pairs can be solved at the same time,
-and in whatever order they are, the result is the same. All sweeps go colour by colour.
+No two constraints of a colour share a dynamic body. The constraints of a colour can therefore be solved in parallel,
+and the result does not depend on their order. All sweeps process the constraints colour by colour.
 
-Pairs bid for colours (Jones and Plassmann 1993): in a round, the pair of highest priority at both its bodies takes the
-lowest colour free at both. The priority is a scrambled index, so that rows of pairs are not coloured one by one. What
-finds all colours taken, as on a tray that carries many, is solved one after another.
+Colours are assigned in parallel rounds (Jones and Plassmann 1993): in each round, a constraint that has the highest
+priority at both its bodies takes the lowest colour that is free at both. The priority is a hashed index, so that chains
+of neighbouring constraints are not coloured one by one. Constraints at a body with all colours in use, such as a tray
+with many bodies on it, are solved serially.
 """
 
 import warp as wp
@@ -20,28 +21,28 @@ wp.set_module_options({"enable_backward": False})
 MOST_COLORS = wp.constant(COLORS)
 
 ALL_TAKEN = wp.constant(wp.uint32((1 << (COLORS - 1)) - 1))
-"""Mask of a body at which every colour but the last is taken."""
+"""Mask of a body at which all colours except the last are in use."""
 
 SERIAL = wp.constant(COLORS - 1)
-"""The colour of constraints that are solved one after another."""
+"""The colour of constraints that are solved serially."""
 
 UNCOLORED = wp.constant(-1)
 
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
-"""2^32 divided by the golden ratio, odd: multiplying by it scrambles and keeps different what is different."""
+"""2^32 divided by the golden ratio, odd: multiplication by it is a bijective hash."""
 
 NO_BID = wp.constant(-2147483648)
 
 
 @wp.func
 def priority(index: int):
-    """A number for an index within an environment, different for different ones (Fibonacci hashing)."""
+    """Priority of an index within an environment; distinct indices have distinct priorities (Fibonacci hashing)."""
     return int(wp.uint32(index) * GOLDEN)
 
 
 @wp.func
 def place_bid(k: int, begin: int, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """Bid for a colour at both bodies, or give up where all colours of a body are taken."""
+    """Bid for a colour at both bodies, or take the serial colour if all colours of a body are in use."""
     a = constraints.body_a[k]
     b = constraints.body_b[k]
     dynamic_a = bodies.motion[a] == Motion.DYNAMIC
@@ -57,7 +58,7 @@ def place_bid(k: int, begin: int, bodies: Bodies, constraints: Constraints, grap
 
 @wp.func
 def take_color(k: int, begin: int, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """Take the lowest colour that is free at both bodies if no other bid was higher."""
+    """Take the lowest colour that is free at both bodies, if no other bid was higher."""
     a = constraints.body_a[k]
     b = constraints.body_b[k]
     own = priority(k - begin)
@@ -83,7 +84,7 @@ def take_color(k: int, begin: int, bodies: Bodies, constraints: Constraints, gra
 
 @wp.kernel
 def color_constraints(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """A team an environment: give each touching pair a colour that no other pair of its dynamic bodies has."""
+    """One team per environment: assign each active constraint a colour that no other one of its dynamic bodies has."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     first = envs.first_body[env]
@@ -122,7 +123,7 @@ def color_constraints(lanes: int, envs: Environments, bodies: Bodies, constraint
 
 @wp.func
 def add_colors(env: int, begin: int, graph: Graph, order: Order):
-    """One lane: where each colour begins. The colours in use follow each other, but for those solved in turn."""
+    """One lane: first entry of each colour, and the number of colours. Used colours are consecutive, except SERIAL."""
     at = int(begin)
     count = int(0)
     for color in range(MOST_COLORS):
@@ -138,7 +139,7 @@ def add_colors(env: int, begin: int, graph: Graph, order: Order):
 
 @wp.func
 def write_in_order(k: int, env: int, constraints: Constraints, graph: Graph, order: Order):
-    """Give a constraint the next place of its colour."""
+    """Write a constraint to the next free place of its colour."""
     entry = OrderRecord()
     entry.kind = constraints.kind[k]
     entry.body_a = constraints.body_a[k]
@@ -155,9 +156,9 @@ def write_in_order(k: int, env: int, constraints: Constraints, graph: Graph, ord
 
 @wp.kernel
 def group_constraints(lanes: int, envs: Environments, constraints: Constraints, graph: Graph, order: Order):
-    """A team an environment: sort the touching pairs by colour, and find the highest level.
+    """One team per environment: sort the active constraints by colour, and find the highest level.
 
-    Within a colour their order is free, but for pairs that are solved in turn.
+    Within a colour the order is arbitrary, except for constraints that are solved serially.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env

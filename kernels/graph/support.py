@@ -1,17 +1,18 @@
-"""Fifth stage: the contact graph. Who rests on whom, in levels with cycles collapsed, and which bodies form islands.
+"""Contact graph: supports, levels with cycles collapsed, depths, and islands.
 
-Body p rests on j if p, moved alone by its own acceleration, presses into j where they touch; without acceleration its
-velocity decides. The 2003 method (section 8.1) adds p's velocity to the test; next to it the acceleration of one
-step is small, and who carries whom would change with every tremor. No direction is singled out as "up", so this holds
-in any force field. A body's level is one more than the highest level that it rests on; bodies that rest on each
-other in a cycle are collapsed into one and share a level; statics are level 0.
+Body j supports body p if p, moved by its own acceleration alone, presses against j at a contact. If p has no
+acceleration, its velocity decides. The 2003 method (section 8.1) adds the velocity of p to the test. The acceleration
+of one step is small in comparison, so the supports would change with every small vibration. No direction is defined as
+"up", so the test is valid in any force field. The level of a body is one more than the highest level of its supports.
+Bodies that support each other in a cycle are collapsed into one and share a level. Static bodies have level 0.
 
-Levels are found from the ground up. In a round every body whose supports all have levels gets its own. Where no body is
-ready, cycles stand in the way: they are found, and from then on each gets its level like a single body. The height of
-a body counts the shortest way to the ground instead, and tells how many sweeps weight needs to travel through.
+Levels are assigned from the ground up. In each round, every body whose supports all have levels is assigned a level. If
+there is no such body, the remaining bodies depend on cycles: strongly connected components are found, and each is then
+assigned a level like a single body. The depth of a body is the length of the shortest path of supports to the ground.
+It determines how many sweeps are needed to transmit load to the ground.
 
-In a pile at rest the same pairs touch, step after step. Then levels, heights, islands and colours stay as they are:
-they follow from the touching pairs and from who rests on whom alone, so finding them again would find the same.
+In a pile at rest, the contacts and supports are the same in every step. Levels, depths, islands and colours depend on
+nothing else, so they are kept.
 """
 
 import warp as wp
@@ -33,12 +34,12 @@ UNSUPPORTED = wp.constant(1 << 30)
 MOST_PASSES = wp.constant(4)
 
 SLANT = wp.constant(0.05)
-"""A body rests on another if at least this part of its acceleration is along the normal: upright walls do not carry."""
+"""A body is supported if at least this fraction of its acceleration is along the normal, so not by vertical walls."""
 
 
 @wp.func
 def presses(pull: wp.vec3, n: wp.vec3, approach: float):
-    """Whether a body moved alone by its own acceleration presses against n; without any, its approach decides."""
+    """Whether a body moved by its acceleration `pull` alone presses against n; if it has none, `approach` decides."""
     if wp.length_sq(pull) > 0.0:
         return wp.dot(pull, n) < -SLANT * wp.length(pull)
     return approach > 0.0
@@ -46,7 +47,7 @@ def presses(pull: wp.vec3, n: wp.vec3, approach: float):
 
 @wp.func
 def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constraints: Constraints, rows: Rows):
-    """Which of the two bodies of a constraint supports the other, as bits."""
+    """Which bodies of a constraint are supported by the other one, as bits A_ON_B and B_ON_A."""
     a = constraints.body_a[k]
     b = constraints.body_b[k]
     kind = constraints.kind[k]
@@ -65,7 +66,7 @@ def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constr
 
 @wp.func
 def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, graph: Graph):
-    """Whether an active constraint was active in the last step, at the same place of the list, with these supports."""
+    """Whether an active constraint was active in the last step too, at the same index and with the same supports."""
     place = constraints.start_before[env] + k - constraints.start[env]
     last = constraints.last[k]
     return last >= 0 and last == place and graph.supports_before[last] == supports
@@ -75,7 +76,7 @@ def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, grap
 def find_support(
     lanes: int, envs: Environments, bodies: Bodies, motions: Motions, rows: Rows, constraints: Constraints, graph: Graph
 ):
-    """A team an environment: which body of each constraint supports the other, and whether the graph is unchanged."""
+    """One team per environment: the supports of each constraint, and whether the graph is unchanged."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if team.lane == 0:
@@ -106,7 +107,7 @@ def find_support(
 
 @wp.func
 def upper_of(edge: int, constraints: Constraints, graph: Graph):
-    """The supported body, -1 if there is none. Each constraint has two edges, one for either direction."""
+    """The supported body of an edge, -1 if there is none. Each constraint has two edges, one for each direction."""
     k = edge / 2
     if edge % 2 == 0:
         return wp.where((graph.supports[k] & A_ON_B) != 0, constraints.body_a[k], -1)
@@ -115,13 +116,13 @@ def upper_of(edge: int, constraints: Constraints, graph: Graph):
 
 @wp.func
 def lower_of(edge: int, constraints: Constraints):
-    """The supporting body, if it does support."""
+    """The supporting body of an edge, valid if `upper_of` is not -1."""
     return wp.where(edge % 2 == 0, constraints.body_b[edge / 2], constraints.body_a[edge / 2])
 
 
 @wp.func
 def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, constraints: Constraints, graph: Graph):
-    """One round: bodies, or whole cycles, whose supports all have levels get theirs. Returns 1 if any did."""
+    """One round: assign levels to bodies, or cycles, whose supports all have levels. Returns 1 if any was assigned."""
     for b in range(first, last, team.lanes):
         graph.waiting[b] = 0
         graph.highest[b] = 0
@@ -146,13 +147,13 @@ def climb(first_edge: int, last_edge: int, first: int, last: int, team: Team, co
 
 @wp.func
 def passes_of(team: Team):
-    """How often lanes go through their part before all meet: what spreads needs no order, and meeting takes time."""
+    """Passes of a lane over its part between two barriers: propagation needs no fixed order, and barriers are slow."""
     return wp.min(team.lanes, MOST_PASSES)
 
 
 @wp.func
 def is_open(b: int, graph: Graph):
-    """Whether a body has no level yet, and is in no cycle that is known."""
+    """Whether a body has no level yet and is in no known cycle."""
     return graph.level[b] == UNKNOWN and graph.within[b] == 0
 
 
@@ -160,9 +161,9 @@ def is_open(b: int, graph: Graph):
 def spread_labels(
     first_edge: int, last_edge: int, first: int, last: int, team: Team, constraints: Constraints, graph: Graph
 ):
-    """One round: an open body takes over the highest label among its open supports. Returns 1 if any changed.
+    """One round: an open body takes the highest label of its open supports. Returns 1 if any label changed.
 
-    A label is a body that it reaches, so it reaches what that one reaches: labels travel in leaps.
+    The label of a body is itself a reachable body, so the body also takes the label of its label (pointer jumping).
     """
     changed = int(0)
     for _ in range(passes_of(team)):
@@ -182,7 +183,7 @@ def spread_labels(
 
 @wp.func
 def spread_within(first_edge: int, last_edge: int, team: Team, constraints: Constraints, graph: Graph):
-    """One round: what the body of a label reaches with the same label is in its cycle. Returns 1 if any changed."""
+    """One round: bodies reached from the body of their own label are in its cycle. Returns 1 if any changed."""
     changed = int(0)
     for _ in range(passes_of(team)):
         for edge in range(first_edge, last_edge, team.lanes):
@@ -199,10 +200,11 @@ def spread_within(first_edge: int, last_edge: int, team: Team, constraints: Cons
 def find_cycles(
     first_edge: int, last_edge: int, first: int, last: int, team: Team, constraints: Constraints, graph: Graph
 ):
-    """Find strongly connected components among the bodies without a level, at least one.
+    """Find at least one strongly connected component among the bodies without a level.
 
-    A body's label is the highest body that it reaches downwards. Those that this body reaches in turn, and that bear
-    its label, are its component (Orzan 2004, colouring). What is in none that was found keeps its own name as label.
+    The label of a body is the highest body index that it reaches through its supports. The bodies that this body
+    reaches, and that have the same label, are its component (Orzan 2004, colouring). Bodies in no component found so
+    far are labelled with their own index again.
     """
     while spread_labels(first_edge, last_edge, first, last, team, constraints, graph) == 1:
         sync_team(team)
@@ -220,7 +222,7 @@ def find_cycles(
 
 @wp.kernel
 def find_levels(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """A team an environment: the level of each body, cycles collapsed."""
+    """One team per environment: the level of each body, with cycles collapsed."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if graph.unchanged[env] == 1:
@@ -246,7 +248,7 @@ def find_levels(lanes: int, envs: Environments, bodies: Bodies, constraints: Con
 
 @wp.kernel
 def find_islands(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """A team an environment: bodies connected through touching dynamic bodies, named by their lowest body."""
+    """One team per environment: islands of dynamic bodies connected by constraints, labelled by their lowest body."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if graph.unchanged[env] == 1:
@@ -278,9 +280,9 @@ def find_islands(lanes: int, envs: Environments, bodies: Bodies, constraints: Co
 
 @wp.kernel
 def find_depths(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """A team an environment: how few supports lead from a body to the ground, and the most of any body.
+    """One team per environment: length of the shortest path of supports from each body to the ground, and the maximum.
 
-    In a heap this is far less than the level, which counts the longest way. Bodies that lie on nothing have none.
+    In a heap it is much smaller than the level, which counts the longest path. Unsupported bodies have no depth.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env

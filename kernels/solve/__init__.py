@@ -1,1 +1,1 @@
-"""Solvers: restitution, contact impulses, shock propagation, push-out."""
+"""Solver stages: restitution, Gauss-Seidel sweeps, shock propagation, line search, push-out."""

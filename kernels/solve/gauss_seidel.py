@@ -1,7 +1,7 @@
-"""Sweeps: projected Gauss-Seidel over the rows of all constraints, colour by colour.
+"""Contact solver: projected Gauss-Seidel sweeps over the rows of all constraints, colour by colour.
 
-A team of lanes solves an environment. A lane keeps the two bodies of a constraint in registers while it visits its
-rows.
+A team of lanes solves an environment. A lane keeps the two bodies of a constraint in registers while it solves the
+constraint's rows.
 """
 
 import warp as wp
@@ -16,26 +16,26 @@ from warp_rigid.kernels.solve.schedule import CONVERGED, entry_at, first_of_colo
 wp.set_module_options({"enable_backward": False})
 
 DEEP = wp.constant(40.0)
-"""Depth of an island, in bodies, from which it has to be solved to CONVERGED where shock propagation is ineffective."""
+"""Depth in bodies from which islands must be solved to CONVERGED where shock propagation is ineffective."""
 
 COARSEST = wp.constant(25.0)
-"""Times CONVERGED to which a shallow one has to be solved, at most."""
+"""Maximum factor on CONVERGED for shallower islands."""
 
 INEFFECTIVE_STEPS = wp.constant(8)
-"""Steps in a row without use of shock propagation after which it counts as ineffective for an island."""
+"""Number of consecutive ineffective steps after which shock propagation counts as ineffective for an island."""
 
 SWEEPS_PER_DEPTH = wp.constant(2)
-"""Additional sweeps for each body on the shortest way down where shock propagation is ineffective, since load then
-travels by sweeps alone. Without them, a heap of thousands never comes to rest: it sinks into itself as fast as it is
-pushed apart."""
+"""Additional sweeps per depth of the contact graph where shock propagation is ineffective, since load is then
+transmitted by sweeps alone. Without them, a heap of thousands of bodies never comes to rest: its bodies sink into each
+other as fast as the push-out separates them."""
 
 
 @wp.func
 def tolerance_without_shock(env: int, graph: Graph):
-    """Change of a velocity in a sweep with which an island counts as solved without shock propagation [m/s].
+    """Velocity change per sweep below which an environment counts as solved without shock propagation [m/s].
 
-    A sweep brings bodies n deep nearer to the solution by about 1 / n^2, so what is left is n^2 times what the last
-    sweep changed: in a shallow heap little, of the size of what positions are rounded to.
+    At depth n, a sweep reduces the error by a fraction of about 1 / n^2, so the remaining error is n^2 times the change
+    by the last sweep. In a shallow heap it is small, comparable to the rounding errors of positions.
     """
     ratio = DEEP / float(wp.max(graph.max_depth[env], 1))
     return CONVERGED * wp.clamp(ratio * ratio, 1.0, COARSEST)
@@ -43,7 +43,7 @@ def tolerance_without_shock(env: int, graph: Graph):
 
 @wp.func
 def solve_constraint(entry: OrderRecord, motions: Motions, rows: Rows):
-    """Solve the rows of a constraint, one after another. Returns the largest change of a velocity [m/s]."""
+    """Solve the rows of a constraint, one after another. Returns the largest velocity change [m/s]."""
     pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
     for row in range(entry.begin, entry.end):
         pair = solve_row(entry.kind, row, 1.0, 1.0, pair, rows)
@@ -53,7 +53,7 @@ def solve_constraint(entry: OrderRecord, motions: Motions, rows: Rows):
 
 @wp.kernel
 def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
-    """A team an environment: apply the impulses that the rows start from."""
+    """One team per environment: apply the initial impulses of the rows."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if envs.warm_starting[env] == 0:
@@ -71,7 +71,7 @@ def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motio
 
 @wp.func
 def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
-    """Visit all constraints once, or those of one level, if it is not 0. Returns a lane's largest change [m/s]."""
+    """Solve all constraints once, or those of one level if `level` is not 0. Returns a lane's largest change [m/s]."""
     change = float(0.0)
     for color in range(order.color_count[team.env]):
         stride = stride_of_color(color, team)
@@ -85,7 +85,7 @@ def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, 
 
 @wp.func
 def find_shock_ineffective(first: int, last: int, team: Team, state: State, graph: Graph):
-    """Note whether shock propagation has been of no use to any island of an environment."""
+    """Record whether shock propagation is ineffective for any island of an environment."""
     found = int(0)
     for b in range(first + team.lane, last, team.lanes):
         found |= wp.where(state.shock_ineffective_steps[b] >= INEFFECTIVE_STEPS, 1, 0)
@@ -97,7 +97,7 @@ def find_shock_ineffective(first: int, last: int, team: Team, state: State, grap
 
 @wp.func
 def sweeps_of(env: int, after_shock: int, envs: Environments, graph: Graph):
-    """Most sweeps before or after shock propagation."""
+    """Maximum number of sweeps before or after shock propagation."""
     iterations = envs.contact_iterations[env]
     if envs.shock_propagation[env] != ShockMode.TWO_PASS:
         return iterations * (1 - after_shock)
@@ -110,7 +110,7 @@ def sweeps_of(env: int, after_shock: int, envs: Environments, graph: Graph):
 
 @wp.func
 def spare_sweeps(env: int, envs: Environments, graph: Graph):
-    """Sweeps that follow at once in a heap of which the first half leaves little."""
+    """Sweeps of the second half, which follow immediately in a heap that the first half has nearly solved."""
     return wp.where(
         envs.shock_propagation[env] == ShockMode.TWO_PASS,
         graph.shock_ineffective[env] * envs.contact_iterations[env] / 2,
@@ -120,7 +120,7 @@ def spare_sweeps(env: int, envs: Environments, graph: Graph):
 
 @wp.func
 def report_sweeps(sweeps: int, residual: float, after_shock: int, team: Team, envs: Environments, graph: Graph):
-    """Note how many sweeps were done, and the residual of the step's last one; both are 0 before the first launch."""
+    """Record the number of sweeps and the residual of the step's last sweep; both are 0 before the first launch."""
     if team.lane == 0:
         graph.sweeps[team.env] += sweeps
     more_follow = after_shock == 0 and sweeps_of(team.env, 1, envs, graph) > 0
@@ -139,11 +139,12 @@ def sweep_constraints(
     rows: Rows,
     state: State,
 ):
-    """A team an environment: half of the contact iterations, before or after the two passes of shock propagation.
+    """One team per environment: half of the contact iterations, before or after the two passes of shock propagation.
 
-    A single pass comes after all of them, as in 2003: what it has frozen is not to be moved again, and sweeps prepare
-    it best from the ground up. Sweeps end early when one changes nothing, and what has converged then needs no shock
-    propagation. Nor do heaps of which the first half leaves little: there the second half follows immediately.
+    With a single pass, all iterations come before it, as in 2003: bodies frozen in it must not move again, and the
+    sweeps go level by level from the ground up. Sweeps end early once the velocities have converged; shock
+    propagation is then skipped. It is also skipped for heaps that the first half has nearly solved: there the second
+    half follows immediately.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env

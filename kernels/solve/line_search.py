@@ -1,12 +1,12 @@
-"""The line search that keeps two-pass shock propagation from ever gaining energy.
+"""Line search: ensures that two-pass shock propagation never increases the energy.
 
-The two passes give a search direction. With v0, l0 the velocities and impulses before and dv, dl their
+The two passes give a search direction. With v0, l0 the velocities and impulses before the passes and dv, dl their
 change, the contact problem's energy f(l) = v.Mv / 2 + b.l along the segment is a parabola. Its minimum
 
     t = clamp(-(v0.M dv + b.dl) / (dv.M dv), 0, 1)
 
-is taken, one t an island: the cones are convex, so the impulses stay admissible, and f never rises. Since
-dv = M^-1 J^T dl, both sums run over contacts: v0.M dv = sum dl.(J v0) and dv.M dv = sum dl.(J dv).
+is computed for each island. The friction cones are convex, so impulses stay admissible, and f never increases. Since
+dv = M^-1 J^T dl, both sums can be computed over the contacts: v0.M dv = sum dl.(J v0) and dv.M dv = sum dl.(J dv).
 """
 
 import warp as wp
@@ -23,7 +23,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 FINE = wp.constant(wp.float64(2.0**40))
-"""Into so many parts the largest summand of an island is divided: 2^22 of them fit into 63 bits."""
+"""Fixed-point resolution relative to the largest summand of an island; 2^22 summands fit into 63 bits."""
 
 
 @wp.func
@@ -42,7 +42,7 @@ def store_before_shock(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: keep velocities and impulses as they are before the passes."""
+    """One team per environment: store the velocities and impulses before the passes."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if graph.converged[env] == 1 or envs.shock_propagation[env] == ShockMode.OFF:
@@ -60,7 +60,7 @@ def store_before_shock(
 
 @wp.func
 def energy_of(entry: OrderRecord, motions: Motions, rows: Rows):
-    """A constraint's part of both sums: -(v0.M dv + b.dl) and dv.M dv."""
+    """Contribution of a constraint to the two sums [J]: -(v0.M dv + b.dl) and dv.M dv."""
     now = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
     then = with_velocities(entry.body_a, entry.body_b, START, now, motions)
     sums = wp.vec2(0.0, 0.0)
@@ -71,7 +71,7 @@ def energy_of(entry: OrderRecord, motions: Motions, rows: Rows):
 
 @wp.func
 def add_up(island: int, numerator: wp.int64, denominator: wp.int64, graph: Graph):
-    """Add to both sums of an island; whole numbers, so the order in which lanes come makes no difference."""
+    """Add to both sums of an island; the sums are integers, so the result does not depend on the order of lanes."""
     if island >= 0:
         wp.atomic_add(graph.numerator, island, numerator)
         wp.atomic_add(graph.denominator, island, denominator)
@@ -86,9 +86,9 @@ def sum_energy(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: both sums of the line search for each island, and how far it would change a velocity.
+    """One team per environment: the two sums of the line search for each island, and its largest velocity change.
 
-    The parts of the pairs are added as multiples of a 2^40th of the island's largest part.
+    Summands are added as integer multiples of 2^-40 times the island's largest summand.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
@@ -134,7 +134,7 @@ def sum_energy(
 
 @wp.func
 def accepted_share(island: int, graph: Graph):
-    """The line search's t of an island."""
+    """Step length t of an island, from 0 to 1."""
     if graph.denominator[island] <= wp.int64(0):
         return 1.0
     return wp.clamp(float(graph.numerator[island]) / float(graph.denominator[island]), 0.0, 1.0)
@@ -151,7 +151,7 @@ def accept(
     rows: Rows,
     state: State,
 ):
-    """A team an environment: go the accepted share of the way, and note whether the first repetition was of use."""
+    """One team per environment: apply the accepted step length, and record if the first repetition was effective."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     if not searched(env, envs, graph):

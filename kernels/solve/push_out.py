@@ -1,8 +1,8 @@
-"""Push-out: separate what still overlaps after the velocities are solved, without touching the velocities.
+"""Push-out: separates bodies that would still overlap after the velocity solve, without changing the velocities.
 
-Contacts that would end the step deeper than the slop get a pseudo-velocity that moves the bodies in this step only.
-What overlaps already is taken out bit by bit; what would come on top of it is kept from happening at all. Of two levels
-the lower body is frozen (Guendelman et al. 2003, section 8.3), so a deep stack is set right from the ground up.
+Contacts that would end the step deeper than the slop get a pseudo-velocity that moves the bodies in this step only. An
+existing overlap is removed over several steps; an additional overlap is prevented completely. Of two bodies in
+different levels the lower one is frozen (Guendelman et al. 2003, section 8.3): a stack is corrected from the ground up.
 """
 
 import warp as wp
@@ -46,16 +46,16 @@ wp.set_module_options({"enable_backward": False})
 
 
 PUSH_OUT_SWEEPS = wp.constant(6)
-"""Most sweeps, and one more for each body on the shortest way down."""
+"""Maximum number of sweeps, plus one for each level of depth."""
 
 SLOP = wp.constant(1.0e-4)
-"""Overlap left alone, as a part of the smaller body's size."""
+"""Overlap that is not corrected, as a fraction of the smaller body's size."""
 
 RECOVERY = wp.constant(0.25)
-"""Part of the overlap at the start of the step that is taken out in it."""
+"""Fraction of the overlap at the start of the step that is removed in the step."""
 
 ENOUGH = wp.constant(1.0e-4)
-"""Bodies are apart when no visit changes a pseudo-velocity by more than this [m/s]: within a step, a micrometre."""
+"""Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
 
 FASTEST = wp.constant(2.0)
 """Largest speed at which bodies are pushed apart [m/s]."""
@@ -63,7 +63,7 @@ FASTEST = wp.constant(2.0)
 
 @wp.func
 def rotate_by_spin(v: wp.vec3, spin: wp.vec3, dt: float):
-    """A vector that goes with a spinning body, after the step."""
+    """A body-fixed vector after the rotation of the step."""
     angle = dt * wp.length(spin)
     if angle < 1.0e-6:
         return v
@@ -72,9 +72,9 @@ def rotate_by_spin(v: wp.vec3, spin: wp.vec3, dt: float):
 
 @wp.func
 def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair):
-    """Gap of a contact after the step, with its turning, which the velocities do not see; its normal goes with a face.
+    """Gap of a contact after the step, including the rotation of arms and normal, which velocities do not account for.
 
-    The sample is the first body's if the key is even, and the face the second's.
+    The normal rotates with the body whose surface it belongs to: the second body if the key is even, else the first.
     """
     way_a = dt * pair.linear_a + rotate_by_spin(row.arm_a, pair.angular_a, dt) - row.arm_a
     way_b = dt * pair.linear_b + rotate_by_spin(row.arm_b, pair.angular_b, dt) - row.arm_b
@@ -86,7 +86,7 @@ def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair):
 
 @wp.func
 def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, pairs: Pairs, motions: Motions, contacts: Contacts):
-    """Separation speed that the contact needs [m/s], 0 if none."""
+    """Separation speed that the contact requires [m/s], 0 if none."""
     row = read_contact(c, contacts.rows)
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
@@ -99,7 +99,7 @@ def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, pairs: Pairs
 
 @wp.func
 def push_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
-    """One visit: bring the pseudo-velocity of separation to its target; aimed[0] is the pseudo-impulse."""
+    """Update one contact: bring the pseudo-velocity of separation to its target by a pseudo-impulse."""
     stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     target = stored[3]
     if target <= 0.0:
@@ -119,7 +119,7 @@ def push_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contact
 
 @wp.func
 def push_pair(entry: OrderRecord, freeze: int, motions: Motions, rows: Rows):
-    """Visit the contacts of a pair; the bodies' pseudo-velocities stand in for their velocities."""
+    """Update the contacts of a pair, with pseudo-velocities in place of velocities. Returns 1 if one changed."""
     if entry.kind != KIND:
         return 0
     a = entry.body_a
@@ -149,7 +149,7 @@ def find_overlaps(
     graph: Graph,
     rows: Rows,
 ):
-    """A team an environment: the separation speed that each contact needs, and whether any needs one."""
+    """One team per environment: the separation speed that each contact requires, and whether any is not 0."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     begin = pairs.contact_start[pairs.start[envs.first_body[env]]]
@@ -167,7 +167,7 @@ def find_overlaps(
 
 @wp.func
 def separate(freeze: int, most: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
-    """Iterate all pairs, at most so many times. Returns 1 if they are not apart by then."""
+    """Sweep over all pairs, at most `most` times. Returns 1 if the pseudo-velocities have not converged by then."""
     left = most
     changed = int(0)
     while left > 0:
@@ -193,10 +193,10 @@ def push_apart(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: separate all pairs, each upper body against the frozen one below it.
+    """One team per environment: separate all pairs, with the lower body of each pair frozen.
 
-    As in shock propagation, all levels are iterated together. What is caught between two frozen bodies then has to
-    push them apart; without shock propagation, no body is frozen in the first place.
+    As in shock propagation, all levels are iterated together. Bodies caught between two frozen bodies are separated by
+    further sweeps without freezing. If shock propagation is off, no body is frozen at all.
     """
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env

@@ -1,16 +1,17 @@
-"""Collisions: impacts with restitution, before the velocity update (Guendelman et al. 2003, sections 4 and 6).
+"""Restitution: impacts, solved before the velocity update (Guendelman et al. 2003, sections 4 and 6).
 
-A body at rest has no velocity here, gravity comes later: nothing that rests can bounce, without any threshold speed.
-Only contacts that approach and would close within the step take part, so what merely touches is left to the contact
-stage. A visit treats all contacts of a pair at once: each aims at -e times its approach, none pulls, friction stays in
-its cone, and the pair's impulse is scaled down if it would gain energy. Pairs follow one another, so a blow
-travels along a row of balls.
+A body at rest has no velocity here, as gravity is added later. Resting bodies therefore do not bounce, and no threshold
+speed is needed. Only approaching contacts that would close within the step take part; resting contacts are left to the
+contact solver. All contacts of a pair are solved together: the target normal velocity of each is -e times its approach
+velocity, normal impulses are not negative, friction stays within its cone, and the impulse of the pair is scaled down
+if it would increase the energy. Pairs are solved one after another, so an impact propagates along a row of spheres.
 
-Symplectic Euler's velocity lags half a step of acceleration behind, and the impact is dealt with up to a step before
-the surfaces meet. Reflecting the velocity as it is changes the height of a bounce by |v| dt. So the velocity is centred
-in time, carried down the gap, reflected there and carried back: with v the centred approach, p the pull that closes
-the gap g, the rebound is sqrt(e^2 (v^2 + 2 p g) - 2 p g). The centring fades out for the slowest impacts so that rest
-stays rest; an impact too weak to come back up the gap is left to the contact stage, and bounces when it has landed.
+The velocity of symplectic Euler lags behind by half a step of acceleration, and the impact is solved up to one step
+before the surfaces meet. Reflecting the velocity as it is would change the bounce height by |v| dt. Instead, the
+velocity is centred in time, extrapolated over the gap, reflected, and extrapolated back: with the centred approach
+speed v and the acceleration p that closes the gap g, the rebound speed is sqrt(e^2 (v^2 + 2 p g) - 2 p g). The centring
+is reduced for the slowest impacts, so that resting bodies stay at rest. An impact too weak to rebound over the gap is
+left to the contact solver, and bounces once it has landed.
 """
 
 import warp as wp
@@ -44,18 +45,18 @@ from warp_rigid.kernels.solve.schedule import (
 wp.set_module_options({"enable_backward": False})
 
 INNER_ITERATIONS = wp.constant(8)
-"""Most rounds over the contacts of one pair."""
+"""Maximum rounds over the contacts of one pair."""
 
 SLOWEST = wp.constant(1.0e-4)
-"""Approach below which a contact is no collision [m/s]."""
+"""Approach speed below which a contact is not an impact [m/s]."""
 
 NO_IMPACT = wp.constant(-1.0e10)
-"""Target of a contact that does not collide in this step [m/s]."""
+"""Target velocity of a contact without an impact in this step [m/s]."""
 
 
 @wp.func
 def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
-    """Normal velocity that a contact approaching at `speed` aims at, or NO_IMPACT. `pull`: acceleration together."""
+    """Target normal velocity of a contact approaching at `speed`, or NO_IMPACT. `pull`: approach acceleration."""
     if speed < SLOWEST or row.bias_velocity > speed + dt * pull:
         return NO_IMPACT
     e = row.restitution
@@ -71,7 +72,7 @@ def rebound(row: ContactRecord, speed: float, pull: float, dt: float):
 
 @wp.func
 def set_targets(begin: int, end: int, pair: BodyPair, relative_pull: wp.vec3, dt: float, contacts: Contacts):
-    """Give the pair's contacts their targets. Returns 1 if any collides."""
+    """Set the target velocities of the pair's contacts. Returns 1 if there is an impact."""
     colliding = int(0)
     for c in range(begin, end):
         row = read_contact(c, contacts.rows)
@@ -85,7 +86,7 @@ def set_targets(begin: int, end: int, pair: BodyPair, relative_pull: wp.vec3, dt
 
 @wp.func
 def collide_contact(c: int, pair: BodyPair, contacts: Contacts):
-    """One visit inside a pair: bring the normal velocity to its target, the slip to zero within the cone."""
+    """Update one contact: bring the normal velocity to its target, and the slip to zero within the friction cone."""
     stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     target = stored[3]
     if target <= NO_IMPACT:
@@ -112,10 +113,10 @@ def collide_contact(c: int, pair: BodyPair, contacts: Contacts):
 
 @wp.func
 def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair, lag: wp.vec3, contacts: Contacts):
-    """Largest share in [0, 1] of the pair's impulse that gains no kinetic energy.
+    """Largest factor in [0, 1] on the pair's impulse that does not increase the kinetic energy.
 
-    With the share s the energy changes by s J.u + s^2 J.du / 2, u the time-centred relative velocities before (which
-    differ from the stored ones by `lag`), du their change.
+    With a factor s the energy changes by s J.u + s^2 J.du / 2, where u are the time-centred relative velocities before
+    the impact (which differ from the stored ones by `lag`), and du is their change.
     """
     linear = float(0.0)
     quadratic = float(0.0)
@@ -144,7 +145,7 @@ def solve_impact(
     motions: Motions,
     rows: Rows,
 ):
-    """Let the contacts of a pair collide together. Returns 1 if any did."""
+    """Solve the impacts of all contacts of a pair together. Returns 1 if there was any."""
     entry = entry_at(k, order)
     if entry.kind != KIND or is_done(entry, graph):
         return 0
@@ -186,7 +187,7 @@ def solve_impacts(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: sweeps of pairwise impacts until none is left or the iterations are spent."""
+    """One team per environment: sweeps of pairwise impacts until there are none, at most `collision_iterations`."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     first = envs.collision_first[env]

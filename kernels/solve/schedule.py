@@ -1,8 +1,8 @@
-"""The order in which a team visits the constraints of its environment, colour by colour.
+"""The order in which a team solves the constraints of its environment, colour by colour.
 
-The lanes share the constraints of a colour, which have no dynamic body in common, and synchronize before the next one.
-Turns number the visits of colours, so that a constraint is skipped while neither of its bodies has changed since it was
-solved.
+The lanes share the constraints of a colour, which have no dynamic body in common, and synchronize before the next
+colour. Visits of colours are numbered (turns), so that a constraint is skipped if neither of its bodies has changed
+since it was last solved.
 """
 
 import warp as wp
@@ -15,18 +15,18 @@ from warp_rigid.kernels.schema import Graph, Motions, Order, OrderRecord
 wp.set_module_options({"enable_backward": False})
 
 CONVERGED = wp.constant(1.0e-6)
-"""Constraints are solved when no row changes a velocity by more than this [m/s]."""
+"""Constraints count as solved when no row changes a velocity by more than this [m/s]."""
 
 
 @wp.func
 def entry_at(k: int, order: Order):
-    """An active constraint, by its place in the order of solving."""
+    """An active constraint, by its index in the solving order."""
     return read_entry(k, order.entries)
 
 
 @wp.func
 def first_of_color(color: int, team: Team, order: Order):
-    """Where in the order a lane begins with a colour. Constraints solved one after another are the first lane's."""
+    """A lane's first entry of a colour. Constraints that are solved serially belong to the first lane."""
     if color == SERIAL and team.lane > 0:
         return order.color_start[team.env, color + 1]
     return order.color_start[team.env, color] + team.lane
@@ -34,25 +34,25 @@ def first_of_color(color: int, team: Team, order: Order):
 
 @wp.func
 def stride_of_color(color: int, team: Team):
-    """How far a lane goes from one constraint of a colour to its next."""
+    """Index increment from one constraint of a lane to its next one in a colour."""
     return wp.where(color == SERIAL, 1, team.lanes)
 
 
 @wp.func
 def first_entry(team: Team, order: Order):
-    """A lane's first constraint of all."""
+    """A lane's first entry, over all colours."""
     return order.color_start[team.env, 0] + team.lane
 
 
 @wp.func
 def end_of_entries(env: int, order: Order):
-    """One past the last constraint of an environment."""
+    """One past the last entry of an environment."""
     return order.color_start[env, order.color_count[env]]
 
 
 @wp.func
 def forget_visits(first: int, last: int, team: Team, order: Order, graph: Graph):
-    """Start counting turns: all bodies, from `first` to before `last`, have changed, no constraint was visited."""
+    """Reset the turns: mark all bodies from `first` to `last` - 1 as changed, and all constraints as not visited."""
     for b in range(first + team.lane, last, team.lanes):
         graph.changed[b] = 1
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
@@ -67,12 +67,12 @@ def is_done(entry: OrderRecord, graph: Graph):
 
 @wp.func
 def solved_turn(color: int, turn: int):
-    """The turn to note in a constraint that is solved now; of those solved serially, the next may undo it."""
+    """Turn to record for a constraint solved now; a serial one counts as older, as later ones may share its bodies."""
     return wp.where(color == SERIAL, turn - 1, turn)
 
 
 @wp.func
 def note_change(b: int, turn: int, motions: Motions, graph: Graph):
-    """Note the turn in which a dynamic body's velocity changed."""
+    """Record the turn in which a dynamic body's velocity changed."""
     if inverse_mass_of(b, motions) > 0.0:
         graph.changed[b] = turn

@@ -1,19 +1,19 @@
-"""Shock propagation: weight travels through a stack in two passes instead of many sweeps.
+"""Shock propagation: transmits load through a stack in two passes instead of many sweeps.
 
-*Up*: in each contact between two levels the lower body is frozen (infinitely heavy), and what it did not take is kept
-as its load. With `one_pass`, the method of 2003 (section 8.2), that is all: loads are never felt below. *Down* (after
-Xiong, Leach, Thomas and Sueda 2025): the same once more, but now every body moves under its load, as the level above
-has left it; the lower body of a contact stays frozen at the velocity that it had after the pass up, and its load grows
-by what it does not take.
+*Upward pass*: in each contact between two levels, the lower body is frozen (infinite mass), and the impulse on it is
+stored as its load. With `one_pass`, the method of 2003 (section 8.2), there is no second pass: loads have no effect on
+the bodies below. *Downward pass* (after Xiong, Leach, Thomas and Sueda 2025): the pass is repeated, but each body now
+moves under the load from the levels above. The lower body of a contact stays frozen at its velocity after the upward
+pass, and the impulse on it is added to its load.
 
-Both papers go from level to level and iterate each until nothing changes. What they arrive at does not need that order:
-in the pass up a level depends on the levels below it alone, in the pass down on those above. So all levels are iterated
-together, colour by colour, until nothing changes anywhere: levels settle one after another in as many sweeps, not in
-as many times twenty, and the lanes of a large team have the whole scene to share.
+Both papers iterate one level after another until convergence. The result does not require this order: in the upward
+pass a level depends only on the levels below it, in the downward pass only on those above. Therefore all levels are
+iterated together, colour by colour, until nothing changes. The levels then converge one after another in as many
+sweeps, instead of about twenty sweeps for each level, and the work of the whole scene is shared by the lanes of a team.
 
-What comes out is only a search direction: `line_search` decides how far to go in it. In a heap, whose bodies lean on
-each other every way, that is hardly at all. So an island that has gone less than a tenth of the way for eight steps in
-a row is left alone, and tried again in every eighth step.
+The result is only a search direction; `line_search` computes the step length. In a heap, whose bodies lean on each
+other in all directions, the step length is nearly zero. An island with a step length below one tenth in eight
+consecutive steps therefore skips shock propagation, and tries it again in every eighth step.
 """
 
 import warp as wp
@@ -50,42 +50,42 @@ wp.set_module_options({"enable_backward": False})
 
 
 SHOCK_SWEEPS = wp.constant(4)
-"""Most sweeps of a pass, and three for each body on the shortest way down. With two, a tower of thirty crossed layers
-of beams falls."""
+"""Maximum sweeps of a pass, plus three for each level of depth. With two, a tower of thirty crossed layers of beams
+collapses."""
 
 PAIR_ITERATIONS = wp.constant(4)
-"""Most rounds over the contacts of a pair in a visit, if its upper body stands on nothing else. With one, a stack of 50
-falls over."""
+"""Maximum rounds over the contacts of a pair per visit, if its upper body has no other support. With one, a stack of 50
+collapses."""
 
 SHARED_ITERATIONS = wp.constant(2)
-"""The same where a body stands on several. With one, the tower of beams falls; with eight, the first pair takes all
-load, and a pyramid of 20 rows is pushed 1 mm out of shape."""
+"""The same for a body with several supports. With one, the tower of beams collapses; with eight, the first pair takes
+the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
 
 USEFUL = wp.constant(0.1)
-"""Share of the way from which shock propagation has been of use to an island."""
+"""Step length from which shock propagation counts as effective for an island."""
 
 NO_WAY = wp.constant(1.0e-3)
-"""What changes velocities by less [m/s] tells nothing: the island is at rest."""
+"""Velocity change below which effectiveness is not judged, as the island is at rest [m/s]."""
 
 SKIPPED = wp.constant(2**30)
-"""Stands for a visit after all others."""
+"""Turn of a constraint that is not visited: later than all others."""
 
 
 @wp.func
 def island_of(entry: OrderRecord, motions: Motions, graph: Graph):
-    """The island of a touching pair."""
+    """The island of a constraint."""
     return graph.island[wp.where(motions.solver_bodies[entry.body_a].inverse_mass > 0.0, entry.body_a, entry.body_b)]
 
 
 @wp.func
 def skips_shock(ineffective_steps: int):
-    """Whether an island goes without shock propagation in this step, by how long that has been of no use to it."""
+    """Whether an island skips shock propagation in this step, from its number of ineffective steps."""
     return ineffective_steps > INEFFECTIVE_STEPS
 
 
 @wp.func
 def next_ineffective_steps(ineffective_steps: int, way: float, share: float):
-    """The same after this step, in which an island went a share of a way, its largest change of a velocity."""
+    """Ineffective steps after this one, from the step length `share` and the largest velocity change `way` [m/s]."""
     if skips_shock(ineffective_steps):
         return wp.where(ineffective_steps < 2 * INEFFECTIVE_STEPS - 1, ineffective_steps + 1, INEFFECTIVE_STEPS)
     if way < NO_WAY:
@@ -95,7 +95,7 @@ def next_ineffective_steps(ineffective_steps: int, way: float, share: float):
 
 @wp.func
 def skip_ineffective_islands(team: Team, order: Order, graph: Graph, motions: Motions):
-    """Pass over the pairs of islands that go without shock propagation. Returns 1 if any pair remains to a lane."""
+    """Skip the constraints of islands without shock propagation. Returns 1 if any constraint of the lane remains."""
     remains = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         if skips_shock(graph.ineffective_steps[island_of(entry_at(k, order), motions, graph)]):
@@ -107,7 +107,7 @@ def skip_ineffective_islands(team: Team, order: Order, graph: Graph, motions: Mo
 
 @wp.func
 def under_load(entry: OrderRecord, pair: BodyPair, motions: Motions):
-    """Two bodies, the upper as it moves under its load, the lower as it was after the pass up."""
+    """The pair with the upper body's velocity under its load, and the lower body's velocity after the upward pass."""
     a = entry.body_a
     b = entry.body_b
     if pair.inverse_mass_a > 0.0:
@@ -121,7 +121,7 @@ def under_load(entry: OrderRecord, pair: BodyPair, motions: Motions):
 
 @wp.func
 def store_loaded_bodies(entry: OrderRecord, pair: BodyPair, motions: Motions):
-    """Store the velocities of the upper bodies as those under their load."""
+    """Store the velocities of the bodies that are not frozen as their velocities under load."""
     if pair.inverse_mass_a > 0.0:
         store_velocity(entry.body_a, LOADED, pair.linear_a, pair.angular_a, motions)
     if pair.inverse_mass_b > 0.0:
@@ -130,7 +130,7 @@ def store_loaded_bodies(entry: OrderRecord, pair: BodyPair, motions: Motions):
 
 @wp.func
 def add_load(b: int, pair: BodyPair, motions: Motions):
-    """Let a frozen body feel what it did not take."""
+    """Add the impulse on a frozen body to its load."""
     inverse_mass = inverse_mass_of(b, motions)
     if inverse_mass > 0.0:
         linear = load_velocity(b, LOADED, motions) + inverse_mass * pair.frozen_impulse
@@ -142,7 +142,7 @@ def add_load(b: int, pair: BodyPair, motions: Motions):
 
 @wp.func
 def rounds_of(entry: OrderRecord, graph: Graph):
-    """How often a visit of a pair goes over its contacts, at most."""
+    """Maximum rounds over the rows of a constraint per visit."""
     several_a = entry.upper_a == 1 and graph.support_count[entry.body_a] > 1
     several_b = entry.upper_b == 1 and graph.support_count[entry.body_b] > 1
     return wp.where(several_a or several_b, SHARED_ITERATIONS, PAIR_ITERATIONS)
@@ -150,7 +150,7 @@ def rounds_of(entry: OrderRecord, graph: Graph):
 
 @wp.func
 def visit_frozen(k: int, turn: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, rows: Rows):
-    """Solve the contacts of a pair, its lower body frozen if one is lower. Returns 1 if a velocity changed."""
+    """Solve a constraint with its lower body frozen, if one is lower. Returns 1 if a velocity changed."""
     entry = entry_at(k, order)
     if is_done(entry, graph):
         return 0
@@ -195,7 +195,7 @@ def solve_levels(
     motions: Motions,
     rows: Rows,
 ):
-    """One pass: iterate all levels together until no visit changes anything."""
+    """One pass: iterate all levels together until convergence."""
     forget_visits(first, last, team, order, graph)
     remains = int(1)
     if mode == ShockMode.TWO_PASS:
@@ -227,7 +227,7 @@ def propagate(
     motions: Motions,
     rows: Rows,
 ):
-    """A team an environment: the pass up, and with two_pass the pass down."""
+    """One team per environment: the upward pass and, with two_pass, the downward pass."""
     team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
     mode = envs.shock_propagation[env]

@@ -1,1 +1,1 @@
-"""Prediction, integration, sleep and moving ground."""
+"""Prediction, integration, sleeping and moving ground."""

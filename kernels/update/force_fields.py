@@ -1,7 +1,7 @@
 """Accelerations of the force fields: one device function for each FieldKind.
 
-The host classes are in `warp_rigid/scene/fields.py`. Their attributes are the columns of `fields.parameters`, one after
-another: a vector takes three columns.
+The host classes are in `warp_rigid/scene/fields.py`. Their attributes are the columns of `fields.parameters`, in order
+of declaration; a vector takes three columns.
 """
 
 import warp as wp
@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def vector_parameter(fields: FieldForces, f: int, column: int):
-    """Vector parameter of field f that begins at a column."""
+    """Vector parameter of field f that starts at a column."""
     return wp.vec3(fields.parameters[f, column], fields.parameters[f, column + 1], fields.parameters[f, column + 2])
 
 

@@ -1,10 +1,10 @@
-"""Ground that moves: height fields whose vertices go up and down harmonically.
+"""Moving ground: height fields whose vertices move vertically in harmonic motion.
 
-Each environment has its own copy of such a field in the pool of shapes, so that distances read today's heights without
-knowing of time. At the beginning of a step `move_ground` writes the heights of now, from the environment's own
-count of steps, and how fast the vertices rise: the change of height over the step, so that what rests on the ground
-follows it exactly. `set_surface_velocity` then gives each contact the surface's velocity. Collisions see the velocity
-of the step before, which a resting body has: what rests does not bounce.
+Each environment has its own copy of such a field in the pool of shapes, so that distance queries read the current
+heights. At the start of a step, `move_ground` computes the heights from the environment's step counter. The vertical
+velocity of a vertex is its change of height over the step, so that bodies resting on the ground follow it exactly.
+`set_surface_velocity` then assigns the surface velocity to each contact. Restitution uses the surface velocity of the
+previous step, which equals the velocity of a resting body, so that resting bodies do not bounce.
 """
 
 import warp as wp
@@ -24,7 +24,7 @@ def height_at(k: int, time: wp.float64, surfaces: Surfaces):
 
 @wp.kernel
 def move_ground(dt: wp.float64, first: int, envs: Environments, surfaces: Surfaces, shapes: Shapes):
-    """One thread a vertex: height, speed, and the sample there. `first`: the first vertex's node in the pool."""
+    """One thread per vertex: height, velocity and surface sample. `first`: the first vertex's node in the pool."""
     k = wp.tid()
     time = wp.float64(envs.step[surfaces.env[k]]) * dt
     now = height_at(k, time, surfaces)
@@ -46,7 +46,7 @@ def move_ground(dt: wp.float64, first: int, envs: Environments, surfaces: Surfac
 
 @wp.kernel
 def drive_ground(shapes: Shapes, bodies: Bodies, envs: Environments, motions: Motions):
-    """One thread a body: ground that moves is driven, though its body stands still. Nothing falls asleep on it."""
+    """One thread per body: moving ground counts as kinematic even if its body is at rest. Bodies on it do not sleep."""
     b = wp.tid()
     if shapes.shapes[bodies.shape[b]].rise > 0.0 and motions.role[b] == Role.STATIC:
         motions.role[b] = Role.KINEMATIC
@@ -57,7 +57,7 @@ def drive_ground(shapes: Shapes, bodies: Bodies, envs: Environments, motions: Mo
 def surface_velocity(
     body: int, x: wp.vec3, before: int, first: int, shapes: Shapes, bodies: Bodies, state: State, surfaces: Surfaces
 ):
-    """Velocity of a body's surface at a world point relative to the body; zero unless its ground moves."""
+    """Velocity of a body's surface at a world point relative to the body [m/s]; zero except for moving ground."""
     shape = bodies.shape[body]
     if shapes.shapes[shape].rise == 0.0:
         return wp.vec3(0.0, 0.0, 0.0)
@@ -94,7 +94,7 @@ def set_surface_velocity(
     pairs: Pairs,
     contacts: Contacts,
 ):
-    """One thread a contact: the surfaces' relative velocity, `before` this step (for collisions that come first)."""
+    """One thread per contact: relative surface velocity; with `before`, that of the last step (for restitution)."""
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return

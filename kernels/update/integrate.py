@@ -1,4 +1,4 @@
-"""Last stage: the position update, and the watch over non-finite states and bodies that leave the scene's bounds."""
+"""Position update, and checks for non-finite states and for bodies that leave the scene's bounds."""
 
 import warp as wp
 
@@ -10,17 +10,17 @@ wp.set_module_options({"enable_backward": False})
 
 
 MOST_PARTS = wp.constant(1024)
-"""Most parts in which the rotation of a step is done."""
+"""Maximum substeps for the rotation of a step."""
 
 ENERGY_TOLERANCE = wp.constant(wp.float64(1.0e-3))
-"""Part by which the energy may change in the rotation of a step."""
+"""Relative change of energy allowed in the rotation of a step."""
 
 mat33d = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
 
 
 @wp.func
 def rotate_by(turn: wp.quatd, rotation: wp.vec3d):
-    """Turn an orientation by a rotation vector in the world [rad], exactly; the result has unit length."""
+    """Rotate an orientation by a rotation vector in the world frame [rad], exactly; the result has unit length."""
     angle = wp.length(rotation)
     half = wp.float64(0.5) * angle
     scale = wp.float64(0.5) - angle * angle / wp.float64(48.0)
@@ -32,7 +32,7 @@ def rotate_by(turn: wp.quatd, rotation: wp.vec3d):
 
 @wp.func
 def precise(q: wp.quat, remainder: wp.vec4):
-    """A stored orientation with what its rounding left over."""
+    """A stored orientation in float64, with its rounding error added."""
     return wp.quatd(
         wp.float64(q[0]) + wp.float64(remainder[0]),
         wp.float64(q[1]) + wp.float64(remainder[1]),
@@ -43,18 +43,18 @@ def precise(q: wp.quat, remainder: wp.vec4):
 
 @wp.func
 def spin_of(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d):
-    """Angular velocity that belongs to an angular momentum in an orientation: R I^-1 R^T L."""
+    """Angular velocity for an angular momentum and an orientation: R I^-1 R^T L."""
     r = wp.quat_to_matrix(wp.normalize(turn))
     return r * (inverse * (wp.transpose(r) * momentum))
 
 
 @wp.func
 def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float64, parts: int):
-    """Orientation after a torque-free time dt, in so many parts: the angular momentum stays, the orientation follows.
+    """Orientation after a torque-free time dt, in `parts` substeps with constant angular momentum.
 
-    Fourth order and made of rotations only, so that a steady spin is exact (Celledoni, Marthinsen and Owren 2003,
-    commutator-free method). The second-order update of Guendelman et al. 2003, section 3, keeps the energy to 4e-5;
-    a body that flips about its middle axis needs more.
+    The scheme is of fourth order and composed of rotations only, so that a steady spin is exact (Celledoni, Marthinsen
+    and Owren 2003, commutator-free method). The second-order update of Guendelman et al. 2003, section 3, conserves the
+    energy to 4e-5; a body that flips about its intermediate axis requires more.
     """
     h = dt / wp.float64(parts)
     half = wp.float64(0.5) * h
@@ -77,8 +77,9 @@ def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float6
 def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64):
     """Orientation and angular velocity after a torque-free time dt.
 
-    A thin rod is stiff: where its axis is off by little, its momentum means another spin altogether. So the energy is
-    watched, and the time taken in more parts until it stays; a motion too fast even so is taken for a steady spin.
+    The rotation of a thin rod is stiff: a small error of its axis greatly changes the spin for its momentum. The
+    number of substeps is therefore increased until the energy is conserved. If the maximum is not enough, the
+    angular velocity is taken as constant.
     """
     inverse = wp.inverse(inertia)
     r = wp.quat_to_matrix(turn)
@@ -96,9 +97,9 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
 
 @wp.kernel
 def find_non_finite(bodies: Bodies, motions: Motions, envs: Environments):
-    """One thread a body: note it if its velocity or pose is not finite; the environment's first such body counts.
+    """One thread per body: record it if its velocity or pose is not finite; the body with the highest rank is reported.
 
-    What was not finite before the step comes before what it has touched in it: ranks fall with the body's number.
+    Bodies that were not finite before the step rank above those that became so in it; lower indices rank higher.
     """
     b = wp.tid()
     env = bodies.env[b]
@@ -128,7 +129,7 @@ def keep_inside(
     state: State,
     envs: Environments,
 ):
-    """One thread a body: note it if its centre has left the bounds, and switch it off if that is wanted."""
+    """One thread per body: record it if its centre of mass has left the bounds, and switch it off if `remove` is 1."""
     b = wp.tid()
     env = bodies.env[b]
     if bodies.motion[b] == Motion.STATIC or motions.role[b] == Role.ABSENT:
@@ -142,7 +143,7 @@ def keep_inside(
 
 @wp.kernel
 def close_step(envs: Environments):
-    """One thread an environment: halt it if a state was not finite, note who left the bounds first, count the step."""
+    """One thread per environment: halt it if not finite, record the first body out of bounds, count the step."""
     env = wp.tid()
     count = envs.first_body[env + 1] - envs.first_body[env]
     strayed = envs.strayed[env]
@@ -164,7 +165,7 @@ def close_step(envs: Environments):
 
 @wp.func
 def without_added_speed(v: wp.vec3, a: wp.vec3, time: float):
-    """Velocity without what an acceleration added along the way in a time in which the body does not move."""
+    """Velocity without the speed that an acceleration added in a time in which the body does not move."""
     squared = wp.length_sq(v)
     if time == 0.0 or squared == 0.0:
         return v
@@ -173,12 +174,12 @@ def without_added_speed(v: wp.vec3, a: wp.vec3, time: float):
 
 @wp.kernel
 def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Environments, state: State):
-    """One thread a body: position and orientation follow the velocity and the push-out; angular momentum is kept.
+    """One thread per body: integrate position and orientation with the velocity and the push-out.
 
-    The rotation is done in float64, and what rounding leaves over is kept for the next step: it would otherwise be what
-    changes the angular momentum. The spin turns along with the push-out, which so leaves the energy as it is: a thin
-    rod's spin about its axis would be a wild one about another. A fast body moves a share of the step only where it
-    would pass into another one.
+    Angular momentum is conserved. The rotation is computed in float64, and its rounding error is stored for the next
+    step; otherwise it would be the main error of the angular momentum. The angular velocity is rotated together with
+    the body by the push-out, which therefore does not change the energy; otherwise the spin of a thin rod about its
+    axis would become a fast spin about another axis. Bodies move only up to their time of impact.
     """
     b = wp.tid()
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC

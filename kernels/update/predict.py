@@ -1,4 +1,4 @@
-"""First stage: accelerations, world inertia, and the box that each body may sweep in this step."""
+"""Prediction: roles, accelerations, world inertia and swept bounding boxes of the bodies, and the velocity update."""
 
 import warp as wp
 
@@ -18,21 +18,21 @@ from warp_rigid.kernels.update.force_fields import field_acceleration
 wp.set_module_options({"enable_backward": False})
 
 CONTACT_DISTANCE = wp.constant(5.0e-4)
-"""Samples closer than this part of the smaller body's size count as touching."""
+"""Samples closer than this fraction of the smaller body's size count as touching."""
 
 UNBOUNDED_EXTENT = wp.constant(1.0e9)
-"""Half-extent from which a shape counts as without bound [m]."""
+"""Half-extent from which a shape counts as unbounded [m]."""
 
 
 @wp.func
 def smaller_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
-    """Size of the smaller body of a pair [m], by which lengths at their contact are measured."""
+    """Size of the smaller body of a pair [m], the length scale of contact tolerances."""
     return wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
 
 
 @wp.func
 def extent_along_axes(turn: wp.quat, half: wp.vec3):
-    """Half-extents in the world of a box turned by `turn`."""
+    """Half-extents of the axis-aligned bounding box of a box rotated by `turn`."""
     r = wp.quat_to_matrix(turn)
     return wp.vec3(
         wp.abs(r[0, 0]) * half[0] + wp.abs(r[0, 1]) * half[1] + wp.abs(r[0, 2]) * half[2],
@@ -43,7 +43,7 @@ def extent_along_axes(turn: wp.quat, half: wp.vec3):
 
 @wp.func
 def role_of(b: int, bodies: Bodies, state: State, sleep_state: SleepState):
-    """The part that a body takes in this step."""
+    """The role of a body in this step."""
     if state.active[b] == 0:
         return Role.ABSENT
     if bodies.motion[b] == Motion.DYNAMIC:
@@ -60,7 +60,7 @@ def is_finite(v: wp.vec3):
 
 @wp.func
 def body_is_finite(b: int, state: State):
-    """Whether a body's velocity and place are finite."""
+    """Whether a body's velocity and position are finite."""
     return is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b]) and is_finite(state.position[b])
 
 
@@ -101,9 +101,9 @@ def derive_motion(
 
 @wp.kernel
 def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """Box that holds a body from now to the end of the step, whatever its rotation does meanwhile.
+    """Bounding box of each body over the step, for any rotation.
 
-    A fast body may rebound and go anywhere as far as its speed takes it.
+    For a fast body it includes the displacement in all directions, as the body may rebound.
     """
     b = wp.tid()
     shape = bodies.shape[b]
@@ -135,7 +135,7 @@ def sweep_boxes(dt: float, shapes: Shapes, bodies: Bodies, state: State, motions
 
 @wp.kernel
 def integrate_velocities(dt: float, when: int, bodies: Bodies, envs: Environments, motions: Motions):
-    """Velocity update: add a step's acceleration where the environment's stage order is `when`."""
+    """Velocity update: add the acceleration of a step in environments whose `collision_first` is `when`."""
     b = wp.tid()
     if envs.collision_first[bodies.env[b]] != when or motions.role[b] != Role.FREE:
         return

@@ -1,13 +1,13 @@
-"""Rest: bodies that have kept still fall asleep, island by island, and wake when anything disturbs their island.
+"""Sleeping: bodies at rest are put to sleep island by island, and woken when their island is disturbed.
 
-A body is ready to sleep when it has been slow, and has stayed within a small box about a pose, for long enough: a real
-history, so the top of a throw does not count. An island (bodies connected by contacts; what is fixed does not connect)
-falls asleep when all its bodies are ready and it lies on something fixed: what falls freely never sleeps.
+A body is ready to sleep when it has been slow and has stayed close to a reference pose for SLEEP_DELAY. A body at the
+top of its trajectory is therefore not ready. An island (bodies connected by contacts, except through static bodies)
+falls asleep when all its bodies are ready and it is in contact with a static body. Bodies in free fall never sleep.
 
-Sleepers keep their pose bit for bit, and the history keeps the contacts on which they lie. Their pairs are *dormant*:
-listed, but neither searched nor solved. An island wakes whole when one of its bodies was changed from outside, when a
-fixed body that it touches was moved or switched off, or when something that moves touches it; this is found between
-the narrow phase and the solver, so that the blow is felt in the same step.
+The pose of sleeping bodies does not change, and their contacts are kept in the history. Their pairs are *dormant*: they
+are listed, but neither searched for contacts nor solved. A whole island is woken when one of its bodies is changed by
+the user, when a static body that it touches is moved or switched off, or when a moving body touches it. The last is
+detected between the narrow phase and the solver, so that the impact acts in the same step.
 """
 
 import warp as wp
@@ -32,18 +32,18 @@ wp.set_module_options({"enable_backward": False})
 
 
 SLEEP_SPEED = wp.constant(0.1)
-"""Speed below which a body may be at rest, in its size a second; its surface turns no faster either."""
+"""Speed below which a body counts as slow, in body sizes per second; also applies to the rotation of its surface."""
 
 SLEEP_TRAVEL = wp.constant(0.02)
-"""Half-width of the box within which a body at rest stays, as a part of its size."""
+"""Displacement allowed for a body at rest, as a fraction of its size."""
 
 SLEEP_DELAY = wp.constant(0.5)
-"""How long a body must have kept still to fall asleep [s]."""
+"""Time for which a body must have been at rest to fall asleep [s]."""
 
 
 @wp.func
 def angle_between(q: wp.quat, r: wp.quat):
-    """Angle between two orientations, small ones [rad]."""
+    """Angle between two orientations [rad], for small angles."""
     d = wp.quat_inverse(q) * r
     return 2.0 * wp.length(wp.vec3(d[0], d[1], d[2]))
 
@@ -56,7 +56,7 @@ def differ(v: wp.vec3, w: wp.vec3):
 
 @wp.func
 def pose_differs(b: int, state: State, sleep_state: SleepState):
-    """Whether a body is elsewhere than the pose that was kept."""
+    """Whether a body's pose differs from the stored one."""
     q = state.orientation[b]
     r = sleep_state.orientation[b]
     turn = q[0] != r[0] or q[1] != r[1] or q[2] != r[2] or q[3] != r[3]
@@ -65,7 +65,7 @@ def pose_differs(b: int, state: State, sleep_state: SleepState):
 
 @wp.func
 def has_changed(b: int, state: State, motions: Motions, sleep_state: SleepState):
-    """Whether a sleeping or fixed body is not as it was left."""
+    """Whether a sleeping or static body was changed since the last step."""
     moved = pose_differs(b, state, sleep_state)
     if motions.role[b] != Role.ASLEEP:
         return moved or motions.role[b] == Role.KINEMATIC
@@ -76,9 +76,9 @@ def has_changed(b: int, state: State, motions: Motions, sleep_state: SleepState)
 
 @wp.kernel
 def find_changed(bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState, envs: Environments):
-    """One thread a body: what was changed since the last step. A fixed body that was moved counts as driven.
+    """One thread per body: mark bodies that were changed since the last step. A moved static body counts as kinematic.
 
-    Only where bodies may sleep: elsewhere it must not matter that they do in other environments.
+    Only in environments with sleeping enabled, so that others do not depend on the settings of these.
     """
     b = wp.tid()
     role = motions.role[b]
@@ -93,7 +93,7 @@ def find_changed(bodies: Bodies, state: State, motions: Motions, sleep_state: Sl
 
 @wp.kernel
 def wake_neighbors(history: History, sleep_state: SleepState):
-    """One thread a body: name the islands that wake because of it or of what it lay on."""
+    """One thread per body: mark islands to wake because of changes to this body or to its neighbours."""
     a = wp.tid()
     if sleep_state.disturbed[a] == 1 and sleep_state.asleep[a] == 1:
         sleep_state.wake[sleep_state.island[a]] = 1
@@ -124,7 +124,7 @@ def wake_constrained(body_a: wp.array[int], body_b: wp.array[int], motions: Moti
 
 @wp.kernel
 def wake_touched(pairs: Pairs, sleep_state: SleepState):
-    """One thread a pair: name the islands that wake because something that moves touches them."""
+    """One thread per pair: mark islands to wake because a moving body touches them."""
     pair = wp.tid()
     if pair >= pairs.start[pairs.start.shape[0] - 1] or pairs.contact_count[pair] == 0:
         return
@@ -138,7 +138,7 @@ def wake_touched(pairs: Pairs, sleep_state: SleepState):
 
 @wp.kernel
 def wake_islands(bodies: Bodies, motions: Motions, sleep_state: SleepState, envs: Environments):
-    """One thread a body: wake the islands that were named."""
+    """One thread per body: wake the marked islands."""
     b = wp.tid()
     if sleep_state.asleep[b] == 1 and sleep_state.wake[sleep_state.island[b]] == 1:
         envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
@@ -150,14 +150,14 @@ def wake_islands(bodies: Bodies, motions: Motions, sleep_state: SleepState, envs
 
 @wp.func
 def keep_pose(b: int, state: State, sleep_state: SleepState):
-    """Measure motion from the present pose."""
+    """Store the current pose as the reference for measuring motion."""
     sleep_state.position[b] = state.position[b]
     sleep_state.orientation[b] = state.orientation[b]
 
 
 @wp.kernel
 def track_motion(shapes: Shapes, bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState):
-    """One thread a body, after it has moved: count the steps for which it has kept still."""
+    """One thread per body, after the position update: count the consecutive steps at rest."""
     b = wp.tid()
     role = motions.role[b]
     sleep_state.wake[b] = 0
@@ -191,7 +191,7 @@ def test_bodies_for_sleep(
     state: State,
     sleep_state: SleepState,
 ):
-    """One thread a body: an island with a body that is not ready stays awake."""
+    """One thread per body: an island with a body that is not ready stays awake."""
     b = wp.tid()
     env = bodies.env[b]
     if motions.role[b] != Role.FREE:
@@ -204,7 +204,7 @@ def test_bodies_for_sleep(
 
 @wp.kernel
 def test_support_for_sleep(pairs: Pairs, motions: Motions, bodies: Bodies, graph: Graph, sleep_state: SleepState):
-    """One thread a pair: whether an island lies on something fixed, or on something that moves."""
+    """One thread per pair: whether an island is in contact with a static or a kinematic body."""
     pair = wp.tid()
     if pairs.contact_start[pair + 1] == pairs.contact_start[pair]:
         return
@@ -221,7 +221,7 @@ def test_support_for_sleep(pairs: Pairs, motions: Motions, bodies: Bodies, graph
 
 @wp.kernel
 def put_islands_to_sleep(motions: Motions, graph: Graph, state: State, sleep_state: SleepState):
-    """One thread a body: islands that are ready fall asleep, in the pose and under the forces that they have."""
+    """One thread per body: put the islands that are ready to sleep, and store their poses and external forces."""
     b = wp.tid()
     if motions.role[b] == Role.ASLEEP:
         graph.level[b] = sleep_state.level[b]
@@ -243,7 +243,7 @@ def put_islands_to_sleep(motions: Motions, graph: Graph, state: State, sleep_sta
 
 @wp.func
 def history_row_if_asleep(pair: int, motions: Motions, pairs: Pairs):
-    """Row in the history of a pair that has slept through this step, -1 of any other."""
+    """Row in the history of a pair that slept in this step, -1 for any other."""
     if pairs.dormant[pair] == 0 or may_meet(motions.role[pairs.body_a[pair]], motions.role[pairs.body_b[pair]]):
         return -1
     return pairs.dormant[pair] - 1
@@ -251,7 +251,7 @@ def history_row_if_asleep(pair: int, motions: Motions, pairs: Pairs):
 
 @wp.kernel
 def count_history(threads: int, history: History, motions: Motions, pairs: Pairs):
-    """The threads share the pairs: what the history knows of a pair that has slept, it keeps, its contacts too."""
+    """The threads share the pairs: keep the contact count and search data of pairs that slept in this step."""
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         row = history_row_if_asleep(pair, motions, pairs)
         if row >= 0:
@@ -274,9 +274,9 @@ def copy_contact(row: int, target: int, source: History, history: History):
 
 @wp.kernel
 def merge_history(threads: int, pairs: Pairs, contacts: Contacts, history: History, motions: Motions, kept: History):
-    """The threads share the pairs: this step's contacts, and those of pairs that slept, to their rows.
+    """The threads share the pairs: merge this step's contacts with those of pairs that slept.
 
-    If all do not fit, `kept` has no rows, and the step is repeated with larger pools.
+    If the capacity is exceeded, `kept` has no rows, and the step is repeated with larger pools.
     """
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         first = kept.contact_start[pair]
@@ -290,6 +290,6 @@ def merge_history(threads: int, pairs: Pairs, contacts: Contacts, history: Histo
 
 @wp.kernel
 def replace_history(threads: int, kept: History, history: History):
-    """The threads share the contacts: what was kept becomes the history."""
+    """The threads share the contacts: copy the merged contacts to the history."""
     for c in range(wp.tid(), kept.contact_start[kept.contact_start.shape[0] - 1], threads):
         copy_contact(c, c, kept, history)

@@ -1,4 +1,4 @@
-"""All environments of a simulator as shards: stepped together, undone together, with room that grows or must do."""
+"""All environments of a simulator as shards: stepped and undone together, with growing or fixed capacity."""
 
 import logging
 from collections.abc import Callable, Iterator
@@ -17,14 +17,14 @@ from warp_rigid.scene.scene import Motion, Scene
 log = logging.getLogger("warp_rigid")
 
 LEAST_BODIES = 16
-"""Dynamic bodies that are worth a shard: waking a thread takes as long as a step of about three of them."""
+"""Minimum number of dynamic bodies for a shard: starting a thread takes as long as a step of about three bodies."""
 
 SHARDS_A_CORE = 2
-"""More than one, so that a core whose environments are done sooner takes over some of another's."""
+"""Shards per core; more than one, so that a core that finishes early can take over shards of another core."""
 
 
 class Range(NamedTuple):
-    """Environments of a shard, and the sizes of its pools at first."""
+    """Environments of a shard, and the initial sizes of its pools."""
 
     first: int
     end: int
@@ -32,14 +32,14 @@ class Range(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """What steps wanted of the pools.
+    """Sizes that steps required of the pools.
 
     Attributes:
-        most: (2,) most pairs and contacts that a step wanted, all shards together.
-        short: shards that had not enough room, and what each wanted of the pools that were too small.
-        over: the pool of which a step wanted more than there may be, if there is one.
-        wanted: how much that step wanted of it.
-        fitted: how many steps there were before it.
+        most: (2,) largest number of pairs and contacts that a step required, over all shards together.
+        short: shards whose capacity was exceeded, with the required sizes of the pools that were too small.
+        over: the pool whose maximum capacity was exceeded, if there is one.
+        wanted: the required size of that pool.
+        fitted: number of steps before the one that exceeded it.
     """
 
     most: np.ndarray
@@ -49,15 +49,15 @@ class Tally(NamedTuple):
     fitted: int = 0
 
 
-def plan(scene: Scene, num_envs: int, room: dict[str, int], device: Any) -> list[Range]:
-    """Ranges of about as many environments each, and their part of the room; one range on a GPU."""
+def plan(scene: Scene, num_envs: int, capacity: dict[str, int], device: Any) -> list[Range]:
+    """Ranges of about equally many environments, and their share of the capacity; one range on a GPU."""
     cores = 1 if device.is_cuda else usable_cores()
     dynamic = sum(body.motion == Motion.DYNAMIC for body in scene.bodies)
     worth = num_envs * dynamic // LEAST_BODIES
     count = 1 if cores == 1 else max(1, min(cores * SHARDS_A_CORE, worth, num_envs))
 
     def sizes(first: int, end: int) -> dict[str, int]:
-        part = {name: max(1, all_ * end // num_envs - all_ * first // num_envs) for name, all_ in room.items()}
+        part = {name: max(1, all_ * end // num_envs - all_ * first // num_envs) for name, all_ in capacity.items()}
         return Pools.sizes_for(end - first, len(scene.bodies), other_constraints(scene), **part)
 
     bounds = [num_envs * k // count for k in range(count + 1)]
@@ -69,18 +69,18 @@ class Shards:
 
     Args:
         ranges: as from `plan`.
-        model: what is constant.
-        state: what a step changes.
-        rest: who sleeps.
+        model: the scene on the device.
+        state: state of the bodies.
+        sleep_state: sleep state of the bodies.
         envs: settings of the environments.
-        capacity: largest numbers of "pairs" and "contacts" of all together; None if pools grow.
-        limit: what the simulator may take of the memory.
-        other_bytes: what it takes beside pools.
+        capacity: fixed capacity for "pairs" and "contacts" of all shards together; None if pools grow.
+        limit: memory limit of the simulator.
+        other_bytes: bytes that the simulator uses besides the pools.
 
     Attributes:
-        steps: steps done.
+        steps: number of completed steps.
         capacity: as given.
-        most_wanted: (2,) most pairs and contacts that a step has wanted.
+        most_wanted: (2,) largest number of pairs and contacts that a step has required.
     """
 
     def __init__(
@@ -94,52 +94,52 @@ class Shards:
         limit: MemoryLimit,
         other_bytes: int,
     ) -> None:
-        """Make the shards; `record` must follow."""
+        """Create the shards; `record` must be called next."""
         self._shards = [Shard(*some, model, state, sleep_state, envs) for some in ranges]
-        self._envs, self._limit, self._other_bytes, self._growth_told = envs, limit, other_bytes, False
+        self._envs, self._limit, self._other_bytes, self._growth_reported = envs, limit, other_bytes, False
         self._threads, self._attempt = usable_cores(), 0
         self.steps, self.capacity, self.most_wanted = 0, capacity, np.zeros(2, np.int64)
 
     def __iter__(self) -> Iterator[Shard]:
-        """In the order of their environments."""
+        """Iterate over the shards in the order of their environments."""
         return iter(self._shards)
 
     def of(self, chosen: np.ndarray) -> Iterator[tuple[Shard, np.ndarray]]:
-        """Shards that have some of the chosen environments, and the numbers of these within them."""
+        """Shards that contain some of the chosen environments, and the indices of these within each shard."""
         for shard in self._shards:
             own = chosen[(chosen >= shard.first) & (chosen < shard.end)]
             if len(own):
                 yield shard, own - shard.first
 
     def gather(self, read: Callable[[Shard], np.ndarray]) -> np.ndarray:
-        """Rows of all environments, from those of the shards."""
+        """Rows of all environments, concatenated from those of the shards."""
         return np.concatenate([read(shard) for shard in self._shards])
 
     def sizes(self) -> dict[str, int]:
-        """Pairs and contacts that there is room for, or may be, in all environments together."""
+        """Capacity for pairs and contacts of all environments together."""
         return self.capacity or {name: sum(shard.pools.sizes[name] for shard in self._shards) for name in NAMES}
 
     @property
     def memory(self) -> int:
-        """Bytes that the simulator holds on its device."""
+        """Bytes that the simulator uses on its device."""
         return self._other_bytes + sum(pool_bytes(shard.pools.sizes) for shard in self._shards)
 
     @property
     def sleeping(self) -> bool:
-        """Whether the recorded step lets bodies fall asleep."""
+        """Whether the recorded step includes sleeping."""
         return self._shards[0].stages.sleeping
 
     def record(self, dt: float, repetitions: int, sleeping: bool) -> None:
-        """Record the step, unless it is recorded so already; the arguments are those of Stages."""
+        """Record the step, unless it is already recorded with these arguments, which are those of Stages."""
         for shard in self._shards:
             if shard.recorded != (dt, repetitions, sleeping):
                 shard.record(dt, repetitions, sleeping)
 
     def step(self, count: int) -> None:
-        """Do at most CHUNK steps in all environments, or raise: then the last step that fitted stands in all of them.
+        """Execute at most CHUNK steps in all environments.
 
         Raises:
-            CapacityError: there is not enough room, and it may not grow.
+            CapacityError: the capacity is exceeded and cannot grow; all environments are at the last valid step.
         """
         try:
             self._confirm(self._advance(count), count)
@@ -148,10 +148,10 @@ class Shards:
             raise
 
     def deepest_overlap(self) -> np.ndarray:
-        """Deepest overlap now in each environment, (envs,) [m]; see Simulator.penetration.
+        """Deepest overlap in each environment, (envs,) [m]; see Simulator.penetration.
 
         Raises:
-            CapacityError: there is not enough room, and it may not grow.
+            CapacityError: the capacity is exceeded and cannot grow.
         """
         while True:
             for shard in self._shards:
@@ -166,13 +166,13 @@ class Shards:
             self._grow(tally.short)
 
     def ensure_capacity(self, shard: Shard, wanted: dict[str, int]) -> None:
-        """Enlarge the pools of a shard that are smaller than what is wanted of them."""
+        """Enlarge the pools of a shard that are smaller than the required sizes."""
         short = {name: n for name, n in wanted.items() if n > shard.pools.sizes[name]}
         if short:
             self._grow([(shard, short)])
 
     def _advance(self, count: int) -> Tally:
-        """Do steps that can be undone, again where a pool was too small."""
+        """Execute steps that can be undone, and repeat them in shards where a pool was too small."""
         left = self._shards
         while True:
             self._try(left, count)
@@ -186,12 +186,12 @@ class Shards:
             left = [shard for shard, _ in tally.short]
 
     def _try(self, shards: list[Shard], count: int) -> None:
-        """The slowest of late go first, so that no core is left with one of them at the end."""
+        """Step the shards, starting with those that were slowest last time, to balance the load of the cores."""
         slowest_first = sorted(shards, key=lambda shard: -shard.seconds)
         spread(lambda shard: shard.advance(count, self._attempt), slowest_first, self._threads)
 
     def _go_to_overflow(self, tally: Tally) -> None:
-        """From the steps that were tried to the last one that fitted, and one that can be undone beyond it."""
+        """Undo the attempt, repeat the valid steps, and execute the overflowing step, which can be undone."""
         self._undo()
         if tally.fitted:
             self._try(self._shards, tally.fitted)
@@ -199,7 +199,7 @@ class Shards:
         self._try(self._shards, 1)
 
     def _confirm(self, tally: Tally, count: int) -> None:
-        """Let the steps stand that were done last: nothing of this attempt can be undone any more."""
+        """Accept the last steps; this attempt can no longer be undone."""
         self._attempt += 1
         self.steps += count
         self.most_wanted = np.maximum(self.most_wanted, tally.most)
@@ -209,7 +209,7 @@ class Shards:
             shard.undo(self._attempt)
 
     def _count(self, steps: int) -> Tally:
-        """What the last steps wanted, and whether there was room for it."""
+        """Sizes that the last steps required, compared with the capacity."""
         wanted = np.array([shard.pools.wanted.numpy()[:steps] for shard in self._shards], np.int64)
         too_much = wanted > np.array([[[shard.pools.sizes[name] for name in NAMES]] for shard in self._shards])
         void, short = steps, []
@@ -225,9 +225,9 @@ class Shards:
         return Tally(known[:step].max(axis=0, initial=0), short, NAMES[pool], int(known[step, pool]), step)
 
     def _shortage(self, wanted: np.ndarray, too_much: np.ndarray) -> tuple[int, list[tuple[Shard, dict[str, int]]]]:
-        """The first step that is void somewhere, and what each shard wanted of what was too small in its first one.
+        """The first step invalid in any shard, and the sizes required by each shard in its first invalid step.
 
-        A step is void where a pool was too small, and so are all after it; but the pairs wanted in it are known.
+        A step in which a pool was too small is invalid, as are all later steps. Its number of pairs is still known.
         """
         short = []
         void = too_much.shape[1]
@@ -242,22 +242,22 @@ class Shards:
         """Enlarge pools that were too small; their shards' steps are undone."""
         larger = [(shard, shard.pools.larger_sizes(wanted)) for shard, wanted in short]
         names = [name for name in NAMES if any(name in wanted for _, wanted in short)]
-        told = ", ".join(
+        growth = ", ".join(
             f"{name} {now} -> {now + sum(sizes[name] - shard.pools.sizes[name] for shard, sizes in larger)}"
             for name, now in ((name, sum(shard.pools.sizes[name] for shard in self._shards)) for name in names)
         )
-        self._limit.check(self.memory, sum(pool_bytes(sizes) for _, sizes in larger), f"room for more ({told})")
-        level = logging.DEBUG if self._growth_told or self.capacity else logging.INFO
-        log.log(level, "room grows: %s; the steps are repeated", told)
-        self._growth_told = True
+        self._limit.check(self.memory, sum(pool_bytes(sizes) for _, sizes in larger), f"larger capacity ({growth})")
+        level = logging.DEBUG if self._growth_reported or self.capacity else logging.INFO
+        log.log(level, "capacity grows: %s; the steps are repeated", growth)
+        self._growth_reported = True
         for shard, sizes in larger:
             shard.undo(self._attempt)
             shard.grow(sizes)
 
     def _overflow(self, tally: Tally) -> CapacityError:
-        """The error for a step that wanted too much; that step is undone."""
+        """The error for a step that exceeds the capacity; the step is undone."""
         assert tally.over is not None
-        name, wanted, room = tally.over, tally.wanted, self.sizes()[tally.over]
+        name, wanted, capacity = tally.over, tally.wanted, self.sizes()[tally.over]
         env = int(self.gather(lambda shard: shard.pools.wanted_by_environment(name)).argmax())
         self._undo()
         step = int(self._envs.step.numpy()[env])
@@ -265,10 +265,10 @@ class Shards:
         if wanted > LARGEST:
             advice = f"more than {LARGEST} cannot be counted: simulate fewer environments at once"
         return CapacityError(
-            f"{name}: {wanted} wanted, room for {room} (most wanted by environment {env} in step {step}); {advice}",
+            f"{name}: {wanted} required, capacity {capacity} (most by environment {env} in step {step}); {advice}",
             name,
             wanted,
-            room,
+            capacity,
             env,
             step,
         )

@@ -94,7 +94,7 @@ def restore(world: World, header: dict[str, Any], arrays: dict[str, np.ndarray])
 
     Raises:
         ValueError, TypeError, KeyError: header or arrays do not fit.
-        CapacityError: there is no room for the contacts of the last step.
+        CapacityError: the capacity is too small for the contacts of the last step.
     """
     used = {name: whole_in(f"used {name}", header["used"][name], 0, LARGEST) for name in NAMES}
     newer = _newer_coefficients(header)

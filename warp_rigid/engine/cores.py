@@ -1,7 +1,7 @@
-"""The processor's cores: how many this process may use, and how work is spread over them.
+"""CPU cores: the number that this process may use, and parallel execution on them.
 
-Replaying a recorded step is one call of native code, during which Python lets other threads run: so threads are enough.
-What they run must neither record steps nor compile, for both are one thing at a time in a process.
+Replaying a recorded step is a single native call that releases the global interpreter lock, so threads are sufficient.
+The threads must neither record steps nor compile kernels, as a process can do only one of these at a time.
 """
 
 import math
@@ -17,21 +17,21 @@ Part = TypeVar("Part")
 Result = TypeVar("Result")
 
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
-"""What a container may use of the processors: "200000 100000" is two cores, "max 100000" all."""
+"""CPU quota of a container: "200000 100000" is two cores, "max 100000" all."""
 
 _sharers = 1
-"""Processes that share the cores, this one included."""
+"""Number of processes that share the cores, including this one."""
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: its affinity and its container's quota, its part of them if they are shared."""
+    """Number of cores that this process may use, from its affinity, its container's quota and `shared_by`."""
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(count, _quota(count)) // _sharers)
 
 
 @contextmanager
 def shared_by(processes: int) -> Iterator[None]:
-    """Within it the cores are shared by so many processes, this one included."""
+    """Context in which the cores are shared by this number of processes, including this one."""
     global _sharers
     before, _sharers = _sharers, processes
     try:
@@ -41,7 +41,7 @@ def shared_by(processes: int) -> Iterator[None]:
 
 
 def _quota(count: int) -> int:
-    """Whole cores of the container's quota, `count` where there is none."""
+    """Cores of the container's quota, rounded up; `count` if there is no quota."""
     try:
         quota, period = QUOTA.read_text().split()
         return math.ceil(int(quota) / int(period))
@@ -50,12 +50,12 @@ def _quota(count: int) -> int:
 
 
 def spread(work: Callable[[Part], Result], parts: Sequence[Part], threads: int) -> list[Result]:
-    """Do the work for each part, by as many threads at once, this one among them; a single one waits for no other.
+    """Call `work` for each part, on `threads` threads including the current one; with one thread, run it directly.
 
-    A thread that is done takes the next part. When this returns, or raises what was raised, no thread is at work.
+    A thread that is done takes the next part. When this returns or raises an exception of `work`, the threads are idle.
 
     Returns:
-        What the work returned, in the order of the parts.
+        The results, in the order of the parts.
     """
     found: list = [None] * len(parts)
     left = iter(enumerate(parts))
@@ -74,14 +74,14 @@ def spread(work: Callable[[Part], Result], parts: Sequence[Part], threads: int) 
 
 
 def _take(work: Callable[[Part], Result], left: Iterable[tuple[int, Part]], found: list) -> None:
-    """Do parts until none is left; Python hands each to one thread only."""
+    """Process parts until none is left; the iterator yields each part to one thread only."""
     for index, part in left:
         found[index] = work(part)
 
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    """The threads of this process; each is started when it is first needed."""
+    """Thread pool of this process; threads are started on demand."""
     return ThreadPoolExecutor(max_workers=os.cpu_count() or 1, thread_name_prefix="warp_rigid")
 
 

@@ -1,4 +1,4 @@
-"""The hash grid of the broad phase: which bodies enter it, and sorting them into buckets."""
+"""The hash grid of the broad phase: its bodies, and sorting them into buckets."""
 
 import math
 from typing import Any
@@ -11,21 +11,21 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase
 
 TRY_ALL_UP_TO = 256
-"""Up to so many small bodies an environment, trying all pairs is faster than the grid."""
+"""Up to this number of small bodies per environment, testing all pairs is faster than the grid."""
 
 BUCKETS_PER_BODY = 2
-"""Buckets for each small body of an environment, at least: so that cells seldom share one."""
+"""Minimum number of buckets for each small body, so that cells seldom share a bucket."""
 
 
 class HashGrid:
-    """Lists of small and oversized bodies, and buckets of the small ones where an environment has many.
+    """Lists of small and oversized bodies, and buckets of the small bodies if an environment has many.
 
     Args:
-        model: what is constant.
+        model: the scene on the device.
         device: the Warp device.
 
     Attributes:
-        buckets: of each environment, a power of two; 0 where all pairs are tried.
+        buckets: number of buckets of each environment, a power of two; 0 if all pairs are tested.
         cells: the device arrays.
     """
 
@@ -53,7 +53,7 @@ class HashGrid:
             self.cells.oversized.assign(np.tile(model.oversized, self.num_envs))
 
     def fill(self, envs: Any, motions: Any) -> None:
-        """Sort the small bodies into their buckets, where there are any; those of a bucket keep their order."""
+        """Sort the small bodies into buckets, if there are buckets; bodies in the same bucket keep their order."""
         if not self.buckets:
             return
         cells, device = self.cells, self.device

@@ -1,4 +1,4 @@
-"""Modules of kernels: which are needed when, and compiling them before a step is recorded."""
+"""Kernel modules: groups that are loaded together, and their compilation before a step is recorded."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -15,7 +15,7 @@ from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restit
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
-"""Their kernels solve an environment by a team; those that take longest to compile first."""
+"""Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
 STEP = (
     narrowphase,
@@ -29,10 +29,10 @@ STEP = (
     capacity,
     *rows.OTHER_KINDS,
 )
-"""Modules of kernels that every step needs, those that take longest to compile first."""
+"""Kernel modules that every step requires; the slowest to compile come first."""
 
 GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
-"""Those of distance grids, of `deepest_overlap`, of bodies that may sleep, and of ground that moves."""
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping and moving ground."""
 
 EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND)
 
@@ -43,16 +43,16 @@ def load_kernels(
     lanes: Sequence[int] = (1,),
     on_module: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Compile kernels, or load them from Warp's cache, several modules at a time, in their order.
+    """Compile kernels, or load them from Warp's cache, several modules in parallel, in the given order.
 
-    A graph cannot contain a compilation, so everything that is recorded must have been loaded. Kernels that are seldom
-    needed are loaded when they are needed.
+    Modules cannot be compiled during graph capture, so all kernels of a recorded step must be loaded before. Kernels
+    that are seldom needed are loaded on demand.
 
     Args:
         device: the Warp device.
-        modules: those of `warp_rigid.kernels` that are needed.
-        lanes: sizes of the teams that will solve environments.
-        on_module: called with the number of modules that are ready and the number of all, whenever one more is.
+        modules: modules of `warp_rigid.kernels` to load.
+        lanes: sizes of the teams that will process environments.
+        on_module: called after each module with the number of loaded modules and the total.
     """
     teams = sorted({team.block_of(size) for size in lanes}) if device.is_cuda else [1]
     others = [team.BLOCK if device.is_cuda else 1]

@@ -17,7 +17,7 @@ LARGEST_LIMIT = 2**50
 
 
 def pool_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all that is sized with the pools: lists, contacts, the last step's contacts twice, graph, orders."""
+    """Bytes of all arrays sized with the pools: lists, contacts, the history twice, graph, orders."""
     structs = (
         schema.Constraints,
         schema.Pairs,
@@ -32,7 +32,7 @@ def pool_bytes(sizes: dict[str, int]) -> int:
 
 
 def body_bytes(scene: Scene, num_envs: int) -> int:
-    """Bytes of all that is sized with bodies, environments or constraints besides contacts, with copies for undoing."""
+    """Bytes of all arrays sized with bodies, environments or constraints besides contacts, and of their copies."""
     sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
     structs = [schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments]
     structs += [struct for kind in OTHER_KINDS for struct in [kind.ROWS] * 2]
@@ -40,7 +40,7 @@ def body_bytes(scene: Scene, num_envs: int) -> int:
 
 
 def shape_bytes(scene: Scene) -> int:
-    """Bytes of the different shapes' distance grids and samples, without computing the grids."""
+    """Bytes of the distance grids and samples of all distinct shapes, without computing the grids."""
     shapes = {body.shape.key: body.shape for body in scene.bodies}.values()
     records = sum(
         _record_bytes(schema.SampleRecord) * len(shape.samples().kind)
@@ -55,7 +55,7 @@ def _record_bytes(record: Any) -> int:
 
 
 def device_memory(device: Any) -> tuple[int, int]:
-    """Total and free memory of a device [bytes]; on the CPU what the machine or its container gives."""
+    """Total and free memory of a device [bytes]; on the CPU that of the machine or its container."""
     if device.is_cuda:
         return device.total_memory, device.free_memory
     page = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
@@ -68,7 +68,7 @@ def device_memory(device: Any) -> tuple[int, int]:
 
 
 def _available(total: int) -> int:
-    """What Linux says could be given to programs now; elsewhere all there is."""
+    """Available memory as reported by Linux [bytes]; on other systems the total."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -84,14 +84,14 @@ def _number(file: Path) -> int | None:
 
 
 class MemoryLimit:
-    """How much memory a simulator may take on its device.
+    """Limit of the memory that a simulator may use on its device.
 
     Args:
         device: the Warp device.
-        limit: bytes (int), a fraction of the device's memory (float), or None for all that is free.
+        limit: bytes (int), a fraction of the device's memory (float), or None for all free memory.
 
     Raises:
-        ValueError: the limit is neither.
+        ValueError: the limit is none of these.
     """
 
     def __init__(self, device: Any, limit: int | float | None) -> None:
@@ -104,10 +104,10 @@ class MemoryLimit:
             self.bytes = LARGEST_LIMIT if limit is None else whole_in("memory_limit", limit, 1, LARGEST_LIMIT)
 
     def check(self, held: int, more: int, what: str) -> None:
-        """Refuse to take `more` bytes beside the `held` ones if that is too much.
+        """Check that `more` bytes can be allocated in addition to the `held` ones.
 
         Raises:
-            CapacityError: with the bytes that would be needed.
+            CapacityError: the limit or the free memory is exceeded; it states the bytes required.
         """
         total = held + more
         if total > self.bytes:

@@ -1,4 +1,4 @@
-"""From a Scene to device arrays: the pool of shapes, and the rows of bodies of all environments."""
+"""The model: a Scene as device arrays, with the pool of shapes and the bodies of all environments."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,31 +18,31 @@ from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
 from warp_rigid.scene.shapes.heightfield import moves
 
 UNBOUNDED = 2.0e9
-"""Stands for the infinite extents of planes [m]; float32 multiplies it without overflow."""
+"""Used for the infinite extents of planes [m]; products with it do not overflow in float32."""
 
 OVERSIZED = 4.0
-"""A dynamic body this many times larger than the median never enters the hash grid."""
+"""A dynamic body more than this many times larger than the median is not in the hash grid."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """What a scene is on the device; constant but for the parameters that users set.
+    """A scene on the device; constant except for the parameters that users set.
 
     Attributes:
-        scene: where it comes from.
-        num_envs: environments.
+        scene: the scene.
+        num_envs: number of environments.
         shapes: pool of shapes.
-        surfaces: vertices of ground that moves.
-        surface_vertices: how many there are.
-        surface_node: where their nodes begin in the pool.
-        bodies: rows of all environments.
+        surfaces: vertices of moving ground.
+        surface_vertices: number of these vertices.
+        surface_node: their first grid node in the pool.
+        bodies: bodies of all environments.
         fields: force fields.
-        field_count: how many there are.
-        combine_rules: how friction and restitution combine.
-        small: (n,) bodies of an environment that go into the hash grid.
-        oversized: (n,) the others.
+        field_count: number of force fields.
+        combine_rules: combine rules of friction and restitution.
+        small: (n,) bodies of an environment in the hash grid.
+        oversized: (n,) the other bodies.
         grid_radius: cell width of the hash grid [m].
-        constraint_rows: arrays of the kinds of constraints besides contacts, by name.
+        constraint_rows: arrays of the kinds of constraints other than contacts, by name.
     """
 
     scene: Scene
@@ -61,7 +61,7 @@ class Model:
     constraint_rows: dict[str, Any]
 
     def part(self, first: int, end: int) -> "Model":
-        """The model of the environments from `first` to before `end`, over the same arrays."""
+        """The model of the environments `first` to `end - 1`, over the same arrays."""
         vertices = self.surface_vertices // self.num_envs
         return replace(
             self,
@@ -106,7 +106,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
 
 
 def initial_state(scene: Scene, num_envs: int, device: Any) -> Any:
-    """The state in which every environment starts."""
+    """The initial state of every environment."""
     state = declare.allocate(schema.State, {"bodies": num_envs * len(scene.bodies)}, device)
     for name in ("position", "orientation", "linear_velocity", "angular_velocity"):
         rows = np.array([getattr(body, name) for body in scene.bodies], np.float32)
@@ -126,7 +126,7 @@ def initial_environments(scene: Scene, settings: Settings, num_envs: int, device
 
 
 def mass_arrays(shape: Shape, mass: np.ndarray) -> dict[str, np.ndarray]:
-    """Masses (n,) [kg] and what follows from them for bodies of one shape, as float32 device rows."""
+    """Masses (n,) [kg], inertia tensors and their inverses for bodies of one shape."""
     unit = shape.inertia / shape.volume
     inertia = mass[:, None, None] * unit
     return {
@@ -138,7 +138,7 @@ def mass_arrays(shape: Shape, mass: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _unique_shapes(bodies: list[Body]) -> tuple[list[Shape], list[int]]:
-    """Shapes without repetition, and the index of each body's."""
+    """Distinct shapes, and the index of each body's shape."""
     index: dict[str, int] = {}
     shapes: list[Shape] = []
     of_body = []
@@ -151,7 +151,7 @@ def _unique_shapes(bodies: list[Body]) -> tuple[list[Shape], list[int]]:
 
 
 def _split_by_size(bodies: list[Body]) -> tuple[list[int], list[int], float]:
-    """Bodies for the hash grid, the wide ones, and the cell width that suits the first [m]."""
+    """Bodies in the hash grid, oversized bodies, and the cell width of the grid [m]."""
     reach = np.array([0.5 * np.linalg.norm(_extent(body.shape)) for body in bodies])
     dynamic = np.array([body.motion == Motion.DYNAMIC for body in bodies], bool)
     typical = float(np.median(reach[dynamic])) if dynamic.any() else 1.0
@@ -164,7 +164,7 @@ def _split_by_size(bodies: list[Body]) -> tuple[list[int], list[int], float]:
 
 
 def _extent(shape: Shape) -> np.ndarray:
-    """Edges of the shape's box [m]."""
+    """Side lengths of the shape's bounding box [m]."""
     lower, upper = shape.bounds
     return np.clip(upper, -UNBOUNDED, UNBOUNDED) - np.clip(lower, -UNBOUNDED, UNBOUNDED)
 
@@ -196,7 +196,7 @@ def env_ranges(scene: Scene, first: int, end: int) -> dict[str, tuple[int, int]]
 
 
 def _filtered(scene: Scene) -> list[list[int]]:
-    """For each body of an environment those that it never touches."""
+    """For each body of an environment, the bodies with which contact is filtered out."""
     others: list[list[int]] = [[] for _ in scene.bodies]
     for a, b in sorted(scene.filtered_pairs):
         others[a].append(b)
@@ -218,7 +218,7 @@ def _upload_fields(force_fields: list[ForceField], device: Any) -> Any:
 def _upload_bodies(
     scene: Scene, shape_of_body: np.ndarray, step: np.ndarray, oversized: list[int], num_envs: int, device: Any
 ) -> Any:
-    """Write one environment's rows and repeat them; each environment's shape lies `step` further than the last's."""
+    """Repeat one environment's rows for all; the index of each body's shape increases by `step` per environment."""
     bodies = scene.bodies
     filtered = _filtered(scene)
     rows = declare.allocate(schema.Bodies, body_sizes(scene, num_envs), device)
@@ -247,12 +247,12 @@ def _upload_bodies(
 
 
 def _center_of_mass(body: Body) -> np.ndarray:
-    """Centre of mass in the shape's frame; statics may be without bound and have none."""
+    """Centre of mass in the shape's frame; zero for static bodies, which may be unbounded."""
     return np.zeros(3) if body.motion == Motion.STATIC else body.shape.center_of_mass
 
 
 def _exact_reach(bodies: list[Body]) -> float:
-    """How far from a height field distances must be exact [m]: a ball's radius, half an edge, and a little more."""
+    """Reach within which distances to height fields must be exact [m]: sample radius and half-length, plus a margin."""
     shapes = {body.shape for body in bodies if body.motion == Motion.DYNAMIC}
     reach = 0.0 if shapes else UNBOUNDED
     for shape in shapes:
@@ -263,7 +263,7 @@ def _exact_reach(bodies: list[Body]) -> float:
 
 
 def _pool_shapes(shapes: list[Shape], exact_reach: float, num_envs: int, device: Any) -> tuple[Any, Any, int]:
-    """Concatenate parts, grids, clusters and samples of all shapes; and the vertices of those that move."""
+    """Concatenate parts, grids, clusters and samples of all shapes, and the vertices of moving height fields."""
     parts = [shape.parts() for shape in shapes]
     samples = [shape.samples() for shape in shapes]
     flat = [part for group in parts for part in group]
@@ -278,7 +278,7 @@ def _pool_shapes(shapes: list[Shape], exact_reach: float, num_envs: int, device:
 
 
 def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
-    """One record a shape."""
+    """One record per shape."""
     rows = np.zeros(len(shapes), schema.ShapeRecord.numpy_dtype())
     part_start = _starts([len(group) for group in parts])
     cluster_start = _starts([len(s.cluster_radius) for s in samples])
@@ -293,7 +293,7 @@ def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
 
 
 def _part_rows(parts: list, grids: list[np.ndarray], exact_reach: float) -> np.ndarray:
-    """One record a part."""
+    """One record per part."""
     rows = np.zeros(len(parts), schema.PartRecord.numpy_dtype())
     for row, part in zip(rows, parts, strict=True):
         row["kind"] = int(part.kind)
@@ -308,7 +308,7 @@ def _part_rows(parts: list, grids: list[np.ndarray], exact_reach: float) -> np.n
 
 
 def _cluster_rows(samples: list) -> np.ndarray:
-    """One record a cluster."""
+    """One record per cluster."""
     first_sample = _starts([len(s.kind) for s in samples])
     rows = np.zeros(sum(len(s.cluster_radius) for s in samples), schema.ClusterRecord.numpy_dtype())
     if len(rows):
@@ -326,7 +326,7 @@ def _cluster_rows(samples: list) -> np.ndarray:
 
 
 def _sample_rows(samples: list) -> np.ndarray:
-    """One record a sample."""
+    """One record per sample."""
     rows = np.zeros(sum(len(s.kind) for s in samples), schema.SampleRecord.numpy_dtype())
     for name in ("point", "normal", "slide", "radius", "kind"):
         rows[name] = np.concatenate([getattr(s, name) for s in samples])

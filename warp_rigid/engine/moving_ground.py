@@ -1,4 +1,4 @@
-"""Height fields that move, from a Scene to device arrays: each environment has its own copy in the pool of shapes."""
+"""Moving height fields as device arrays: each environment has its own copy in the pool of shapes."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ FIELDS = ("sample", "around", "per_x", "per_y", "height", "amplitude", "phase", 
 
 
 def with_copies(shapes: list[Shape], num_envs: int) -> tuple[list[Shape], np.ndarray, np.ndarray]:
-    """Shapes as they stand in the pool: those that stay alike first, then the others, again for each environment.
+    """Shapes in the order of the pool: first the shared ones, then a copy of the moving ones for each environment.
 
     Returns:
-        The pool's shapes; where each of `shapes` (its first copy) lies there, (n,); and how many copies further the
-        next environment's lies, (n,): as many as move, or 0.
+        The pool's shapes; the index of each of `shapes` (its first copy) in the pool, (n,); and the index increment
+        from one environment's copy to the next, (n,): the number of moving shapes, or 0.
     """
     moving = np.array([moves(shape) for shape in shapes], dtype=np.int32)
     alike = [shape for shape in shapes if not moves(shape)]
@@ -31,11 +31,11 @@ def build_surfaces(pooled: list[Shape], sample_start: np.ndarray, num_envs: int,
     Args:
         pooled: as from `with_copies`.
         sample_start: (shapes + 1,) first sample of each pooled shape.
-        num_envs: environments, each with its own copy of the fields.
+        num_envs: number of environments, each with its own copy of the fields.
         device: a Warp device.
 
     Returns:
-        The Surfaces, and how many vertices there are.
+        The Surfaces, and the number of vertices.
     """
     columns: dict[str, list[np.ndarray]] = {name: [] for name in FIELDS}
     count = 0
@@ -74,7 +74,7 @@ def _vertices(field: Heightfield, first_sample: int) -> dict[str, np.ndarray]:
 
 
 def _sample_of_vertex(field: Heightfield) -> np.ndarray:
-    """Which sample stands at each vertex, (vertices,) int32: samples are grouped, so not in the vertices' order."""
+    """Index of the sample at each vertex, (vertices,) int32; samples are grouped in clusters, not in vertex order."""
     last = np.array(field.heights.shape) - 1
     place = np.rint((field.samples().point[:, :2] / field.extent + 0.5) * last).astype(np.int64)
     vertex = place[:, 0] * field.heights.shape[1] + place[:, 1]

@@ -1,4 +1,4 @@
-"""Pools whose needed size is known only while simulating: pairs, contacts, and all that is sized with them."""
+"""Pools: arrays whose required size is known only during the simulation, such as pairs and contacts."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,21 +9,21 @@ import warp as wp
 from warp_rigid.kernels import declare, schema
 
 NAMES = ("pairs", "contacts")
-"""What is counted, in the order of `wanted` on the device."""
+"""Names of the pools, in the order of `wanted` on the device."""
 
 LARGEST = 2**30
-"""Most entries of a pool: ends of pairs, two each, are counted in 32 bits."""
+"""Maximum capacity of a pool, as the two ends of each pair are counted in 32 bits."""
 
 CHUNK = 16
-"""Most steps between two looks at the pools; as many are repeated if one was too small."""
+"""Maximum number of steps between two capacity checks; as many are repeated after an overflow."""
 
 HEADROOM = 1.5
-"""A pool that was too small grows to this many times what was wanted."""
+"""A pool that is too small grows to this factor times the required size."""
 
 
 @dataclass
 class Pools:
-    """Arrays sized by the number of pairs and contacts, and how many the last steps wanted.
+    """Arrays sized by the number of pairs and contacts, and the sizes that the last steps required.
 
     Attributes:
         sizes: symbols of the data layout and their values.
@@ -33,8 +33,8 @@ class Pools:
         constraints: all constraints of the step.
         graph: contact graph.
         order: active constraints by colour.
-        turn: (1,) row of `wanted` that belongs to the step at hand.
-        wanted: (CHUNK, 2) pairs and contacts wanted, step by step.
+        turn: (1,) row of `wanted` for the current step.
+        wanted: (CHUNK, 2) required number of pairs and contacts of each step.
     """
 
     sizes: dict[str, int]
@@ -49,7 +49,7 @@ class Pools:
 
     @staticmethod
     def sizes_for(num_envs: int, num_bodies: int, others: int, pairs: int, contacts: int) -> dict[str, int]:
-        """Symbols of the data layout and their values, with so many bodies and other constraints an environment."""
+        """Symbols of the data layout and their values; bodies and other constraints are given per environment."""
         return {
             "envs": num_envs,
             "bodies": num_envs * num_bodies,
@@ -61,7 +61,7 @@ class Pools:
 
     @classmethod
     def allocate(cls, sizes: dict[str, int], device: Any) -> "Pools":
-        """Make empty pools of these sizes."""
+        """Allocate empty pools of these sizes."""
         envs = sizes["envs"]
         constraints = declare.allocate(schema.Constraints, sizes, device)
         constraints.other_start.assign(sizes["others"] // envs * np.arange(envs + 1, dtype=np.int32))
@@ -79,20 +79,20 @@ class Pools:
 
     @property
     def levels(self) -> dict[str, wp.array]:
-        """What is told of the last step's levels."""
+        """Levels of the last step, which users can read."""
         return {"Graph.level": self.graph.level, "Graph.level_count": self.graph.level_count}
 
     def begin(self) -> None:
-        """Count anew what steps want, from the first row on."""
+        """Reset the required sizes, and start at the first row."""
         self.turn.zero_()
         self.wanted.zero_()
 
     def forget_graph(self) -> None:
-        """Let the next step find its graph anew: what it has for the last step is of another one."""
+        """Discard the graph of the last step, so that the next step computes it again."""
         self.graph.active_before.zero_()
 
     def wanted_by_environment(self, name: str) -> np.ndarray:
-        """What each environment wanted of a pool in the step at hand, (envs,), whether it fitted or not."""
+        """Required size of a pool for each environment in the current step, (envs,); may exceed the capacity."""
         if name == "pairs":
             body, count = np.arange(self.sizes["bodies"]), self.pairs.count.numpy()[:-1]
         else:
@@ -102,13 +102,13 @@ class Pools:
         return np.bincount(body // (self.sizes["bodies"] // envs), weights=count, minlength=envs).astype(np.int64)
 
     def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
-        """Sizes with room for what was wanted, and more."""
+        """Sizes enlarged to the required numbers of entries, times HEADROOM."""
         larger = {name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}
         pairs = larger.get("pairs", self.sizes["pairs"])
         return {**self.sizes, **larger, "constraints": pairs + self.sizes["others"]}
 
     def grown(self, sizes: dict[str, int]) -> "Pools":
-        """Larger pools that remember the same last step."""
+        """Larger pools with the same history."""
         pools = Pools.allocate(sizes, self.wanted.device)
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, schema.History)
@@ -118,13 +118,13 @@ class Pools:
 
 
 def expected_capacity(num_envs: int, dynamic: int) -> tuple[int, int]:
-    """Pairs and contacts to begin with: six pairs for each of `dynamic` bodies an environment, six contacts a pair."""
+    """Initial pairs and contacts: six pairs per dynamic body in all environments, six contacts per pair."""
     pairs = min(num_envs * max(8, 6 * dynamic), LARGEST)
     return pairs, min(6 * pairs, LARGEST)
 
 
 def copy_arrays(source: Any, target: Any, struct: Any) -> None:
-    """Copy all arrays of a struct into the beginning of another's."""
+    """Copy all arrays of a struct to the start of the arrays of another one."""
     for name in declare.field_names(struct):
         array = getattr(source, name)
         wp.copy(getattr(target, name), array, count=array.size)

@@ -1,8 +1,8 @@
-"""Shards: ranges of environments that are stepped on their own, at the same time on the cores of a CPU.
+"""Shards: ranges of environments that are stepped independently, in parallel on the cores of a CPU.
 
-A shard has its own pools, its own recorded step and its own way back; state and parameters are parts of the arrays of
-all environments. What a kernel numbers, bodies and environments, it numbers within its shard. An environment's bits do
-not depend on which others it is with, so they do not depend on the shards either.
+A shard has its own pools, recorded step and saved copies for undoing steps. Its state and parameters are slices of the
+arrays of all environments. Kernels index bodies and environments within their shard. The result of an environment does
+not depend on the other environments, to the bit, so it does not depend on the division into shards.
 """
 
 import time
@@ -19,7 +19,7 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 
 WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
-"""What a step notes of an environment; undone with it, and cleared by a reset."""
+"""Status of an environment that a step records; it is undone with the step and cleared by a reset."""
 
 
 class Shard:
@@ -28,10 +28,10 @@ class Shard:
     Args:
         first: the first environment.
         end: one past the last.
-        sizes: of its pools.
-        model: what is constant, of all environments.
-        state: what a step changes, of all environments.
-        rest: who sleeps, of all environments.
+        sizes: sizes of its pools.
+        model: the model of all environments.
+        state: state of all environments.
+        sleep_state: sleep state of all environments.
         envs: settings of all environments.
 
     Attributes:
@@ -39,8 +39,8 @@ class Shard:
         end: as given.
         pools: pairs, contacts and graph.
         stages: the recorded step.
-        recorded: how it was recorded, None before `record`.
-        seconds: what the last `advance` took.
+        recorded: arguments of the last `record`, None before it.
+        seconds: duration of the last `advance` [s].
     """
 
     stages: Stages
@@ -50,7 +50,7 @@ class Shard:
     def __init__(
         self, first: int, end: int, sizes: dict[str, int], model: Model, state: Any, sleep_state: Any, envs: Any
     ) -> None:
-        """Make the arrays; `record` must follow."""
+        """Allocate the arrays; `record` must be called next."""
         self.first, self.end = first, end
         self.num_envs, self.num_bodies = end - first, len(model.scene.bodies)
         self._model = model.part(first, end)
@@ -76,9 +76,10 @@ class Shard:
         return self.end * self.num_bodies
 
     def record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools | None = None) -> None:
-        """Record the step anew, over other pools if they are given; the other arguments are those of Stages.
+        """Record the step again, with other pools if they are given; the other arguments are those of Stages.
 
-        One shard at a time, while no other is at work. Whatever interrupts it leaves the shard as it was.
+        Only one shard at a time can record, while no other one is stepping. If an exception is raised, the shard is
+        unchanged.
         """
         pools = pools or self.pools
         stages = Stages(self._model, self._state, self._sleep_state, self._envs, pools, dt, repetitions, sleeping)
@@ -92,7 +93,7 @@ class Shard:
         self.recorded = (dt, repetitions, sleeping)
 
     def advance(self, steps: int, attempt: int) -> None:
-        """Do steps that can be undone, at most CHUNK of them."""
+        """Execute steps that can be undone, at most CHUNK of them."""
         begin = time.perf_counter()
         self.save(attempt)
         for _ in range(steps):
@@ -100,13 +101,13 @@ class Shard:
         self.seconds = time.perf_counter() - begin
 
     def save(self, attempt: int) -> None:
-        """Keep what a step changes, under the number of an attempt, and count anew what the pools are asked for."""
+        """Save what a step changes, with the number of the attempt, and reset the required sizes of the pools."""
         self._saved_in = None
         wp.capture_launch(self._keeping)
         self._saved_in = attempt
 
     def undo(self, attempt: int) -> None:
-        """Undo the steps since `save`, if it was in this attempt, and they were not undone already."""
+        """Undo the steps since `save`, if it was called in this attempt and they have not been undone already."""
         if self._saved_in == attempt:
             for array, saved in self._kept:
                 wp.copy(array, saved)
@@ -114,12 +115,12 @@ class Shard:
             self._saved_in = None
 
     def grow(self, sizes: dict[str, int]) -> None:
-        """Enlarge the pools and record the step anew."""
+        """Enlarge the pools and record the step again."""
         assert self.recorded is not None
         self.record(*self.recorded, pools=self.pools.grown(sizes))
 
     def record_measuring(self) -> None:
-        """Record what `deepest_overlap` does, where it is not yet; one shard at a time, as `record`."""
+        """Record the kernels of `deepest_overlap`, unless recorded already; one shard at a time, as for `record`."""
         if self._measuring is None:
             load_kernels(self._device, OVERLAP)
             self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
@@ -129,12 +130,12 @@ class Shard:
             self._measuring = capture.graph
 
     def deepest_overlap(self) -> np.ndarray:
-        """Deepest overlap now in each of its environments, (envs,) [m]; see Simulator.penetration."""
+        """Deepest overlap in each of its environments, (envs,) [m]; see Simulator.penetration."""
         wp.capture_launch(self._measuring)
         return self._deepest.numpy()[:, 0]
 
     def _kept_arrays(self, pools: Pools, sleeping: bool) -> list[tuple[wp.array, wp.array]]:
-        """What a step changes for the next one or for a reader, and the copies that undo it."""
+        """Arrays that a step changes and that later steps or users read, with the copies that undo it."""
         structs = [(schema.State, self._state, self._saved_state)]
         structs += [(schema.SleepState, self._sleep_state, self._saved_sleep_state)] if sleeping else []
         structs += [(schema.History, pools.history, declare.allocate(schema.History, pools.sizes, self._device))]

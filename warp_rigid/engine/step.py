@@ -24,11 +24,11 @@ from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 PAIRS, CONTACTS = 0, 1
 
 STAGES: list[str] = []
-"""Stages of a step by name, in the order of their definition."""
+"""Names of the stages of a step, in order of definition."""
 
 
 def stage(method: Callable[..., None]) -> Callable[..., None]:
-    """Mark a method of `Stages` as a stage of the step, which `Stages.on_stage` is notified of."""
+    """Mark a method of `Stages` as a stage of the step; `Stages.on_stage` is called when it starts and ends."""
     STAGES.append(method.__name__)
 
     @functools.wraps(method)
@@ -43,21 +43,21 @@ def stage(method: Callable[..., None]) -> Callable[..., None]:
 
 
 def ignore_stage(name: str | None) -> None:
-    """Do nothing: a step that is not profiled."""
+    """Do nothing (for a step that is not profiled)."""
 
 
 class Stages:
-    """The stages of a step over one set of arrays; a change of the pools needs a new object.
+    """The stages of a step over one set of arrays; a change of the pools requires a new object.
 
     Args:
-        model: what is constant.
-        state: what a step changes.
-        rest: who sleeps.
-        envs: settings of the environments.
+        model: the scene on the device.
+        state: state of the bodies.
+        sleep_state: sleep state of the bodies.
+        envs: settings and status of the environments.
         pools: pairs, contacts and graph.
         dt: time step [s].
         repetitions: largest number of shock iterations in any environment.
-        sleeping: whether bodies may fall asleep in any environment.
+        sleeping: whether sleeping is enabled in any environment.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Stages:
         repetitions: int,
         sleeping: bool,
     ) -> None:
-        """Record the step; `load_kernels` has been called for `STEP`."""
+        """Record the step; `load_kernels` must have been called for `STEP`."""
         self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
         self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
         self.on_stage: Callable[[str | None], None] = ignore_stage
@@ -95,11 +95,11 @@ class Stages:
         self._graph = capture.graph
 
     def replay(self) -> None:
-        """Do one step."""
+        """Execute one step."""
         wp.capture_launch(self._graph)
 
     def step(self) -> None:
-        """One step of the method (Guendelman et al. 2003, section 4), with each stage's remedies."""
+        """Execute one step of the method (Guendelman et al. 2003, section 4), with the extensions of each stage."""
         self.move_ground()
         self.predict(self.dt)
         if self.sleeping:
@@ -122,7 +122,7 @@ class Stages:
 
     @stage
     def move_ground(self) -> None:
-        """Bring ground that moves to where it is now."""
+        """Moving ground: compute the current heights and velocities."""
         count = self.model.surface_vertices
         if count:
             wp.launch(
@@ -135,7 +135,7 @@ class Stages:
 
     @stage
     def set_surface_velocity(self, before_step: bool) -> None:
-        """Tell the contacts how fast ground moves, before this step or over it."""
+        """Moving ground: assign the surface velocity of the previous (`before_step`) or this step to contacts."""
         if self.model.surface_vertices:
             model, contacts = self.model, self.pools.contacts
             inputs = [
@@ -155,7 +155,7 @@ class Stages:
 
     @stage
     def predict(self, dt: float) -> None:
-        """Derive world quantities and swept boxes."""
+        """Prediction: derive world quantities and swept bounding boxes from the state."""
         self._per_body(
             predict.derive_motion,
             [
@@ -178,7 +178,7 @@ class Stages:
 
     @stage
     def find_pairs(self) -> None:
-        """Count the overlapping pairs, sum, and write them."""
+        """Broad phase: count the pairs with overlapping boxes, sum the counts, and write the pairs."""
         pairs = self.pools.pairs
         self.grid.fill(self.envs, self.motions)
         self._search_pairs(write=0)
@@ -187,7 +187,7 @@ class Stages:
 
     @stage
     def find_contacts(self) -> None:
-        """Find touching samples, reduce them, make contact rows, and list all constraints."""
+        """Narrow phase: find touching samples, reduce them, build contact rows, and list all constraints."""
         pairs, contacts = self.pools.pairs, self.pools.contacts
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
         pairs.contact_count.zero_()
@@ -203,12 +203,12 @@ class Stages:
 
     @stage
     def wake_changed_islands(self) -> None:
-        """Wake the islands that were changed from outside, or whose support was."""
+        """Sleeping: wake the islands that were changed by the user, or whose support was changed."""
         self._per_body(sleep.find_changed, [self.model.bodies, self.state], [self.motions, self.sleep_state, self.envs])
         self.wake_disturbed_islands()
 
     def wake_disturbed_islands(self) -> None:
-        """Wake the islands of the bodies that are marked as disturbed, and those that lie on them."""
+        """Wake the islands of the bodies marked as disturbed, and those in contact with them."""
         self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
         for kind in OTHER_KINDS:
             self._wake_constrained(kind)
@@ -216,7 +216,7 @@ class Stages:
 
     @stage
     def build_graph(self) -> None:
-        """Which body supports which, levels, islands, and the order of solving."""
+        """Contact graph: supports, levels, islands, and colouring for the solving order."""
         bodies, constraints, graph = self.model.bodies, self.pools.constraints, self.pools.graph
         lanes = self.teams.graph
         own = [lanes, self.envs, bodies]
@@ -231,7 +231,7 @@ class Stages:
 
     @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
-        """Velocity update, in the environments whose stage order has it here."""
+        """Velocity update: add the acceleration of the step, in environments whose stage order has it here."""
         self._per_body(
             predict.integrate_velocities,
             [self.dt, 0 if before_collisions else 1, self.model.bodies, self.envs],
@@ -240,12 +240,12 @@ class Stages:
 
     @stage
     def solve_impacts(self) -> None:
-        """Impacts with restitution."""
+        """Restitution: solve impacts."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
 
     @stage
     def solve_contacts(self) -> None:
-        """Contact impulses: warm start, sweeps, shock propagation, sweeps."""
+        """Contact solver: warm start, sweeps, shock propagation, sweeps."""
         self._color_by_color(gauss_seidel.warm_start)
         self.sweep_constraints(after_shock=0)
         for repetition in range(self.repetitions):
@@ -253,12 +253,12 @@ class Stages:
         self.sweep_constraints(after_shock=1)
 
     def sweep_constraints(self, after_shock: int) -> None:
-        """Sweeps over all constraints."""
+        """Gauss-Seidel sweeps over all constraints."""
         self._color_by_color(gauss_seidel.sweep_constraints, [after_shock], [self.state])
 
     @stage
     def propagate_shock(self, repetition: int) -> None:
-        """Shock propagation, and the line search that keeps it from gaining energy."""
+        """Shock propagation, and the line search that keeps it from increasing the energy."""
         self._color_by_color(line_search.store_before_shock, [self.state])
         self._color_by_color(shock.propagate, [repetition])
         self._color_by_color(line_search.sum_energy)
@@ -266,7 +266,7 @@ class Stages:
 
     @stage
     def push_out(self) -> None:
-        """Separate remaining overlaps without adding velocity."""
+        """Push-out: separate remaining overlaps without adding velocity."""
         model, pools = self.model, self.pools
         self._per_team(
             self.teams.color,
@@ -278,7 +278,7 @@ class Stages:
 
     @stage
     def detect_continuous_collisions(self) -> None:
-        """Find how far fast bodies can move before they would pass into others."""
+        """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
         self._limit_motion(ccd.limit_motion, [0])
         self._per_body(ccd.commit_time_of_impact, [], [self.motions])
@@ -286,7 +286,7 @@ class Stages:
 
     @stage
     def integrate_positions(self) -> None:
-        """Position update, after a look for non-finite states, and a look for bodies out of bounds after it."""
+        """Position update, with checks for non-finite states before it and for bodies out of bounds after it."""
         scene, bodies = self.model.scene, self.model.bodies
         self._per_body(integrate.find_non_finite, [bodies, self.motions], [self.envs])
         self._per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
@@ -302,7 +302,7 @@ class Stages:
 
     @stage
     def update_sleep(self) -> None:
-        """Put the islands to sleep that have kept still for long enough."""
+        """Sleeping: put islands to sleep that have been at rest for long enough."""
         graph, bodies, pairs = self.pools.graph, self.model.bodies, self.pools.pairs
         self._per_body(sleep.track_motion, [self.model.shapes, bodies, self.state, self.motions], [self.sleep_state])
         self._per_body(
@@ -315,7 +315,7 @@ class Stages:
 
     @stage
     def store_history(self) -> None:
-        """Keep this step's contacts for the next one's warm start, and those on which sleepers lie."""
+        """History: store the contacts of this step and of sleeping bodies, for warm starting in the next step."""
         pairs, contacts, history = self.pools.pairs, self.pools.contacts, self.pools.history
         rows = max(history.pair_start.shape[0], history.contact_start.shape[0])
         if self.sleeping:
@@ -338,9 +338,9 @@ class Stages:
         wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
 
     def deepest_overlap(self, deepest: Any) -> None:
-        """Find the deepest overlap of each environment in the present state: an array (envs, 1) of floats [m].
+        """Find the deepest overlap of each environment in the current state: an array (envs, 1) of floats [m].
 
-        It is no part of the recorded step: `load_kernels` must have been called for `OVERLAP`.
+        It is not part of the recorded step; `load_kernels` must have been called for `OVERLAP`.
         """
         deepest.zero_()
         self.move_ground()
@@ -353,7 +353,7 @@ class Stages:
         )
 
     def _color_by_color(self, kernel: Any, before: Sequence = (), after: Sequence = ()) -> None:
-        """Launch a kernel of the solver that goes through the constraints colour by colour."""
+        """Launch a solver kernel that processes the constraints colour by colour."""
         pools, lanes = self.pools, self.teams.color
         inputs = [*before, lanes, self.envs, pools.order]
         self._per_team(lanes, kernel, inputs, [pools.graph, self.motions, self.constraint_rows, *after])
@@ -366,7 +366,7 @@ class Stages:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose teams, of so many lanes on a GPU, share the pairs."""
+        """Launch a kernel whose teams share the pairs; on a GPU, a team has the given number of lanes."""
         teams = min(self.pools.sizes["pairs"], most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
         inputs = [teams, lanes, *inputs]
@@ -380,7 +380,7 @@ class Stages:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
-        """Exclusive sums of counts; a list that does not fit is emptied and its length noted."""
+        """Exclusive sums of counts; a list that exceeds its capacity is emptied and its length recorded."""
         wp.utils.array_scan(count, start, inclusive=False)
         wp.launch(
             capacity.note_wanted,
@@ -398,12 +398,12 @@ class Stages:
         )
 
     def _limit_motion(self, kernel: Any, before: list) -> None:
-        """One round over the pairs of the swept detection."""
+        """One round of continuous collision detection over the pairs."""
         inputs = [self.dt, self.model.shapes, self.model.bodies, self.state, self.pools.pairs]
         self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
-        """One round of the narrow phase: the pairs at hand, or the dormant ones that have just woken."""
+        """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
         pairs = self.pools.pairs
         bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
         pairs.candidate_count.zero_()
@@ -413,7 +413,7 @@ class Stages:
         self._share_pairs(narrowphase.search_contacts, SEARCH_LANES, inputs, [pairs])
 
     def _search_pairs(self, write: int) -> None:
-        """One round of the broad phase: count the pairs or write them."""
+        """One search of the broad phase: count the pairs, or write them."""
         model = self.model
         kernel, own = broadphase.pairs_by_trying_all, []
         if self.grid.buckets:
@@ -422,12 +422,12 @@ class Stages:
         self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose threads share `size` rows: one thread on the CPU, where threads run in turn anyway."""
+        """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
         threads = size if self.device.is_cuda else 1
         wp.launch(kernel, dim=threads, inputs=[*before, threads, *inputs], outputs=outputs, device=self.device)
 
     def _list_constraints(self) -> None:
-        """List what ties bodies together in this step: pairs with contacts, then constraints of other kinds."""
+        """List the constraints of this step: pairs with contacts, then constraints of other kinds."""
         pairs, constraints = self.pools.pairs, self.pools.constraints
         count = max(self.pools.sizes["pairs"], self.num_envs + 1)
         self._shared(records.list_pairs, count, [], [self.envs, self.model.bodies, pairs], [constraints])

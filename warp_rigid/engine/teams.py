@@ -1,4 +1,4 @@
-"""How many lanes of a device work on one environment, and on one pair of bodies."""
+"""Team sizes: the number of device lanes that process one environment, or one pair of bodies."""
 
 from typing import Any, NamedTuple
 
@@ -7,37 +7,37 @@ from warp_rigid.kernels.common import team
 WARP = 32
 
 MOST_BODIES_OF_A_WARP = 128
-"""Beyond so many bodies an environment, a whole block solves it."""
+"""Above this number of bodies, an environment is processed by whole blocks."""
 
 SEARCH_LANES, BUILD_LANES = 32, 4
-"""Lanes of a GPU that search the contacts of one pair together, and that make its rows."""
+"""GPU lanes that search for the contacts of one pair, and that build its rows."""
 
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
-"""Lanes that a multiprocessor can hold at a time, and warps of the solver's kernels, which need many registers."""
+"""Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
 
 
 class Teams(NamedTuple):
-    """Lanes that do one environment together: in the graph's stages, and in one colour."""
+    """Lanes that process one environment: in the graph stages, and in the solver stages."""
 
     graph: int
     color: int
 
 
 BODIES_OF_A_BLOCK = Teams(graph=64, color=256)
-"""So many bodies give the lanes of a block something to do. More blocks wait longer for each other."""
+"""Bodies that occupy the lanes of a block. With more blocks, barriers take longer."""
 
 
 def team_sizes(device: Any, num_envs: int, most_bodies: int) -> Teams:
-    """How many lanes do one environment together.
+    """Number of lanes that process one environment.
 
-    A warp each, as long as all fit on the GPU at once; then smaller teams, which share a warp and slow each other down
-    a little, and no smaller than a small environment can use. Large environments get a block, or as many blocks as
-    they have use for while every block has a multiprocessor of its own.
+    It is one warp for each environment if all of them can be resident on the GPU at once. Otherwise teams are smaller
+    and share a warp, which slows each of them slightly; they are not made smaller than a small environment can use.
+    Large environments get one block, or several blocks if these are useful and each has its own multiprocessor.
 
     Args:
-        device: the Warp device, whose multiprocessors count.
-        num_envs: environments.
-        most_bodies: bodies of the largest of them.
+        device: the Warp device.
+        num_envs: number of environments.
+        most_bodies: number of bodies of the largest environment.
     """
     if not device.is_cuda:
         return Teams(1, 1)
@@ -51,12 +51,12 @@ def team_sizes(device: Any, num_envs: int, most_bodies: int) -> Teams:
 
 
 def most_lanes(device: Any) -> int:
-    """Lanes that can be resident on a GPU at the same time."""
+    """Number of lanes that can be resident on a GPU at the same time."""
     return device.sm_count * RESIDENT_LANES
 
 
 def _blocks(device: Any, num_envs: int, most_bodies: int, share: int) -> int:
-    """Blocks for an environment if each has enough to do with so many bodies."""
+    """Number of blocks for an environment, with `share` bodies for each block."""
     blocks = 1
     while 2 * blocks * num_envs <= device.sm_count and most_bodies > blocks * share:
         blocks *= 2

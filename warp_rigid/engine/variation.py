@@ -1,8 +1,8 @@
-"""Scenes that differ from environment to environment of one simulator.
+"""Different scenes in the environments of one simulator.
 
-Environments share the arrays of shapes, so only scenes of one structure fit together: the same shapes in the same
-order, moving in the same way, under the same fields, filters, constraints, bounds and rules. Poses, velocities, masses,
-coefficients, gravity and whether a body is switched on are kept for each environment and may differ.
+Environments share the arrays of shapes, so their scenes must have the same structure: the same shapes in the same order
+with the same motion types, and the same force fields, filtered pairs, constraints, bounds and combine rules. Poses,
+velocities, masses, coefficients, gravity and active bodies are stored for each environment and may differ.
 """
 
 from collections.abc import Hashable, Sequence
@@ -23,7 +23,7 @@ POSES = ("position", "orientation", "linear_velocity", "angular_velocity")
 
 
 def structure(scene: Scene) -> Hashable:
-    """What scenes must have in common to be environments of one simulator."""
+    """The properties that scenes must have in common to be environments of one simulator."""
     bodies = tuple((body.shape.key, int(body.motion), body.name) for body in scene.bodies)
     fields = tuple(repr(field) for field in scene.force_fields)
     apart = tuple(sorted(scene.filtered_pairs))
@@ -33,21 +33,21 @@ def structure(scene: Scene) -> Hashable:
 
 
 def start_each(sim: "Simulator", scenes: Sequence[Scene], which: Sequence[int] | np.ndarray) -> None:
-    """Start every environment from a scene of its own, to the same bits as a simulator of that scene alone.
+    """Start each environment from its own scene, bit-identical to a simulator of that scene alone.
 
-    `Simulator.reset` returns to these starts.
+    `Simulator.reset` returns to these initial states.
 
     Args:
         sim: a simulator that has not stepped yet.
-        scenes: scenes of one structure, that of the simulator's.
+        scenes: scenes with the structure of the simulator's scene.
         which: (envs,) index into `scenes` for each environment.
 
     Raises:
-        ValueError: A scene has another structure.
+        ValueError: A scene has a different structure.
     """
     for index, scene in enumerate(scenes):
         if structure(scene) != structure(sim.scene):
-            raise ValueError(f"scenes: number {index} has another structure than the simulator's scene")
+            raise ValueError(f"scenes: number {index} has a different structure than the simulator's scene")
     chosen = np.asarray(which)
     for name in POSES:
         rows = _rows(scenes, name)[chosen].reshape(sim.num_envs * sim.num_bodies, -1)
@@ -71,7 +71,7 @@ def _rows(scenes: Sequence[Scene], name: str) -> np.ndarray:
 
 
 def _mass_rows(scenes: Sequence[Scene], bodies) -> dict[str, np.ndarray]:
-    """Masses and what follows from them, each (scenes, bodies, ...) float32; zero for bodies that are not dynamic."""
+    """Masses, inertias and their inverses, each (scenes, bodies, ...) float32; zero for bodies that are not dynamic."""
     first = scenes[0].bodies
     names = ("mass", "inverse_mass", "inertia", "inverse_inertia")
     found = {name: np.zeros((len(scenes), len(first), *getattr(bodies, name).numpy().shape[1:])) for name in names}

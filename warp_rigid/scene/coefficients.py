@@ -1,7 +1,7 @@
 """Body coefficients, such as friction: each is declared here once.
 
-From a declaration follow the keyword of `Scene.add_body` with its default and its check, the attribute of `Body`, the
-name in `Simulator.get` and `Simulator.set`, on the command line and as a sweep axis, the device upload, checkpoints,
+A declaration defines the keyword of `Scene.add_body` with its default and range, the attribute of `Body`, the name in
+`Simulator.get` and `Simulator.set`, on the command line and as a sweep axis, the device upload, checkpoints,
 recordings, the attribute of a USD material and the slider of the viewer. The kernels declare the device array of the
 same name in `kernels/schema.py`.
 """
@@ -30,7 +30,7 @@ class Coefficient:
         name: the keyword.
         default: value of a body for which none is given.
         unit: product of powers of kg, m, s and rad; empty for a pure number.
-        description: what the coefficient means.
+        description: meaning of the coefficient.
         lower: smallest value allowed.
         upper: largest value allowed.
         typical_max: upper end of the viewer's slider.
@@ -55,7 +55,7 @@ class Coefficient:
         return number_in(self.name, value, self.lower, self.upper)
 
     def check_array(self, values: np.ndarray) -> None:
-        """Refuse an array with a value outside the range.
+        """Check that all values of an array are in the range.
 
         Raises:
             ValueError: A value is outside the range.
@@ -151,7 +151,7 @@ _PLACEHOLDER = "            **coefficients: coefficients of the body by name; se
 
 
 def list_coefficients(method: Method) -> Method:
-    """Show the coefficients one by one in the signature and the docstring of a method with `**coefficients`."""
+    """List the coefficients individually in the signature and the docstring of a method with `**coefficients`."""
     signature = inspect.signature(method)
     kept = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
     keywords = [

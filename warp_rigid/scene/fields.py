@@ -1,6 +1,6 @@
 """Force fields: accelerations that act on every dynamic body besides the scene's gravity.
 
-A field is a frozen dataclass derived from `ForceField`. From its declaration follow the checks, the device rows,
+A field is a frozen dataclass derived from `ForceField`. Its declaration defines the checks, the device rows,
 checkpoints, USD files and the list of exported names. `kernels/update/force_fields.py` has its device function.
 """
 
@@ -53,7 +53,7 @@ class ForceField(ABC):
         return {name: getattr(self, name) for name in self.parameters()}
 
     def row(self) -> np.ndarray:
-        """Return the parameters one after another, (n,) float32, as the device function reads them."""
+        """Return the concatenated parameters, (n,) float32, as the device function reads them."""
         return np.hstack([np.asarray(value, np.float32) for value in self.values().values()])
 
     @abstractmethod

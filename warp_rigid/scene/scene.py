@@ -33,18 +33,18 @@ _SMALLEST = float(np.finfo(np.float32).tiny)
 
 @dataclass(frozen=True)
 class Body(Coefficients):
-    """One body of a scene, with the attributes of Coefficients besides these.
+    """One body of a scene, with the attributes of Coefficients in addition to these.
 
     Attributes:
         shape: its shape, in the shape's own frame.
-        motion: how it moves.
+        motion: static, kinematic or dynamic.
         position: (3,) origin of the shape's frame in the world [m].
         orientation: (4,) rotation of the shape's frame, unit quaternion (x, y, z, w).
         linear_velocity: (3,) velocity of the centre of mass [m/s].
         angular_velocity: (3,) in the world frame [rad/s].
         mass: [kg]; 0 for static and kinematic bodies, on which impulses have no effect.
         name: a label for tables and files; need not be unique.
-        active: whether it takes part from the start.
+        active: whether it is simulated from the start.
     """
 
     shape: Shape
@@ -63,10 +63,10 @@ class Scene:
 
     Args:
         gravity: (3,) acceleration of every dynamic body [m/s^2].
-        friction_combine: how two bodies' friction coefficients (rolling and spinning ones too)
-            make the pair's: "min" (the 2003 method), "average", "multiply" or "max".
+        friction_combine: how the friction coefficients of two bodies (also rolling and spinning) are
+            combined: "min" (the 2003 method), "average", "multiply" or "max".
         restitution_combine: the same for restitution.
-        bounds: (lower, upper) corners of the box within which bodies belong, infinite where there is no bound [m];
+        bounds: (lower, upper) corners of the box that bodies should not leave, infinite where there is no bound [m];
             None for no bounds. Simulator.status reports a moving body whose centre leaves the box.
         out_of_bounds: what happens to such a body: "report" changes nothing else, "remove" switches it off (`active`
             becomes False).
@@ -128,7 +128,7 @@ class Scene:
         active: bool = True,
         **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
-        """Add a body that forces and contacts move.
+        """Add a dynamic body, which moves under forces and contacts.
 
         Args:
             shape: a shape with a volume (no Plane, no Heightfield).
@@ -139,7 +139,7 @@ class Scene:
             density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
             mass: [kg], > 0; instead of density.
             name: label; the shape's kind and the body's index where none is given.
-            active: False for a body that takes no part until `sim.set("active", True, ...)` switches it on.
+            active: False for a body that is not simulated until `sim.set("active", True, ...)` switches it on.
             **coefficients: coefficients of the body by name; see Coefficients.
 
         Returns:
@@ -222,7 +222,7 @@ class Scene:
         self.force_fields.append(field)
 
     def filter_pair(self, a: int, b: int) -> None:
-        """Let two bodies pass through each other.
+        """Disable contacts between two bodies.
 
         Args:
             a: index of one body, as returned by add_body.

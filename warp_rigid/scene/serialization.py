@@ -1,4 +1,4 @@
-"""A Scene as plain data and arrays, and back, to the same bits."""
+"""Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -63,7 +63,7 @@ def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scen
     for index, entry in enumerate(data["shapes"]):
         shape = _shape_from_data(index, entry, arrays, shapes)
         if shape.key != entry["key"]:
-            raise ValueError(f"shape {index} is not the one that was saved")
+            raise ValueError(f"shape {index} is not the shape that was saved")
         shapes.append(shape)
     for index, entry in enumerate(data["bodies"]):
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
@@ -73,7 +73,7 @@ def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scen
 
 
 def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
-    """Add a body with all checks, and keep its orientation to the last bit, unscaled."""
+    """Add a body with all checks, and keep its orientation unscaled, bit for bit."""
     add: Callable[..., int] = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip

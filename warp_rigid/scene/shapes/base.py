@@ -52,7 +52,7 @@ class Part:
 class Shape:
     """Base of all shapes: immutable, compared by content.
 
-    A subclass of analytic shape names its `parameters` and gives `mass_properties`, `support`, `parts` (one analytic
+    A subclass of analytic shape lists its `parameters` and defines `mass_properties`, `support`, `parts` (one analytic
     part), `sample_list` and `surface`. A subclass with other data also overrides `signed_distance`, `_content`,
     `to_data` and `from_data`. The distance itself is a device function in `warp_rigid.kernels.collide.distance`.
 
@@ -84,7 +84,7 @@ class Shape:
         return cls.__name__.lower()
 
     def __setattr__(self, name, value):
-        """Set an attribute once, and never again."""
+        """Set an attribute; an attribute that is already set cannot be changed."""
         if name in self.__dict__:
             raise AttributeError(f"{type(self).__name__}.{name} cannot be changed")
         super().__setattr__(name, value)
@@ -117,7 +117,7 @@ class Shape:
         """Distance to the surface and its gradient, in float64.
 
         For an analytic shape this is the kernels' own distance. Where the gradient does not exist (the centre of a
-        sphere), it is some unit vector.
+        sphere), it is an arbitrary unit vector.
 
         Args:
             points: (n, 3) in the shape's frame [m].
@@ -140,7 +140,7 @@ class Shape:
         raise NotImplementedError
 
     def samples(self) -> Samples:
-        """The same, grouped into clusters."""
+        """Surface samples, grouped into clusters."""
         return self._samples
 
     @cached_property
@@ -157,7 +157,7 @@ class Shape:
         return 0
 
     def to_data(self, place: Callable[["Shape"], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Plain data for JSON and arrays by name, from which `from_data` makes the same shape.
+        """Plain data for JSON and arrays by name, from which `from_data` restores the shape.
 
         Args:
             place: saves another shape, which this one contains, and returns its index.

@@ -86,7 +86,7 @@ class Compound(Shape):
 
     @property
     def grid_nodes(self):
-        """Those of all children."""
+        """Sum over all children."""
         return sum(shape.grid_nodes for shape, _, _ in self.children)
 
     def to_data(self, place):
@@ -133,7 +133,7 @@ class Compound(Shape):
         return collected
 
     def _hidden(self, other: int, columns) -> np.ndarray:
-        """Which samples lie inside another child, or on a face that the two share."""
+        """Mask of the samples that lie inside another child, or on a face that the two share."""
         point, normal, slide = columns["point"], columns["normal"], columns["slide"]
         tolerance = 1e-6 * self.size
         ball = np.where(columns["kind"] == SampleKind.RIM, 0.0, columns["radius"])
@@ -171,7 +171,7 @@ def _checked_child(index: int, child):
 
 
 def _rim_probes(columns) -> list[np.ndarray]:
-    """Eight places on the circle of each RIM (for other samples the point itself)."""
+    """Eight points on the circle of each RIM (for other samples the point itself)."""
     rim = (columns["kind"] == SampleKind.RIM)[:, None]
     if not rim.any():
         return []

@@ -63,7 +63,7 @@ def bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -
         spacing: between nodes [m].
         shape: (nx, ny, nz) nodes.
         simple: as in `grid_of_mesh`.
-        device: a Warp device; on the CPU all cores work.
+        device: a Warp device; on the CPU all cores are used.
 
     Returns:
         (nx, ny, nz) float32 [m].
@@ -143,7 +143,7 @@ def mesh_distance(vertices, faces, points, simple: bool, device=None):
 
 
 def cache_folder() -> Path:
-    """Where grids are kept."""
+    """Folder in which grids are cached."""
     named = os.environ.get("WARP_RIGID_CACHE")
     if named:
         return Path(named)
@@ -157,7 +157,7 @@ def cache_folder() -> Path:
 
 
 def _read(file: Path, shape) -> np.ndarray | None:
-    """The values kept in a file; None if there is none, or none that fits."""
+    """The cached values in a file; None if the file is missing or does not match."""
     try:
         with np.load(file, allow_pickle=False) as kept:
             values = kept["values"]
@@ -168,7 +168,7 @@ def _read(file: Path, shape) -> np.ndarray | None:
 
 
 def _write(file: Path, values: np.ndarray) -> None:
-    """Keep the values, so that no reader ever sees half a file."""
+    """Write the values atomically, so that readers never see an incomplete file."""
     partial = None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

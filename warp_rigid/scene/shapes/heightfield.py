@@ -130,7 +130,7 @@ class Heightfield(Shape):
 
     @cached_property
     def mass_properties(self):
-        """None: a height field has no mass."""
+        """Zero: a height field has no mass."""
         return mass_properties.no_solid()
 
     @cached_property
@@ -170,7 +170,7 @@ class Heightfield(Shape):
         return distance, normal
 
     def _distance_within(self, points):
-        """The same within the rectangle, to the upper surface only."""
+        """Distance within the rectangle, to the upper surface only."""
         vertices, faces = self._surface_at(self.heights_at(0.0))
         corners = vertices[faces]
         portion = max(1, 200_000 // len(corners))
@@ -184,7 +184,7 @@ class Heightfield(Shape):
         return distance, direction
 
     def height_at(self, places, time: float) -> np.ndarray:
-        """Height of the surface at places (n, 2) of its rectangle and a time [s], (n,) [m]."""
+        """Height of the surface at points (n, 2) of its rectangle and a time [s], (n,) [m]."""
         heights, last = self.heights_at(time), np.array(self.heights.shape) - 1
         place = np.clip((np.asarray(places) / self.extent + 0.5) * last, 0.0, last)
         cell = np.minimum(place.astype(np.int64), last - 1)

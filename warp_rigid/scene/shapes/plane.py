@@ -38,7 +38,7 @@ class Plane(Shape):
 
     @cached_property
     def mass_properties(self):
-        """None: a plane has no mass."""
+        """Zero: a plane has no mass."""
         return mass_properties.no_solid()
 
     def support(self, directions):

@@ -25,7 +25,7 @@ class Samples:
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
         cluster_start: (c + 1,) int32, where each cluster begins and the last ends.
-        cluster_center: (c, 3) float32, centre of a sphere that holds all that the samples reach.
+        cluster_center: (c, 3) float32, centre of the bounding sphere of the samples.
         cluster_radius: (c,) float32, its radius.
     """
 
@@ -77,7 +77,7 @@ class SampleList:
 
 
 def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
-    """Group samples into spatially tight clusters of at most 32; points and rims, edges, and faces apart.
+    """Group samples into spatially tight clusters of at most 32; points and rims, edges, and faces are separate.
 
     Args:
         point: (n, 3) as in `Samples`.
@@ -116,7 +116,7 @@ def _frozen(values, dtype) -> np.ndarray:
 
 
 def _bisect(point: np.ndarray) -> list[np.ndarray]:
-    """Halve along the longest side until no group exceeds the limit; evenly filled."""
+    """Bisect along the longest side until no group exceeds the limit; groups have about equal size."""
     groups, waiting = [], [np.arange(len(point))]
     while waiting:
         members = waiting.pop()
@@ -132,7 +132,7 @@ def _bisect(point: np.ndarray) -> list[np.ndarray]:
 
 
 def _bounding_spheres(point, slide, radius, start) -> tuple[np.ndarray, np.ndarray]:
-    """Spheres that hold every point +- slide with the ball (or circle) around it."""
+    """Spheres that contain every point +- slide with the ball (or circle) around it."""
     count = len(start) - 1
     if count == 0:
         return np.zeros((0, 3)), np.zeros(0)
