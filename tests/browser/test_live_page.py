@@ -155,7 +155,7 @@ def test_slice_of_a_mesh(stage):
     live.check("Show the signed distance")
     live.until(lambda: changed_pixels(plain, live.shot()) > 500, "the slice is drawn")
     shown = live.still()
-    live.type_number("Place", 0.2)
+    live.type_number("Position", 0.2)
     live.until(lambda: changed_pixels(shown, live.shot()) > 300, "the slice moves")
 
 

@@ -1,4 +1,4 @@
-"""What the page may send: the kinds of messages, the values of controls, and points in the scene."""
+"""Messages that the page may send: the kinds of messages, the values of controls, and points in the scene."""
 
 import logging
 import math

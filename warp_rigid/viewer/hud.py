@@ -1,4 +1,4 @@
-"""Figures over the page: rate, counts, deepest overlap, energies and the scene's verdicts."""
+"""Text and plot over the page: rate, counts, deepest overlap, energies and verdicts of the scene."""
 
 from collections import deque
 
@@ -15,7 +15,7 @@ HISTORY = 240
 
 
 class Hud:
-    """The figures, made no more often than they are read.
+    """The values, updated at most as often as they can be read.
 
     Args:
         server: the viser server; its current container takes the figures.
@@ -42,12 +42,12 @@ class Hud:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the past, after a restart or in another scene."""
+        """Clear the plot, after a restart or for another scene."""
         self._energy = deque(maxlen=HISTORY)
         self._deepest = 0.0
 
     def update(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> bool:
-        """Show the figures of now, unless that was done a moment ago; tells whether it did.
+        """Show the current values, unless they were updated very recently; return whether it did.
 
         Args:
             session: what runs.

@@ -53,7 +53,7 @@ class Instances:
                 handle.batched_wxyzs = wxyz[chosen]
 
     def color(self, colors: np.ndarray) -> None:
-        """Colour all instances, (instances, 3) uint8; batches that keep theirs are not sent."""
+        """Colour all instances, (instances, 3) uint8; batches whose colours are unchanged are not sent."""
         for handle, chosen in self.handles:
             if not np.array_equal(handle.batched_colors, colors[chosen]):
                 handle.batched_colors = colors[chosen]
@@ -68,12 +68,12 @@ class Instances:
                 handle.batched_opacities = wanted
 
     def wire(self, on: bool) -> None:
-        """Draw edges of triangles in place of faces."""
+        """Draw the edges of triangles instead of faces."""
         for handle, _ in self.handles:
             handle.wireframe = on
 
     def remove(self) -> None:
-        """Take all batches off the page."""
+        """Remove all batches from the page."""
         for handle in (*self._grounds, *(handle for handle, _ in self.handles)):
             handle.remove()
         self._grounds, self.handles = [], []

@@ -37,7 +37,7 @@ LEAST_DIRECTION = 1.0e-6
 
 
 class LiveViewer:
-    """Shows a session, and lets the page play with it.
+    """Shows a session in the browser and executes the requests of the page.
 
     All work is done by the thread that calls `run`; the page's events only put what they ask for in a queue.
 
@@ -57,7 +57,7 @@ class LiveViewer:
     """
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080, fast: bool = False):
-        """Open the page; `run` brings it to life."""
+        """Open the page; `run` starts updating it."""
         self.session = session
         self.given = session.source
         self.fast = fast
@@ -81,7 +81,7 @@ class LiveViewer:
 
     @property
     def url(self) -> str:
-        """Where the page is; the address contains the token that opens it."""
+        """Address of the page, with the token."""
         return self.server.url
 
     def run(self) -> None:
@@ -109,29 +109,29 @@ class LiveViewer:
         stop_server(self.server)
 
     def stop(self) -> None:
-        """Make `run` return; from any thread."""
+        """Make `run` return; may be called from any thread."""
         self._wishes.put((self._halt, ()))
 
     def ask(self, action: Callable, *arguments: Any) -> None:
-        """Let the viewer's thread call an action soon; from any thread."""
+        """Queue an action for the viewer's thread; may be called from any thread."""
         self._wishes.put((action, arguments))
 
     def toggle(self) -> None:
-        """Run, or pause."""
+        """Start or pause the simulation."""
         self.session.running = not self.session.running
 
     def single_step(self) -> None:
-        """Pause, and do one step."""
+        """Pause and do one step."""
         self.session.running = False
         self.session.step(1)
 
     def restart(self) -> None:
-        """Back to the start; it runs on if it ran."""
+        """Restart the scene; it keeps running if it was running."""
         self.session.restart()
         self._panel.hud.restart()
 
     def load(self, source: str, compare: bool = False) -> None:
-        """Another scene, alone or in all of its variants; it runs at once."""
+        """Load another scene, alone or with all its variants, and run it."""
         self._panel.say(f"building {source} ...")
         self.session.open(source, compare=compare)
         self.session.running = True
@@ -141,7 +141,7 @@ class LiveViewer:
         self._panel.say("")
 
     def use_variant(self, name: str) -> None:
-        """Settings of a variant, from the start."""
+        """Restart with the settings of a variant."""
         if name in self.session.plan.demo.variants:
             self.session.use_variant(name)
             self.session.running = True
@@ -149,22 +149,22 @@ class LiveViewer:
         self._panel.hud.restart()
 
     def change(self, name: str, value: Any) -> None:
-        """A setting or property, in the environments shown."""
+        """Change a setting or property in the environments shown."""
         self.session.change(name, value, self.rows)
         self._panel.show_variant(self.session)
 
     def overlay(self, name: str, on: bool) -> None:
-        """Switch an overlay."""
+        """Switch an overlay on or off."""
         self._overlays.switch(name, on)
 
     def choose(self, body: int, env: int | None = None) -> None:
-        """Choose the body that slices and clusters are of."""
+        """Select the body whose slices and clusters are shown."""
         self.chosen = (int(self.rows[0]) if env is None else env, body)
         self._panel.choose_body(body)
         self._cut()
 
     def option(self, name: str, value: Any) -> None:
-        """What is seen, and how."""
+        """Change what is displayed, and how."""
         self._options[name] = value
         if name == "scene":
             self.load(value)
@@ -187,14 +187,14 @@ class LiveViewer:
         self._stopped = True
 
     def _some_rows(self, first: int, count: int) -> np.ndarray:
-        """So many environments from one on, as far as there are some and the page can show them."""
+        """Show a number of environments from one on, as far as they exist and the page can show them."""
         sim = self.session.sim
         count = max(1, min(count, MOST_SHOWN // sim.num_bodies, sim.num_envs))
         first = min(first, sim.num_envs - count)
         return np.arange(first, first + count)
 
     def _do_wishes(self) -> bool:
-        """Do all that was asked for; what cannot be done is told on the page."""
+        """Execute all queued requests; errors are shown on the page."""
         done = False
         while True:
             try:
@@ -232,7 +232,7 @@ class LiveViewer:
         self.server.notify("Not possible" if expected else "Error", text)
 
     def _rest_until(self, end: float) -> None:
-        """Wait for the next update, or for a wish."""
+        """Wait for the next update or request."""
         left = end - time.perf_counter()
         if left > 0.0 and self._wishes.empty():
             time.sleep(left)
@@ -268,7 +268,7 @@ class LiveViewer:
         self._publish()
 
     def _listen(self, handle: Any, chosen: np.ndarray) -> None:
-        """Let clicks push and drags pull the bodies of a batch."""
+        """Connect clicks to pushes and drags to pulls of the bodies of a batch."""
 
         @handle.on_click
         def _(event) -> None:
@@ -290,7 +290,7 @@ class LiveViewer:
         return int(self.rows[row]), body, self._film.offset[row]
 
     def _push(self, chosen: np.ndarray, index: Any, origin: Any, direction: Any) -> None:
-        """Push the body that a ray meets, away from the eye."""
+        """Push the body that a ray hits, away from the camera."""
         env, body, offset = self._place_of(chosen, index)
         origin, direction = check_point("ray", origin), check_point("direction", direction)
         if np.linalg.norm(direction) < LEAST_DIRECTION:
@@ -320,7 +320,7 @@ class LiveViewer:
             self.session.move_pull(end - offset)
 
     def _cut(self) -> None:
-        """Make the slice anew, or take it away."""
+        """Update or remove the slice."""
         shown = self._options["slice"]
         shape = self.session.plan.scene.bodies[self.chosen[1]].shape
         image = self._slice.cut(shape, "xyz".index(self._options["axis"]), self._options["place"]) if shown else None
@@ -329,7 +329,7 @@ class LiveViewer:
         self._panel.picture(image)
 
     def _publish(self) -> None:
-        """Send the state of now."""
+        """Send the current state."""
         sim, rows = self.session.sim, self.rows
         position = sim.get("position")[rows] + self._film.offset[:, None].astype(np.float32)
         orientation = sim.get("orientation")[rows]
@@ -350,12 +350,12 @@ class LiveViewer:
         if by == "body":
             return self._plain
         if by == "environment":
-            told = np.repeat(self.rows, sim.num_bodies)
+            values = np.repeat(self.rows, sim.num_bodies)
         elif by == "speed":
-            told = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
+            values = np.linalg.norm(sim.get("linear_velocity")[self.rows].reshape(-1, 3), axis=1)
         else:
-            told = sim.get(by)[self.rows].reshape(-1)
-        return bytes_of_light(apply_coloring(by, self._film.color, self._dynamic, told))
+            values = sim.get(by)[self.rows].reshape(-1)
+        return bytes_of_light(apply_coloring(by, self._film.color, self._dynamic, values))
 
     def _opacity(self) -> np.ndarray:
         # Contacts lie inside the bodies.
@@ -374,7 +374,7 @@ class LiveViewer:
             self._rope.points = np.array([[ends[1] + offset, ends[2] + offset]], np.float32)
 
     def _count_update(self, changed: bool) -> None:
-        """Keep the rate of updates and the pace of the simulation, over half a second."""
+        """Measure the update rate and the simulation speed over half a second."""
         self._updates += changed
         now, (then, before) = time.perf_counter(), self._since
         if now - then >= 0.5:

@@ -1,4 +1,4 @@
-"""What the simulator sees, drawn over the bodies: boxes, cells, contacts, samples and clusters."""
+"""Overlays of the simulator's data: boxes, cells, contacts, samples and clusters."""
 
 import numpy as np
 import trimesh
@@ -15,7 +15,7 @@ SAMPLES, CLUSTERS = "Samples", "Clusters of the chosen body"
 OVERLAYS = (BOXES, CELLS, CONTACTS, SAMPLES, CLUSTERS)
 
 MOST = 20_000
-"""Of one kind, no more are drawn."""
+"""Largest number of items drawn of each kind."""
 
 BOX_COLOR = (46, 110, 190)
 CELL_COLOR = (150, 90, 190)
@@ -24,11 +24,11 @@ SAMPLE_COLOR = (20, 20, 20)
 KEPT_COLOR, REJECTED_COLOR = (235, 120, 20), (150, 155, 160)
 
 BOX_EDGES = np.array([[a, b] for a in range(8) for b in range(8) if a < b and (a ^ b) in (1, 2, 4)])
-"""Pairs of a box's corners; bit k of a corner's number tells which end of axis k."""
+"""Pairs of a box's corners; bit k of a corner's index states which end of axis k."""
 
 
 class Overlays:
-    """Nodes of the page that show the inside of the step.
+    """Scene nodes that show intermediate results of the step.
 
     Args:
         server: the viser server.
@@ -38,14 +38,14 @@ class Overlays:
     """
 
     def __init__(self, server):
-        """Everything is off."""
+        """Create the overlays, all switched off."""
         self._scene = server.scene
         self._nodes = {}
         self._size: float | None = None
         self.shown: set[str] = set()
 
     def switch(self, name: str, on: bool) -> None:
-        """Switch an overlay on, to be drawn by the next `update`, or off at once."""
+        """Switch an overlay on, to be drawn by the next `update`, or off immediately."""
         if on:
             self.shown.add(name)
             return
@@ -55,14 +55,14 @@ class Overlays:
                 self._hide(key)
 
     def clear(self) -> None:
-        """Take everything off the page, for another scene."""
+        """Remove everything from the page, for another scene."""
         for node in self._nodes.values():
             node.remove()
         self._nodes = {}
         self._size = None
 
     def update(self, sim: Simulator, rows: np.ndarray, offsets: np.ndarray, chosen: tuple[int, int]) -> None:
-        """Draw what is on, of the state now.
+        """Draw the overlays that are on, for the current state.
 
         Args:
             sim: the simulator.
@@ -102,7 +102,7 @@ class Overlays:
         self._lines(CELLS, np.concatenate(lines), CELL_COLOR, size)
 
     def _contacts(self, sim, rows, offsets, size) -> None:
-        """A ball at each contact and its impulse as an arrow; its length goes with the root of the impulse."""
+        """A ball at each contact and its impulse as an arrow; its length grows with the square root of the impulse."""
         place = np.full(sim.num_envs, -1)
         place[rows] = np.arange(len(rows))
         records = sim.contacts()
@@ -134,7 +134,7 @@ class Overlays:
         self._points(SAMPLES, flat[:MOST], SAMPLE_COLOR, 0.045 * size)
 
     def _clusters(self, sim, rows, offsets, chosen) -> None:
-        """Spheres around the chosen body's clusters: grey where every other body is further than the sphere reaches."""
+        """Spheres around the clusters of the selected body: grey where no other body is within reach."""
         env, body = chosen
         samples = sim.scene.bodies[body].shape.samples()
         if env not in rows or not len(samples.cluster_radius):

@@ -1,4 +1,4 @@
-"""What all pages share: the server, light, camera and labels."""
+"""Parts of all pages: the server, light, camera and labels."""
 
 import contextlib
 import io
@@ -25,14 +25,14 @@ __all__ = [
 ]
 
 ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
-"""Colours of the sky and of endless grounds."""
+"""Colours of the sky and of infinite grounds."""
 FIELD_OF_VIEW = math.radians(40.0)
 ROOM = 1.3
-"""How much further than the bodies fill the view the camera stands: they will move."""
+"""Distance of the camera, relative to the one at which the bodies fill the view: they will move."""
 
 
 def start_server(host: str, port: int) -> CheckedServer:
-    """Serve on the first free port from `port` on, without a word.
+    """Serve on the first free port from `port` on, without console output.
 
     Raises:
         ValueError: as CheckedServer.
@@ -45,13 +45,13 @@ def start_server(host: str, port: int) -> CheckedServer:
 
 
 def stop_server(server: viser.ViserServer) -> None:
-    """Close all pages, without a word."""
+    """Close all pages, without console output."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 def set_light(server: viser.ViserServer, fast: bool) -> None:
-    """Light from the sky and a lamp; the lamp casts shadows unless the graphics have no GPU and must be fast."""
+    """Add sky light and a lamp, which casts shadows unless `fast`."""
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(enabled=True, cast_shadow=not fast)
     server.scene.add_light_hemisphere("/light", sky_color=(236, 242, 255), ground_color=(150, 140, 128), intensity=1.6)
@@ -61,7 +61,7 @@ def set_light(server: viser.ViserServer, fast: bool) -> None:
 
 
 def add_ground(server: viser.ViserServer, film: Film) -> list:
-    """An endless grid for each height at which a level plane lies; returns the handles."""
+    """Add an infinite grid for each height at which a level plane lies; returns the handles."""
     heights = {round(float(film.position[0][i, 2]), 6) for i in np.flatnonzero(level_planes(film))}
     cell = float(fit_camera(points_to_see(film, [0]), 1.0, 480).grid)
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)

@@ -1,4 +1,4 @@
-"""The controls of the live page. They only name what is wanted; the viewer's own thread does it."""
+"""Controls of the live page. They queue requests, which the viewer's thread executes."""
 
 import math
 from functools import partial
@@ -40,14 +40,14 @@ SWITCHES = {
 
 
 class Panel:
-    """Everything beside the 3-D view.
+    """All controls beside the 3-D view.
 
     Args:
         viewer: the live viewer; `viewer.ask(action, *arguments)` lets its thread call an action.
     """
 
     def __init__(self, viewer):
-        """Build the controls; `refresh` fills them."""
+        """Build the controls; `refresh` sets their values."""
         self._viewer = viewer
         self._gui = viewer.server.gui
         self._contact_iterations = 10
@@ -67,7 +67,7 @@ class Panel:
         self._add_keys()
 
     def refresh(self, session: Session, env: int) -> None:
-        """Set all controls to what one environment has."""
+        """Set all controls to the values of one environment."""
         sim, widgets = session.sim, self._widgets
         demo = session.plan.demo
         # A file is on offer only if the command line, or a program, has opened it.
@@ -100,11 +100,11 @@ class Panel:
         self._set("shown_envs", len(self._viewer.rows))
 
     def choose_body(self, body: int) -> None:
-        """Show which body is chosen."""
+        """Show which body is selected."""
         self._set("body", self._widgets["body"].options[body])
 
     def show_variant(self, session: Session) -> None:
-        """Say whether the settings are still those of a variant."""
+        """Show whether the settings are still those of a variant."""
         self._set("variant", session.variant or CUSTOM)
         self._summary.content = _summary(session)
 
@@ -119,12 +119,12 @@ class Panel:
         self._image.visible = image is not None
 
     def flip(self, name: str) -> None:
-        """Turn a switch over, as a click on it would."""
+        """Toggle a check box, as a click would."""
         self._widgets[name].value = not self._widgets[name].value
         self._changed(name, self._widgets[name].value)
 
     def next_shock_mode(self) -> None:
-        """The next way of shock propagation."""
+        """Select the next mode of shock propagation."""
         mode = SHOCK_MODES[(SHOCK_MODES.index(self._widgets["shock_propagation"].value) + 1) % len(SHOCK_MODES)]
         self._widgets["shock_propagation"].value = mode
         self._changed("shock_propagation", mode)
@@ -132,13 +132,13 @@ class Panel:
     def _add_player(self) -> None:
         viewer, gui = self._viewer, self._gui
         self._add("scene", gui.add_dropdown("Scene", scenes.names(), hint="Keys 1 to 6 load the first six."))
-        self._add("variant", gui.add_dropdown("Variant", (CUSTOM,), hint="Settings to compare; starts the scene anew."))
+        self._add("variant", gui.add_dropdown("Variant", (CUSTOM,), hint="Settings to compare; restarts the scene."))
         self._add("side_by_side", gui.add_checkbox("All variants side by side", False))
         self._summary = gui.add_markdown("")
         buttons = gui.add_button_group("", ("Run / Pause", "Step", "Restart"))
         actions = {"Run / Pause": viewer.toggle, "Step": viewer.single_step, "Restart": viewer.restart}
         buttons.on_click(lambda event: viewer.ask(actions[event.target.value]))
-        self._add("speed", gui.add_slider("Speed", 0.05, 4.0, 0.05, 1.0, hint="Simulated seconds per second."))
+        self._add("speed", gui.add_slider("Speed", 0.05, 4.0, 0.05, 1.0, hint="Simulated time over wall-clock time."))
 
     def _add_method(self) -> None:
         gui = self._gui
@@ -168,20 +168,27 @@ class Panel:
         self._add("sleepers", gui.add_checkbox("Sleeping bodies transparent", True))
         for name in OVERLAYS:
             self._add(name, gui.add_checkbox(name, False))
-        self._add("shadows", gui.add_checkbox("Shadows", not self._viewer.fast, hint="Off helps slow graphics."))
+        self._add(
+            "shadows", gui.add_checkbox("Shadows", not self._viewer.fast, hint="Switch off on slow graphics hardware.")
+        )
 
     def _add_touch(self) -> None:
         gui = self._gui
         gui.add_markdown("Click a body to push it away from you; drag it to pull it.")
-        self._add("strength", gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint="Of a body hit centrally."))
+        self._add(
+            "strength",
+            gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint="Speed of a body that is hit at its centre."),
+        )
         self._said = gui.add_markdown("")
 
     def _add_slice(self) -> None:
         gui = self._gui
         self._add("slice", gui.add_checkbox("Show the signed distance", False))
-        self._add("body", gui.add_dropdown("Body", ("0",), hint="A click on a body chooses it too."))
+        self._add("body", gui.add_dropdown("Body", ("0",), hint="Clicking a body also selects it."))
         self._add("axis", gui.add_dropdown("Plane across", AXES, initial_value="y"))
-        self._add("place", gui.add_slider("Place", 0.0, 1.0, 0.01, 0.5, hint="From one end of the body to the other."))
+        self._add(
+            "place", gui.add_slider("Position", 0.0, 1.0, 0.01, 0.5, hint="From one end of the body to the other.")
+        )
         self._image = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="signed distance", visible=False)
 
     def _add_keys(self) -> None:
@@ -212,7 +219,7 @@ class Panel:
                 self._viewer.ask(self._changed, name, widget.value)
 
     def _changed(self, name: str, value: Any) -> None:
-        """Do what a control asks for; called by the viewer's thread.
+        """Execute the request of a control; called by the viewer's thread.
 
         Raises:
             ValueError: The control does not offer the value, or no longer does: another scene may have come meanwhile.
@@ -260,8 +267,8 @@ def _label(name: str) -> str:
 
 
 def _summary(session: Session) -> str:
-    """What the scene is about, and what its variant changes."""
+    """Summary of the scene, and the changes of its variant."""
     demo = session.plan.demo
     changes = demo.variants.get(session.variant or "", {})
-    told = ", ".join(f"{name} = {value}" for name, value in changes.items())
-    return f"*{demo.summary}*" + (f"\n\n{session.variant}: {told}" if told else "")
+    changed = ", ".join(f"{name} = {value}" for name, value in changes.items())
+    return f"*{demo.summary}*" + (f"\n\n{session.variant}: {changed}" if changed else "")

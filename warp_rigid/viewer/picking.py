@@ -1,4 +1,4 @@
-"""Where a ray from the page meets a body: sphere tracing in the body's own signed distance."""
+"""Ray casting from the page to a body: sphere tracing in the signed distance of the body."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Films on the page: with a scrubber, or as a page of its own that plays without a server."""
+"""Films in the browser: with a scrubber, or as a standalone page that needs no server."""
 
 import threading
 import time
@@ -16,7 +16,7 @@ __all__ = ["FilmViewer", "load_film", "save_html"]
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""
 PAGE_RATE = 30.0
-"""Most frames per second of a page of its own."""
+"""Largest frame rate of a standalone page [1/s]."""
 
 
 def load_film(path: str) -> Film:
@@ -59,11 +59,11 @@ class FilmViewer:
 
     @property
     def url(self) -> str:
-        """Where the page is; the address contains the token that opens it."""
+        """Address of the page, with the token."""
         return self.server.url
 
     def run(self) -> None:
-        """Play over and over until `stop`."""
+        """Play in a loop until `stop`."""
         shown, last = None, time.perf_counter()
         while not self._stop.is_set():
             now = time.perf_counter()
@@ -78,16 +78,16 @@ class FilmViewer:
 
     @property
     def frame(self) -> int:
-        """Number of the frame on the page."""
+        """Index of the frame shown."""
         return int(self._at)
 
     def seek(self, frame: int) -> None:
-        """Stop at a frame; one beyond the ends stands for the end."""
+        """Stop at a frame; indices beyond the ends are clamped."""
         self.playing = False
         self._at = float(np.clip(frame, 0, self.film.num_frames - 1))
 
     def stop(self) -> None:
-        """Make `run` return; from any thread."""
+        """Make `run` return; may be called from any thread."""
         self._stop.set()
 
     def _show(self, frame: int) -> None:
@@ -135,7 +135,7 @@ class FilmViewer:
 
 
 def save_html(film: Film, path, fast: bool = False) -> None:
-    """Write a film as one HTML file, which plays from the disk without a server or the net.
+    """Write a film as one HTML file, which plays without a server or a network connection.
 
     Args:
         film: what to write.

@@ -1,4 +1,4 @@
-"""Playing with a scene: steps in real time, restarts, changes while it runs, pushes and pulls."""
+"""An interactive scene: steps in real time, restarts, changes while it runs, pushes and pulls."""
 
 import dataclasses
 import math
@@ -21,7 +21,7 @@ PULL_RATE = 8.0
 """Angular frequency of the spring that pulls a body [rad/s]; its damping is critical."""
 
 MOST_BEHIND = 0.1
-"""Time that was lost beyond this is not made up for [s]."""
+"""Largest delay behind real time that is caught up [s]."""
 
 
 class Paced:
@@ -34,12 +34,12 @@ class Paced:
     """
 
     def __init__(self, share: float, period: float = 0.0, patience: float = math.inf):
-        """Ready at once."""
+        """Make it ready immediately."""
         self._share, self._period, self._patience = share, period, patience
         self._next = 0.0
 
     def __call__(self, action, *arguments) -> Any:
-        """Run the action if its time has come; None if not."""
+        """Run the action if it is due; None if not."""
         start = time.perf_counter()
         if start < self._next:
             return None
@@ -86,7 +86,7 @@ class Session:
         self.open(source, **options)
 
     def open(self, source: str, **options: Any) -> None:
-        """Load another scene on the same device; what was set for the last one is forgotten."""
+        """Load another scene on the same device; settings of the last one are discarded."""
         kept = {name: self._options[name] for name in ("device", "seed") if name in self._options}
         demo = runner.find_scene(source)
         self.plan = runner.plan_run(demo, **{**kept, **options})
@@ -101,7 +101,7 @@ class Session:
 
     @property
     def sim(self) -> Simulator:
-        """The simulator at work; a change of dt brings another."""
+        """The current simulator; a change of dt creates another."""
         return self._sim
 
     @property
