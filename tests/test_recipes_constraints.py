@@ -149,8 +149,9 @@ for settings in (wr.Settings(), wr.Settings(sleeping=True), wr.Settings(warm_sta
     assert bits(many, 1) == end, "a reset of one environment, which starts with the velocity of the scene"
     assert bits(simulate(settings=settings, capacity={"pairs": 1, "contacts": 1})) == end, "growth of the pools"
     alone.reset()
+    assert distances(alone).impulse.numpy().tolist() == [0.0]
     alone.step(600)
-    assert bits(alone) == end, "a reset clears the impulses"
+    assert bits(alone) == end, "after a reset"
 
 sleeping = simulate(settings=wr.Settings(sleeping=True), steps=900)
 assert sleeping.get("asleep")[0, 1:].all()
