@@ -35,11 +35,11 @@ def bits(sim, env=0):
 
 
 def distances(sim):
-    return sim._shards._shards[0].stages.constraint_rows.distances
+    return sim._world.shards._shards[0].stages.constraint_rows.distances
 
 
 def graph(sim):
-    return sim._shards._shards[0].pools.graph
+    return sim._world.shards._shards[0].pools.graph
 """
 
 PENDULUM = """
