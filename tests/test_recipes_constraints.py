@@ -253,7 +253,7 @@ def run(program, checkout, folder, device):
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", COMMON + program, device],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(checkout)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])},
         capture_output=True,
         text=True,
     )
