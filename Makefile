@@ -19,7 +19,7 @@ demo: $(READY)
 		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
 	@echo "next: $(BIN)/warp-rigid view seesaw"
 
-# The tests that every change must pass: about 4 minutes on 2 idle cores. Tests that measure time run last, alone.
+# The tests that every change must pass: about 4 minutes on 2 cores. Tests that measure time run last, alone.
 test: $(READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
 	$(PYTEST) -m "quiet and not long" && exit $$others
