@@ -74,14 +74,12 @@ class HandMadeGraph:
 
     def solve(self):
         """Levels and islands, (envs, bodies) each."""
-        self.launch(support.find_levels, self.bodies, self.constraints, self.graph)
-        self.launch(support.find_islands, self.bodies, self.constraints, self.graph)
+        self.launch(support.find_structure, self.bodies, self.constraints, self.graph)
         shape = (self.count, self.per_env)
         return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)
 
     def heights(self):
-        """Heights (envs, bodies), 2^30 where a body lies on nothing, and the greatest of each environment."""
-        self.launch(support.find_depths, self.bodies, self.constraints, self.graph)
+        """Depths (envs, bodies) after `solve`, 2^30 where a body is unsupported, and the greatest of each."""
         return self.graph.depth.numpy().reshape(self.count, self.per_env), self.graph.max_depth.numpy()
 
 

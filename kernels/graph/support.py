@@ -220,18 +220,15 @@ def find_cycles(
     sync_team(team)
 
 
-@wp.kernel
-def find_levels(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """One team per environment: the level of each body, with cycles collapsed."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+@wp.func
+def find_levels(team: Team, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
+    """The level of each body, with cycles collapsed."""
     env = team.env
-    if graph.unchanged[env] == 1:
-        return
     first = envs.first_body[env] + team.lane
     last = envs.first_body[env + 1]
     first_edge = 2 * constraints.start[env] + team.lane
     last_edge = 2 * constraints.start[env + 1]
-    for b in range(first, last, lanes):
+    for b in range(first, last, team.lanes):
         graph.level[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNKNOWN, 0)
         graph.cycle[b] = b
         graph.within[b] = 0
@@ -240,28 +237,25 @@ def find_levels(lanes: int, envs: Environments, bodies: Bodies, constraints: Con
         if climb(first_edge, last_edge, first, last, team, constraints, graph) == 0:
             find_cycles(first_edge, last_edge, first, last, team, constraints, graph)
         left = int(0)
-        for b in range(first, last, lanes):
+        for b in range(first, last, team.lanes):
             if graph.level[b] == UNKNOWN:
                 left = 1
         left = any_of_team(left, team)
 
 
-@wp.kernel
-def find_islands(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """One team per environment: islands of dynamic bodies connected by constraints, labelled by their lowest body."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+@wp.func
+def find_islands(team: Team, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
+    """Islands of dynamic bodies connected by constraints, labelled by their lowest body."""
     env = team.env
-    if graph.unchanged[env] == 1:
-        return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         graph.island[b] = b
     changed = int(1)
     while changed == 1:
         sync_team(team)
         changed = int(0)
-        for k in range(constraints.start[env] + team.lane, constraints.start[env + 1], lanes):
+        for k in range(constraints.start[env] + team.lane, constraints.start[env + 1], team.lanes):
             a = constraints.body_a[k]
             b = constraints.body_b[k]
             if is_active(k, constraints) and bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
@@ -273,24 +267,21 @@ def find_islands(lanes: int, envs: Environments, bodies: Bodies, constraints: Co
                     wp.atomic_min(graph.island, a, lowest)
                     wp.atomic_min(graph.island, b, lowest)
         sync_team(team)
-        for b in range(first + team.lane, last, lanes):
+        for b in range(first + team.lane, last, team.lanes):
             graph.island[b] = graph.island[graph.island[b]]
         changed = any_of_team(changed, team)
 
 
-@wp.kernel
-def find_depths(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """One team per environment: length of the shortest path of supports from each body to the ground, and the maximum.
+@wp.func
+def find_depths(team: Team, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
+    """Length of the shortest path of supports from each body to the ground, and the maximum.
 
     In a heap it is much smaller than the level, which counts the longest path. Unsupported bodies have no depth.
     """
-    team = team_of(wp.tid(), lanes, graph.gate)
     env = team.env
-    if graph.unchanged[env] == 1:
-        return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         graph.depth[b] = wp.where(bodies.motion[b] == Motion.DYNAMIC, UNSUPPORTED, 0)
     if team.lane == 0:
         graph.max_depth[env] = 0
@@ -299,13 +290,24 @@ def find_depths(lanes: int, envs: Environments, bodies: Bodies, constraints: Con
         sync_team(team)
         changed = int(0)
         for _ in range(passes_of(team)):
-            for edge in range(2 * constraints.start[env] + team.lane, 2 * constraints.start[env + 1], lanes):
+            for edge in range(2 * constraints.start[env] + team.lane, 2 * constraints.start[env + 1], team.lanes):
                 upper = upper_of(edge, constraints, graph)
                 lower = lower_of(edge, constraints)
                 if upper >= 0 and graph.depth[lower] + 1 < graph.depth[upper]:
                     wp.atomic_min(graph.depth, upper, graph.depth[lower] + 1)
                     changed = 1
         changed = any_of_team(changed, team)
-    for b in range(first + team.lane, last, lanes):
+    for b in range(first + team.lane, last, team.lanes):
         if graph.depth[b] < UNSUPPORTED:
             wp.atomic_max(graph.max_depth, env, graph.depth[b])
+
+
+@wp.kernel
+def find_structure(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
+    """One team per environment: levels, depths and islands, where the graph has changed."""
+    team = team_of(wp.tid(), lanes, graph.gate)
+    if graph.unchanged[team.env] == 1:
+        return
+    find_levels(team, envs, bodies, constraints, graph)
+    find_depths(team, envs, bodies, constraints, graph)
+    find_islands(team, envs, bodies, constraints, graph)

@@ -222,9 +222,7 @@ class Stages:
         own = [lanes, self.envs, bodies]
         found = [self.motions, self.constraint_rows, constraints]
         self._per_team(lanes, support.find_support, [*own, *found], [graph])
-        self._per_team(lanes, support.find_levels, [*own, constraints], [graph])
-        self._per_team(lanes, support.find_depths, [*own, constraints], [graph])
-        self._per_team(lanes, support.find_islands, [*own, constraints], [graph])
+        self._per_team(lanes, support.find_structure, [*own, constraints], [graph])
         self._per_team(lanes, coloring.color_constraints, [*own, constraints], [graph])
         inputs = [lanes, self.envs, constraints]
         self._per_team(lanes, coloring.group_constraints, inputs, [graph, self.pools.order])
