@@ -73,3 +73,14 @@ class CombineRule(IntEnum):
     AVERAGE = 1
     MULTIPLY = 2
     MAX = 3
+
+
+class IslandSolver(IntEnum):
+    """How an island is solved in a step."""
+
+    SHOCK = 0
+    """Sweeps and shock propagation."""
+    SWEEPS = 1
+    """Sweeps alone."""
+    ROUNDS = 2
+    """Rounds (rounds.py)."""

@@ -416,7 +416,22 @@ Graph = layout(
     active_before=Field(
         int, "envs", "", "1 + number of active constraints of the last step; 0: its graph is not available"
     ),
-    unchanged=Field(int, "envs", "", "1: the graph is the same as in the last step"),
+    altered=Field(int, "envs", "", "1: the supports of a constraint differ from those of the last step"),
+    unchanged=Field(
+        int, "envs", "", "1: the graph, and the islands that are solved in rounds, are the same as in the last step"
+    ),
+    touching=Field(int, "bodies", "", "active constraints of the body"),
+    tied=Field(int, "bodies", "", "1: the body has a constraint of another kind than contact"),
+    island_bodies=Field(int, "bodies", "", "at an island's index: number of its bodies"),
+    heap_votes=Field(
+        int, "bodies", "", "at an island's index: bodies whose island was solved in rounds in the last step"
+    ),
+    heap_steps=Field(
+        int, "bodies", "", "at an island's index: largest State.shock_ineffective_steps of the bodies that voted"
+    ),
+    needs_sweeps=Field(int, "bodies", "", "at an island's index: 1 if it cannot be solved in rounds"),
+    solver=Field(int, "bodies", "", "an IslandSolver: how the body's island is solved; 0 for bodies without an island"),
+    swept=Field(int, "envs", "", "1: at least one island with constraints is solved in sweeps"),
     level=Field(
         int, "bodies", "", "0 for statics, else 1 + the highest level of the supports; bodies of a cycle share a level"
     ),
@@ -438,7 +453,7 @@ Graph = layout(
     ),
     largest=Field(float, "bodies", "J", "largest summand of the numerator and denominator"),
     max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest velocity change by shock propagation"),
-    ineffective_steps=Field(int, "bodies", "", "State.shock_ineffective_steps at the start of the step"),
+    ineffective_steps=Field(int, "bodies", "", "State.shock_ineffective_steps of the body's island"),
     energy_terms=Field(
         wp.vec2, "constraints", "J", "summands of the line search of each active constraint, in solving order"
     ),
@@ -453,13 +468,48 @@ Graph = layout(
         int, "bodies", "", "colour visit in which restitution or shock propagation last changed the velocity"
     ),
     converged=Field(int, "envs", "", "1: the solver has converged, shock propagation is not needed"),
-    shock_ineffective=Field(int, "envs", "", "1: shock propagation is ineffective for at least one island"),
+    shock_ineffective=Field(
+        int, "envs", "", "1: shock propagation is ineffective for at least one island that is solved in sweeps"
+    ),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
     sweeps=Field(int, "envs", "", "solver sweeps in the last step"),
     shock_sweeps=Field(int, "envs", "", "sweeps of shock propagation in the last step"),
     push_out_sweeps=Field(int, "envs", "", "sweeps of the push-out in the last step"),
-    residual=Field(float, "envs", "m/s", "largest velocity change by a row in the last sweep"),
-    gate=Field(wp.uint32, "envs, 4", "", "barrier for teams of several blocks"),
+    rounds=Field(int, "envs", "", "rounds of the solver in the last step"),
+    push_out_rounds=Field(int, "envs", "", "rounds of the push-out in the last step"),
+    residual=Field(float, "envs", "m/s", "largest velocity change by a row in the last sweep or round"),
+)
+
+RoundRecord = packed_record(
+    "RoundRecord",
+    "A pair of bodies that is solved in rounds. A body takes part with its mass divided by its number of such pairs.",
+    body_a=Field(int, "", "", "first body"),
+    body_b=Field(int, "", "", "second body"),
+    begin=Field(int, "", "", "first contact"),
+    end=Field(int, "", "", "one past the last contact"),
+    env=Field(int, "", "", "environment"),
+    sharing_a=Field(int, "", "", "pairs that share the first body's mass"),
+    sharing_b=Field(int, "", "", "pairs that share the second body's mass"),
+)
+
+Rounds = layout(
+    "Rounds",
+    "Pairs of heaps, which are solved all at once in rounds (rounds.py). The solve and the push-out have one each.",
+    pairs=Field(RoundRecord, "constraints", "", "the pairs, in any order"),
+    count=Field(int, "1", "", "number of pairs"),
+    sharing=Field(int, "bodies", "", "pairs that share the body's mass"),
+    gained=Field(
+        wp.int64,
+        f"bodies, {18}",
+        "",
+        "velocity change by the impulses of all pairs, linear and angular, in multiples of 2^-40 m/s and rad/s; "
+        "three buffers: read, written and cleared in a round",
+    ),
+    limit=Field(int, "envs", "", "maximum number of rounds"),
+    last_change=Field(int, "envs", "", "last round in which a velocity changed by more than the tolerance"),
+    done=Field(int, "1", "", "rounds completed before those of this launch"),
+    latest=Field(int, "1", "", "last round after which an environment needs another one"),
+    again=Field(int, "1", "", "1: more rounds follow"),
 )
 
 Order = layout(

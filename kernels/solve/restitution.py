@@ -188,8 +188,10 @@ def solve_impacts(
     rows: Rows,
 ):
     """One team per environment: sweeps of pairwise impacts until there are none, at most `collision_iterations`."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
+    if order.color_count[env] == 0:
+        return
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
     forget_visits(envs.first_body[env], envs.first_body[env + 1], team, order, graph)

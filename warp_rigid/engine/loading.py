@@ -10,8 +10,8 @@ from warp_rigid.engine.cores import usable_cores
 from warp_rigid.kernels.collide import bake, broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
-from warp_rigid.kernels.graph import coloring, support
-from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
+from warp_rigid.kernels.graph import coloring, islands, support
+from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, push_rounds, restitution, rounds, shock
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
@@ -23,6 +23,9 @@ STEP = (
     *TEAM_MODULES,
     integrate,
     predict,
+    islands,
+    rounds,
+    push_rounds,
     broadphase,
     build_contacts,
     records,

@@ -17,7 +17,7 @@ LARGEST_LIMIT = 2**50
 
 
 def pool_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all arrays sized with the pools: lists, contacts, the history twice, graph, orders."""
+    """Bytes of all arrays sized with the pools: lists, contacts, the history twice, graph, order, rounds twice."""
     structs = (
         schema.Constraints,
         schema.Pairs,
@@ -26,7 +26,8 @@ def pool_bytes(sizes: dict[str, int]) -> int:
         schema.History,
         schema.Graph,
         schema.Order,
-        schema.Order,
+        schema.Rounds,
+        schema.Rounds,
     )
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 

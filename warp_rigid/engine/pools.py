@@ -32,7 +32,9 @@ class Pools:
         history: contacts of the last step.
         constraints: all constraints of the step.
         graph: contact graph.
-        order: active constraints by colour.
+        order: constraints that are solved in sweeps, by colour.
+        rounds: pairs of heaps, which are solved in rounds.
+        push_rounds: pairs of heaps that overlap.
         turn: (1,) row of `wanted` for the current step.
         wanted: (CHUNK, 2) required number of pairs and contacts of each step.
     """
@@ -44,6 +46,8 @@ class Pools:
     constraints: Any
     graph: Any
     order: Any
+    rounds: Any
+    push_rounds: Any
     turn: wp.array
     wanted: wp.array
 
@@ -73,6 +77,8 @@ class Pools:
             constraints=constraints,
             graph=declare.allocate(schema.Graph, sizes, device),
             order=declare.allocate(schema.Order, sizes, device),
+            rounds=declare.allocate(schema.Rounds, sizes, device),
+            push_rounds=declare.allocate(schema.Rounds, sizes, device),
             turn=wp.zeros(1, dtype=int, device=device),
             wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
         )

@@ -14,8 +14,7 @@ from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
-from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.solve.gauss_seidel import INEFFECTIVE_STEPS
+from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion
 
@@ -337,7 +336,7 @@ def solver_stats(world: World) -> dict[str, np.ndarray]:
     """What the solver did in the last step; see Simulator.stats."""
     pairs, contacts = counts_of_environments(world)
     found = {"pairs": pairs, "contacts": contacts, **_island_counts(world)}
-    for name in ("sweeps", "shock_sweeps", "push_out_sweeps", "residual"):
+    for name in ("sweeps", "rounds", "shock_sweeps", "push_out_sweeps", "push_out_rounds", "residual"):
         found[name] = world.shards.gather(partial(_graph_column, name=name))
     for name in ("pairs", "contacts"):
         used = world.shards.gather(partial(_capacity_used, name=name))
@@ -366,19 +365,13 @@ def _island_counts(world: World) -> dict[str, np.ndarray]:
     awake = world.shards.gather(lambda shard: shard.pools.graph.island.numpy() + shard.first_body).reshape(shape)
     slept = (world.sleep_state.island.numpy() + world.shards.gather(_first_body_of_each)).reshape(shape)
     named = np.where(asleep, slept, awake)
-    mode = world.envs.shock_propagation.numpy()[:, None]
     converged = world.shards.gather(lambda shard: shard.pools.graph.converged.numpy())[:, None] == 1
-    steps = world.shards.gather(lambda shard: shard.pools.graph.ineffective_steps.numpy()).reshape(shape)
-    ineffective = (mode == ShockMode.TWO_PASS) & (steps > INEFFECTIVE_STEPS)
-    swept = (mode == ShockMode.OFF) | converged | ineffective
+    solver = world.shards.gather(lambda shard: shard.pools.graph.solver.numpy()).reshape(shape)
+    solver = np.where((solver == IslandSolver.SHOCK) & converged, IslandSolver.SWEEPS, solver)
     own = named - world.num_bodies * np.arange(world.num_envs)[:, None] == np.arange(world.num_bodies)
     first = present & own
-    return {
-        "islands": first.sum(axis=1),
-        "islands_shock": (first & ~asleep & ~swept).sum(axis=1),
-        "islands_sweeps": (first & ~asleep & swept).sum(axis=1),
-        "islands_asleep": (first & asleep).sum(axis=1),
-    }
+    counts = {f"islands_{one.name.lower()}": (first & ~asleep & (solver == one)).sum(axis=1) for one in IslandSolver}
+    return {"islands": first.sum(axis=1), **counts, "islands_asleep": (first & asleep).sum(axis=1)}
 
 
 def _first_body_of_each(shard: Shard) -> np.ndarray:

@@ -193,11 +193,12 @@ class Simulator:
 
         - "pairs", "contacts": numbers of pairs and contacts.
         - "islands": number of groups of dynamic bodies that contacts and other constraints connect. Of these,
-          "islands_shock" were solved with shock propagation and "islands_sweeps" by sweeps alone, because shock
-          propagation is off, was not needed, or has been ineffective for the island. "islands_asleep" sleep.
-        - "sweeps": sweeps over the constraints; "shock_sweeps", "push_out_sweeps": sweeps of shock propagation and of
-          the push-out.
-        - "residual": largest change of a velocity by a constraint row in the last sweep [m/s].
+          "islands_shock" were solved with shock propagation, "islands_sweeps" by sweeps alone, because shock
+          propagation is off or was not needed, and "islands_rounds" in rounds, because they are heaps, for which shock
+          propagation is ineffective. "islands_asleep" sleep.
+        - "sweeps", "rounds": sweeps over the constraints, and rounds over the pairs of heaps. "shock_sweeps",
+          "push_out_sweeps", "push_out_rounds": those of shock propagation and of the push-out.
+        - "residual": largest change of a velocity by a constraint row in the last sweep or round [m/s].
         - "pair_capacity_used", "contact_capacity_used": used fraction of the pool to which the environment belongs.
         """
         return quantities.solver_stats(self._world)

@@ -11,17 +11,20 @@ from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.loading import GROUND, SLEEP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, most_lanes, team_sizes
+from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, most_lanes, team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
-from warp_rigid.kernels.graph import coloring, support
-from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
+from warp_rigid.kernels.graph import coloring, islands, support
+from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, push_rounds, restitution, rounds, shock
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
 PAIRS, CONTACTS = 0, 1
+
+ROUNDS_OF_A_GROUP = 6
+"""Rounds between two decisions on whether more follow."""
 
 STAGES: list[str] = []
 """Names of the stages of a step, in order of definition."""
@@ -81,7 +84,7 @@ class Stages:
         self.num_envs = model.num_envs
         self.num_bodies = len(model.scene.bodies)
         self.rows = self.num_envs * self.num_bodies
-        self.teams = team_sizes(self.device, self.num_envs, self.num_bodies)
+        self.lanes = team_lanes(self.device, self.num_envs, self.num_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
         self.grid = HashGrid(model, device)
@@ -216,16 +219,22 @@ class Stages:
 
     @stage
     def build_graph(self) -> None:
-        """Contact graph: supports, levels, islands, and colouring for the solving order."""
+        """Contact graph: supports, islands and how each is solved, levels, and colouring for the solving order."""
         bodies, constraints, graph = self.model.bodies, self.pools.constraints, self.pools.graph
-        lanes = self.teams.graph
-        own = [lanes, self.envs, bodies]
-        found = [self.motions, self.constraint_rows, constraints]
-        self._per_team(lanes, support.find_support, [*own, *found], [graph])
-        self._per_team(lanes, support.find_structure, [*own, constraints], [graph])
-        self._per_team(lanes, coloring.color_constraints, [*own, constraints], [graph])
-        inputs = [lanes, self.envs, constraints]
-        self._per_team(lanes, coloring.group_constraints, inputs, [graph, self.pools.order])
+        self._per_env(support.start_graph, [], [graph, self.pools.rounds])
+        found = [bodies, self.motions, self.constraint_rows, constraints]
+        self._per_constraint(support.find_support, found, [graph])
+        self._per_env(support.compare_graph, [], [graph])
+        self._per_body(islands.start_islands, [bodies], [graph])
+        self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
+        self._per_body(islands.vote, [bodies, self.state], [graph])
+        self._per_body(islands.choose_solver, [bodies, self.envs], [graph, self.pools.rounds])
+        self._list_heaps()
+        own = [self.lanes, self.envs, bodies, constraints]
+        self._per_team(support.find_structure, own, [graph])
+        self._per_team(coloring.color_constraints, own, [graph])
+        inputs = [self.lanes, self.envs, constraints]
+        self._per_team(coloring.group_constraints, inputs, [graph, self.pools.order])
 
     @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
@@ -238,41 +247,87 @@ class Stages:
 
     @stage
     def solve_impacts(self) -> None:
-        """Restitution: solve impacts."""
+        """Restitution: solve impacts, and set the rebound velocities of heaps."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
+        solved = self.pools.rounds
+        self._per_round_pair(rounds.set_rebounds, solved, [self.envs], [self.motions, self.pools.contacts], [self.dt])
 
     @stage
     def solve_contacts(self) -> None:
-        """Contact solver: warm start, sweeps, shock propagation, sweeps."""
+        """Contact solver: warm start, sweeps, shock propagation, sweeps; rounds for heaps."""
         self._color_by_color(gauss_seidel.warm_start)
         self.sweep_constraints(after_shock=0)
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
+        self.solve_heaps()
 
     def sweep_constraints(self, after_shock: int) -> None:
-        """Gauss-Seidel sweeps over all constraints."""
-        self._color_by_color(gauss_seidel.sweep_constraints, [after_shock], [self.state])
+        """Gauss-Seidel sweeps over all constraints of islands that are not heaps."""
+        self._color_by_color(gauss_seidel.sweep_constraints, [after_shock])
 
     @stage
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from increasing the energy."""
-        self._color_by_color(line_search.store_before_shock, [self.state])
+        self._color_by_color(line_search.store_before_shock)
         self._color_by_color(shock.propagate, [repetition])
         self._color_by_color(line_search.sum_energy)
-        self._color_by_color(line_search.accept, [repetition], [self.state])
+        self._color_by_color(line_search.accept)
+        if repetition == 0:
+            inputs = [self.model.bodies, self.envs, self.pools.graph]
+            self._per_body(line_search.count_ineffective_steps, inputs, [self.state])
+
+    @stage
+    def solve_heaps(self) -> None:
+        """Rounds: solve all pairs of heaps at once, until nothing changes."""
+        pools, solved = self.pools, self.pools.rounds
+        changed = [self.motions, pools.contacts]
+        self._per_round_pair(rounds.start_rounds, solved, [], changed)
+        self._repeat_rounds(rounds.solve_round, solved)
+        self._per_round_pair(rounds.finish_pairs, solved, [], changed)
+        self._shared(rounds.finish_bodies, self.rows, [], [solved], [self.motions])
 
     @stage
     def push_out(self) -> None:
         """Push-out: separate remaining overlaps without adding velocity."""
         model, pools = self.model, self.pools
         self._per_team(
-            self.teams.color,
             push_out.find_overlaps,
-            [self.dt, self.teams.color, model.shapes, model.bodies, self.envs, pools.pairs],
+            [self.dt, self.lanes, model.shapes, model.bodies, self.envs, pools.pairs],
             [self.motions, pools.graph, self.constraint_rows],
         )
         self._color_by_color(push_out.push_apart)
+        self.push_heaps()
+
+    @stage
+    def push_heaps(self) -> None:
+        """Push-out of heaps, in rounds."""
+        model, pools, pushed = self.model, self.pools, self.pools.push_rounds
+        self._shared(rounds.open_rounds, self.rows, [], [], [pushed])
+        inputs = [model.shapes, model.bodies, pools.pairs, self.motions, pools.contacts, pools.rounds]
+        self._shared(push_rounds.find_overlaps_in_heaps, pools.sizes["constraints"], [self.dt], inputs, [pushed])
+        self._shared(push_rounds.share_masses, pools.sizes["constraints"], [], [], [pushed])
+        self._repeat_rounds(push_rounds.push_round, pushed)
+        self._per_round_pair(push_rounds.finish_push, pushed, [], [self.motions, pools.contacts])
+        self._shared(push_rounds.store_push, self.rows, [], [pushed], [self.motions])
+
+    def _list_heaps(self) -> None:
+        """List the pairs that are solved in rounds."""
+        pools = self.pools
+        self._shared(rounds.open_rounds, self.rows, [], [], [pools.rounds])
+        found = [self.model.bodies, self.motions, pools.constraints, pools.graph]
+        self._per_constraint(rounds.list_heaps, found, [pools.rounds])
+
+    def _repeat_rounds(self, kernel: Any, some: Any) -> None:
+        """Launch rounds in groups, until no environment needs another one."""
+
+        def group() -> None:
+            for place in range(ROUNDS_OF_A_GROUP):
+                outputs = [self.motions, self.pools.contacts, self.pools.graph]
+                self._per_round_pair(kernel, some, [], outputs, [place + 1])
+            wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
+
+        wp.capture_while(some.again, group)
 
     @stage
     def detect_continuous_collisions(self) -> None:
@@ -350,14 +405,22 @@ class Stages:
             [deepest],
         )
 
-    def _color_by_color(self, kernel: Any, before: Sequence = (), after: Sequence = ()) -> None:
+    def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
         """Launch a solver kernel that processes the constraints colour by colour."""
-        pools, lanes = self.pools, self.teams.color
-        inputs = [*before, lanes, self.envs, pools.order]
-        self._per_team(lanes, kernel, inputs, [pools.graph, self.motions, self.constraint_rows, *after])
+        pools = self.pools
+        inputs = [*before, self.lanes, self.envs, pools.order]
+        self._per_team(kernel, inputs, [pools.graph, self.motions, self.constraint_rows])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.rows, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose threads share all constraints."""
+        self._shared(kernel, self.pools.sizes["constraints"], [], inputs, outputs)
+
+    def _per_round_pair(self, kernel: Any, some: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:
+        """Launch a kernel whose threads share the pairs that are solved in rounds."""
+        self._shared(kernel, self.pools.sizes["constraints"], [*before], [*inputs, some], outputs)
 
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
         dim = self.pools.pairs.body_a.shape[0]
@@ -373,8 +436,8 @@ class Stages:
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _per_team(self, lanes: int, kernel: Any, inputs: list, outputs: Sequence) -> None:
-        dim, block = self.num_envs * lanes, team.block_of(lanes)
+    def _per_team(self, kernel: Any, inputs: list, outputs: Sequence) -> None:
+        dim, block = self.num_envs * self.lanes, team.block_of(self.lanes)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:

@@ -10,7 +10,7 @@ from warp_rigid.engine.loading import GRIDS, STEP, load_kernels
 from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.engine.model import build_model, initial_environments, initial_state
 from warp_rigid.engine.settings import Settings
-from warp_rigid.engine.teams import team_sizes
+from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Compound, Mesh
@@ -67,7 +67,7 @@ class World:
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
         self.memory_limit.check(0, needed, f"simulating {num_envs} environment(s)")
         baking = any(isinstance(body.shape, Mesh | Compound) for body in scene.bodies)
-        load_kernels(device, [*STEP, *(GRIDS if baking else ())], team_sizes(device, num_envs, self.num_bodies))
+        load_kernels(device, [*STEP, *(GRIDS if baking else ())], [team_lanes(device, num_envs, self.num_bodies)])
         self.model = build_model(scene, num_envs, device)
         self.state = initial_state(scene, num_envs, device)
         self.start = initial_state(scene, num_envs, device)

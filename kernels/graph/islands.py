@@ -1,0 +1,160 @@
+"""Islands of bodies in contact, and which of them are solved in rounds.
+
+Islands are the connected components of the dynamic bodies: trees of bodies are joined in parallel, always the root with
+the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so that the root of an island is its
+lowest body, in whatever order the threads run.
+
+An island is a heap if shock propagation was ineffective for it (shock.py); heaps are solved in rounds (rounds.py), all
+other islands in sweeps with shock propagation. Islands merge and split, so each body remembers for how many steps its
+island has been a heap, and the majority of the bodies decides. In some of these steps shock propagation is tried again.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.team import add_together
+from warp_rigid.kernels.constraints.contact import KIND as CONTACT
+from warp_rigid.kernels.constraints.records import is_active
+from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
+from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Rounds, State
+
+wp.set_module_options({"enable_backward": False})
+
+MOST_SHARING = wp.constant(32)
+"""Maximum number of pairs that share a body's mass in a heap. With more, rounds converge too slowly."""
+
+LAST_TRIAL = wp.constant(256)
+"""Shock propagation is tried again when an island has been a heap for 4, 16, 64 and 256 steps, and then every 256."""
+
+ROUNDS, ROUNDS_PER_WIDTH = wp.constant(1.0), wp.constant(0.4)
+"""Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body along the
+edge of a cube with as many bodies as the largest heap. Load crosses a heap in a number of rounds proportional to it."""
+
+
+@wp.func
+def is_trial(steps: int):
+    """Whether shock propagation is tried in an island that has been a heap for a number of steps."""
+    if steps > LAST_TRIAL:
+        return steps % LAST_TRIAL == 0
+    return steps == 0 or steps == 4 or steps == 16 or steps == 64 or steps == LAST_TRIAL
+
+
+@wp.func
+def root_of(b: int, parents: wp.array[int]):
+    """The root of a body's tree."""
+    root = int(b)
+    parent = parents[root]
+    while parent != root:
+        root = parent
+        parent = parents[root]
+    return root
+
+
+@wp.func
+def join(a: int, b: int, parents: wp.array[int]):
+    """Join the trees of two bodies."""
+    upper = root_of(a, parents)
+    lower = root_of(b, parents)
+    while upper != lower:
+        high = wp.max(upper, lower)
+        lower = wp.min(upper, lower)
+        upper = wp.atomic_cas(parents, high, high, lower)
+        if upper == high:
+            upper = lower
+        else:
+            upper = root_of(upper, parents)
+            lower = root_of(lower, parents)
+
+
+@wp.kernel
+def start_islands(bodies: Bodies, graph: Graph):
+    """One thread per body: each body is an island of its own."""
+    b = wp.tid()
+    if graph.unchanged[bodies.env[b]] == 0:
+        graph.island[b] = b
+    graph.touching[b] = 0
+    graph.tied[b] = 0
+    graph.island_bodies[b] = 0
+    graph.heap_votes[b] = 0
+    graph.heap_steps[b] = 0
+    graph.needs_sweeps[b] = 0
+
+
+@wp.kernel
+def join_islands(threads: int, bodies: Bodies, constraints: Constraints, graph: Graph):
+    """The threads share the constraints: join the islands of both bodies, and count the constraints of each body."""
+    for k in range(wp.tid(), constraints.start[constraints.start.shape[0] - 1], threads):
+        if is_active(k, constraints):
+            a = constraints.body_a[k]
+            b = constraints.body_b[k]
+            dynamic_a = bodies.motion[a] == Motion.DYNAMIC
+            dynamic_b = bodies.motion[b] == Motion.DYNAMIC
+            if dynamic_a:
+                wp.atomic_add(graph.touching, a, 1)
+            if dynamic_b:
+                wp.atomic_add(graph.touching, b, 1)
+            if constraints.kind[k] != CONTACT:
+                graph.tied[a] = 1
+                graph.tied[b] = 1
+            if dynamic_a and dynamic_b and graph.unchanged[bodies.env[a]] == 0:
+                join(a, b, graph.island)
+
+
+@wp.kernel
+def vote(bodies: Bodies, state: State, graph: Graph):
+    """One thread per body: the label of its island, and its vote on whether the island is a heap."""
+    b = wp.tid()
+    if bodies.motion[b] != Motion.DYNAMIC:
+        return
+    island = root_of(b, graph.island)
+    graph.island[b] = island
+    add_together(graph.island_bodies, island, 1)
+    steps = state.shock_ineffective_steps[b]
+    add_together(graph.heap_votes, island, wp.where(steps > 0, 1, 0))
+    if steps > graph.heap_steps[island]:
+        wp.atomic_max(graph.heap_steps, island, steps)
+    if graph.tied[b] == 1 or graph.touching[b] > MOST_SHARING:
+        graph.needs_sweeps[island] = 1
+
+
+@wp.func
+def steps_as_heap(island: int, graph: Graph):
+    """For how many steps an island has been a heap, by the majority of its bodies."""
+    return wp.where(2 * graph.heap_votes[island] > graph.island_bodies[island], graph.heap_steps[island], 0)
+
+
+@wp.func
+def solver_of(steps: int, mode: int, needs_sweeps: int):
+    """The IslandSolver of an island that has been a heap for a number of steps."""
+    if mode == ShockMode.OFF:
+        return int(IslandSolver.SWEEPS)
+    if mode == ShockMode.ONE_PASS or is_trial(steps):
+        return int(IslandSolver.SHOCK)
+    return wp.where(needs_sweeps == 1, int(IslandSolver.SWEEPS), int(IslandSolver.ROUNDS))
+
+
+@wp.func
+def most_rounds(island: int, iterations: int, graph: Graph):
+    """Maximum number of rounds for an island."""
+    width = wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0)
+    return int(float(iterations) * (ROUNDS + ROUNDS_PER_WIDTH * width))
+
+
+@wp.kernel
+def choose_solver(bodies: Bodies, envs: Environments, graph: Graph, rounds: Rounds):
+    """One thread per body: how its island is solved in this step, and the number of rounds."""
+    b = wp.tid()
+    if bodies.motion[b] != Motion.DYNAMIC:
+        return
+    env = bodies.env[b]
+    island = graph.island[b]
+    steps = steps_as_heap(island, graph)
+    graph.ineffective_steps[b] = steps
+    solver = solver_of(steps, envs.shock_propagation[env], graph.needs_sweeps[island])
+    if graph.solver[b] != solver:
+        graph.solver[b] = solver
+        graph.unchanged[env] = 0
+    if graph.touching[b] > 0:
+        if solver != IslandSolver.ROUNDS:
+            graph.swept[env] = 1
+        elif b == island:
+            wp.atomic_max(rounds.limit, env, most_rounds(island, envs.contact_iterations[env], graph))

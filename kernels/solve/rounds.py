@@ -1,0 +1,389 @@
+"""Heaps: all pairs are solved at once, in rounds on split masses with Nesterov's momentum.
+
+In a heap, bodies lean on each other in all directions, so there is no order in which load could be transmitted. In a
+*round*, every pair of bodies visits its contacts once, at the same time as all others. A body that takes part in n
+pairs is split into n copies with mass m/n (Tonge, Benevolenski and Voroshilov 2012); its new velocity is the mean of
+theirs. No two threads wait for each other within a round, and rounds need neither colours nor levels.
+
+Let l be the impulses and v(l) the velocities after them. A round takes (l, v(l)) to better impulses l1. The next round
+starts at y = l1 + b (l1 - l), extrapolated from the results of the last two rounds (Nesterov 1983), with the momentum
+b = (k - 1) / (k + 2) of round k, at most 0.9. Without this limit, momentum diverges slowly, because friction that
+slides is not the gradient of an energy. With it, restarts (O'Donoghue and Candes 2015) were never needed in any heap
+that was measured. The fixed point is the Coulomb problem that sweeps solve, too.
+
+Since v is affine in l, the mean over the copies equals v(y): the velocity before the solve, plus the changes by the
+impulses of all pairs. These are summed up as whole multiples of 2^-40 m/s, so the sum does not depend on the order of
+the threads. Each round writes another of three buffers while it reads the second and clears the third.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.solver_body import (
+    VELOCITY,
+    BodyPair,
+    inverse_inertia_of,
+    inverse_mass_of,
+    load_bodies,
+    load_velocity,
+    with_impulse,
+)
+from warp_rigid.kernels.common.tangents import world_vector
+from warp_rigid.kernels.common.team import next_place, raise_to
+from warp_rigid.kernels.constraints.contact import (
+    ANGULAR_IMPULSE,
+    IMPULSE,
+    START_ANGULAR_IMPULSE,
+    START_IMPULSE,
+    contact_velocity,
+    impulse_of,
+    next_impulse,
+    read_contact,
+    set_impulse,
+    solve_rolling,
+    velocity_change,
+    write_contact,
+)
+from warp_rigid.kernels.constraints.records import is_active
+from warp_rigid.kernels.declare import record_reader
+from warp_rigid.kernels.graph.support import is_swept
+from warp_rigid.kernels.schema import (
+    Bodies,
+    Constraints,
+    ContactRecord,
+    Contacts,
+    Environments,
+    Graph,
+    Motions,
+    RoundRecord,
+    Rounds,
+)
+from warp_rigid.kernels.solve.restitution import NO_IMPACT, rebound
+
+wp.set_module_options({"enable_backward": False})
+
+read_round_pair = record_reader(RoundRecord)
+"""Reads a pair that is solved in rounds: (k, pairs)."""
+
+MOST_MOMENTUM = wp.constant(0.9)
+"""Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
+
+SETTLED = wp.constant(1.0e-5)
+"""Rounds end when no pair changes a velocity by more than this [m/s]."""
+
+FIXED = wp.constant(2.0**40)
+"""Units of the sums per m/s or rad/s."""
+
+LARGEST_GAIN = wp.constant(4.0e6)
+"""Largest velocity change by one pair [m/s, rad/s]: sums stay within 63 bits."""
+
+
+@wp.func
+def momentum(turn: int):
+    """Momentum after a round; the first round has none."""
+    return wp.min(float(turn - 1) / float(turn + 2), MOST_MOMENTUM)
+
+
+@wp.func
+def gained_of(b: int, first: int, rounds: Rounds):
+    """Three components of the summed velocity changes of a body, from column `first`."""
+    return wp.vec3(
+        float(wp.float64(rounds.gained[b, first]) / wp.float64(FIXED)),
+        float(wp.float64(rounds.gained[b, first + 1]) / wp.float64(FIXED)),
+        float(wp.float64(rounds.gained[b, first + 2]) / wp.float64(FIXED)),
+    )
+
+
+@wp.func
+def add_gain(b: int, first: int, gain: wp.vec3, rounds: Rounds):
+    """Add a velocity change of a body."""
+    for i in range(3):
+        units = wp.int64(wp.clamp(gain[i], -LARGEST_GAIN, LARGEST_GAIN) * FIXED)
+        wp.atomic_add(rounds.gained, b, first + i, units)
+
+
+@wp.func
+def clear_buffer(thread: int, threads: int, buffer: int, rounds: Rounds):
+    """Clear a buffer of the sums; the threads share the bodies."""
+    for b in range(thread, rounds.sharing.shape[0], threads):
+        if rounds.sharing[b] > 0:
+            for i in range(6):
+                rounds.gained[b, 6 * buffer + i] = wp.int64(0)
+
+
+@wp.func
+def split_pair(entry: RoundRecord, base: float, buffer: int, rounds: Rounds, motions: Motions):
+    """The two bodies of a pair with split masses; velocities are `base` times the current ones plus a buffer's sums."""
+    a = entry.body_a
+    b = entry.body_b
+    share_a = float(entry.sharing_a)
+    share_b = float(entry.sharing_b)
+    pair = BodyPair()
+    pair.inverse_mass_a = share_a * inverse_mass_of(a, motions)
+    pair.inverse_mass_b = share_b * inverse_mass_of(b, motions)
+    pair.linear_a = base * load_velocity(a, VELOCITY, motions)
+    pair.angular_a = base * load_velocity(a, VELOCITY + 1, motions)
+    pair.linear_b = base * load_velocity(b, VELOCITY, motions)
+    pair.angular_b = base * load_velocity(b, VELOCITY + 1, motions)
+    if pair.inverse_mass_a > 0.0:
+        pair.inverse_inertia_a = share_a * inverse_inertia_of(a, motions)
+        pair.linear_a += gained_of(a, 6 * buffer, rounds)
+        pair.angular_a += gained_of(a, 6 * buffer + 3, rounds)
+    if pair.inverse_mass_b > 0.0:
+        pair.inverse_inertia_b = share_b * inverse_inertia_of(b, motions)
+        pair.linear_b += gained_of(b, 6 * buffer, rounds)
+        pair.angular_b += gained_of(b, 6 * buffer + 3, rounds)
+    return pair
+
+
+@wp.struct
+class Wrench:
+    """Impulse of a pair on its first body [N s], its moments about both centres of mass [N m s], and the change.
+
+    `change` is the largest change of a relative velocity by a row [m/s].
+    """
+
+    impulse: wp.vec3
+    moment_a: wp.vec3
+    moment_b: wp.vec3
+    change: float
+
+
+@wp.struct
+class Visit:
+    """A pair during a round: the split bodies, and the wrench by the rows so far."""
+
+    bodies: BodyPair
+    wrench: Wrench
+
+
+@wp.func
+def with_impulse_of(row: ContactRecord, impulse: wp.vec3, wrench: Wrench):
+    """The wrench with an impulse in the contact frame added."""
+    force = world_vector(row.normal, row.tangent, impulse)
+    wrench.impulse += force
+    wrench.moment_a += wp.cross(row.arm_a, force)
+    wrench.moment_b -= wp.cross(row.arm_b, force)
+    return wrench
+
+
+@wp.func
+def with_moment_of(row: ContactRecord, angular_impulse: wp.vec3, wrench: Wrench):
+    """The wrench with an angular impulse in the contact frame added."""
+    moment = world_vector(row.normal, row.tangent, angular_impulse)
+    wrench.moment_a += moment
+    wrench.moment_b -= moment
+    return wrench
+
+
+@wp.func
+def extrapolated(c: int, which: int, start: int, new: wp.vec3, beta: float, contacts: Contacts):
+    """Store a new impulse, and extrapolate it from the one of the last round. Returns the extrapolated impulse."""
+    ahead = new + beta * (new - impulse_of(c, start, contacts))
+    set_impulse(c, start, new, contacts)
+    set_impulse(c, which, ahead, contacts)
+    return ahead
+
+
+@wp.func
+def add_gains(entry: RoundRecord, buffer: int, wrench: Wrench, pair: BodyPair, rounds: Rounds):
+    """Add the velocity changes by a wrench to both bodies, with their whole masses."""
+    if pair.inverse_mass_a > 0.0:
+        whole = 1.0 / float(entry.sharing_a)
+        add_gain(entry.body_a, 6 * buffer, whole * pair.inverse_mass_a * wrench.impulse, rounds)
+        add_gain(entry.body_a, 6 * buffer + 3, whole * (pair.inverse_inertia_a * wrench.moment_a), rounds)
+    if pair.inverse_mass_b > 0.0:
+        whole = 1.0 / float(entry.sharing_b)
+        add_gain(entry.body_b, 6 * buffer, -whole * pair.inverse_mass_b * wrench.impulse, rounds)
+        add_gain(entry.body_b, 6 * buffer + 3, whole * (pair.inverse_inertia_b * wrench.moment_b), rounds)
+
+
+@wp.func
+def needs_round(env: int, turn: int, rounds: Rounds):
+    """Whether an environment takes part in a round: the last one changed a velocity, and the limit is not reached."""
+    return turn <= rounds.limit[env] and rounds.last_change[env] >= turn - 1
+
+
+@wp.func
+def record_change(env: int, turn: int, change: float, tolerance: float, rounds: Rounds):
+    """Record that a round changed a velocity by more than the tolerance, and whether another round is needed."""
+    if change > tolerance:
+        rounds.last_change[env] = turn
+        if turn < rounds.limit[env]:
+            rounds.latest[0] = turn
+
+
+@wp.func
+def list_round_pair(entry: RoundRecord, rounds: Rounds, motions: Motions):
+    """Append a pair; its dynamic bodies share their mass with it."""
+    rounds.pairs[next_place(rounds.count, 0)] = entry
+    rounds.again[0] = 1
+    if inverse_mass_of(entry.body_a, motions) > 0.0:
+        wp.atomic_add(rounds.sharing, entry.body_a, 1)
+    if inverse_mass_of(entry.body_b, motions) > 0.0:
+        wp.atomic_add(rounds.sharing, entry.body_b, 1)
+
+
+@wp.func
+def body_change(change: float, entry: RoundRecord):
+    """Bound on the velocity change of a body from the change of the relative velocity of its copies [m/s]."""
+    sharing = wp.min(entry.sharing_a, entry.sharing_b)
+    return change / float(wp.where(sharing > 0, sharing, wp.max(entry.sharing_a, entry.sharing_b)))
+
+
+@wp.kernel
+def open_rounds(threads: int, rounds: Rounds):
+    """The threads share the bodies and environments: no pairs, and nothing gained."""
+    tid = wp.tid()
+    for b in range(tid, rounds.sharing.shape[0], threads):
+        if rounds.sharing[b] > 0:
+            for i in range(rounds.gained.shape[1]):
+                rounds.gained[b, i] = wp.int64(0)
+        rounds.sharing[b] = 0
+    for env in range(tid, rounds.last_change.shape[0], threads):
+        rounds.last_change[env] = 0
+    if tid == 0:
+        rounds.count[0] = 0
+        rounds.done[0] = 0
+        rounds.latest[0] = 0
+        rounds.again[0] = 0
+
+
+@wp.kernel
+def list_heaps(threads: int, bodies: Bodies, motions: Motions, constraints: Constraints, graph: Graph, rounds: Rounds):
+    """The threads share the constraints: list the pairs of heaps."""
+    for k in range(wp.tid(), constraints.start[constraints.start.shape[0] - 1], threads):
+        a = constraints.body_a[k]
+        b = constraints.body_b[k]
+        if is_active(k, constraints) and not is_swept(k, constraints, graph):
+            entry = RoundRecord()
+            entry.body_a = a
+            entry.body_b = b
+            entry.begin = constraints.first_row[k]
+            entry.end = entry.begin + constraints.row_count[k]
+            entry.env = bodies.env[a]
+            list_round_pair(entry, rounds, motions)
+
+
+@wp.kernel
+def set_rebounds(dt: float, threads: int, envs: Environments, rounds: Rounds, motions: Motions, contacts: Contacts):
+    """The threads share the pairs: the velocity after the solve that restitution requires, as a bias velocity.
+
+    The rebound speed is that of restitution.py for a single impact; all impacts of a heap are solved together with its
+    contacts. If impacts come before the velocity update, the acceleration of the step still follows.
+    """
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        pair = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
+        first = float(envs.collision_first[entry.env])
+        acceleration = first * (motions.acceleration[entry.body_a] - motions.acceleration[entry.body_b])
+        for c in range(entry.begin, entry.end):
+            row = read_contact(c, contacts.rows)
+            if row.restitution > 0.0:
+                pull = wp.max(-wp.dot(acceleration, row.normal), 0.0)
+                target = rebound(row, -wp.dot(contact_velocity(row, pair), row.normal), pull, dt)
+                if target > NO_IMPACT:
+                    row.bias_velocity = wp.min(row.bias_velocity, dt * pull - target)
+                    write_contact(c, row, contacts.rows)
+
+
+@wp.func
+def apply_impulses(entry: RoundRecord, buffer: int, rounds: Rounds, motions: Motions, contacts: Contacts):
+    """Add the velocity changes by the current impulses of a pair. Returns 1 if they are finite."""
+    wrench = Wrench()
+    for c in range(entry.begin, entry.end):
+        row = read_contact(c, contacts.rows)
+        wrench = with_impulse_of(row, impulse_of(c, IMPULSE, contacts), wrench)
+        wrench = with_moment_of(row, impulse_of(c, ANGULAR_IMPULSE, contacts), wrench)
+    add_gains(entry, buffer, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
+    sum = wrench.impulse + wrench.moment_a + wrench.moment_b
+    return wp.where(wp.isfinite(sum[0] + sum[1] + sum[2]), 1, 0)
+
+
+@wp.kernel
+def start_rounds(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts):
+    """The threads share the pairs: split the masses, and apply the initial impulses."""
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        entry.sharing_a = rounds.sharing[entry.body_a]
+        entry.sharing_b = rounds.sharing[entry.body_b]
+        rounds.pairs[k] = entry
+        for c in range(entry.begin, entry.end):
+            set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)
+            set_impulse(c, START_ANGULAR_IMPULSE, impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
+        apply_impulses(entry, 0, rounds, motions, contacts)
+
+
+@wp.func
+def visit_row(c: int, entry: RoundRecord, beta: float, visit: Visit, contacts: Contacts):
+    """Solve a contact for the split bodies, and extrapolate its impulses."""
+    share_a = float(entry.sharing_a)
+    share_b = float(entry.sharing_b)
+    row = read_contact(c, contacts.rows)
+    old = impulse_of(c, IMPULSE, contacts)
+    new = next_impulse(old, share_a, share_b, row, visit.bodies)
+    gained = world_vector(row.normal, row.tangent, new - old)
+    visit.bodies = with_impulse(row.arm_a, row.arm_b, gained, visit.bodies)
+    ahead = extrapolated(c, IMPULSE, START_IMPULSE, new, beta, contacts)
+    visit.wrench = with_impulse_of(row, ahead, visit.wrench)
+    visit.wrench.change = wp.max(visit.wrench.change, velocity_change(new - old, share_a, share_b, row))
+    if row.rolling_friction + row.spinning_friction > 0.0:
+        visit.bodies = solve_rolling(c, new[0], row, visit.bodies, contacts)
+        moment = impulse_of(c, ANGULAR_IMPULSE, contacts)
+        moment = extrapolated(c, ANGULAR_IMPULSE, START_ANGULAR_IMPULSE, moment, beta, contacts)
+        visit.wrench = with_moment_of(row, moment, visit.wrench)
+    return visit
+
+
+@wp.kernel
+def solve_round(place: int, threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
+    """One round, the one at `place` of its group: the threads share the pairs, and clear a buffer."""
+    turn = rounds.done[0] + place
+    read = (turn - 1) % 3
+    clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
+    beta = momentum(turn)
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        if needs_round(entry.env, turn, rounds):
+            visit = Visit()
+            visit.bodies = split_pair(entry, 1.0, read, rounds, motions)
+            for c in range(entry.begin, entry.end):
+                visit = visit_row(c, entry, beta, visit, contacts)
+            add_gains(entry, turn % 3, visit.wrench, visit.bodies, rounds)
+            change = body_change(visit.wrench.change, entry)
+            record_change(entry.env, turn, change, SETTLED, rounds)
+            graph.rounds[entry.env] = turn
+            if change <= SETTLED or turn == rounds.limit[entry.env]:
+                raise_to(graph.residual, entry.env, change)
+
+
+@wp.kernel
+def close_rounds(count: int, rounds: Rounds):
+    """One thread: after a group of `count` rounds, whether more follow."""
+    rounds.done[0] += count
+    rounds.again[0] = wp.where(rounds.latest[0] == rounds.done[0], 1, 0)
+
+
+@wp.kernel
+def finish_pairs(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts):
+    """The threads share the pairs: take the impulses of the last round, which are not extrapolated.
+
+    A non-finite velocity change cannot be summed as whole numbers; it makes the velocities of its bodies non-finite.
+    """
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        for c in range(entry.begin, entry.end):
+            set_impulse(c, IMPULSE, impulse_of(c, START_IMPULSE, contacts), contacts)
+            set_impulse(c, ANGULAR_IMPULSE, impulse_of(c, START_ANGULAR_IMPULSE, contacts), contacts)
+        if apply_impulses(entry, (rounds.done[0] + 1) % 3, rounds, motions, contacts) == 0:
+            motions.solver_bodies[entry.body_a].angular = wp.vec3(wp.nan, wp.nan, wp.nan)
+            motions.solver_bodies[entry.body_b].angular = wp.vec3(wp.nan, wp.nan, wp.nan)
+
+
+@wp.kernel
+def finish_bodies(threads: int, rounds: Rounds, motions: Motions):
+    """The threads share the bodies: the velocities after the last round."""
+    buffer = (rounds.done[0] + 1) % 3
+    for b in range(wp.tid(), rounds.sharing.shape[0], threads):
+        if rounds.sharing[b] > 0 and inverse_mass_of(b, motions) > 0.0:
+            motions.solver_bodies[b].linear += gained_of(b, 6 * buffer, rounds)
+            motions.solver_bodies[b].angular += gained_of(b, 6 * buffer + 3, rounds)
