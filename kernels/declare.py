@@ -204,7 +204,7 @@ def record_writer(packed: Any, flag: str = "", optional_from: str = "") -> Any:
 
 
 def _is_of_integers(packed: Any) -> bool:
-    return all(field.dtype is int for key, field in RECORDS[packed.key].items() if not key.startswith(PADDING))
+    return all(field.dtype is int for field in RECORDS[packed.key].values())
 
 
 def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:

@@ -161,8 +161,11 @@ State = layout(
     active=Field(int, "bodies", "", "0: switched off, not simulated"),
     orientation_remainder=Field(wp.vec4, "bodies", "", "rounding error of the orientation"),
     angular_velocity_remainder=Field(wp.vec3, "bodies", "rad/s", "rounding error of the angular velocity"),
-    shock_ineffective_steps=Field(
-        int, "bodies", "", "consecutive steps in which shock propagation was ineffective for its island"
+    heap_steps=Field(
+        int,
+        "bodies",
+        "",
+        "steps in which shock propagation was ineffective for its island; negative: steps in free flight",
     ),
 )
 
@@ -427,7 +430,7 @@ Graph = layout(
         int, "bodies", "", "at an island's index: bodies whose island was solved in rounds in the last step"
     ),
     heap_steps=Field(
-        int, "bodies", "", "at an island's index: largest State.shock_ineffective_steps of the bodies that voted"
+        int, "bodies", "", "at an island's index: largest number of ineffective steps of the bodies that voted"
     ),
     needs_sweeps=Field(int, "bodies", "", "at an island's index: 1 if it cannot be solved in rounds"),
     solver=Field(int, "bodies", "", "an IslandSolver: how the body's island is solved; 0 for bodies without an island"),
@@ -453,7 +456,10 @@ Graph = layout(
     ),
     largest=Field(float, "bodies", "J", "largest summand of the numerator and denominator"),
     max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest velocity change by shock propagation"),
-    ineffective_steps=Field(int, "bodies", "", "State.shock_ineffective_steps of the body's island"),
+    island_speed=Field(float, "bodies", "1/s", "at an island's index: largest speed of a body, divided by its size"),
+    ineffective_steps=Field(
+        int, "bodies", "", "steps in which shock propagation was ineffective for the body's island"
+    ),
     energy_terms=Field(
         wp.vec2, "constraints", "J", "summands of the line search of each active constraint, in solving order"
     ),
@@ -490,6 +496,7 @@ RoundRecord = packed_record(
     env=Field(int, "", "", "environment"),
     sharing_a=Field(int, "", "", "pairs that share the first body's mass"),
     sharing_b=Field(int, "", "", "pairs that share the second body's mass"),
+    limit=Field(int, "", "", "maximum number of rounds"),
 )
 
 Rounds = layout(
@@ -505,7 +512,6 @@ Rounds = layout(
         "velocity change by the impulses of all pairs, linear and angular, in multiples of 2^-40 m/s and rad/s; "
         "three buffers: read, written and cleared in a round",
     ),
-    limit=Field(int, "envs", "", "maximum number of rounds"),
     last_change=Field(int, "envs", "", "last round in which a velocity changed by more than the tolerance"),
     done=Field(int, "1", "", "rounds completed before those of this launch"),
     latest=Field(int, "1", "", "last round after which an environment needs another one"),

@@ -264,7 +264,7 @@ def test_a_heap_that_it_does_not_help_is_left_alone(device, tmp_path):
     waits = []
     for _ in range(90):
         sim.step()
-        idle = state.shock_ineffective_steps.numpy()
+        idle = state.heap_steps.numpy()
         assert idle[tower].max() <= 8
         waits.append(np.bincount(idle[heap]).argmax())
     assert "9 10 11 12 13 14 15 8" in " ".join(map(str, waits))
@@ -296,7 +296,7 @@ def test_a_heap_gets_a_sweep_more_for_each_way_down_twice(device):
     heap, plain = (Simulator(scene, settings=Settings(dt=1 / 120), device=device) for _ in range(2))
     for sim in (heap, plain):
         sim.step(100)
-        stages_of(sim).state.shock_ineffective_steps.fill_(9)
+        stages_of(sim).state.heap_steps.fill_(9)
     heap.step()
     graph = stages_of(heap).pools.graph
     max_depth = int(graph.max_depth.numpy()[0])

@@ -119,7 +119,7 @@ def next_place(counts: wp.array[int], index: int) -> int:
 
 
 @wp.func
-def raise_to(values: wp.array[float], index: int, value: float):
+def raise_to(index: int, value: float, values: wp.array[float]):
     """Atomic maximum that does not write if the element is large enough already."""
     if value > values[index]:
         wp.atomic_max(values, index, value)
@@ -184,4 +184,42 @@ def bits_below(bits: wp.uint32, place: int):
 """)
 def broadcast(value: float, lane: int, lanes: int) -> float:
     """The value of one lane, broadcast to the whole team. Only for teams within a warp."""
+    ...
+
+
+@wp.func
+def broadcast_vector(value: wp.vec3, lane: int, lanes: int):
+    """The vector of one lane, broadcast to the whole team. Only for teams within a warp."""
+    return wp.vec3(broadcast(value[0], lane, lanes), broadcast(value[1], lane, lanes), broadcast(value[2], lane, lanes))
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
+    for (int offset = lanes / 2; offset > 0; offset /= 2) { value += __shfl_xor_sync(mask, value, offset, lanes); }
+#endif
+    return value;
+""")
+def sum_of_lanes(value: float, lanes: int) -> float:
+    """The sum over a team, the same in all lanes. Only for teams within a warp."""
+    ...
+
+
+@wp.func
+def sum_of_vectors(value: wp.vec3, lanes: int):
+    """The sum of vectors over a team, the same in all lanes. Only for teams within a warp."""
+    return wp.vec3(sum_of_lanes(value[0], lanes), sum_of_lanes(value[1], lanes), sum_of_lanes(value[2], lanes))
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
+    for (int offset = lanes / 2; offset > 0; offset /= 2) {
+        value = fmaxf(value, __shfl_xor_sync(mask, value, offset, lanes));
+    }
+#endif
+    return value;
+""")
+def max_of_lanes(value: float, lanes: int) -> float:
+    """The maximum over a team. Only for teams within a warp."""
     ...

@@ -4,38 +4,46 @@ Islands are the connected components of the dynamic bodies: trees of bodies are 
 the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so that the root of an island is its
 lowest body, in whatever order the threads run.
 
-An island is a heap if shock propagation was ineffective for it (shock.py); heaps are solved in rounds (rounds.py), all
-other islands in sweeps with shock propagation. Islands merge and split, so each body remembers for how many steps its
-island has been a heap, and the majority of the bodies decides. In some of these steps shock propagation is tried again.
+An island is a heap if shock propagation has been ineffective for it (shock.py). Heaps are solved in rounds (rounds.py),
+all other islands in sweeps with shock propagation. Islands merge and split, so each body stores for how many steps
+shock propagation has been ineffective for its island, and the majority of the bodies decides. Bodies that land after a
+free flight are presumed to form a heap. Once the bodies of a heap are nearly at rest, shock propagation is tried again.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.common.team import add_together
+from warp_rigid.kernels.common.team import add_together, raise_to
 from warp_rigid.kernels.constraints.contact import KIND as CONTACT
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
-from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Rounds, State
+from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Shapes, State
 
 wp.set_module_options({"enable_backward": False})
 
 MOST_SHARING = wp.constant(32)
 """Maximum number of pairs that share a body's mass in a heap. With more, rounds converge too slowly."""
 
-LAST_TRIAL = wp.constant(256)
-"""Shock propagation is tried again when an island has been a heap for 4, 16, 64 and 256 steps, and then every 256."""
+PATIENCE = wp.constant(8)
+"""Consecutive ineffective steps after which an island is a heap."""
+
+TRIAL_INTERVAL = wp.constant(64)
+"""Steps between two trials of shock propagation in a heap that rounds do not solve."""
+
+CALM = wp.constant(0.5)
+"""Largest speed of a body in a trial, in sizes of the body per second. Shock propagation transmits load at rest."""
+
+FLIGHT = wp.constant(0.1)
+"""Time without contact after which a body is presumed to land on a heap [s]."""
 
 ROUNDS, ROUNDS_PER_WIDTH = wp.constant(1.0), wp.constant(0.4)
 """Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body along the
-edge of a cube with as many bodies as the largest heap. Load crosses a heap in a number of rounds proportional to it."""
+edge of a cube of as many bodies as the island. Load crosses a heap in a number of rounds proportional to it."""
 
 
 @wp.func
-def is_trial(steps: int):
-    """Whether shock propagation is tried in an island that has been a heap for a number of steps."""
-    if steps > LAST_TRIAL:
-        return steps % LAST_TRIAL == 0
-    return steps == 0 or steps == 4 or steps == 16 or steps == 64 or steps == LAST_TRIAL
+def is_trial(steps: int, speed: float):
+    """Whether shock propagation is used after a number of ineffective steps. `speed`: in sizes of a body per second."""
+    return steps < PATIENCE or (steps % TRIAL_INTERVAL == 0 and speed < CALM)
 
 
 @wp.func
@@ -76,6 +84,7 @@ def start_islands(bodies: Bodies, graph: Graph):
     graph.island_bodies[b] = 0
     graph.heap_votes[b] = 0
     graph.heap_steps[b] = 0
+    graph.island_speed[b] = 0.0
     graph.needs_sweeps[b] = 0
 
 
@@ -99,35 +108,45 @@ def join_islands(threads: int, bodies: Bodies, constraints: Constraints, graph: 
                 join(a, b, graph.island)
 
 
+@wp.func
+def ineffective_steps_of(b: int, dt: float, state: State):
+    """For how many steps shock propagation was ineffective for a body's island; PATIENCE after a free flight."""
+    steps = state.heap_steps[b]
+    if steps < 0:
+        return wp.where(-dt * float(steps) < FLIGHT, 0, PATIENCE)
+    return steps
+
+
 @wp.kernel
-def vote(bodies: Bodies, state: State, graph: Graph):
+def vote(dt: float, shapes: Shapes, bodies: Bodies, state: State, graph: Graph):
     """One thread per body: the label of its island, and its vote on whether the island is a heap."""
     b = wp.tid()
     if bodies.motion[b] != Motion.DYNAMIC:
         return
     island = root_of(b, graph.island)
     graph.island[b] = island
+    steps = ineffective_steps_of(b, dt, state)
     add_together(graph.island_bodies, island, 1)
-    steps = state.shock_ineffective_steps[b]
     add_together(graph.heap_votes, island, wp.where(steps > 0, 1, 0))
     if steps > graph.heap_steps[island]:
         wp.atomic_max(graph.heap_steps, island, steps)
+    raise_to(island, wp.length(state.linear_velocity[b]) / shapes.shapes[bodies.shape[b]].size, graph.island_speed)
     if graph.tied[b] == 1 or graph.touching[b] > MOST_SHARING:
         graph.needs_sweeps[island] = 1
 
 
 @wp.func
 def steps_as_heap(island: int, graph: Graph):
-    """For how many steps an island has been a heap, by the majority of its bodies."""
+    """For how many steps shock propagation was ineffective for an island, if for the majority of its bodies."""
     return wp.where(2 * graph.heap_votes[island] > graph.island_bodies[island], graph.heap_steps[island], 0)
 
 
 @wp.func
-def solver_of(steps: int, mode: int, needs_sweeps: int):
-    """The IslandSolver of an island that has been a heap for a number of steps."""
+def solver_of(steps: int, speed: float, mode: int, needs_sweeps: int):
+    """The IslandSolver of an island after a number of ineffective steps."""
     if mode == ShockMode.OFF:
         return int(IslandSolver.SWEEPS)
-    if mode == ShockMode.ONE_PASS or is_trial(steps):
+    if mode == ShockMode.ONE_PASS or is_trial(steps, speed):
         return int(IslandSolver.SHOCK)
     return wp.where(needs_sweeps == 1, int(IslandSolver.SWEEPS), int(IslandSolver.ROUNDS))
 
@@ -140,8 +159,8 @@ def most_rounds(island: int, iterations: int, graph: Graph):
 
 
 @wp.kernel
-def choose_solver(bodies: Bodies, envs: Environments, graph: Graph, rounds: Rounds):
-    """One thread per body: how its island is solved in this step, and the number of rounds."""
+def choose_solver(bodies: Bodies, envs: Environments, graph: Graph):
+    """One thread per body: how its island is solved in this step."""
     b = wp.tid()
     if bodies.motion[b] != Motion.DYNAMIC:
         return
@@ -149,12 +168,9 @@ def choose_solver(bodies: Bodies, envs: Environments, graph: Graph, rounds: Roun
     island = graph.island[b]
     steps = steps_as_heap(island, graph)
     graph.ineffective_steps[b] = steps
-    solver = solver_of(steps, envs.shock_propagation[env], graph.needs_sweeps[island])
+    solver = solver_of(steps, graph.island_speed[island], envs.shock_propagation[env], graph.needs_sweeps[island])
     if graph.solver[b] != solver:
         graph.solver[b] = solver
         graph.unchanged[env] = 0
-    if graph.touching[b] > 0:
-        if solver != IslandSolver.ROUNDS:
-            graph.swept[env] = 1
-        elif b == island:
-            wp.atomic_max(rounds.limit, env, most_rounds(island, envs.contact_iterations[env], graph))
+    if graph.touching[b] > 0 and solver != IslandSolver.ROUNDS:
+        graph.swept[env] = 1

@@ -23,7 +23,7 @@ from warp_rigid.kernels.common.team import Team, add_together, any_of_team, sync
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.constraints.rows import Rows, direction_and_approach
 from warp_rigid.kernels.enums import IslandSolver, Motion
-from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Motions, Rounds
+from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Motions
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,7 +74,7 @@ def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, grap
 
 
 @wp.kernel
-def start_graph(graph: Graph, rounds: Rounds):
+def start_graph(graph: Graph):
     """One thread per environment: reset what the kernels of this stage sum up, and the statistics of the solver."""
     env = wp.tid()
     graph.active[env] = 0
@@ -86,7 +86,6 @@ def start_graph(graph: Graph, rounds: Rounds):
     graph.push_out_sweeps[env] = 0
     graph.rounds[env] = 0
     graph.push_out_rounds[env] = 0
-    rounds.limit[env] = 0
 
 
 @wp.kernel

@@ -14,10 +14,10 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import START, load_bodies, store_velocity, with_velocities
 from warp_rigid.kernels.common.team import sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows, blend_row, energy_terms, store_start
-from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
-from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, OrderRecord, State
+from warp_rigid.kernels.enums import ShockMode
+from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
-from warp_rigid.kernels.solve.shock import island_of, next_ineffective_steps
+from warp_rigid.kernels.solve.shock import island_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -157,18 +157,3 @@ def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: 
         t = accepted_share(island_of(entry, motions, graph), graph)
         for row in range(entry.begin, entry.end):
             blend_row(entry.kind, row, t, rows)
-
-
-@wp.kernel
-def count_ineffective_steps(bodies: Bodies, envs: Environments, graph: Graph, state: State):
-    """One thread per body: for how many steps its island has been a heap, after the first line search of the step."""
-    b = wp.tid()
-    if bodies.motion[b] != Motion.DYNAMIC:
-        return
-    steps = graph.ineffective_steps[b]
-    if graph.solver[b] == IslandSolver.SHOCK and searched(bodies.env[b], envs, graph):
-        island = graph.island[b]
-        steps = next_ineffective_steps(steps, graph.max_velocity_change[island], accepted_share(island, graph))
-    elif steps > 0:
-        steps += 1
-    state.shock_ineffective_steps[b] = steps

@@ -18,6 +18,7 @@ from warp_rigid.kernels.constraints.contact import (
 )
 from warp_rigid.kernels.schema import (
     Bodies,
+    ContactRecord,
     Contacts,
     Graph,
     Motions,
@@ -37,9 +38,11 @@ from warp_rigid.kernels.solve.rounds import (
     list_round_pair,
     momentum,
     needs_round,
+    of_lane,
     read_round_pair,
     record_change,
     split_pair,
+    sum_of_wrenches,
     with_impulse_of,
 )
 
@@ -70,8 +73,7 @@ def find_overlaps_in_heaps(
             write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(0.0, 0.0, 0.0), target)
             if target > 0.0:
                 found = 1
-        if found == 1 and solved.limit[entry.env] > 0:
-            rounds.limit[entry.env] = solved.limit[entry.env]
+        if found == 1 and entry.limit > 0:
             list_round_pair(entry, rounds, motions)
 
 
@@ -85,12 +87,12 @@ def share_masses(threads: int, rounds: Rounds):
 
 
 @wp.func
-def push_row(c: int, entry: RoundRecord, beta: float, visit: Visit, contacts: Contacts):
+def push_row(
+    c: int, entry: RoundRecord, beta: float, row: ContactRecord, stored: wp.vec4, visit: Visit, contacts: Contacts
+):
     """Bring a contact's separation to its target for the split bodies, and extrapolate its pseudo-impulse."""
-    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     target = stored[3]
     if target > 0.0:
-        row = read_contact(c, contacts.rows)
         k = float(entry.sharing_a) * row.normal_a + float(entry.sharing_b) * row.normal_b
         missing = target - wp.dot(contact_velocity(row, visit.bodies), row.normal)
         new = wp.max(stored[0] + quotient(missing, k), 0.0)
@@ -102,22 +104,38 @@ def push_row(c: int, entry: RoundRecord, beta: float, visit: Visit, contacts: Co
     return visit
 
 
+@wp.func
+def push_pair_apart(entry: RoundRecord, beta: float, lane: int, lanes: int, visit: Visit, contacts: Contacts):
+    """Separate the contacts of a pair one after another; each lane of a team reads one of `lanes` in advance."""
+    for first in range(entry.begin, entry.end, lanes):
+        c = wp.min(first + lane, entry.end - 1)
+        row = read_contact(c, contacts.rows)
+        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+        for next in range(wp.min(lanes, entry.end - first)):
+            if next == lane:
+                visit = push_row(c, entry, beta, row, stored, visit, contacts)
+            visit.bodies = of_lane(next, lanes, visit.bodies)
+    return visit
+
+
 @wp.kernel
-def push_round(place: int, threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
-    """One round, the one at `place` of its group: the threads share the pairs, and clear a buffer."""
+def push_round(
+    place: int, threads: int, lanes: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph
+):
+    """One round, the one at `place` of its group: teams of lanes share the pairs, and clear a buffer."""
     turn = rounds.done[0] + place
+    lane = wp.tid() % lanes
     clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
     beta = momentum(turn)
-    for k in range(wp.tid(), rounds.count[0], threads):
+    for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
         entry = read_round_pair(k, rounds.pairs)
-        if needs_round(entry.env, turn, rounds):
+        if needs_round(entry, turn, rounds):
             visit = Visit()
             visit.bodies = split_pair(entry, 0.0, (turn - 1) % 3, rounds, motions)
-            for c in range(entry.begin, entry.end):
-                visit = push_row(c, entry, beta, visit, contacts)
-            add_gains(entry, turn % 3, visit.wrench, visit.bodies, rounds)
-            change = body_change(visit.wrench.change, entry)
-            record_change(entry.env, turn, change, ENOUGH, rounds)
+            visit = push_pair_apart(entry, beta, lane, lanes, visit, contacts)
+            wrench = sum_of_wrenches(lanes, visit.wrench)
+            add_gains(entry, turn % 3, lane, lanes, wrench, visit.bodies, rounds)
+            record_change(entry, turn, body_change(wrench.change, entry), ENOUGH, rounds)
             graph.push_out_rounds[entry.env] = turn
 
 
@@ -132,7 +150,7 @@ def finish_push(threads: int, rounds: Rounds, motions: Motions, contacts: Contac
             if stored[3] > 0.0:
                 wrench = with_impulse_of(read_contact(c, contacts.rows), wp.vec3(stored[1], 0.0, 0.0), wrench)
         buffer = (rounds.done[0] + 1) % 3
-        add_gains(entry, buffer, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
+        add_gains(entry, buffer, 0, 1, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
 
 
 @wp.kernel

@@ -28,7 +28,7 @@ from warp_rigid.kernels.common.solver_body import (
     with_impulse,
 )
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import next_place, raise_to
+from warp_rigid.kernels.common.team import broadcast_vector, max_of_lanes, next_place, raise_to, sum_of_vectors
 from warp_rigid.kernels.constraints.contact import (
     ANGULAR_IMPULSE,
     IMPULSE,
@@ -45,6 +45,8 @@ from warp_rigid.kernels.constraints.contact import (
 )
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.declare import record_reader
+from warp_rigid.kernels.enums import Motion
+from warp_rigid.kernels.graph.islands import most_rounds
 from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import (
     Bodies,
@@ -58,6 +60,7 @@ from warp_rigid.kernels.schema import (
     Rounds,
 )
 from warp_rigid.kernels.solve.restitution import NO_IMPACT, rebound
+from warp_rigid.kernels.solve.schedule import CONVERGED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -66,9 +69,6 @@ read_round_pair = record_reader(RoundRecord)
 
 MOST_MOMENTUM = wp.constant(0.9)
 """Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
-
-SETTLED = wp.constant(1.0e-5)
-"""Rounds end when no pair changes a velocity by more than this [m/s]."""
 
 FIXED = wp.constant(2.0**40)
 """Units of the sums per m/s or rad/s."""
@@ -137,9 +137,10 @@ def split_pair(entry: RoundRecord, base: float, buffer: int, rounds: Rounds, mot
 
 @wp.struct
 class Wrench:
-    """Impulse of a pair on its first body [N s], its moments about both centres of mass [N m s], and the change.
+    """Impulse of a pair on its first body [N s], and its moments about both centres of mass [N m s].
 
-    `change` is the largest change of a relative velocity by a row [m/s].
+    On the second body, all act in the opposite direction. `change` is the largest change of a relative velocity by a
+    row [m/s].
     """
 
     impulse: wp.vec3
@@ -162,7 +163,7 @@ def with_impulse_of(row: ContactRecord, impulse: wp.vec3, wrench: Wrench):
     force = world_vector(row.normal, row.tangent, impulse)
     wrench.impulse += force
     wrench.moment_a += wp.cross(row.arm_a, force)
-    wrench.moment_b -= wp.cross(row.arm_b, force)
+    wrench.moment_b += wp.cross(row.arm_b, force)
     return wrench
 
 
@@ -171,44 +172,60 @@ def with_moment_of(row: ContactRecord, angular_impulse: wp.vec3, wrench: Wrench)
     """The wrench with an angular impulse in the contact frame added."""
     moment = world_vector(row.normal, row.tangent, angular_impulse)
     wrench.moment_a += moment
-    wrench.moment_b -= moment
+    wrench.moment_b += moment
     return wrench
 
 
 @wp.func
-def extrapolated(c: int, which: int, start: int, new: wp.vec3, beta: float, contacts: Contacts):
-    """Store a new impulse, and extrapolate it from the one of the last round. Returns the extrapolated impulse."""
-    ahead = new + beta * (new - impulse_of(c, start, contacts))
-    set_impulse(c, start, new, contacts)
-    set_impulse(c, which, ahead, contacts)
-    return ahead
+def of_lane(lane: int, lanes: int, bodies: BodyPair):
+    """The bodies with the velocities that one lane of a team has computed."""
+    bodies.linear_a = broadcast_vector(bodies.linear_a, lane, lanes)
+    bodies.angular_a = broadcast_vector(bodies.angular_a, lane, lanes)
+    bodies.linear_b = broadcast_vector(bodies.linear_b, lane, lanes)
+    bodies.angular_b = broadcast_vector(bodies.angular_b, lane, lanes)
+    return bodies
 
 
 @wp.func
-def add_gains(entry: RoundRecord, buffer: int, wrench: Wrench, pair: BodyPair, rounds: Rounds):
-    """Add the velocity changes by a wrench to both bodies, with their whole masses."""
-    if pair.inverse_mass_a > 0.0:
-        whole = 1.0 / float(entry.sharing_a)
-        add_gain(entry.body_a, 6 * buffer, whole * pair.inverse_mass_a * wrench.impulse, rounds)
-        add_gain(entry.body_a, 6 * buffer + 3, whole * (pair.inverse_inertia_a * wrench.moment_a), rounds)
-    if pair.inverse_mass_b > 0.0:
-        whole = 1.0 / float(entry.sharing_b)
-        add_gain(entry.body_b, 6 * buffer, -whole * pair.inverse_mass_b * wrench.impulse, rounds)
-        add_gain(entry.body_b, 6 * buffer + 3, whole * (pair.inverse_inertia_b * wrench.moment_b), rounds)
+def sum_of_wrenches(lanes: int, wrench: Wrench):
+    """The sum of the wrenches of a team."""
+    wrench.impulse = sum_of_vectors(wrench.impulse, lanes)
+    wrench.moment_a = sum_of_vectors(wrench.moment_a, lanes)
+    wrench.moment_b = sum_of_vectors(wrench.moment_b, lanes)
+    wrench.change = max_of_lanes(wrench.change, lanes)
+    return wrench
 
 
 @wp.func
-def needs_round(env: int, turn: int, rounds: Rounds):
-    """Whether an environment takes part in a round: the last one changed a velocity, and the limit is not reached."""
-    return turn <= rounds.limit[env] and rounds.last_change[env] >= turn - 1
+def add_gains(entry: RoundRecord, buffer: int, lane: int, lanes: int, wrench: Wrench, pair: BodyPair, rounds: Rounds):
+    """Add the velocity changes by a wrench to both bodies, with their whole masses; the lanes share the sums."""
+    whole_a = 1.0 / float(wp.max(entry.sharing_a, 1))
+    whole_b = -1.0 / float(wp.max(entry.sharing_b, 1))
+    for part in range(lane, 4, lanes):
+        gain = whole_a * pair.inverse_mass_a * wrench.impulse
+        if part == 1:
+            gain = whole_a * (pair.inverse_inertia_a * wrench.moment_a)
+        if part == 2:
+            gain = whole_b * pair.inverse_mass_b * wrench.impulse
+        if part == 3:
+            gain = whole_b * (pair.inverse_inertia_b * wrench.moment_b)
+        b = wp.where(part < 2, entry.body_a, entry.body_b)
+        if wp.where(part < 2, pair.inverse_mass_a, pair.inverse_mass_b) > 0.0:
+            add_gain(b, 6 * buffer + 3 * (part % 2), gain, rounds)
 
 
 @wp.func
-def record_change(env: int, turn: int, change: float, tolerance: float, rounds: Rounds):
+def needs_round(entry: RoundRecord, turn: int, rounds: Rounds):
+    """Whether a pair takes part in a round: the last one changed a velocity, and the limit is not reached."""
+    return turn <= entry.limit and rounds.last_change[entry.env] >= turn - 1
+
+
+@wp.func
+def record_change(entry: RoundRecord, turn: int, change: float, tolerance: float, rounds: Rounds):
     """Record that a round changed a velocity by more than the tolerance, and whether another round is needed."""
     if change > tolerance:
-        rounds.last_change[env] = turn
-        if turn < rounds.limit[env]:
+        rounds.last_change[entry.env] = turn
+        if turn < entry.limit:
             rounds.latest[0] = turn
 
 
@@ -249,18 +266,26 @@ def open_rounds(threads: int, rounds: Rounds):
 
 
 @wp.kernel
-def list_heaps(threads: int, bodies: Bodies, motions: Motions, constraints: Constraints, graph: Graph, rounds: Rounds):
+def list_heaps(
+    threads: int,
+    bodies: Bodies,
+    envs: Environments,
+    motions: Motions,
+    constraints: Constraints,
+    graph: Graph,
+    rounds: Rounds,
+):
     """The threads share the constraints: list the pairs of heaps."""
     for k in range(wp.tid(), constraints.start[constraints.start.shape[0] - 1], threads):
-        a = constraints.body_a[k]
-        b = constraints.body_b[k]
         if is_active(k, constraints) and not is_swept(k, constraints, graph):
             entry = RoundRecord()
-            entry.body_a = a
-            entry.body_b = b
+            entry.body_a = constraints.body_a[k]
+            entry.body_b = constraints.body_b[k]
             entry.begin = constraints.first_row[k]
             entry.end = entry.begin + constraints.row_count[k]
-            entry.env = bodies.env[a]
+            entry.env = bodies.env[entry.body_a]
+            dynamic = wp.where(bodies.motion[entry.body_a] == Motion.DYNAMIC, entry.body_a, entry.body_b)
+            entry.limit = most_rounds(graph.island[dynamic], envs.contact_iterations[entry.env], graph)
             list_round_pair(entry, rounds, motions)
 
 
@@ -294,7 +319,7 @@ def apply_impulses(entry: RoundRecord, buffer: int, rounds: Rounds, motions: Mot
         row = read_contact(c, contacts.rows)
         wrench = with_impulse_of(row, impulse_of(c, IMPULSE, contacts), wrench)
         wrench = with_moment_of(row, impulse_of(c, ANGULAR_IMPULSE, contacts), wrench)
-    add_gains(entry, buffer, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
+    add_gains(entry, buffer, 0, 1, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
     sum = wrench.impulse + wrench.moment_a + wrench.moment_b
     return wp.where(wp.isfinite(sum[0] + sum[1] + sum[2]), 1, 0)
 
@@ -314,46 +339,80 @@ def start_rounds(threads: int, rounds: Rounds, motions: Motions, contacts: Conta
 
 
 @wp.func
-def visit_row(c: int, entry: RoundRecord, beta: float, visit: Visit, contacts: Contacts):
+def extrapolated(c: int, which: int, before: wp.vec3, new: wp.vec3, beta: float, contacts: Contacts):
+    """Store a new impulse, and the extrapolation from the one before. Returns the extrapolated impulse."""
+    ahead = new + beta * (new - before)
+    set_impulse(c, which, ahead, contacts)
+    set_impulse(c, wp.where(which == IMPULSE, START_IMPULSE, START_ANGULAR_IMPULSE), new, contacts)
+    return ahead
+
+
+@wp.func
+def visit_row(
+    c: int,
+    entry: RoundRecord,
+    beta: float,
+    row: ContactRecord,
+    old: wp.vec3,
+    before: wp.vec3,
+    visit: Visit,
+    contacts: Contacts,
+):
     """Solve a contact for the split bodies, and extrapolate its impulses."""
     share_a = float(entry.sharing_a)
     share_b = float(entry.sharing_b)
-    row = read_contact(c, contacts.rows)
-    old = impulse_of(c, IMPULSE, contacts)
     new = next_impulse(old, share_a, share_b, row, visit.bodies)
     gained = world_vector(row.normal, row.tangent, new - old)
     visit.bodies = with_impulse(row.arm_a, row.arm_b, gained, visit.bodies)
-    ahead = extrapolated(c, IMPULSE, START_IMPULSE, new, beta, contacts)
-    visit.wrench = with_impulse_of(row, ahead, visit.wrench)
+    visit.wrench = with_impulse_of(row, extrapolated(c, IMPULSE, before, new, beta, contacts), visit.wrench)
     visit.wrench.change = wp.max(visit.wrench.change, velocity_change(new - old, share_a, share_b, row))
     if row.rolling_friction + row.spinning_friction > 0.0:
         visit.bodies = solve_rolling(c, new[0], row, visit.bodies, contacts)
         moment = impulse_of(c, ANGULAR_IMPULSE, contacts)
-        moment = extrapolated(c, ANGULAR_IMPULSE, START_ANGULAR_IMPULSE, moment, beta, contacts)
-        visit.wrench = with_moment_of(row, moment, visit.wrench)
+        start = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
+        visit.wrench = with_moment_of(
+            row, extrapolated(c, ANGULAR_IMPULSE, start, moment, beta, contacts), visit.wrench
+        )
+    return visit
+
+
+@wp.func
+def visit_pair(entry: RoundRecord, beta: float, lane: int, lanes: int, visit: Visit, contacts: Contacts):
+    """Solve the contacts of a pair one after another; each lane of a team reads one of `lanes` contacts in advance."""
+    for first in range(entry.begin, entry.end, lanes):
+        c = wp.min(first + lane, entry.end - 1)
+        row = read_contact(c, contacts.rows)
+        old = impulse_of(c, IMPULSE, contacts)
+        before = impulse_of(c, START_IMPULSE, contacts)
+        for next in range(wp.min(lanes, entry.end - first)):
+            if next == lane:
+                visit = visit_row(c, entry, beta, row, old, before, visit, contacts)
+            visit.bodies = of_lane(next, lanes, visit.bodies)
     return visit
 
 
 @wp.kernel
-def solve_round(place: int, threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
-    """One round, the one at `place` of its group: the threads share the pairs, and clear a buffer."""
+def solve_round(
+    place: int, threads: int, lanes: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph
+):
+    """One round, the one at `place` of its group: teams of lanes share the pairs, and clear a buffer."""
     turn = rounds.done[0] + place
-    read = (turn - 1) % 3
+    lane = wp.tid() % lanes
     clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
     beta = momentum(turn)
-    for k in range(wp.tid(), rounds.count[0], threads):
+    for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
         entry = read_round_pair(k, rounds.pairs)
-        if needs_round(entry.env, turn, rounds):
+        if needs_round(entry, turn, rounds):
             visit = Visit()
-            visit.bodies = split_pair(entry, 1.0, read, rounds, motions)
-            for c in range(entry.begin, entry.end):
-                visit = visit_row(c, entry, beta, visit, contacts)
-            add_gains(entry, turn % 3, visit.wrench, visit.bodies, rounds)
-            change = body_change(visit.wrench.change, entry)
-            record_change(entry.env, turn, change, SETTLED, rounds)
+            visit.bodies = split_pair(entry, 1.0, (turn - 1) % 3, rounds, motions)
+            visit = visit_pair(entry, beta, lane, lanes, visit, contacts)
+            wrench = sum_of_wrenches(lanes, visit.wrench)
+            add_gains(entry, turn % 3, lane, lanes, wrench, visit.bodies, rounds)
+            change = body_change(wrench.change, entry)
+            record_change(entry, turn, change, CONVERGED, rounds)
             graph.rounds[entry.env] = turn
-            if change <= SETTLED or turn == rounds.limit[entry.env]:
-                raise_to(graph.residual, entry.env, change)
+            if change <= CONVERGED or turn == entry.limit:
+                raise_to(entry.env, change, graph.residual)
 
 
 @wp.kernel

@@ -60,12 +60,6 @@ SHARED_ITERATIONS = wp.constant(2)
 """The same for a body with several supports. With one, the tower of beams collapses; with eight, the first pair takes
 the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
 
-USEFUL = wp.constant(0.1)
-"""Step length from which shock propagation counts as effective for an island."""
-
-NO_WAY = wp.constant(1.0e-3)
-"""Velocity change below which effectiveness is not judged, as the island is at rest [m/s]."""
-
 SKIPPED = wp.constant(2**30)
 """Turn of a constraint that is not visited: later than all others."""
 
@@ -74,14 +68,6 @@ SKIPPED = wp.constant(2**30)
 def island_of(entry: OrderRecord, motions: Motions, graph: Graph):
     """The island of a constraint."""
     return graph.island[wp.where(motions.solver_bodies[entry.body_a].inverse_mass > 0.0, entry.body_a, entry.body_b)]
-
-
-@wp.func
-def next_ineffective_steps(steps: int, way: float, share: float):
-    """Ineffective steps after a trial, from the step length `share` and the largest velocity change `way` [m/s]."""
-    if way < NO_WAY:
-        return wp.where(steps > 0, steps + 1, 0)
-    return wp.where(share < USEFUL, steps + 1, 0)
 
 
 @wp.func

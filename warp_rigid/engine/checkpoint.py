@@ -28,7 +28,7 @@ from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.version import __version__
 
 KIND = "checkpoint"
-VERSION = 6  # raise whenever older files could no longer be read
+VERSION = 7  # raise whenever older files could no longer be read
 
 FROM_SCENE = ("env", "shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scene."""

@@ -11,7 +11,16 @@ from warp_rigid.kernels.collide import bake, broadphase, ccd, narrowphase, overl
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
 from warp_rigid.kernels.graph import coloring, islands, support
-from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, push_rounds, restitution, rounds, shock
+from warp_rigid.kernels.solve import (
+    effectiveness,
+    gauss_seidel,
+    line_search,
+    push_out,
+    push_rounds,
+    restitution,
+    rounds,
+    shock,
+)
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
@@ -26,6 +35,7 @@ STEP = (
     islands,
     rounds,
     push_rounds,
+    effectiveness,
     broadphase,
     build_contacts,
     records,

@@ -426,6 +426,4 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "shock_ineffective_steps"} == set(
-    declare.field_names(schema.State)
-)
+assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps"} == set(declare.field_names(schema.State))

@@ -11,14 +11,23 @@ from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.loading import GROUND, SLEEP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, most_lanes, team_lanes
+from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, most_lanes, team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
 from warp_rigid.kernels.graph import coloring, islands, support
-from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, push_rounds, restitution, rounds, shock
+from warp_rigid.kernels.solve import (
+    effectiveness,
+    gauss_seidel,
+    line_search,
+    push_out,
+    push_rounds,
+    restitution,
+    rounds,
+    shock,
+)
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
 PAIRS, CONTACTS = 0, 1
@@ -221,14 +230,14 @@ class Stages:
     def build_graph(self) -> None:
         """Contact graph: supports, islands and how each is solved, levels, and colouring for the solving order."""
         bodies, constraints, graph = self.model.bodies, self.pools.constraints, self.pools.graph
-        self._per_env(support.start_graph, [], [graph, self.pools.rounds])
+        self._per_env(support.start_graph, [], [graph])
         found = [bodies, self.motions, self.constraint_rows, constraints]
         self._per_constraint(support.find_support, found, [graph])
         self._per_env(support.compare_graph, [], [graph])
         self._per_body(islands.start_islands, [bodies], [graph])
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
-        self._per_body(islands.vote, [bodies, self.state], [graph])
-        self._per_body(islands.choose_solver, [bodies, self.envs], [graph, self.pools.rounds])
+        self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.state], [graph])
+        self._per_body(islands.choose_solver, [bodies, self.envs], [graph])
         self._list_heaps()
         own = [self.lanes, self.envs, bodies, constraints]
         self._per_team(support.find_structure, own, [graph])
@@ -261,6 +270,8 @@ class Stages:
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
         self.solve_heaps()
+        found = [self.model.bodies, self.envs, self.pools.graph, self.pools.rounds]
+        self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
     def sweep_constraints(self, after_shock: int) -> None:
         """Gauss-Seidel sweeps over all constraints of islands that are not heaps."""
@@ -273,9 +284,6 @@ class Stages:
         self._color_by_color(shock.propagate, [repetition])
         self._color_by_color(line_search.sum_energy)
         self._color_by_color(line_search.accept)
-        if repetition == 0:
-            inputs = [self.model.bodies, self.envs, self.pools.graph]
-            self._per_body(line_search.count_ineffective_steps, inputs, [self.state])
 
     @stage
     def solve_heaps(self) -> None:
@@ -315,16 +323,19 @@ class Stages:
         """List the pairs that are solved in rounds."""
         pools = self.pools
         self._shared(rounds.open_rounds, self.rows, [], [], [pools.rounds])
-        found = [self.model.bodies, self.motions, pools.constraints, pools.graph]
+        found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
         self._per_constraint(rounds.list_heaps, found, [pools.rounds])
 
     def _repeat_rounds(self, kernel: Any, some: Any) -> None:
         """Launch rounds in groups, until no environment needs another one."""
+        lanes = ROUND_LANES if self.device.is_cuda else 1
+        threads = self.pools.sizes["constraints"] * lanes if self.device.is_cuda else 1
+        changed = [self.motions, self.pools.contacts, self.pools.graph]
 
         def group() -> None:
-            for place in range(ROUNDS_OF_A_GROUP):
-                outputs = [self.motions, self.pools.contacts, self.pools.graph]
-                self._per_round_pair(kernel, some, [], outputs, [place + 1])
+            for place in range(1, ROUNDS_OF_A_GROUP + 1):
+                inputs = [place, threads, lanes, some]
+                wp.launch(kernel, dim=threads, inputs=inputs, outputs=changed, device=self.device)
             wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
 
         wp.capture_while(some.again, group)
