@@ -187,12 +187,6 @@ def broadcast(value: float, lane: int, lanes: int) -> float:
     ...
 
 
-@wp.func
-def broadcast_vector(value: wp.vec3, lane: int, lanes: int):
-    """The vector of one lane, broadcast to the whole team. Only for teams within a warp."""
-    return wp.vec3(broadcast(value[0], lane, lanes), broadcast(value[1], lane, lanes), broadcast(value[2], lane, lanes))
-
-
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));

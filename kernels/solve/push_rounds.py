@@ -2,13 +2,13 @@
 
 The problem is that of push_out.py without a frozen body: each contact that would end the step deeper than the slop
 requires a separation speed, and pseudo-impulses along the normals produce it. A body takes part with its mass divided
-by the number of pairs with such a contact.
+by the number of such contacts.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.solver_body import PUSH, inverse_mass_of, store_velocity, with_impulse
+from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, inverse_mass_of, store_velocity
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     contact_velocity,
@@ -18,7 +18,6 @@ from warp_rigid.kernels.constraints.contact import (
 )
 from warp_rigid.kernels.schema import (
     Bodies,
-    ContactRecord,
     Contacts,
     Graph,
     Motions,
@@ -29,16 +28,15 @@ from warp_rigid.kernels.schema import (
 )
 from warp_rigid.kernels.solve.push_out import ENOUGH, wanted_speed
 from warp_rigid.kernels.solve.rounds import (
-    Visit,
     Wrench,
     add_gains,
     body_change,
     clear_buffer,
+    count_rounds,
     gained_of,
     list_round_pair,
     momentum,
     needs_round,
-    of_lane,
     read_round_pair,
     record_change,
     split_pair,
@@ -67,19 +65,18 @@ def find_overlaps_in_heaps(
     """
     for k in range(wp.tid(), solved.count[0], threads):
         entry = read_round_pair(k, solved.pairs)
-        found = int(0)
+        deep = int(0)
         for c in range(entry.begin, entry.end):
             target = wanted_speed(c, dt, shapes, bodies, pairs, motions, contacts)
             write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(0.0, 0.0, 0.0), target)
-            if target > 0.0:
-                found = 1
-        if found == 1 and entry.limit > 0:
-            list_round_pair(entry, rounds, motions)
+            deep += wp.where(target > 0.0, 1, 0)
+        if deep > 0:
+            list_round_pair(entry, deep, rounds, motions)
 
 
 @wp.kernel
 def share_masses(threads: int, rounds: Rounds):
-    """The threads share the pairs: the number of pairs that share each body's mass."""
+    """The threads share the pairs: the number of contacts that share each body's mass."""
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = rounds.pairs[k]
         rounds.pairs[k].sharing_a = rounds.sharing[entry.body_a]
@@ -87,41 +84,24 @@ def share_masses(threads: int, rounds: Rounds):
 
 
 @wp.func
-def push_row(
-    c: int, entry: RoundRecord, beta: float, row: ContactRecord, stored: wp.vec4, visit: Visit, contacts: Contacts
-):
-    """Bring a contact's separation to its target for the split bodies, and extrapolate its pseudo-impulse."""
+def push_contact_apart(c: int, entry: RoundRecord, beta: float, pair: BodyPair, wrench: Wrench, contacts: Contacts):
+    """Bring a contact's separation to its target for its copies of the bodies, and add its pseudo-impulse."""
+    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     target = stored[3]
     if target > 0.0:
+        row = read_contact(c, contacts.rows)
         k = float(entry.sharing_a) * row.normal_a + float(entry.sharing_b) * row.normal_b
-        missing = target - wp.dot(contact_velocity(row, visit.bodies), row.normal)
+        missing = target - wp.dot(contact_velocity(row, pair), row.normal)
         new = wp.max(stored[0] + quotient(missing, k), 0.0)
-        visit.bodies = with_impulse(row.arm_a, row.arm_b, (new - stored[0]) * row.normal, visit.bodies)
         ahead = new + beta * (new - stored[1])
         write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(ahead, new, 0.0), target)
-        visit.wrench = with_impulse_of(row, wp.vec3(ahead, 0.0, 0.0), visit.wrench)
-        visit.wrench.change = wp.max(visit.wrench.change, k * wp.abs(new - stored[0]))
-    return visit
-
-
-@wp.func
-def push_pair_apart(entry: RoundRecord, beta: float, lane: int, lanes: int, visit: Visit, contacts: Contacts):
-    """Separate the contacts of a pair one after another; each lane of a team reads one of `lanes` in advance."""
-    for first in range(entry.begin, entry.end, lanes):
-        c = wp.min(first + lane, entry.end - 1)
-        row = read_contact(c, contacts.rows)
-        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
-        for next in range(wp.min(lanes, entry.end - first)):
-            if next == lane:
-                visit = push_row(c, entry, beta, row, stored, visit, contacts)
-            visit.bodies = of_lane(next, lanes, visit.bodies)
-    return visit
+        wrench = with_impulse_of(row, wp.vec3(ahead, 0.0, 0.0), wrench)
+        wrench.change = wp.max(wrench.change, k * wp.abs(new - stored[0]))
+    return wrench
 
 
 @wp.kernel
-def push_round(
-    place: int, threads: int, lanes: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph
-):
+def push_round(place: int, threads: int, lanes: int, rounds: Rounds, motions: Motions, contacts: Contacts):
     """One round, the one at `place` of its group: teams of lanes share the pairs, and clear a buffer."""
     turn = rounds.done[0] + place
     lane = wp.tid() % lanes
@@ -130,20 +110,21 @@ def push_round(
     for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
-            visit = Visit()
-            visit.bodies = split_pair(entry, 0.0, (turn - 1) % 3, rounds, motions)
-            visit = push_pair_apart(entry, beta, lane, lanes, visit, contacts)
-            wrench = sum_of_wrenches(lanes, visit.wrench)
-            add_gains(entry, turn % 3, lane, lanes, wrench, visit.bodies, rounds)
+            pair = split_pair(entry, 0.0, (turn - 1) % 3, rounds, motions)
+            wrench = Wrench()
+            for c in range(entry.begin + lane, entry.end, lanes):
+                wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
+            wrench = sum_of_wrenches(lanes, wrench)
+            add_gains(entry, turn % 3, lane, lanes, wrench, pair, rounds)
             record_change(entry, turn, body_change(wrench.change, entry), ENOUGH, rounds)
-            graph.push_out_rounds[entry.env] = turn
 
 
 @wp.kernel
-def finish_push(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts):
+def finish_push(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
     """The threads share the pairs: add up the pseudo-impulses of the last round, which are not extrapolated."""
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
+        count_rounds(entry, rounds, graph.push_out_rounds)
         wrench = Wrench()
         for c in range(entry.begin, entry.end):
             stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)

@@ -1,9 +1,9 @@
-"""Heaps: all pairs are solved at once, in rounds on split masses with Nesterov's momentum.
+"""Heaps: all contacts are solved at once, in rounds on split masses with Nesterov's momentum.
 
 In a heap, bodies lean on each other in all directions, so there is no order in which load could be transmitted. In a
-*round*, every pair of bodies visits its contacts once, at the same time as all others. A body that takes part in n
-pairs is split into n copies with mass m/n (Tonge, Benevolenski and Voroshilov 2012); its new velocity is the mean of
-theirs. No two threads wait for each other within a round, and rounds need neither colours nor levels.
+*round*, every contact is solved once, at the same time as all others. A body with n contacts is split into n copies
+with mass m/n (Tonge, Benevolenski and Voroshilov 2012); its new velocity is the mean of theirs. No two threads wait for
+each other within a round, and rounds need neither colours nor levels.
 
 Let l be the impulses and v(l) the velocities after them. A round takes (l, v(l)) to better impulses l1. The next round
 starts at y = l1 + b (l1 - l), extrapolated from the results of the last two rounds (Nesterov 1983), with the momentum
@@ -12,8 +12,8 @@ slides is not the gradient of an energy. With it, restarts (O'Donoghue and Cande
 that was measured. The fixed point is the Coulomb problem that sweeps solve, too.
 
 Since v is affine in l, the mean over the copies equals v(y): the velocity before the solve, plus the changes by the
-impulses of all pairs. These are summed up as whole multiples of 2^-40 m/s, so the sum does not depend on the order of
-the threads. Each round writes another of three buffers while it reads the second and clears the third.
+impulses of all contacts. These are summed up as whole multiples of 2^-40 m/s, so the sum does not depend on the order
+of the threads. Each round writes another of three buffers while it reads the second and clears the third.
 """
 
 import warp as wp
@@ -28,7 +28,7 @@ from warp_rigid.kernels.common.solver_body import (
     with_impulse,
 )
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import broadcast_vector, max_of_lanes, next_place, raise_to, sum_of_vectors
+from warp_rigid.kernels.common.team import max_of_lanes, next_place, raise_to, sum_of_vectors
 from warp_rigid.kernels.constraints.contact import (
     ANGULAR_IMPULSE,
     IMPULSE,
@@ -149,14 +149,6 @@ class Wrench:
     change: float
 
 
-@wp.struct
-class Visit:
-    """A pair during a round: the split bodies, and the wrench by the rows so far."""
-
-    bodies: BodyPair
-    wrench: Wrench
-
-
 @wp.func
 def with_impulse_of(row: ContactRecord, impulse: wp.vec3, wrench: Wrench):
     """The wrench with an impulse in the contact frame added."""
@@ -174,16 +166,6 @@ def with_moment_of(row: ContactRecord, angular_impulse: wp.vec3, wrench: Wrench)
     wrench.moment_a += moment
     wrench.moment_b += moment
     return wrench
-
-
-@wp.func
-def of_lane(lane: int, lanes: int, bodies: BodyPair):
-    """The bodies with the velocities that one lane of a team has computed."""
-    bodies.linear_a = broadcast_vector(bodies.linear_a, lane, lanes)
-    bodies.angular_a = broadcast_vector(bodies.angular_a, lane, lanes)
-    bodies.linear_b = broadcast_vector(bodies.linear_b, lane, lanes)
-    bodies.angular_b = broadcast_vector(bodies.angular_b, lane, lanes)
-    return bodies
 
 
 @wp.func
@@ -224,20 +206,29 @@ def needs_round(entry: RoundRecord, turn: int, rounds: Rounds):
 def record_change(entry: RoundRecord, turn: int, change: float, tolerance: float, rounds: Rounds):
     """Record that a round changed a velocity by more than the tolerance, and whether another round is needed."""
     if change > tolerance:
-        rounds.last_change[entry.env] = turn
-        if turn < entry.limit:
+        if rounds.last_change[entry.env] != turn:
+            rounds.last_change[entry.env] = turn
+        if turn < entry.limit and rounds.latest[0] != turn:
             rounds.latest[0] = turn
 
 
 @wp.func
-def list_round_pair(entry: RoundRecord, rounds: Rounds, motions: Motions):
-    """Append a pair; its dynamic bodies share their mass with it."""
+def count_rounds(entry: RoundRecord, rounds: Rounds, counts: wp.array[int]):
+    """Record how many rounds a pair took part in."""
+    done = wp.min(entry.limit, rounds.last_change[entry.env] + 1)
+    if counts[entry.env] < done:
+        wp.atomic_max(counts, entry.env, done)
+
+
+@wp.func
+def list_round_pair(entry: RoundRecord, contacts: int, rounds: Rounds, motions: Motions):
+    """Append a pair; the masses of its dynamic bodies are shared by its contacts."""
     rounds.pairs[next_place(rounds.count, 0)] = entry
     rounds.again[0] = 1
     if inverse_mass_of(entry.body_a, motions) > 0.0:
-        wp.atomic_add(rounds.sharing, entry.body_a, 1)
+        wp.atomic_add(rounds.sharing, entry.body_a, contacts)
     if inverse_mass_of(entry.body_b, motions) > 0.0:
-        wp.atomic_add(rounds.sharing, entry.body_b, 1)
+        wp.atomic_add(rounds.sharing, entry.body_b, contacts)
 
 
 @wp.func
@@ -286,7 +277,7 @@ def list_heaps(
             entry.env = bodies.env[entry.body_a]
             dynamic = wp.where(bodies.motion[entry.body_a] == Motion.DYNAMIC, entry.body_a, entry.body_b)
             entry.limit = most_rounds(graph.island[dynamic], envs.contact_iterations[entry.env], graph)
-            list_round_pair(entry, rounds, motions)
+            list_round_pair(entry, entry.end - entry.begin, rounds, motions)
 
 
 @wp.kernel
@@ -348,47 +339,23 @@ def extrapolated(c: int, which: int, before: wp.vec3, new: wp.vec3, beta: float,
 
 
 @wp.func
-def visit_row(
-    c: int,
-    entry: RoundRecord,
-    beta: float,
-    row: ContactRecord,
-    old: wp.vec3,
-    before: wp.vec3,
-    visit: Visit,
-    contacts: Contacts,
-):
-    """Solve a contact for the split bodies, and extrapolate its impulses."""
+def solve_contact(c: int, entry: RoundRecord, beta: float, pair: BodyPair, wrench: Wrench, contacts: Contacts):
+    """Solve a contact for its copies of the bodies, and add its extrapolated impulses to the wrench."""
     share_a = float(entry.sharing_a)
     share_b = float(entry.sharing_b)
-    new = next_impulse(old, share_a, share_b, row, visit.bodies)
-    gained = world_vector(row.normal, row.tangent, new - old)
-    visit.bodies = with_impulse(row.arm_a, row.arm_b, gained, visit.bodies)
-    visit.wrench = with_impulse_of(row, extrapolated(c, IMPULSE, before, new, beta, contacts), visit.wrench)
-    visit.wrench.change = wp.max(visit.wrench.change, velocity_change(new - old, share_a, share_b, row))
+    row = read_contact(c, contacts.rows)
+    old = impulse_of(c, IMPULSE, contacts)
+    before = impulse_of(c, START_IMPULSE, contacts)
+    new = next_impulse(old, share_a, share_b, row, pair)
+    wrench = with_impulse_of(row, extrapolated(c, IMPULSE, before, new, beta, contacts), wrench)
+    wrench.change = wp.max(wrench.change, velocity_change(new - old, share_a, share_b, row))
     if row.rolling_friction + row.spinning_friction > 0.0:
-        visit.bodies = solve_rolling(c, new[0], row, visit.bodies, contacts)
+        gained = world_vector(row.normal, row.tangent, new - old)
+        solve_rolling(c, new[0], row, with_impulse(row.arm_a, row.arm_b, gained, pair), contacts)
         moment = impulse_of(c, ANGULAR_IMPULSE, contacts)
         start = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
-        visit.wrench = with_moment_of(
-            row, extrapolated(c, ANGULAR_IMPULSE, start, moment, beta, contacts), visit.wrench
-        )
-    return visit
-
-
-@wp.func
-def visit_pair(entry: RoundRecord, beta: float, lane: int, lanes: int, visit: Visit, contacts: Contacts):
-    """Solve the contacts of a pair one after another; each lane of a team reads one of `lanes` contacts in advance."""
-    for first in range(entry.begin, entry.end, lanes):
-        c = wp.min(first + lane, entry.end - 1)
-        row = read_contact(c, contacts.rows)
-        old = impulse_of(c, IMPULSE, contacts)
-        before = impulse_of(c, START_IMPULSE, contacts)
-        for next in range(wp.min(lanes, entry.end - first)):
-            if next == lane:
-                visit = visit_row(c, entry, beta, row, old, before, visit, contacts)
-            visit.bodies = of_lane(next, lanes, visit.bodies)
-    return visit
+        wrench = with_moment_of(row, extrapolated(c, ANGULAR_IMPULSE, start, moment, beta, contacts), wrench)
+    return wrench
 
 
 @wp.kernel
@@ -403,14 +370,14 @@ def solve_round(
     for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
-            visit = Visit()
-            visit.bodies = split_pair(entry, 1.0, (turn - 1) % 3, rounds, motions)
-            visit = visit_pair(entry, beta, lane, lanes, visit, contacts)
-            wrench = sum_of_wrenches(lanes, visit.wrench)
-            add_gains(entry, turn % 3, lane, lanes, wrench, visit.bodies, rounds)
+            pair = split_pair(entry, 1.0, (turn - 1) % 3, rounds, motions)
+            wrench = Wrench()
+            for c in range(entry.begin + lane, entry.end, lanes):
+                wrench = solve_contact(c, entry, beta, pair, wrench, contacts)
+            wrench = sum_of_wrenches(lanes, wrench)
+            add_gains(entry, turn % 3, lane, lanes, wrench, pair, rounds)
             change = body_change(wrench.change, entry)
             record_change(entry, turn, change, CONVERGED, rounds)
-            graph.rounds[entry.env] = turn
             if change <= CONVERGED or turn == entry.limit:
                 raise_to(entry.env, change, graph.residual)
 
@@ -423,13 +390,14 @@ def close_rounds(count: int, rounds: Rounds):
 
 
 @wp.kernel
-def finish_pairs(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts):
+def finish_pairs(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
     """The threads share the pairs: take the impulses of the last round, which are not extrapolated.
 
     A non-finite velocity change cannot be summed as whole numbers; it makes the velocities of its bodies non-finite.
     """
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
+        count_rounds(entry, rounds, graph.rounds)
         for c in range(entry.begin, entry.end):
             set_impulse(c, IMPULSE, impulse_of(c, START_IMPULSE, contacts), contacts)
             set_impulse(c, ANGULAR_IMPULSE, impulse_of(c, START_ANGULAR_IMPULSE, contacts), contacts)

@@ -291,8 +291,8 @@ class Stages:
         pools, solved = self.pools, self.pools.rounds
         changed = [self.motions, pools.contacts]
         self._per_round_pair(rounds.start_rounds, solved, [], changed)
-        self._repeat_rounds(rounds.solve_round, solved)
-        self._per_round_pair(rounds.finish_pairs, solved, [], changed)
+        self._repeat_rounds(rounds.solve_round, solved, [*changed, pools.graph])
+        self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph])
         self._shared(rounds.finish_bodies, self.rows, [], [solved], [self.motions])
 
     @stage
@@ -315,8 +315,9 @@ class Stages:
         inputs = [model.shapes, model.bodies, pools.pairs, self.motions, pools.contacts, pools.rounds]
         self._shared(push_rounds.find_overlaps_in_heaps, pools.sizes["constraints"], [self.dt], inputs, [pushed])
         self._shared(push_rounds.share_masses, pools.sizes["constraints"], [], [], [pushed])
-        self._repeat_rounds(push_rounds.push_round, pushed)
-        self._per_round_pair(push_rounds.finish_push, pushed, [], [self.motions, pools.contacts])
+        changed = [self.motions, pools.contacts]
+        self._repeat_rounds(push_rounds.push_round, pushed, changed)
+        self._per_round_pair(push_rounds.finish_push, pushed, [], [*changed, pools.graph])
         self._shared(push_rounds.store_push, self.rows, [], [pushed], [self.motions])
 
     def _list_heaps(self) -> None:
@@ -326,11 +327,10 @@ class Stages:
         found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
         self._per_constraint(rounds.list_heaps, found, [pools.rounds])
 
-    def _repeat_rounds(self, kernel: Any, some: Any) -> None:
+    def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
         """Launch rounds in groups, until no environment needs another one."""
         lanes = ROUND_LANES if self.device.is_cuda else 1
         threads = self.pools.sizes["constraints"] * lanes if self.device.is_cuda else 1
-        changed = [self.motions, self.pools.contacts, self.pools.graph]
 
         def group() -> None:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
