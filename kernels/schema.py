@@ -427,7 +427,7 @@ Graph = layout(
     tied=Field(int, "bodies", "", "1: the body has a constraint of another kind than contact"),
     island_bodies=Field(int, "bodies", "", "at an island's index: number of its bodies"),
     heap_votes=Field(
-        int, "bodies", "", "at an island's index: bodies whose island was solved in rounds in the last step"
+        int, "bodies", "", "at an island's index: bodies for whose island shock propagation was ineffective"
     ),
     heap_steps=Field(
         int, "bodies", "", "at an island's index: largest number of ineffective steps of the bodies that voted"
@@ -456,6 +456,9 @@ Graph = layout(
     ),
     largest=Field(float, "bodies", "J", "largest summand of the numerator and denominator"),
     max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest velocity change by shock propagation"),
+    flight_votes=Field(int, "bodies", "", "at an island's index: bodies that land after a free flight"),
+    island_mass=Field(float, "bodies", "kg", "at an island's index: largest mass of a body"),
+    island_inverse_mass=Field(float, "bodies", "1/kg", "at an island's index: largest inverse mass of a body"),
     island_speed=Field(float, "bodies", "1/s", "at an island's index: largest speed of a body, divided by its size"),
     ineffective_steps=Field(
         int, "bodies", "", "steps in which shock propagation was ineffective for the body's island"
@@ -501,7 +504,7 @@ RoundRecord = packed_record(
 
 Rounds = layout(
     "Rounds",
-    "Pairs of heaps, which are solved all at once in rounds (rounds.py). The solve and the push-out have one each.",
+    "Pairs of heaps, which are solved all at once in rounds (rounds.py): all, or those with impacts or overlaps.",
     pairs=Field(RoundRecord, "constraints", "", "the pairs, in any order"),
     count=Field(int, "1", "", "number of pairs"),
     sharing=Field(int, "bodies", "", "contacts that share the body's mass"),

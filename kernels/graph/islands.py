@@ -26,14 +26,19 @@ MOST_SHARING = wp.constant(32)
 PATIENCE = wp.constant(8)
 """Consecutive ineffective steps after which an island is a heap."""
 
-TRIAL_INTERVAL = wp.constant(64)
-"""Steps between two trials of shock propagation in a heap that rounds do not solve."""
+TRIAL_INTERVAL, TRIAL_BODIES = wp.constant(64), wp.constant(64)
+"""Steps between two trials of shock propagation in a heap that rounds do not solve, and bodies of the smallest such
+heap. In smaller ones, load reaches the ground within the rounds of one step."""
 
 CALM = wp.constant(0.5)
 """Largest speed of a body in a trial, in sizes of the body per second. Shock propagation transmits load at rest."""
 
-FLIGHT = wp.constant(0.1)
+FLIGHT = wp.constant(0.05)
 """Time without contact after which a body is presumed to land on a heap [s]."""
+
+LARGEST_RATIO = wp.constant(10.0)
+"""Largest ratio of masses in an island that is presumed to be a heap. Rounds converge slowly with heavy bodies on light
+ones, and shock propagation does not."""
 
 ROUNDS, ROUNDS_PER_WIDTH = wp.constant(1.0), wp.constant(0.4)
 """Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body along the
@@ -41,9 +46,11 @@ edge of a cube of as many bodies as the island. Load crosses a heap in a number 
 
 
 @wp.func
-def is_trial(steps: int, speed: float):
-    """Whether shock propagation is used after a number of ineffective steps. `speed`: in sizes of a body per second."""
-    return steps < PATIENCE or (steps % TRIAL_INTERVAL == 0 and speed < CALM)
+def uses_shock(steps: int, island: int, graph: Graph):
+    """Whether shock propagation is used in an island after a number of ineffective steps."""
+    large = graph.island_bodies[island] >= TRIAL_BODIES
+    trial = large and graph.island_speed[island] < CALM and steps % TRIAL_INTERVAL == 0
+    return steps < PATIENCE or trial
 
 
 @wp.func
@@ -84,7 +91,10 @@ def start_islands(bodies: Bodies, graph: Graph):
     graph.island_bodies[b] = 0
     graph.heap_votes[b] = 0
     graph.heap_steps[b] = 0
+    graph.flight_votes[b] = 0
     graph.island_speed[b] = 0.0
+    graph.island_mass[b] = 0.0
+    graph.island_inverse_mass[b] = 0.0
     graph.needs_sweeps[b] = 0
 
 
@@ -108,15 +118,6 @@ def join_islands(threads: int, bodies: Bodies, constraints: Constraints, graph: 
                 join(a, b, graph.island)
 
 
-@wp.func
-def ineffective_steps_of(b: int, dt: float, state: State):
-    """For how many steps shock propagation was ineffective for a body's island; PATIENCE after a free flight."""
-    steps = state.heap_steps[b]
-    if steps < 0:
-        return wp.where(-dt * float(steps) < FLIGHT, 0, PATIENCE)
-    return steps
-
-
 @wp.kernel
 def vote(dt: float, shapes: Shapes, bodies: Bodies, state: State, graph: Graph):
     """One thread per body: the label of its island, and its vote on whether the island is a heap."""
@@ -125,30 +126,41 @@ def vote(dt: float, shapes: Shapes, bodies: Bodies, state: State, graph: Graph):
         return
     island = root_of(b, graph.island)
     graph.island[b] = island
-    steps = ineffective_steps_of(b, dt, state)
+    steps = state.heap_steps[b]
     add_together(graph.island_bodies, island, 1)
     add_together(graph.heap_votes, island, wp.where(steps > 0, 1, 0))
+    add_together(graph.flight_votes, island, wp.where(-dt * float(steps) >= FLIGHT, 1, 0))
     if steps > graph.heap_steps[island]:
         wp.atomic_max(graph.heap_steps, island, steps)
     raise_to(island, wp.length(state.linear_velocity[b]) / shapes.shapes[bodies.shape[b]].size, graph.island_speed)
+    raise_to(island, bodies.mass[b], graph.island_mass)
+    raise_to(island, bodies.inverse_mass[b], graph.island_inverse_mass)
     if graph.tied[b] == 1 or graph.touching[b] > MOST_SHARING:
         graph.needs_sweeps[island] = 1
 
 
 @wp.func
 def steps_as_heap(island: int, graph: Graph):
-    """For how many steps shock propagation was ineffective for an island, if for the majority of its bodies."""
-    return wp.where(2 * graph.heap_votes[island] > graph.island_bodies[island], graph.heap_steps[island], 0)
+    """For how many steps shock propagation was ineffective for an island, if for the majority of its bodies.
+
+    Bodies that land count as bodies of a heap, unless the masses of the island differ much.
+    """
+    landed = wp.where(
+        graph.island_mass[island] * graph.island_inverse_mass[island] <= LARGEST_RATIO, graph.flight_votes[island], 0
+    )
+    if 2 * (graph.heap_votes[island] + landed) <= graph.island_bodies[island]:
+        return 0
+    return wp.max(graph.heap_steps[island], wp.where(landed > 0, int(PATIENCE), 0))
 
 
 @wp.func
-def solver_of(steps: int, speed: float, mode: int, needs_sweeps: int):
+def solver_of(steps: int, island: int, mode: int, graph: Graph):
     """The IslandSolver of an island after a number of ineffective steps."""
     if mode == ShockMode.OFF:
         return int(IslandSolver.SWEEPS)
-    if mode == ShockMode.ONE_PASS or is_trial(steps, speed):
+    if mode == ShockMode.ONE_PASS or uses_shock(steps, island, graph):
         return int(IslandSolver.SHOCK)
-    return wp.where(needs_sweeps == 1, int(IslandSolver.SWEEPS), int(IslandSolver.ROUNDS))
+    return wp.where(graph.needs_sweeps[island] == 1, int(IslandSolver.SWEEPS), int(IslandSolver.ROUNDS))
 
 
 @wp.func
@@ -168,7 +180,7 @@ def choose_solver(bodies: Bodies, envs: Environments, graph: Graph):
     island = graph.island[b]
     steps = steps_as_heap(island, graph)
     graph.ineffective_steps[b] = steps
-    solver = solver_of(steps, graph.island_speed[island], envs.shock_propagation[env], graph.needs_sweeps[island])
+    solver = solver_of(steps, island, envs.shock_propagation[env], graph)
     if graph.solver[b] != solver:
         graph.solver[b] = solver
         graph.unchanged[env] = 0

@@ -23,7 +23,6 @@ from warp_rigid.kernels.common.solver_body import (
     BodyPair,
     inverse_inertia_of,
     inverse_mass_of,
-    load_bodies,
     load_velocity,
     with_impulse,
 )
@@ -34,14 +33,12 @@ from warp_rigid.kernels.constraints.contact import (
     IMPULSE,
     START_ANGULAR_IMPULSE,
     START_IMPULSE,
-    contact_velocity,
     impulse_of,
     next_impulse,
     read_contact,
     set_impulse,
     solve_rolling,
     velocity_change,
-    write_contact,
 )
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.declare import record_reader
@@ -59,8 +56,6 @@ from warp_rigid.kernels.schema import (
     RoundRecord,
     Rounds,
 )
-from warp_rigid.kernels.solve.restitution import NO_IMPACT, rebound
-from warp_rigid.kernels.solve.schedule import CONVERGED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -70,8 +65,11 @@ read_round_pair = record_reader(RoundRecord)
 MOST_MOMENTUM = wp.constant(0.9)
 """Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
 
-FIXED = wp.constant(2.0**40)
-"""Units of the sums per m/s or rad/s."""
+SETTLED = wp.constant(1.0e-5)
+"""Rounds end when no contact changes the velocity of a body by more than this [m/s]."""
+
+UNIT = wp.constant(2.0**-40)
+"""Unit of the sums [m/s, rad/s]."""
 
 LARGEST_GAIN = wp.constant(4.0e6)
 """Largest velocity change by one pair [m/s, rad/s]: sums stay within 63 bits."""
@@ -86,19 +84,26 @@ def momentum(turn: int):
 @wp.func
 def gained_of(b: int, first: int, rounds: Rounds):
     """Three components of the summed velocity changes of a body, from column `first`."""
-    return wp.vec3(
-        float(wp.float64(rounds.gained[b, first]) / wp.float64(FIXED)),
-        float(wp.float64(rounds.gained[b, first + 1]) / wp.float64(FIXED)),
-        float(wp.float64(rounds.gained[b, first + 2]) / wp.float64(FIXED)),
+    units = wp.vec3(
+        float(rounds.gained[b, first]), float(rounds.gained[b, first + 1]), float(rounds.gained[b, first + 2])
     )
+    return UNIT * units
 
 
 @wp.func
 def add_gain(b: int, first: int, gain: wp.vec3, rounds: Rounds):
     """Add a velocity change of a body."""
     for i in range(3):
-        units = wp.int64(wp.clamp(gain[i], -LARGEST_GAIN, LARGEST_GAIN) * FIXED)
+        units = wp.int64(wp.clamp(gain[i], -LARGEST_GAIN, LARGEST_GAIN) / UNIT)
         wp.atomic_add(rounds.gained, b, first + i, units)
+
+
+@wp.func
+def add_to_velocity(b: int, buffer: int, rounds: Rounds, motions: Motions):
+    """Add the summed velocity changes of a buffer to the velocity of a body."""
+    if inverse_mass_of(b, motions) > 0.0:
+        motions.solver_bodies[b].linear += gained_of(b, 6 * buffer, rounds)
+        motions.solver_bodies[b].angular += gained_of(b, 6 * buffer + 3, rounds)
 
 
 @wp.func
@@ -239,8 +244,8 @@ def body_change(change: float, entry: RoundRecord):
 
 
 @wp.kernel
-def open_rounds(threads: int, rounds: Rounds):
-    """The threads share the bodies and environments: no pairs, and nothing gained."""
+def open_rounds(done: int, threads: int, rounds: Rounds):
+    """The threads share the bodies and environments: no pairs, nothing gained, and `done` more rounds; 0: from 0."""
     tid = wp.tid()
     for b in range(tid, rounds.sharing.shape[0], threads):
         if rounds.sharing[b] > 0:
@@ -251,7 +256,7 @@ def open_rounds(threads: int, rounds: Rounds):
         rounds.last_change[env] = 0
     if tid == 0:
         rounds.count[0] = 0
-        rounds.done[0] = 0
+        rounds.done[0] = wp.where(done > 0, rounds.done[0] + done, 0)
         rounds.latest[0] = 0
         rounds.again[0] = 0
 
@@ -278,28 +283,6 @@ def list_heaps(
             dynamic = wp.where(bodies.motion[entry.body_a] == Motion.DYNAMIC, entry.body_a, entry.body_b)
             entry.limit = most_rounds(graph.island[dynamic], envs.contact_iterations[entry.env], graph)
             list_round_pair(entry, entry.end - entry.begin, rounds, motions)
-
-
-@wp.kernel
-def set_rebounds(dt: float, threads: int, envs: Environments, rounds: Rounds, motions: Motions, contacts: Contacts):
-    """The threads share the pairs: the velocity after the solve that restitution requires, as a bias velocity.
-
-    The rebound speed is that of restitution.py for a single impact; all impacts of a heap are solved together with its
-    contacts. If impacts come before the velocity update, the acceleration of the step still follows.
-    """
-    for k in range(wp.tid(), rounds.count[0], threads):
-        entry = read_round_pair(k, rounds.pairs)
-        pair = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
-        first = float(envs.collision_first[entry.env])
-        acceleration = first * (motions.acceleration[entry.body_a] - motions.acceleration[entry.body_b])
-        for c in range(entry.begin, entry.end):
-            row = read_contact(c, contacts.rows)
-            if row.restitution > 0.0:
-                pull = wp.max(-wp.dot(acceleration, row.normal), 0.0)
-                target = rebound(row, -wp.dot(contact_velocity(row, pair), row.normal), pull, dt)
-                if target > NO_IMPACT:
-                    row.bias_velocity = wp.min(row.bias_velocity, dt * pull - target)
-                    write_contact(c, row, contacts.rows)
 
 
 @wp.func
@@ -377,8 +360,8 @@ def solve_round(
             wrench = sum_of_wrenches(lanes, wrench)
             add_gains(entry, turn % 3, lane, lanes, wrench, pair, rounds)
             change = body_change(wrench.change, entry)
-            record_change(entry, turn, change, CONVERGED, rounds)
-            if change <= CONVERGED or turn == entry.limit:
+            record_change(entry, turn, change, SETTLED, rounds)
+            if change <= SETTLED or turn == entry.limit:
                 raise_to(entry.env, change, graph.residual)
 
 
@@ -409,8 +392,6 @@ def finish_pairs(threads: int, rounds: Rounds, motions: Motions, contacts: Conta
 @wp.kernel
 def finish_bodies(threads: int, rounds: Rounds, motions: Motions):
     """The threads share the bodies: the velocities after the last round."""
-    buffer = (rounds.done[0] + 1) % 3
     for b in range(wp.tid(), rounds.sharing.shape[0], threads):
-        if rounds.sharing[b] > 0 and inverse_mass_of(b, motions) > 0.0:
-            motions.solver_bodies[b].linear += gained_of(b, 6 * buffer, rounds)
-            motions.solver_bodies[b].angular += gained_of(b, 6 * buffer + 3, rounds)
+        if rounds.sharing[b] > 0:
+            add_to_velocity(b, (rounds.done[0] + 1) % 3, rounds, motions)

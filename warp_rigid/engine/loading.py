@@ -14,6 +14,7 @@ from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
     effectiveness,
     gauss_seidel,
+    impact_rounds,
     line_search,
     push_out,
     push_rounds,
@@ -26,6 +27,9 @@ from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
+ROUND_MODULES = (rounds, push_rounds)
+"""Modules whose rounds are launched in small blocks."""
+
 STEP = (
     narrowphase,
     ccd,
@@ -33,9 +37,9 @@ STEP = (
     integrate,
     predict,
     islands,
-    rounds,
-    push_rounds,
+    *ROUND_MODULES,
     effectiveness,
+    impact_rounds,
     broadphase,
     build_contacts,
     records,
@@ -67,9 +71,15 @@ def load_kernels(
         lanes: sizes of the teams that will process environments.
         on_module: called after each module with the number of loaded modules and the total.
     """
-    teams = sorted({team.block_of(size) for size in lanes}) if device.is_cuda else [1]
-    others = [team.BLOCK if device.is_cuda else 1]
-    jobs = [(module, block) for module in modules for block in (teams if module in TEAM_MODULES else others)]
+
+    def blocks_of(module: Any) -> list[int]:
+        if not device.is_cuda:
+            return [1]
+        if module in TEAM_MODULES:
+            return sorted({team.block_of(size) for size in lanes})
+        return [team.BLOCK, team.SMALL_BLOCK] if module in ROUND_MODULES else [team.BLOCK]
+
+    jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:
         loaded = [pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], block) for module, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):

@@ -34,7 +34,7 @@ class Pools:
         graph: contact graph.
         order: constraints that are solved in sweeps, by colour.
         rounds: pairs of heaps, which are solved in rounds.
-        push_rounds: pairs of heaps that overlap.
+        selected: pairs of heaps with an impact, then those with an overlap.
         turn: (1,) row of `wanted` for the current step.
         wanted: (CHUNK, 2) required number of pairs and contacts of each step.
     """
@@ -47,7 +47,7 @@ class Pools:
     graph: Any
     order: Any
     rounds: Any
-    push_rounds: Any
+    selected: Any
     turn: wp.array
     wanted: wp.array
 
@@ -78,7 +78,7 @@ class Pools:
             graph=declare.allocate(schema.Graph, sizes, device),
             order=declare.allocate(schema.Order, sizes, device),
             rounds=declare.allocate(schema.Rounds, sizes, device),
-            push_rounds=declare.allocate(schema.Rounds, sizes, device),
+            selected=declare.allocate(schema.Rounds, sizes, device),
             turn=wp.zeros(1, dtype=int, device=device),
             wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
         )

@@ -21,6 +21,7 @@ from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
     effectiveness,
     gauss_seidel,
+    impact_rounds,
     line_search,
     push_out,
     push_rounds,
@@ -256,10 +257,27 @@ class Stages:
 
     @stage
     def solve_impacts(self) -> None:
-        """Restitution: solve impacts, and set the rebound velocities of heaps."""
+        """Restitution: solve impacts."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
-        solved = self.pools.rounds
-        self._per_round_pair(rounds.set_rebounds, solved, [self.envs], [self.motions, self.pools.contacts], [self.dt])
+        self.solve_impacts_of_heaps()
+
+    def solve_impacts_of_heaps(self) -> None:
+        """Rounds of impacts, as many as the setting allows, until there are none."""
+        pools, hit = self.pools, self.pools.selected
+        changed = [self.motions, pools.contacts]
+
+        def find(done: int) -> None:
+            self._shared(rounds.open_rounds, self.rows, [done], [], [hit])
+            inputs = [self.envs, pools.rounds, hit]
+            self._shared(impact_rounds.find_impacts, pools.sizes["constraints"], [self.dt], inputs, changed)
+
+        def solve() -> None:
+            self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], changed, [self.dt])
+            self._shared(impact_rounds.finish_impacts, self.rows, [], [hit], [self.motions])
+            find(done=1)
+
+        find(done=0)
+        wp.capture_while(hit.again, solve)
 
     @stage
     def solve_contacts(self) -> None:
@@ -310,8 +328,8 @@ class Stages:
     @stage
     def push_heaps(self) -> None:
         """Push-out of heaps, in rounds."""
-        model, pools, pushed = self.model, self.pools, self.pools.push_rounds
-        self._shared(rounds.open_rounds, self.rows, [], [], [pushed])
+        model, pools, pushed = self.model, self.pools, self.pools.selected
+        self._shared(rounds.open_rounds, self.rows, [0], [], [pushed])
         inputs = [model.shapes, model.bodies, pools.pairs, self.motions, pools.contacts, pools.rounds]
         self._shared(push_rounds.find_overlaps_in_heaps, pools.sizes["constraints"], [self.dt], inputs, [pushed])
         self._shared(push_rounds.share_masses, pools.sizes["constraints"], [], [], [pushed])
@@ -323,19 +341,26 @@ class Stages:
     def _list_heaps(self) -> None:
         """List the pairs that are solved in rounds."""
         pools = self.pools
-        self._shared(rounds.open_rounds, self.rows, [], [], [pools.rounds])
+        self._shared(rounds.open_rounds, self.rows, [0], [], [pools.rounds])
         found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
         self._per_constraint(rounds.list_heaps, found, [pools.rounds])
 
     def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
         """Launch rounds in groups, until no environment needs another one."""
         lanes = ROUND_LANES if self.device.is_cuda else 1
-        threads = self.pools.sizes["constraints"] * lanes if self.device.is_cuda else 1
+        threads = min(self.pools.sizes["constraints"] * lanes, most_lanes(self.device)) if self.device.is_cuda else 1
 
         def group() -> None:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
                 inputs = [place, threads, lanes, some]
-                wp.launch(kernel, dim=threads, inputs=inputs, outputs=changed, device=self.device)
+                wp.launch(
+                    kernel,
+                    dim=threads,
+                    inputs=inputs,
+                    outputs=changed,
+                    block_dim=team.SMALL_BLOCK if self.device.is_cuda else 1,
+                    device=self.device,
+                )
             wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
 
         wp.capture_while(some.again, group)
