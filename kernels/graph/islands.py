@@ -24,7 +24,8 @@ MOST_SHARING = wp.constant(32)
 """Maximum number of pairs that share a body's mass in a heap. With more, rounds converge too slowly."""
 
 PATIENCE = wp.constant(8)
-"""Consecutive ineffective steps after which an island is a heap."""
+"""Consecutive ineffective steps after which an island is solved without shock propagation. Where it must be solved in
+sweeps, shock propagation is tried again after as many steps."""
 
 TRIAL_INTERVAL, TRIAL_BODIES = wp.constant(64), wp.constant(64)
 """Steps between two trials of shock propagation in a heap that rounds do not solve, and bodies of the smallest such
@@ -36,21 +37,13 @@ CALM = wp.constant(0.5)
 FLIGHT = wp.constant(0.05)
 """Time without contact after which a body is presumed to land on a heap [s]."""
 
-LARGEST_RATIO = wp.constant(10.0)
-"""Largest ratio of masses in an island that is presumed to be a heap. Rounds converge slowly with heavy bodies on light
-ones, and shock propagation does not."""
+SIMILAR, COMPARABLE = wp.constant(10.0), wp.constant(100.0)
+"""Largest ratio of masses in an island that is presumed to be a heap, and in one that is solved in rounds. Rounds
+converge slowly with heavy bodies on light ones, and shock propagation does not."""
 
-ROUNDS, ROUNDS_PER_WIDTH = wp.constant(1.0), wp.constant(0.4)
+ROUNDS, ROUNDS_PER_WIDTH = wp.constant(2.0), wp.constant(0.4)
 """Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body along the
 edge of a cube of as many bodies as the island. Load crosses a heap in a number of rounds proportional to it."""
-
-
-@wp.func
-def uses_shock(steps: int, island: int, graph: Graph):
-    """Whether shock propagation is used in an island after a number of ineffective steps."""
-    large = graph.island_bodies[island] >= TRIAL_BODIES
-    trial = large and graph.island_speed[island] < CALM and steps % TRIAL_INTERVAL == 0
-    return steps < PATIENCE or trial
 
 
 @wp.func
@@ -129,7 +122,8 @@ def vote(dt: float, shapes: Shapes, bodies: Bodies, state: State, graph: Graph):
     steps = state.heap_steps[b]
     add_together(graph.island_bodies, island, 1)
     add_together(graph.heap_votes, island, wp.where(steps > 0, 1, 0))
-    add_together(graph.flight_votes, island, wp.where(-dt * float(steps) >= FLIGHT, 1, 0))
+    landed = -dt * float(steps) >= FLIGHT and bodies.restitution[b] == 0.0
+    add_together(graph.flight_votes, island, wp.where(landed, 1, 0))
     if steps > graph.heap_steps[island]:
         wp.atomic_max(graph.heap_steps, island, steps)
     raise_to(island, wp.length(state.linear_velocity[b]) / shapes.shapes[bodies.shape[b]].size, graph.island_speed)
@@ -140,17 +134,38 @@ def vote(dt: float, shapes: Shapes, bodies: Bodies, state: State, graph: Graph):
 
 
 @wp.func
+def mass_ratio(island: int, graph: Graph):
+    """Largest ratio of the masses of two bodies of an island."""
+    return graph.island_mass[island] * graph.island_inverse_mass[island]
+
+
+@wp.func
 def steps_as_heap(island: int, graph: Graph):
     """For how many steps shock propagation was ineffective for an island, if for the majority of its bodies.
 
-    Bodies that land count as bodies of a heap, unless the masses of the island differ much.
+    Bodies that land without restitution count as bodies of a heap, unless the masses of the island differ much.
     """
-    landed = wp.where(
-        graph.island_mass[island] * graph.island_inverse_mass[island] <= LARGEST_RATIO, graph.flight_votes[island], 0
-    )
+    landed = wp.where(mass_ratio(island, graph) <= SIMILAR, graph.flight_votes[island], 0)
     if 2 * (graph.heap_votes[island] + landed) <= graph.island_bodies[island]:
         return 0
     return wp.max(graph.heap_steps[island], wp.where(landed > 0, int(PATIENCE), 0))
+
+
+@wp.func
+def solver_without_shock(island: int, graph: Graph):
+    """The IslandSolver of an island for which shock propagation is ineffective."""
+    if graph.needs_sweeps[island] == 1 or mass_ratio(island, graph) > COMPARABLE:
+        return int(IslandSolver.SWEEPS)
+    return int(IslandSolver.ROUNDS)
+
+
+@wp.func
+def is_trial(steps: int, island: int, solver: int, graph: Graph):
+    """Whether shock propagation is tried in an island after a number of ineffective steps."""
+    if solver == IslandSolver.SWEEPS:
+        return steps % PATIENCE == 0
+    calm = graph.island_speed[island] < CALM
+    return calm and graph.island_bodies[island] >= TRIAL_BODIES and steps % TRIAL_INTERVAL == 0
 
 
 @wp.func
@@ -158,9 +173,10 @@ def solver_of(steps: int, island: int, mode: int, graph: Graph):
     """The IslandSolver of an island after a number of ineffective steps."""
     if mode == ShockMode.OFF:
         return int(IslandSolver.SWEEPS)
-    if mode == ShockMode.ONE_PASS or uses_shock(steps, island, graph):
+    solver = solver_without_shock(island, graph)
+    if mode == ShockMode.ONE_PASS or steps < PATIENCE or is_trial(steps, island, solver, graph):
         return int(IslandSolver.SHOCK)
-    return wp.where(graph.needs_sweeps[island] == 1, int(IslandSolver.SWEEPS), int(IslandSolver.ROUNDS))
+    return solver
 
 
 @wp.func

@@ -106,11 +106,11 @@ def push_round(place: int, threads: int, lanes: int, rounds: Rounds, motions: Mo
     turn = rounds.done[0] + place
     lane = wp.tid() % lanes
     clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
-    beta = momentum(turn)
     for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
             pair = split_pair(entry, 0.0, (turn - 1) % 3, rounds, motions)
+            beta = momentum(turn, entry.limit)
             wrench = Wrench()
             for c in range(entry.begin + lane, entry.end, lanes):
                 wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)

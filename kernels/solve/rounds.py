@@ -65,6 +65,9 @@ read_round_pair = record_reader(RoundRecord)
 MOST_MOMENTUM = wp.constant(0.9)
 """Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
 
+PLAIN_ROUNDS = wp.constant(3)
+"""Rounds without momentum at the end, if the limit is reached. A round without momentum does not increase the energy."""
+
 SETTLED = wp.constant(1.0e-5)
 """Rounds end when no contact changes the velocity of a body by more than this [m/s]."""
 
@@ -76,8 +79,10 @@ LARGEST_GAIN = wp.constant(4.0e6)
 
 
 @wp.func
-def momentum(turn: int):
-    """Momentum after a round; the first round has none."""
+def momentum(turn: int, limit: int):
+    """Momentum after a round. The first one and the last PLAIN_ROUNDS of at most `limit` rounds have none."""
+    if turn + PLAIN_ROUNDS > limit:
+        return 0.0
     return wp.min(float(turn - 1) / float(turn + 2), MOST_MOMENTUM)
 
 
@@ -349,11 +354,11 @@ def solve_round(
     turn = rounds.done[0] + place
     lane = wp.tid() % lanes
     clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
-    beta = momentum(turn)
     for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
             pair = split_pair(entry, 1.0, (turn - 1) % 3, rounds, motions)
+            beta = momentum(turn, entry.limit)
             wrench = Wrench()
             for c in range(entry.begin + lane, entry.end, lanes):
                 wrench = solve_contact(c, entry, beta, pair, wrench, contacts)
