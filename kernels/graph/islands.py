@@ -4,10 +4,11 @@ Islands are the connected components of the dynamic bodies: trees of bodies are 
 the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so that the root of an island is its
 lowest body, in whatever order the threads run.
 
-An island is a heap if shock propagation has been ineffective for it (shock.py). Heaps are solved in rounds (rounds.py),
-all other islands in sweeps with shock propagation. Islands merge and split, so each body stores for how many steps
-shock propagation has been ineffective for its island, and the majority of the bodies decides. Bodies that land after a
-free flight are presumed to form a heap. Once the bodies of a heap are nearly at rest, shock propagation is tried again.
+An island is a heap if it is large and shock propagation has been ineffective for it (shock.py), or if it consists of
+bodies that have landed after a free flight. Heaps are solved in rounds (rounds.py), all other islands in sweeps, with
+shock propagation where it is effective. Islands merge and split, so each body stores for how many steps shock
+propagation has been ineffective for its island, and the majority of the bodies decides. Once the bodies of a large heap
+are nearly at rest, shock propagation is tried again.
 """
 
 import warp as wp
@@ -27,9 +28,15 @@ PATIENCE = wp.constant(8)
 """Consecutive ineffective steps after which an island is solved without shock propagation. Where it must be solved in
 sweeps, shock propagation is tried again after as many steps."""
 
-TRIAL_INTERVAL, TRIAL_BODIES = wp.constant(64), wp.constant(64)
-"""Steps between two trials of shock propagation in a heap that rounds do not solve, and bodies of the smallest such
-heap. In smaller ones, load reaches the ground within the rounds of one step."""
+TRIAL_INTERVAL = wp.constant(64)
+"""Steps between two trials of shock propagation in a large heap that rounds do not solve."""
+
+LARGE = wp.constant(64)
+"""Bodies of a large island. In smaller heaps, load reaches the ground within the rounds of one step."""
+
+CERTAIN = wp.constant(1024)
+"""Ineffective steps after which an island of any size is solved in rounds. Bodies that land count as if there had been
+so many. In smaller islands, such as a tower that topples, sweeps converge faster."""
 
 CALM = wp.constant(0.5)
 """Largest speed of a body in a trial, in sizes of the body per second. Shock propagation transmits load at rest."""
@@ -148,15 +155,16 @@ def steps_as_heap(island: int, graph: Graph):
     landed = wp.where(mass_ratio(island, graph) <= SIMILAR, graph.flight_votes[island], 0)
     if 2 * (graph.heap_votes[island] + landed) <= graph.island_bodies[island]:
         return 0
-    return wp.max(graph.heap_steps[island], wp.where(landed > 0, int(PATIENCE), 0))
+    return wp.max(graph.heap_steps[island], wp.where(landed > 0, int(CERTAIN), 0))
 
 
 @wp.func
-def solver_without_shock(island: int, graph: Graph):
-    """The IslandSolver of an island for which shock propagation is ineffective."""
-    if graph.needs_sweeps[island] == 1 or mass_ratio(island, graph) > COMPARABLE:
-        return int(IslandSolver.SWEEPS)
-    return int(IslandSolver.ROUNDS)
+def solver_without_shock(steps: int, island: int, graph: Graph):
+    """The IslandSolver of an island for which shock propagation has been ineffective for a number of steps."""
+    heap = steps >= CERTAIN or graph.island_bodies[island] >= LARGE
+    if heap and graph.needs_sweeps[island] == 0 and mass_ratio(island, graph) <= COMPARABLE:
+        return int(IslandSolver.ROUNDS)
+    return int(IslandSolver.SWEEPS)
 
 
 @wp.func
@@ -165,7 +173,7 @@ def is_trial(steps: int, island: int, solver: int, graph: Graph):
     if solver == IslandSolver.SWEEPS:
         return steps % PATIENCE == 0
     calm = graph.island_speed[island] < CALM
-    return calm and graph.island_bodies[island] >= TRIAL_BODIES and steps % TRIAL_INTERVAL == 0
+    return calm and graph.island_bodies[island] >= LARGE and steps % TRIAL_INTERVAL == 0
 
 
 @wp.func
@@ -173,7 +181,7 @@ def solver_of(steps: int, island: int, mode: int, graph: Graph):
     """The IslandSolver of an island after a number of ineffective steps."""
     if mode == ShockMode.OFF:
         return int(IslandSolver.SWEEPS)
-    solver = solver_without_shock(island, graph)
+    solver = solver_without_shock(steps, island, graph)
     if mode == ShockMode.ONE_PASS or steps < PATIENCE or is_trial(steps, island, solver, graph):
         return int(IslandSolver.SHOCK)
     return solver

@@ -3,6 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.enums import IslandSolver, Motion
+from warp_rigid.kernels.graph.islands import PATIENCE
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, Rounds, State
 from warp_rigid.kernels.solve.line_search import accepted_share, searched
 
@@ -19,7 +20,7 @@ NO_WAY = wp.constant(1.0e-3)
 def steps_after_shock(steps: int, island: int, graph: Graph):
     """Ineffective steps after a step with shock propagation, from the step length and the velocity change."""
     if graph.max_velocity_change[island] < NO_WAY:
-        return wp.where(steps > 0, steps + 1, 0)
+        return wp.where(steps >= PATIENCE, steps + 1, steps)
     return wp.where(accepted_share(island, graph) < USEFUL, steps + 1, 0)
 
 
@@ -27,7 +28,7 @@ def steps_after_shock(steps: int, island: int, graph: Graph):
 def count_ineffective_steps(bodies: Bodies, envs: Environments, graph: Graph, rounds: Rounds, state: State):
     """One thread per body: count the ineffective steps of its island, or the steps of a free flight.
 
-    In a heap that rounds have solved, the steps are not counted: no trial of shock propagation is needed.
+    Steps in which sweeps or rounds have converged are not counted: shock propagation was not needed.
     """
     b = wp.tid()
     if bodies.motion[b] != Motion.DYNAMIC:
@@ -38,8 +39,11 @@ def count_ineffective_steps(bodies: Bodies, envs: Environments, graph: Graph, ro
             state.heap_steps[b] -= 1
         return
     steps = graph.ineffective_steps[b]
-    if graph.solver[b] == IslandSolver.SHOCK and searched(env, envs, graph):
-        steps = steps_after_shock(steps, graph.island[b], graph)
-    elif steps > 0 and (graph.solver[b] != IslandSolver.ROUNDS or rounds.last_change[env] == graph.rounds[env]):
-        steps += 1
+    if graph.solver[b] == IslandSolver.ROUNDS:
+        if rounds.last_change[env] == graph.rounds[env]:
+            steps += 1
+    elif searched(env, envs, graph):
+        steps = wp.where(
+            graph.solver[b] == IslandSolver.SHOCK, steps_after_shock(steps, graph.island[b], graph), steps + 1
+        )
     state.heap_steps[b] = steps

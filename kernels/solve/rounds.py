@@ -66,7 +66,7 @@ MOST_MOMENTUM = wp.constant(0.9)
 """Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
 
 PLAIN_ROUNDS = wp.constant(3)
-"""Rounds without momentum at the end, if the limit is reached. A round without momentum does not increase the energy."""
+"""Rounds without momentum at the end, if the limit is reached. They do not increase the energy."""
 
 SETTLED = wp.constant(1.0e-5)
 """Rounds end when no contact changes the velocity of a body by more than this [m/s]."""
