@@ -17,8 +17,9 @@ LARGEST_LIMIT = 2**50
 
 
 def pool_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all arrays sized with the pools: lists, contacts, the history twice, graph, orders."""
+    """Bytes of all arrays sized with the pools: candidates, lists, contacts, the history twice, graph, orders."""
     structs = (
+        schema.Cells,
         schema.Constraints,
         schema.Pairs,
         schema.Contacts,

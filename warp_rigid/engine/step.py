@@ -21,7 +21,7 @@ from warp_rigid.kernels.graph import coloring, support
 from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
-PAIRS, CONTACTS = 0, 1
+PAIRS, CONTACTS, CANDIDATES = 0, 1, 2
 
 STAGES: list[str] = []
 """Names of the stages of a step, in order of definition."""
@@ -84,7 +84,7 @@ class Stages:
         self.teams = team_sizes(self.device, self.num_envs, self.num_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
-        self.grid = HashGrid(model, device)
+        self.grid = HashGrid(model, pools.sizes, device)
         self.constraint_rows = Rows()
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
@@ -180,7 +180,7 @@ class Stages:
     def find_pairs(self) -> None:
         """Broad phase: count the pairs with overlapping boxes, sum the counts, and write the pairs."""
         pairs = self.pools.pairs
-        self.grid.fill(self.envs, self.motions)
+        self.grid.update(self.dt, self.envs, self.motions, CANDIDATES, self.pools.turn, self.pools.wanted)
         self._search_pairs(write=0)
         self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
         self._search_pairs(write=1)
@@ -364,10 +364,14 @@ class Stages:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose teams share the pairs; on a GPU, a team has the given number of lanes."""
-        teams = min(self.pools.sizes["pairs"], most_lanes(self.device) // lanes) if self.device.is_cuda else 1
+        """Launch a kernel whose teams share the pairs."""
+        self._share(kernel, self.pools.sizes["pairs"], lanes, [], inputs, outputs)
+
+    def _share(self, kernel: Any, size: int, lanes: int, before: list, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose teams share `size` rows; on a GPU, a team has the given number of lanes."""
+        teams = min(size, most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
-        inputs = [teams, lanes, *inputs]
+        inputs = [*before, teams, lanes, *inputs]
         wp.launch(kernel, dim=teams * lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
@@ -412,12 +416,9 @@ class Stages:
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
-        model = self.model
-        kernel, own = broadphase.pairs_by_trying_all, []
-        if self.grid.buckets:
-            kernel, own = broadphase.pairs_by_grid, [self.grid.buckets, model.grid_radius]
-        common = [self.grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
-        self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
+        model, grid = self.model, self.grid
+        inputs = [grid.room, grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
+        self._share(broadphase.list_pairs_of_bodies, self.rows, grid.lanes, [write], inputs, [self.pools.pairs])
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
