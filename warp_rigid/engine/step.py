@@ -11,7 +11,7 @@ from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.loading import GROUND, SLEEP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, most_lanes, team_sizes
+from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, TRACE_LANES, most_lanes, team_sizes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
@@ -278,9 +278,9 @@ class Stages:
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
-        self._limit_motion(ccd.limit_motion, [0])
+        self._limit_motion(again=0)
         self._per_body(ccd.commit_time_of_impact, [], [self.motions])
-        self._limit_motion(ccd.limit_motion, [1])
+        self._limit_motion(again=1)
 
     @stage
     def integrate_positions(self) -> None:
@@ -399,10 +399,12 @@ class Stages:
             device=self.device,
         )
 
-    def _limit_motion(self, kernel: Any, before: list) -> None:
-        """One round of continuous collision detection over the pairs."""
-        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state, self.pools.pairs]
-        self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions])
+    def _limit_motion(self, again: int) -> None:
+        """One round of continuous collision detection: over all pairs, or again over those of stopped bodies."""
+        pairs, inputs = self.pools.pairs, [self.dt, self.model.shapes, self.model.bodies, self.state]
+        pairs.fast_count.zero_()
+        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [again], [*inputs, self.motions], [pairs])
+        self._share_pairs(ccd.limit_motion, TRACE_LANES, [*inputs, pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""

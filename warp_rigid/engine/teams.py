@@ -9,8 +9,8 @@ WARP = 32
 MOST_BODIES_OF_A_WARP = 128
 """Above this number of bodies, an environment is processed by whole blocks."""
 
-SEARCH_LANES, BUILD_LANES = 32, 4
-"""GPU lanes that search for the contacts of one pair, and that build its rows."""
+SEARCH_LANES, BUILD_LANES, TRACE_LANES = 32, 4, 32
+"""GPU lanes that search for the contacts of one pair, that build its rows, and that trace it."""
 
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
