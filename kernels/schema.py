@@ -37,10 +37,9 @@ SYMBOLS = {
     "vertices": "vertices of moving height fields",
     "fields": "force fields besides gravity",
     "field_parameters": "parameters of the force field that has most",
-    "small": "bodies in the hash grid",
-    "oversized": "bodies outside the hash grid",
-    "points": "bodies in the hash grid; 0 if every pair is tested",
+    "boxed": "bodies with fat boxes; 0 if every pair is tested",
     "buckets": "buckets of the hash grid, over all environments",
+    "candidates": "capacity for candidate pairs",
     "pairs": "capacity for pairs of bodies",
     "contacts": "capacity for contacts",
     "constraints": "capacity for pairs and for constraints of other kinds than contact",
@@ -130,7 +129,6 @@ Bodies = layout(
     env=Field(int, "bodies", "", "environment of the body", "envs"),
     shape=Field(int, "bodies", "", "index into the pool of shapes"),
     motion=Field(int, "bodies", "", "static, kinematic or dynamic"),
-    oversized=Field(int, "bodies", "", "1: not in the hash grid, but tested against every body of its environment"),
     mass=Field(float, "bodies", "kg", "mass; 0 unless dynamic"),
     inverse_mass=Field(float, "bodies", "1/kg", "inverse mass; 0 unless dynamic"),
     inertia=Field(wp.mat33, "bodies", "kg m^2", "inertia tensor about the centre of mass, in the shape's frame"),
@@ -237,25 +235,20 @@ Environments = layout(
 
 Cells = layout(
     "Cells",
-    "Lists of small and oversized bodies for the broad phase, and its hash grid.",
-    small_start=Field(int, "envs + 1", "", "first small body of each environment; the last entry is their number"),
-    small=Field(int, "small", "", "bodies in the grid, by their index within the environment"),
-    small_env=Field(int, "small", "", "environment of each small body"),
-    oversized_start=Field(
-        int, "envs + 1", "", "first oversized body of each environment; the last entry is their number"
-    ),
-    oversized=Field(int, "oversized", "", "bodies tested against every body, by their index within the environment"),
-    reach=Field(float, "envs", "m", "largest half-extent of the swept boxes of the small bodies"),
-    key=Field(
-        int,
-        "points + points",
-        "",
-        "bucket of each small body, in ascending order; the second half is scratch space for sorting",
-    ),
-    member=Field(
-        int, "points + points", "", "bodies in the order of their buckets; the second half is scratch space for sorting"
-    ),
-    start=Field(int, "buckets + 1", "", "first member of each bucket; each environment has the same number of buckets"),
+    "The order of bodies for the broad phase and, in large environments, their fat boxes, hash grid and candidates.",
+    order=Field(int, "bodies", "", "bodies of an environment in the order of pairs, by their index within it"),
+    rank=Field(int, "bodies", "", "place of each body in that order"),
+    listed=Field(int, "bodies", "", "number of candidates in the list of each body; -1: all later bodies"),
+    stale=Field(int, "envs", "", "1: the candidates are computed again in this step"),
+    levels=Field(int, "envs", "", "bit mask of the levels of the grid that have bodies"),
+    dynamic_levels=Field(int, "envs", "", "bit mask of the levels that have dynamic bodies"),
+    lower=Field(wp.vec3, "boxed", "m", "lower corner of the fat box"),
+    upper=Field(wp.vec3, "boxed", "m", "upper corner of the fat box"),
+    cell=Field(wp.vec4i, "boxed", "", "cell of the centre of the fat box, along x, y and z, and its level"),
+    bucket_count=Field(int, "buckets + 1", "", "bodies that are still to be entered in each bucket"),
+    bucket_start=Field(int, "buckets + 1", "", "first member of each bucket; environments have as many buckets each"),
+    member=Field(int, "boxed", "", "bodies by bucket, in any order within one"),
+    candidates=Field(int, "candidates", "", "lists of equal capacity of the candidates of each body, in that order"),
 )
 
 FieldForces = layout(
@@ -279,6 +272,8 @@ Pairs = layout(
     last=Field(int, "pairs", "", "the pair's row in the history, -1 if it is new; not set for dormant pairs"),
     candidates=Field(int, "pairs", "", "pairs whose samples are tested in this step, in any order"),
     candidate_count=Field(int, "1", "", "number of candidates"),
+    fast=Field(int, "pairs", "", "pairs that are traced by continuous collision detection, in any order"),
+    fast_count=Field(int, "1", "", "number of these"),
     patch_count=Field(int, "pairs", "", "number of contact patches"),
     patch_normal=Field(wp.vec3, f"pairs, {PATCHES}", "", "normal of a patch in the second body's frame"),
     dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 otherwise"),

@@ -14,7 +14,7 @@ from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
 
 @pytest.fixture(params=["all", "grid"])
 def search(request, monkeypatch):
-    """Both search kernels: trying all pairs, and the hash grid."""
+    """Both kinds of candidates: all pairs, and those of the hash grid."""
     monkeypatch.setattr(hash_grid, "TRY_ALL_UP_TO", 10_000 if request.param == "all" else 0)
     return request.param
 
@@ -121,18 +121,25 @@ def test_order_does_not_depend_on_the_number_of_environments(device, search):
         assert own.tolist() == pair_list(single_stages).tolist()
 
 
-def test_both_searches_list_the_same_pairs(device, monkeypatch):
-    found = []
+def test_both_searches_list_the_same_pairs_in_the_same_order(device, monkeypatch):
+    listed = []
     for limit in (0, 10_000):
         monkeypatch.setattr(hash_grid, "TRY_ALL_UP_TO", limit)
         _, stages = opened(mixed_scene(np.random.default_rng(6), 60), device)
-        found.append(found_pairs(stages))
-    assert found[0] == found[1]
+        found_pairs(stages)
+        listed.append(pair_list(stages).tolist())
+    assert listed[0] == listed[1]
 
 
-def test_only_ordinary_dynamic_bodies_enter_the_grid(device, search):
+def test_ordinary_dynamic_bodies_come_first_in_the_order_of_pairs(device, search):
     scene = mixed_scene(np.random.default_rng(7))
     _, stages = opened(scene, device)
+    found_pairs(stages)
+    order, rank = stages.grid.cells.order.numpy(), stages.grid.cells.rank.numpy()
+    assert order.tolist() == [*stages.model.small, *stages.model.oversized]
+    places = rank[pair_list(stages)]
+    assert (places[:, 0] < places[:, 1]).all() and (np.diff(pair_list(stages)[:, 0]) >= 0).all()
+    assert all(np.diff(places[places[:, 0] == first, 1]).min(initial=1) > 0 for first in rank)
     small = stages.model.small
     wide = stages.model.oversized
     assert sorted([*small, *wide]) == list(range(len(scene.bodies)))

@@ -15,7 +15,7 @@ rounds are enough, and motion along a surface is not limited. For other distance
 import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
-from warp_rigid.kernels.collide.narrowphase import NEAR, matters
+from warp_rigid.kernels.collide.narrowphase import NEAR, matters, out_of_box
 from warp_rigid.kernels.collide.samples import gradient, slope
 from warp_rigid.kernels.enums import PartKind, Role, SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
@@ -265,6 +265,7 @@ def trace_sample(
     begin: float,
     end: float,
     size: float,
+    reach: float,
 ):
     """Time at which a sample would penetrate the other body too deep, or `end`; this cannot happen before `begin`.
 
@@ -278,12 +279,36 @@ def trace_sample(
     if gap < near:
         allowed = near - wp.min(gap, 0.0)
         earliest = 0.0
+    if gap + allowed > reach:
+        return end
     return trace(shapes, own, other, arm, radius, allowed, CLOSE_ENOUGH * size, earliest, end)
 
 
 @wp.func
-def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: float):
-    """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`."""
+def trace_cluster(
+    shapes: Shapes, own: Course, other: Course, cluster: int, begin: float, end: float, size: float, reach: float
+):
+    """Time at which a sample of a cluster would penetrate the other body too deep, not before `begin`, or `end`."""
+    earliest = float(end)
+    for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
+        if shapes.samples[s].kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
+            earliest = trace_segment(shapes, own, other, s, NEAR * size, begin, earliest, size)
+        elif shapes.samples[s].kind != SampleKind.RIM:
+            p = shapes.samples[s].point
+            radius = shapes.samples[s].radius
+            earliest = trace_sample(shapes, own, other, p, radius, NEAR * size, begin, earliest, size, reach)
+    return earliest
+
+
+@wp.func
+def first_touch(
+    shapes: Shapes, own: Course, other: Course, end: float, size: float, reach: float, lane: int, lanes: int
+):
+    """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`.
+
+    The lanes of a team share the clusters; the earliest of their times is that of the pair. `reach` bounds the relative
+    motion of the bodies.
+    """
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
@@ -291,33 +316,49 @@ def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: fl
     begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, tolerance, 0.0, end)
     if begin >= end:
         return earliest
-    if shapes.shapes[own.shape].convex == 1:
-        earliest = trace_sample(shapes, own, other, own.local_center, 0.0, DEPTH * size, begin, earliest, size)
-    for cluster in range(shapes.shapes[own.shape].cluster_start, shapes.shapes[own.shape].cluster_end):
+    if shapes.shapes[own.shape].convex == 1 and lane == 0:
+        center = own.local_center
+        earliest = trace_sample(shapes, own, other, center, 0.0, DEPTH * size, begin, earliest, size, reach)
+    first = shapes.shapes[own.shape].cluster_start + lane
+    for cluster in range(first, shapes.shapes[own.shape].cluster_end, lanes):
         if matters(shapes.clusters[cluster].kind, own.shape, other.shape, 1, shapes):
             arm = wp.quat_rotate(own.turn, shapes.clusters[cluster].center - own.local_center)
             ball = shapes.clusters[cluster].radius
-            at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
+            at = float(earliest)
+            if not out_of_box(place_at(own, other, arm, 0.0), ball + reach, other.shape, shapes):
+                at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
             if at < earliest:
-                for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-                    if shapes.samples[s].kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
-                        earliest = trace_segment(shapes, own, other, s, NEAR * size, at, earliest, size)
-                    elif shapes.samples[s].kind != SampleKind.RIM:
-                        p = shapes.samples[s].point
-                        ball = shapes.samples[s].radius
-                        earliest = trace_sample(shapes, own, other, p, ball, NEAR * size, at, earliest, size)
+                earliest = trace_cluster(shapes, own, other, cluster, at, earliest, size, reach)
     return earliest
 
 
 @wp.func
-def is_fast(a: Course, b: Course, dt: float, size: float):
-    """Whether the relative motion of two bodies in a step is so large that they must be traced."""
+def relative_motion(a: Course, b: Course, dt: float):
+    """Upper bound of the relative motion of two bodies in a step [m], at the surface of the smaller one."""
     small = a
     if b.radius < a.radius:
         small = b
     v = a.linear + wp.cross(a.angular, small.center - a.center)
     w = b.linear + wp.cross(b.angular, small.center - b.center)
-    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius) > FAST * size
+    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius)
+
+
+@wp.func
+def largest_motion(a: Course, b: Course, dt: float):
+    """`relative_motion`, with the increase by the rotation of the larger body within the step."""
+    return relative_motion(a, b, dt) * (1.0 + dt * (wp.length(a.angular) + wp.length(b.angular)))
+
+
+@wp.func
+def may_touch(shapes: Shapes, a: Course, b: Course, dt: float):
+    """Whether the bounding sphere of the smaller of two bodies can reach the bounding box of the other in this step."""
+    small = a
+    large = b
+    if b.radius < a.radius:
+        small = b
+        large = a
+    center = place_at(small, large, wp.vec3(0.0, 0.0, 0.0), 0.0)
+    return not out_of_box(center, small.radius + largest_motion(a, b, dt), large.shape, shapes)
 
 
 @wp.kernel
@@ -331,10 +372,10 @@ def limit_travel(dt: float, motions: Motions):
 
 
 @wp.kernel
-def limit_motion(
-    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
+def list_fast_pairs(
+    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
-    """The threads share the pairs: the fraction of the step's motion that the two bodies of a pair may make.
+    """The threads share the pairs: list those that must be traced, in any order.
 
     A stopped body may be hit by another one, so a second round repeats the pairs of all bodies that were stopped.
     """
@@ -347,18 +388,36 @@ def limit_motion(
             size = smaller_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
-            if is_fast(first, second, dt, size):
-                t = float(dt)
-                side = int(0)
-                while side < 2:
-                    t = first_touch(shapes, first, second, t, size)
-                    swapped = first
-                    first = second
-                    second = swapped
-                    side += 1
-                if t < dt:
-                    wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
-                    wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
+            if relative_motion(first, second, dt) > FAST * size and may_touch(shapes, first, second, dt):
+                pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
+
+
+@wp.kernel
+def limit_motion(
+    teams: int, lanes: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
+):
+    """The teams share the listed pairs: the fraction of the step's motion that the two bodies of a pair may make."""
+    lane = wp.tid() % lanes
+    for k in range(wp.tid() / lanes, pairs.fast_count[0], teams):
+        a = pairs.body_a[pairs.fast[k]]
+        b = pairs.body_b[pairs.fast[k]]
+        share_a = motions.time_of_impact[a]
+        share_b = motions.time_of_impact[b]
+        size = smaller_size(a, b, shapes, bodies)
+        first = course_of(a, share_a, bodies, state, motions)
+        second = course_of(b, share_b, bodies, state, motions)
+        reach = largest_motion(first, second, dt)
+        t = float(dt)
+        side = int(0)
+        while side < 2:
+            t = first_touch(shapes, first, second, t, size, reach, lane, lanes)
+            swapped = first
+            first = second
+            second = swapped
+            side += 1
+        if t < dt:
+            wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
+            wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ import numpy as np
 from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.engine.memory import MemoryLimit, pool_bytes
 from warp_rigid.engine.model import Model, other_constraints
-from warp_rigid.engine.pools import LARGEST, NAMES, Pools
+from warp_rigid.engine.pools import LARGEST, NAMES, POOLS, Pools
 from warp_rigid.engine.shard import Shard
 from warp_rigid.errors import CapacityError
 from warp_rigid.scene.scene import Motion, Scene
@@ -211,13 +211,15 @@ class Shards:
     def _count(self, steps: int) -> Tally:
         """Sizes that the last steps required, compared with the capacity."""
         wanted = np.array([shard.pools.wanted.numpy()[:steps] for shard in self._shards], np.int64)
-        too_much = wanted > np.array([[[shard.pools.sizes[name] for name in NAMES]] for shard in self._shards])
+        too_much = wanted > np.array([[[shard.pools.sizes[name] for name in POOLS]] for shard in self._shards])
         void, short = steps, []
         if too_much.any():
             void, short = self._shortage(wanted, too_much)
-        known = wanted[:, : void + 1].sum(axis=0)
+        known = wanted[:, : void + 1, : len(NAMES)].sum(axis=0)
         if void < steps and too_much[:, void, 0].any():
             known[void, 1] = 0
+        if void < steps and too_much[:, void, 2].any():
+            known[void] = 0
         over = np.argwhere(known > [self.capacity[name] if self.capacity else LARGEST for name in NAMES])
         if len(over) == 0:
             return Tally(known.max(axis=0), short)
@@ -227,7 +229,8 @@ class Shards:
     def _shortage(self, wanted: np.ndarray, too_much: np.ndarray) -> tuple[int, list[tuple[Shard, dict[str, int]]]]:
         """The first step invalid in any shard, and the sizes required by each shard in its first invalid step.
 
-        A step in which a pool was too small is invalid, as are all later steps. Its number of pairs is still known.
+        A step in which a pool was too small is invalid, as are all later steps. Its number of pairs is still known,
+        unless the candidates were too many.
         """
         short = []
         void = too_much.shape[1]
@@ -235,13 +238,13 @@ class Shards:
             if much.any():
                 first = int(much.any(axis=1).argmax())
                 void = min(void, first)
-                short.append((shard, {NAMES[k]: int(rows[first, k]) for k in np.flatnonzero(much[first])}))
+                short.append((shard, {POOLS[k]: int(rows[first, k]) for k in np.flatnonzero(much[first])}))
         return void, short
 
     def _grow(self, short: list[tuple[Shard, dict[str, int]]]) -> None:
         """Enlarge pools that were too small; their shards' steps are undone."""
         larger = [(shard, shard.pools.larger_sizes(wanted)) for shard, wanted in short]
-        names = [name for name in NAMES if any(name in wanted for _, wanted in short)]
+        names = [name for name in POOLS if any(name in wanted for _, wanted in short)]
         growth = ", ".join(
             f"{name} {now} -> {now + sum(sizes[name] - shard.pools.sizes[name] for shard, sizes in larger)}"
             for name, now in ((name, sum(shard.pools.sizes[name] for shard in self._shards)) for name in names)

@@ -30,7 +30,7 @@ from warp_rigid.version import __version__
 KIND = "checkpoint"
 VERSION = 7  # raise whenever older files could no longer be read
 
-FROM_SCENE = ("env", "shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
+FROM_SCENE = ("env", "shape", "motion", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scene."""
 
 log = logging.getLogger("warp_rigid")

@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.engine.cores import usable_cores
-from warp_rigid.kernels.collide import bake, broadphase, ccd, narrowphase, overlap
+from warp_rigid.kernels.collide import bake, broadphase, candidates, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
 from warp_rigid.kernels.graph import coloring, islands, support
@@ -40,6 +40,7 @@ STEP = (
     *ROUND_MODULES,
     effectiveness,
     impact_rounds,
+    candidates,
     broadphase,
     build_contacts,
     records,

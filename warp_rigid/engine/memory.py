@@ -17,8 +17,9 @@ LARGEST_LIMIT = 2**50
 
 
 def pool_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all arrays sized with the pools: lists, contacts, the history twice, graph, order, rounds twice."""
+    """Bytes of all arrays sized with the pools: candidates, lists, contacts, history and rounds twice, graph, order."""
     structs = (
+        schema.Cells,
         schema.Constraints,
         schema.Pairs,
         schema.Contacts,

@@ -21,7 +21,7 @@ UNBOUNDED = 2.0e9
 """Used for the infinite extents of planes [m]; products with it do not overflow in float32."""
 
 OVERSIZED = 4.0
-"""A dynamic body more than this many times larger than the median is not in the hash grid."""
+"""A dynamic body more than this many times larger than the median is not of ordinary size."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Model:
         fields: force fields.
         field_count: number of force fields.
         combine_rules: combine rules of friction and restitution.
-        small: (n,) bodies of an environment in the hash grid.
+        small: (n,) dynamic bodies of ordinary size of an environment.
         oversized: (n,) the other bodies.
-        grid_radius: cell width of the hash grid [m].
+        grid_radius: cell width of the hash grid at the level of ordinary bodies [m].
         constraint_rows: arrays of the kinds of constraints other than contacts, by name.
     """
 
@@ -92,7 +92,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
         surfaces=surfaces,
         surface_vertices=surface_vertices,
         surface_node=pool.grid_value.shape[0] - surface_vertices,
-        bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], oversized, num_envs, device),
+        bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], num_envs, device),
         fields=_upload_fields(scene.force_fields, device),
         field_count=len(scene.force_fields),
         combine_rules=wp.vec2i(
@@ -151,7 +151,7 @@ def _unique_shapes(bodies: list[Body]) -> tuple[list[Shape], list[int]]:
 
 
 def _split_by_size(bodies: list[Body]) -> tuple[list[int], list[int], float]:
-    """Bodies in the hash grid, oversized bodies, and the cell width of the grid [m]."""
+    """Dynamic bodies of ordinary size, the other bodies, and the cell width of the grid for the former [m]."""
     reach = np.array([0.5 * np.linalg.norm(_extent(body.shape)) for body in bodies])
     dynamic = np.array([body.motion == Motion.DYNAMIC for body in bodies], bool)
     typical = float(np.median(reach[dynamic])) if dynamic.any() else 1.0
@@ -215,9 +215,7 @@ def _upload_fields(force_fields: list[ForceField], device: Any) -> Any:
     return fields
 
 
-def _upload_bodies(
-    scene: Scene, shape_of_body: np.ndarray, step: np.ndarray, oversized: list[int], num_envs: int, device: Any
-) -> Any:
+def _upload_bodies(scene: Scene, shape_of_body: np.ndarray, step: np.ndarray, num_envs: int, device: Any) -> Any:
     """Repeat one environment's rows for all; the index of each body's shape increases by `step` per environment."""
     bodies = scene.bodies
     filtered = _filtered(scene)
@@ -228,7 +226,6 @@ def _upload_bodies(
         rows.filtered.assign(np.tile(np.concatenate(filtered).astype(np.int32), num_envs))
     host: dict[str, np.ndarray] = {
         "motion": np.array([int(body.motion) for body in bodies], np.int32),
-        "oversized": np.isin(np.arange(len(bodies)), oversized).astype(np.int32),
         "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
     }
     for name in COEFFICIENTS:

@@ -6,10 +6,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine.hash_grid import grid_sizes
 from warp_rigid.kernels import declare, schema
 
 NAMES = ("pairs", "contacts")
-"""Names of the pools, in the order of `wanted` on the device."""
+"""Names of the pools whose capacity users can give."""
+
+POOLS = (*NAMES, "candidates")
+"""Names of all pools, in the order of `wanted` on the device."""
 
 LARGEST = 2**30
 """Maximum capacity of a pool, as the two ends of each pair are counted in 32 bits."""
@@ -36,7 +40,7 @@ class Pools:
         rounds: pairs of heaps, which are solved in rounds.
         selected: pairs of heaps with an impact, then those with an overlap.
         turn: (1,) row of `wanted` for the current step.
-        wanted: (CHUNK, 2) required number of pairs and contacts of each step.
+        wanted: (CHUNK, 3) required number of pairs, contacts and candidates of each step.
     """
 
     sizes: dict[str, int]
@@ -61,6 +65,7 @@ class Pools:
             "pairs": pairs,
             "contacts": contacts,
             "constraints": pairs + num_envs * others,
+            **grid_sizes(num_envs, num_bodies),
         }
 
     @classmethod
@@ -80,7 +85,7 @@ class Pools:
             rounds=declare.allocate(schema.Rounds, sizes, device),
             selected=declare.allocate(schema.Rounds, sizes, device),
             turn=wp.zeros(1, dtype=int, device=device),
-            wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
+            wanted=wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device),
         )
 
     @property

@@ -11,7 +11,7 @@ from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.loading import GROUND, SLEEP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, most_lanes, team_lanes
+from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, TRACE_LANES, most_lanes, team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
@@ -31,7 +31,7 @@ from warp_rigid.kernels.solve import (
 )
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
-PAIRS, CONTACTS = 0, 1
+PAIRS, CONTACTS, CANDIDATES = 0, 1, 2
 
 ROUNDS_OF_A_GROUP = 6
 """Rounds between two decisions on whether more follow."""
@@ -97,7 +97,7 @@ class Stages:
         self.lanes = team_lanes(self.device, self.num_envs, self.num_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
-        self.grid = HashGrid(model, device)
+        self.grid = HashGrid(model, pools.sizes, device)
         self.constraint_rows = Rows()
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
@@ -193,7 +193,7 @@ class Stages:
     def find_pairs(self) -> None:
         """Broad phase: count the pairs with overlapping boxes, sum the counts, and write the pairs."""
         pairs = self.pools.pairs
-        self.grid.fill(self.envs, self.motions)
+        self.grid.update(self.dt, self.envs, self.motions, CANDIDATES, self.pools.turn, self.pools.wanted)
         self._search_pairs(write=0)
         self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
         self._search_pairs(write=1)
@@ -369,9 +369,9 @@ class Stages:
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
-        self._limit_motion(ccd.limit_motion, [0])
+        self._limit_motion(again=0)
         self._per_body(ccd.commit_time_of_impact, [], [self.motions])
-        self._limit_motion(ccd.limit_motion, [1])
+        self._limit_motion(again=1)
 
     @stage
     def integrate_positions(self) -> None:
@@ -463,10 +463,14 @@ class Stages:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose teams share the pairs; on a GPU, a team has the given number of lanes."""
-        teams = min(self.pools.sizes["pairs"], most_lanes(self.device) // lanes) if self.device.is_cuda else 1
+        """Launch a kernel whose teams share the pairs."""
+        self._share(kernel, self.pools.sizes["pairs"], lanes, [], inputs, outputs)
+
+    def _share(self, kernel: Any, size: int, lanes: int, before: list, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose teams share `size` rows; on a GPU, a team has the given number of lanes."""
+        teams = min(size, most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
-        inputs = [teams, lanes, *inputs]
+        inputs = [*before, teams, lanes, *inputs]
         wp.launch(kernel, dim=teams * lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
@@ -494,10 +498,12 @@ class Stages:
             device=self.device,
         )
 
-    def _limit_motion(self, kernel: Any, before: list) -> None:
-        """One round of continuous collision detection over the pairs."""
-        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state, self.pools.pairs]
-        self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions])
+    def _limit_motion(self, again: int) -> None:
+        """One round of continuous collision detection: over all pairs, or again over those of stopped bodies."""
+        pairs, inputs = self.pools.pairs, [self.dt, self.model.shapes, self.model.bodies, self.state]
+        pairs.fast_count.zero_()
+        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [again], [*inputs, self.motions], [pairs])
+        self._share_pairs(ccd.limit_motion, TRACE_LANES, [*inputs, pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
@@ -511,12 +517,9 @@ class Stages:
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
-        model = self.model
-        kernel, own = broadphase.pairs_by_trying_all, []
-        if self.grid.buckets:
-            kernel, own = broadphase.pairs_by_grid, [self.grid.buckets, model.grid_radius]
-        common = [self.grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
-        self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
+        model, grid = self.model, self.grid
+        inputs = [grid.room, grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
+        self._share(broadphase.list_pairs_of_bodies, self.rows, grid.lanes, [write], inputs, [self.pools.pairs])
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""

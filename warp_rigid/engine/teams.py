@@ -9,8 +9,9 @@ WARP = 32
 MOST_BODIES_OF_A_WARP = 128
 """Above this number of bodies, an environment is processed by a block."""
 
-SEARCH_LANES, BUILD_LANES, ROUND_LANES = 32, 4, 4
-"""GPU lanes that search for the contacts of one pair, that build its rows, and that visit them in a round."""
+SEARCH_LANES, BUILD_LANES, TRACE_LANES, ROUND_LANES = 32, 4, 32, 4
+"""GPU lanes that search for the contacts of one pair, that build its rows, that trace it, and that
+visit it in a round."""
 
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
