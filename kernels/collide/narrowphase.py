@@ -141,7 +141,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
     sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
     shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
-    sphere.
+    sphere. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
+    segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
     """
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
@@ -154,7 +155,9 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
         return own == PartKind.SPHERE or not by_center
     if kind == SampleKind.EDGE:
         return edges == 1 and other != PartKind.PLANE and not by_center
-    return other == PartKind.SPHERE and not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
+    if other == PartKind.SPHERE:
+        return not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
+    return shapes.shapes[own_shape].convex == 0 and (other == PartKind.CAPSULE or other == PartKind.CYLINDER)
 
 
 @wp.func
