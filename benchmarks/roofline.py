@@ -25,6 +25,7 @@ from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.collide import approach as approaches
 from warp_rigid.kernels.collide import narrowphase
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
@@ -190,11 +191,11 @@ def count_samples(
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
-    reach = narrowphase.contact_reach(a, b, size, dt, state, motions)
+    reach = approaches.contact_reach(a, b, size, dt, state, motions)
     side = int(0)
     while side < 2:
         own = wp.where(side == 0, a, b)
-        approach = narrowphase.approach_of(own, a + b - own, reach, bodies, state)
+        approach = approaches.approach_of(own, a + b - own, reach, bodies, state)
         own_shape = shapes.shapes[approach.own_shape]
         counted[pair, 0] += own_shape.cluster_end - own_shape.cluster_start
         for cluster in range(own_shape.cluster_start, own_shape.cluster_end):

@@ -33,6 +33,7 @@ SYMBOLS = {
     "parts": "signed distance functions in the pool",
     "clusters": "sample clusters in the pool",
     "samples": "surface samples in the pool",
+    "hull_vertices": "vertices of convex meshes in the pool",
     "nodes": "grid nodes in the pool",
     "vertices": "vertices of moving height fields",
     "fields": "force fields besides gravity",
@@ -89,6 +90,9 @@ ShapeRecord = record(
     convex=Field(int, "", "", "1: one convex part with an exact distance"),
     cluster_start=Field(int, "", "", "first cluster"),
     cluster_end=Field(int, "", "", "one past the last"),
+    hull_start=Field(int, "", "", "first hull vertex, if the shape is a convex mesh"),
+    hull_end=Field(int, "", "", "one past the last; `hull_start` if it is not"),
+    inside=Field(wp.vec3, "", "m", "a point inside the shape, if it is convex"),
     lower=Field(wp.vec3, "", "m", "lower corner of the bounding box"),
     upper=Field(wp.vec3, "", "m", "upper corner of the bounding box"),
     size=Field(float, "", "m", "smallest extent of the bounding box; contact tolerances scale with it"),
@@ -102,6 +106,7 @@ Shapes = layout(
     parts=Field(PartRecord, "parts", "", "signed distance functions of the shapes"),
     clusters=Field(ClusterRecord, "clusters", "", "sample clusters of the shapes"),
     samples=Field(SampleRecord, "samples", "", "surface samples of the shapes"),
+    hull=Field(wp.vec3, "hull_vertices", "m", "vertices of convex meshes, in the shape's frame"),
     grid_value=Field(float, "nodes", "m", "signed distance, or height, at a grid node"),
 )
 
@@ -288,6 +293,12 @@ Pairs = layout(
     ),
     searched_orientation=Field(wp.quat, "pairs", "", "relative orientation at the last contact search"),
     searched_position=Field(wp.vec3, "pairs", "m", "relative position at the last contact search"),
+    axis=Field(
+        wp.vec3,
+        "pairs",
+        "",
+        "of convex bodies: last axis that separates them or along which they touch, in the second body's frame, or 0",
+    ),
 )
 
 ContactRecord = packed_record(
@@ -345,6 +356,7 @@ History = layout(
     searched=Field(int, "pairs", "", "as in Pairs"),
     searched_orientation=Field(wp.quat, "pairs", "", "as in Pairs"),
     searched_position=Field(wp.vec3, "pairs", "m", "as in Pairs"),
+    axis=Field(wp.vec3, "pairs", "", "as in Pairs"),
     key=Field(int, "contacts", "", "identity within the pair"),
     impulse=Field(wp.vec3, "contacts", "N s", "impulse in the world frame"),
     angular_impulse=Field(wp.vec3, "contacts", "N m s", "angular impulse in the world frame"),

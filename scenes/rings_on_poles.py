@@ -19,6 +19,7 @@ from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
     Verdict,
+    below,
     indices,
     overlap_verdict,
     start_apart,
@@ -37,6 +38,8 @@ LOWEST_A_SIDE = 6.0
 """Lowest height of that cylinder per pole along a side [m]; 30 m for 5 x 5 poles."""
 VOLUME_A_RING = math.pi * 20.0**2 * 0.6
 """Volume of that cylinder per ring [m^3]; 500 rings over 25 poles start between 30 and 330 m."""
+DEEPEST = 0.055
+"""Overlap that a ring may have at any time [m]: it lands on a pole at 15 m/s, 60 mm a step."""
 LOST = 10.0
 """A ring further from the z axis than this many radii of the cylinder is lost."""
 
@@ -116,16 +119,18 @@ def threaded(position, orientation, feet) -> np.ndarray:
 
 
 class RingsOutcome:
-    """Number of rings on poles, and whether none is lost and none overlaps another."""
+    """Number of rings on poles, whether none is lost, and how deep they overlap during the run and at its end."""
 
     def __init__(self, scene):
         """Find rings and poles."""
         self.rings = indices(scene, "ring_")
         self.feet = np.array([scene.bodies[i].position[:2] for i in indices(scene, "pole_")])
         self.bound = LOST * CYLINDER_A_SIDE * math.isqrt(len(self.feet))
+        self.depth: Any = 0.0
 
     def observe(self, sim):
-        """Measure nothing: only the final state is judged."""
+        """Measure the overlap."""
+        self.depth = np.maximum(self.depth, sim.penetration())
 
     def verdicts(self, sim):
         """Rings lost, rings on poles, and overlap at the end."""
@@ -140,6 +145,13 @@ class RingsOutcome:
         return [
             Verdict("lost", lost, "no ring lost", lost == 0, sound),
             Verdict("threaded", on_poles, "at least one ring on a pole", on_poles > 0, some),
+            below(
+                "deepest",
+                np.maximum(self.depth, sim.penetration()),
+                DEEPEST,
+                f"overlap < {1e3 * DEEPEST:g} mm at all times",
+                sound,
+            ),
             overlap_verdict(sim, 0.02, sound),
         ]
 

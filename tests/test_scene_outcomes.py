@@ -398,6 +398,15 @@ def test_rings_on_poles_are_counted():
     check(verdicts["lost"], [0, 0, 0, 1, 1], [True, True, True, False, False])
 
 
+def test_rings_are_judged_by_their_deepest_overlap():
+    """A depth that has passed by the end counts."""
+    outcome, sim = start("rings_on_poles", num_envs=2, rings=1, poles=4)
+    for depth in (0.0, 0.06, 0.0):
+        sim.depth = np.array([0.0, depth])
+        outcome.observe(sim)
+    check(by_name(outcome.verdicts(sim))["deepest"], [0.0, 0.06], [True, False])
+
+
 def test_bones_are_in_the_plot_or_still_in_the_funnel():
     outcome, sim = start("bone_pile", num_envs=3, bones=4)
     own = [i for i, body in enumerate(sim.scene.bodies) if body.name.startswith("bone_")]

@@ -14,8 +14,9 @@ rounds are enough, and motion along a surface is not limited. For other distance
 
 import warp as wp
 
+from warp_rigid.kernels.collide.approach import NEAR
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
-from warp_rigid.kernels.collide.narrowphase import NEAR, matters, out_of_box
+from warp_rigid.kernels.collide.narrowphase import matters, out_of_box
 from warp_rigid.kernels.collide.samples import gradient, slope
 from warp_rigid.kernels.enums import PartKind, Role, SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State

@@ -22,7 +22,7 @@ from warp_rigid.engine.world import World
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide.narrowphase import BY_CENTER
+from warp_rigid.kernels.collide.narrowphase import BY_AXIS
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.version import __version__
@@ -200,7 +200,7 @@ def _checked(
     if last == "contact_start" and np.diff(rows).max(initial=0) > schema.PAIR_SLOTS:
         raise ValueError(f"{name} must not give a pair more than {schema.PAIR_SLOTS} contacts")
     if last == "key":
-        _within(name, rows, BY_CENTER - 1, 2 * world.model.shapes.samples.shape[0] - 1)
+        _within(name, rows, BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
     return rows
 
 

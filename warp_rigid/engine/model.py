@@ -270,6 +270,8 @@ def _pool_shapes(shapes: list[Shape], exact_reach: float, num_envs: int, device:
     pool.parts = wp.array(_part_rows(flat, grids, exact_reach), dtype=schema.PartRecord, device=device)
     pool.clusters = wp.array(_cluster_rows(samples), dtype=schema.ClusterRecord, device=device)
     pool.samples = wp.array(_sample_rows(samples), dtype=schema.SampleRecord, device=device)
+    hull = np.concatenate([np.zeros((0, 3)), *(shape.hull for shape in shapes)])
+    pool.hull = wp.array(hull.astype(np.float32), dtype=wp.vec3, device=device)
     pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
     return pool, *build_surfaces(shapes, _starts([len(s.kind) for s in samples]), num_envs, device)
 
@@ -282,6 +284,12 @@ def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
     rows["part_start"], rows["part_end"] = part_start[:-1], part_start[1:]
     rows["convex"] = [len(group) == 1 and group[0].kind not in (PartKind.GRID, PartKind.HEIGHTFIELD) for group in parts]
     rows["cluster_start"], rows["cluster_end"] = cluster_start[:-1], cluster_start[1:]
+    hull_start = _starts([len(shape.hull) for shape in shapes])
+    rows["hull_start"], rows["hull_end"] = hull_start[:-1], hull_start[1:]
+    rows["inside"] = [
+        shape.hull.mean(axis=0) if len(shape.hull) else group[0].position
+        for shape, group in zip(shapes, parts, strict=True)
+    ]
     rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]

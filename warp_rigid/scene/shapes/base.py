@@ -113,6 +113,11 @@ class Shape:
         """Largest `direction . x` over the shape, for (n, 3) directions -> (n,)."""
         raise NotImplementedError
 
+    @property
+    def hull(self) -> np.ndarray:
+        """Vertices of the solid if it is a convex mesh, (n, 3) [m], else (0, 3)."""
+        return np.zeros((0, 3))
+
     def signed_distance(self, points) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the surface and its gradient, in float64.
 

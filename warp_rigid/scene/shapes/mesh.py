@@ -150,6 +150,12 @@ class Mesh(Shape):
         return (directions @ self.vertices.T).max(axis=1)
 
     @cached_property
+    def hull(self):
+        """All vertices, if the mesh is convex."""
+        convex = self._simple and topology.is_convex(self.vertices, self.faces)
+        return self.vertices if convex else np.zeros((0, 3))
+
+    @cached_property
     def grid(self) -> Grid:
         """Signed distances: `sdf_resolution` cells along the longest side, and 3 more on every side."""
         return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
