@@ -116,10 +116,10 @@ def test_samples_lie_on_the_surface_with_outward_normals(name):
         # on curved surfaces normals are means; on the others every step outward must leave the solid
         np.testing.assert_allclose(np.linalg.norm(samples.normal, axis=1), 1.0, atol=1e-5)
     step = 1e-3 * mesh.size
-    distance, _ = mesh.exact_signed_distance(samples.point)
+    distance, _ = mesh.signed_distance(samples.point)
     assert np.abs(distance).max() < 1e-5 * mesh.size
-    outside, _ = mesh.exact_signed_distance(samples.point + step * samples.normal)
-    inside, _ = mesh.exact_signed_distance(samples.point - step * samples.normal)
+    outside, _ = mesh.signed_distance(samples.point + step * samples.normal)
+    inside, _ = mesh.signed_distance(samples.point - step * samples.normal)
     # at saddles of a skull or a brain a mean normal may graze; an opening's rim has no inside
     share = {"skull": 0.95, "brain": 0.97}.get(name, 1.0)
     assert (outside > 0.0).mean() >= share and (inside < 0.0).mean() >= share

@@ -16,6 +16,13 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.kernels.collide.height_distance import heightfield_distance
+from warp_rigid.kernels.collide.triangle_distance import (
+    FARTHER,
+    GRID_ERROR,
+    INNER,
+    LIKELY_ERROR,
+    triangle_distance,
+)
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -214,11 +221,32 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
 
 
 @wp.func
-def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3):
+def mesh_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
+    """Distance to a mesh: from its grid or, where it may be below `near`, from its triangles.
+
+    More than a cell inside, the grid decides.
+    """
+    d = grid_distance(shapes, part, p)
+    cell = shapes.parts[part].grid_spacing
+    error = GRID_ERROR * cell
+    if d[3] >= near + error or d[3] < -cell or shapes.parts[part].tree_start == shapes.parts[part].tree_end:
+        return d
+    far = wp.where(d[3] > INNER * cell, FARTHER * d[3], wp.abs(d[3]))
+    within = far + error
+    if d[3] > 0.0:
+        clear = near + 0.01 * cell
+        within = wp.min(within, wp.max(clear, error))
+        d[3] = wp.max(d[3], clear)
+    likely = wp.min(far + LIKELY_ERROR * cell, within)
+    return triangle_distance(shapes, part, p, sample_normal, likely, within, d)
+
+
+@wp.func
+def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
     """Distance to one part, in the part's own frame."""
     kind = shapes.parts[part].kind
     if kind == PartKind.GRID:
-        return grid_distance(shapes, part, p)
+        return mesh_distance(shapes, part, p, sample_normal, near)
     # The order matters: with the height field first, the compiled code of ccd.py is 18 % longer.
     if kind != PartKind.HEIGHTFIELD:
         return analytic_distance(kind, shapes.parts[part].size, p, sample_normal)
@@ -226,17 +254,20 @@ def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3)
 
 
 @wp.func
-def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.vec3):
-    """Distance from a sample with its outward normal to a shape (the union of its parts), in the shape's frame."""
+def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
+    """Distance from a sample with its outward normal to a shape (the union of its parts), in the shape's frame.
+
+    Distances to a mesh are exact below `near`. Above, they are off by up to GRID_ERROR cells.
+    """
     nearest = wp.vec4(0.0, 0.0, 1.0, FAR)
     for part in range(shapes.shapes[shape].part_start, shapes.shapes[shape].part_end):
         d = wp.vec4(0.0, 0.0, 1.0, FAR)
         if shapes.parts[part].placed == 0:
-            d = part_distance(shapes, part, p, sample_normal)
+            d = part_distance(shapes, part, p, sample_normal, near)
         else:
             turn = shapes.parts[part].orientation
             local = wp.quat_rotate_inv(turn, p - shapes.parts[part].position)
-            d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal))
+            d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal), near)
             n = wp.quat_rotate(turn, wp.vec3(d[0], d[1], d[2]))
             d = wp.vec4(n[0], n[1], n[2], d[3])
         if d[3] < nearest[3]:
@@ -245,6 +276,13 @@ def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.v
 
 
 @wp.func
-def signed_distance(shapes: Shapes, shape: int, p: wp.vec3):
-    """Distance from a point to a shape, in the shape's frame."""
-    return contact_distance(shapes, shape, p, wp.vec3(0.0, 0.0, 0.0))
+def signed_distance(shapes: Shapes, shape: int, p: wp.vec3, near: float):
+    """Distance from a point to a shape, in the shape's frame; see `contact_distance`."""
+    return contact_distance(shapes, shape, p, wp.vec3(0.0, 0.0, 0.0), near)
+
+
+@wp.func
+def is_nearer(shapes: Shapes, shape: int, p: wp.vec3, margin: float):
+    """Whether a shape may be nearer to a point than a margin; never wrongly false."""
+    d = signed_distance(shapes, shape, p, -FAR)
+    return d[3] < margin + GRID_ERROR * shapes.shapes[shape].cell

@@ -20,7 +20,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
-from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.distance import FAR, is_nearer, signed_distance
 from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind, Role, SampleKind
@@ -174,8 +174,7 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
     margin = shapes.clusters[cluster].radius + approach.reach
     if out_of_box(center, margin, approach.shape, shapes):
         return 0
-    d = signed_distance(shapes, approach.shape, center)
-    return wp.where(d[3] < margin, 1, 0)
+    return wp.where(is_nearer(shapes, approach.shape, center, margin), 1, 0)
 
 
 @wp.func
@@ -289,7 +288,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     evaluated = int(0)
     while evaluated < 2:
         # First the radius of the sphere, then its distance from the other body.
-        d = signed_distance(shapes, shape, query)
+        d = signed_distance(shapes, shape, query, -FAR)
         if evaluated == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius

@@ -424,12 +424,16 @@ def bring_to_touch(
     radius = shapes.samples[s].radius
     convex = shapes.shapes[shape].convex
     size = shapes.shapes[shape].size
-    exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == PartKind.HEIGHTFIELD, 1, convex)
+    part = shapes.shapes[shape].part_start
+    exact = wp.where(shapes.parts[part].kind == PartKind.HEIGHTFIELD, 1, convex)
+    if shapes.parts[part].tree_start < shapes.parts[part].tree_end:
+        exact = 1
+    near = radius + wp.min(reach, shapes.shapes[shape].cell)
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, turn, shift, convex, weight)
     while search.stage >= 0:
-        d = contact_distance(shapes, shape, search.query, search.facing)
+        d = contact_distance(shapes, shape, search.query, search.facing, near)
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:
