@@ -22,6 +22,9 @@ PATCHES = 4
 PATCH_SLOTS = EXTREME_DIRECTIONS + 1
 """Samples kept for each patch: the furthest in each direction, and the deepest."""
 
+BALL_PLACES = 4
+"""Maximum number of places where a ball touches a mesh at the same time."""
+
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples kept for each pair before duplicates are removed."""
 
@@ -109,6 +112,7 @@ SampleRecord = record(
     slide=Field(wp.vec3, "", "m", "half of the edge segment, from its middle to its end; zero for other samples"),
     radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
     kind=Field(int, "", "", "a SampleKind"),
+    choice=Field(int, "", "", "of a ball or rim on a mesh: the place that it stands for, from 1; 0: the nearest place"),
 )
 
 ShapeRecord = record(

@@ -301,7 +301,8 @@ def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: fl
     if shapes.shapes[own.shape].convex == 1:
         earliest = trace_sample(shapes, own, other, own.local_center, 0.0, DEPTH * size, begin, earliest, size)
     for cluster in range(shapes.shapes[own.shape].cluster_start, shapes.shapes[own.shape].cluster_end):
-        if matters(shapes.clusters[cluster].kind, own.shape, other.shape, 1, shapes):
+        kind = shapes.clusters[cluster].kind
+        if kind != SampleKind.CORNER and matters(kind, own.shape, other.shape, 1, shapes):
             arm = wp.quat_rotate(own.turn, shapes.clusters[cluster].center - own.local_center)
             ball = shapes.clusters[cluster].radius
             at = trace(shapes, own, other, arm, ball, 0.0, slack, tolerance, 0.0, earliest)

@@ -21,6 +21,7 @@ from warp_rigid.kernels.collide.triangle_distance import (
     GRID_ERROR,
     INNER,
     LIKELY_ERROR,
+    chosen_place,
     triangle_distance,
 )
 from warp_rigid.kernels.enums import PartKind
@@ -37,6 +38,10 @@ OPPOSING = wp.constant(-0.1)
 
 BORDER = wp.constant(0.005)
 """A sample counts as above a face up to this fraction of the smallest half-extent beyond the face's border."""
+
+
+BALL_REACH = wp.constant(1.5)
+"""Places of a ball on a mesh are looked for within this number of radii of its centre."""
 
 
 @wp.func
@@ -239,6 +244,35 @@ def mesh_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3,
         d[3] = wp.max(d[3], clear)
     likely = wp.min(far + LIKELY_ERROR * cell, within)
     return triangle_distance(shapes, part, p, sample_normal, likely, within, d)
+
+
+@wp.func
+def has_triangles(shapes: Shapes, shape: int):
+    """Whether a shape is one mesh with exact distances."""
+    part = shapes.shapes[shape].part_start
+    alone = shapes.shapes[shape].part_end == part + 1 and shapes.parts[part].placed == 0
+    return alone and shapes.parts[part].tree_start < shapes.parts[part].tree_end
+
+
+@wp.func
+def ball_distance_to_mesh(shapes: Shapes, part: int, p: wp.vec3, radius: float, reach: float, choice: int):
+    """Distance from the centre of a ball to one of its places on a mesh; FAR if there is none.
+
+    The places are ranked within a distance that does not depend on the reach, so that a rank means the same face when
+    a contact is found and when it is built. The first place is also returned if it is farther away, or more than a cell
+    inside; the grid then decides.
+    """
+    d = grid_distance(shapes, part, p)
+    cell = shapes.parts[part].grid_spacing
+    near = BALL_REACH * radius + cell
+    error = GRID_ERROR * cell
+    if d[3] < wp.min(near, radius + reach) + error and d[3] > -cell:
+        within = wp.where(d[3] < error, error + wp.abs(d[3]), 0.0)
+        d[3] = wp.max(d[3], near + 0.01 * cell)
+        return chosen_place(shapes, part, p, wp.max(within, near), choice, d)
+    if choice > 1:
+        d[3] = FAR
+    return d
 
 
 @wp.func

@@ -20,7 +20,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
-from warp_rigid.kernels.collide.distance import FAR, is_nearer, signed_distance
+from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_nearer, signed_distance
 from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind, Role, SampleKind
@@ -143,6 +143,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
     sphere.
     """
+    if kind == SampleKind.CORNER:
+        return has_triangles(shapes, shape)
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind

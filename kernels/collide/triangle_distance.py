@@ -7,15 +7,22 @@ crease the interpolated gradient is a mixture of the normals of its faces: both 
 The nodes of the tree are stored depth first. Each states the node that follows its subtree, so that a traversal needs
 no stack and visits the triangles in the same order on every device.
 
+A ball in an inner corner touches several faces at once. Each face on which the foot of its centre lies is a place where
+it touches; of places in similar directions the nearest one counts. Edges and corners that point outward need no place:
+they are samples of the mesh.
+
 The sign is that of the angle-weighted pseudonormal of the nearest face, side or corner (J. A. Baerentzen and H. Aanaes,
 "Signed distance computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005).
 """
 
 import warp as wp
 
-from warp_rigid.kernels.schema import Shapes
+from warp_rigid.kernels.schema import BALL_PLACES, Shapes
 
 wp.set_module_options({"enable_backward": False})
+
+FAR_AWAY = wp.constant(1.0e10)
+"""Distance returned if there is no such place [m]."""
 
 GRID_ERROR = wp.constant(0.8661)
 """Largest error of a grid's distance between its nodes, in cells: a distance changes by at most the way, and the mean
@@ -41,6 +48,11 @@ ALL = wp.constant(1)
 OPPOSING = wp.constant(2)
 DONE = wp.constant(3)
 
+PLACES = wp.constant(BALL_PLACES)
+
+SAME_PLACE = wp.constant(0.94)
+"""Cosine (20 degrees) above which the directions of two places count as the same."""
+
 FACE = wp.constant(0)
 SIDE = wp.constant(1)
 CORNER = wp.constant(4)
@@ -65,6 +77,16 @@ class NearestTriangle:
     feature: int
     squared: float
     offset: wp.vec3
+
+
+@wp.struct
+class Places:
+    """Places where a ball touches a mesh: triangles, squared distances, and directions to the centre."""
+
+    count: int
+    triangle: wp.vec4i
+    squared: wp.vec4
+    direction: wp.mat44
 
 
 @wp.func
@@ -203,3 +225,91 @@ def triangle_distance(
     if distance > ON_SURFACE * shapes.parts[part].grid_spacing:
         normal = sign * best.offset / distance
     return wp.vec4(normal[0], normal[1], normal[2], sign * distance)
+
+
+@wp.func
+def keep_place(triangle: int, squared: float, direction: wp.vec3, places: Places):
+    """Add a place, unless there is a nearer one in a similar direction, or four nearer ones."""
+    slot = places.count
+    farthest = float(squared)
+    for k in range(places.count):
+        known = wp.vec3(places.direction[k, 0], places.direction[k, 1], places.direction[k, 2])
+        if wp.dot(known, direction) > SAME_PLACE:
+            if places.squared[k] <= squared:
+                return places
+            slot = k
+            farthest = wp.inf
+        elif places.count == PLACES and places.squared[k] > farthest:
+            slot = k
+            farthest = places.squared[k]
+    if slot == PLACES:
+        return places
+    if slot == places.count:
+        places.count += 1
+    places.triangle[slot] = triangle
+    places.squared[slot] = squared
+    for i in range(3):
+        places.direction[slot, i] = direction[i]
+    return places
+
+
+@wp.func
+def places_near(shapes: Shapes, part: int, p: wp.vec3, within: float):
+    """The faces on which the foot of a point outside lies, and the nearest place, within a radius.
+
+    If the nearest place shows that the point is inside, it is the only one, and its distance is negative.
+    """
+    places = Places()
+    best = nearest_triangle(shapes, part, p, wp.vec3(0.0, 0.0, 0.0), within)
+    if best.triangle < 0:
+        return places
+    normal = feature_normal(shapes, best.triangle, best.feature)
+    distance = wp.sqrt(best.squared)
+    sign = wp.where(wp.dot(best.offset, normal) < 0.0, -1.0, 1.0)
+    if distance > ON_SURFACE * shapes.parts[part].grid_spacing:
+        normal = sign * best.offset / distance
+    places = keep_place(best.triangle, best.squared, normal, places)
+    if sign < 0.0:
+        places.squared[0] = -best.squared
+        return places
+    node = shapes.parts[part].tree_start
+    while node < shapes.parts[part].tree_end:
+        if box_gap_squared(p, shapes.tree[node].lower, shapes.tree[node].upper) >= within * within:
+            node = shapes.tree[node].skip
+        else:
+            for t in range(shapes.tree[node].triangle_start, shapes.tree[node].triangle_end):
+                foot = foot_on_triangle(
+                    p, shapes.triangles[t].corner_0, shapes.triangles[t].corner_1, shapes.triangles[t].corner_2
+                )
+                n = shapes.triangles[t].normal
+                gap = wp.length_sq(foot.offset)
+                if foot.feature == FACE and gap < within * within and wp.dot(foot.offset, n) > 0.0:
+                    places = keep_place(t, gap, n, places)
+            node += 1
+    return places
+
+
+@wp.func
+def chosen_place(shapes: Shapes, part: int, p: wp.vec3, within: float, choice: int, fallback: wp.vec4):
+    """Distance to the place of a ball that has the given rank, from 1, in the order of the triangles.
+
+    This order does not change as long as the ball touches the same faces, whichever is nearest.
+    """
+    places = places_near(shapes, part, p, within)
+    result = fallback
+    if choice > 1:
+        result[3] = FAR_AWAY
+    for k in range(places.count):
+        rank = int(1)
+        for other in range(places.count):
+            if places.triangle[other] < places.triangle[k]:
+                rank += 1
+        if rank == choice:
+            distance = wp.sqrt(wp.abs(places.squared[k]))
+            result = wp.vec4(
+                places.direction[k, 0],
+                places.direction[k, 1],
+                places.direction[k, 2],
+                wp.where(places.squared[k] < 0.0, -distance, distance),
+            )
+    return result

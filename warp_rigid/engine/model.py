@@ -337,7 +337,9 @@ def _cluster_rows(samples: list) -> np.ndarray:
         rows["center"] = np.concatenate([s.cluster_center for s in samples])
         rows["radius"] = np.concatenate([s.cluster_radius for s in samples])
         kind = np.concatenate([s.kind[s.cluster_start[:-1]] for s in samples])
-        rows["kind"] = np.where(np.isin(kind, (SampleKind.RIM, SampleKind.CAP)), SampleKind.POINT, kind)
+        choice = np.concatenate([s.choice[s.cluster_start[:-1]] for s in samples])
+        kind = np.where(np.isin(kind, (SampleKind.RIM, SampleKind.CAP)), SampleKind.POINT, kind)
+        rows["kind"] = np.where(choice > 1, SampleKind.CORNER, kind)
         rows["sample_start"] = np.concatenate(
             [s.cluster_start[:-1] + f for s, f in zip(samples, first_sample, strict=False)]
         )
@@ -350,7 +352,7 @@ def _cluster_rows(samples: list) -> np.ndarray:
 def _sample_rows(samples: list) -> np.ndarray:
     """One record per sample."""
     rows = np.zeros(sum(len(s.kind) for s in samples), schema.SampleRecord.numpy_dtype())
-    for name in ("point", "normal", "slide", "radius", "kind"):
+    for name in ("point", "normal", "slide", "radius", "kind", "choice"):
         rows[name] = np.concatenate([getattr(s, name) for s in samples])
     return rows
 
