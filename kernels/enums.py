@@ -49,6 +49,8 @@ class SampleKind(IntEnum):
     """A point inside a face, for contacts with nonconvex shapes."""
     CAP = 4
     """A point on the rim of a cylinder's cap, used when the cap lies flat; RIM is used when it is tilted."""
+    CORNER = 5
+    """Kind of a cluster: further places where balls and rims touch a mesh, which in an inner corner are several."""
 
 
 class FieldKind(IntEnum):

@@ -22,6 +22,9 @@ PATCHES = 4
 PATCH_SLOTS = EXTREME_DIRECTIONS + 1
 """Samples kept for each patch: the furthest in each direction, and the deepest."""
 
+BALL_PLACES = 4
+"""Maximum number of places where a ball touches a mesh at the same time."""
+
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples kept for each pair before duplicates are removed."""
 
@@ -35,6 +38,8 @@ SYMBOLS = {
     "samples": "surface samples in the pool",
     "hull_vertices": "vertices of convex meshes in the pool",
     "nodes": "grid nodes in the pool",
+    "tree_nodes": "nodes of trees of triangles in the pool",
+    "triangles": "triangles of meshes in the pool",
     "vertices": "vertices of moving height fields",
     "fields": "force fields besides gravity",
     "field_parameters": "parameters of the force field that has most",
@@ -60,6 +65,33 @@ PartRecord = record(
     grid_dims=Field(wp.vec3i, "", "", "number of grid nodes along x, y, z"),
     grid_origin=Field(wp.vec3, "", "m", "position of the first node, in the part's frame"),
     grid_spacing=Field(float, "", "m", "distance between neighbouring nodes"),
+    tree_start=Field(int, "", "", "first node of the tree of triangles"),
+    tree_end=Field(int, "", "", "one past the last; tree_start if the part has no exact distance to triangles"),
+)
+
+TreeRecord = record(
+    "TreeRecord",
+    "A node of a tree of triangles, stored depth first.",
+    lower=Field(wp.vec3, "", "m", "lower corner of the box around its triangles, in the part's frame"),
+    upper=Field(wp.vec3, "", "m", "upper corner of the box"),
+    skip=Field(int, "", "", "node that follows its subtree"),
+    triangle_start=Field(int, "", "", "first triangle of a leaf; 0 for other nodes"),
+    triangle_end=Field(int, "", "", "one past the last; 0 for other nodes"),
+)
+
+TriangleRecord = record(
+    "TriangleRecord",
+    "A triangle of a mesh, with the normals that give the sign of a distance.",
+    corner_0=Field(wp.vec3, "", "m", "first corner, in the part's frame"),
+    corner_1=Field(wp.vec3, "", "m", "second corner"),
+    corner_2=Field(wp.vec3, "", "m", "third corner"),
+    normal=Field(wp.vec3, "", "", "outward unit normal"),
+    side_0=Field(wp.vec3, "", "", "mean of the normals at the side between the first and second corner"),
+    side_1=Field(wp.vec3, "", "", "the same, second and third corner"),
+    side_2=Field(wp.vec3, "", "", "the same, third and first corner"),
+    vertex_0=Field(wp.vec3, "", "", "angle-weighted mean of the normals at the first corner"),
+    vertex_1=Field(wp.vec3, "", "", "the same at the second corner"),
+    vertex_2=Field(wp.vec3, "", "", "the same at the third corner"),
 )
 
 ClusterRecord = record(
@@ -80,6 +112,7 @@ SampleRecord = record(
     slide=Field(wp.vec3, "", "m", "half of the edge segment, from its middle to its end; zero for other samples"),
     radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
     kind=Field(int, "", "", "a SampleKind"),
+    choice=Field(int, "", "", "of a ball or rim on a mesh: the place that it stands for, from 1; 0: the nearest place"),
 )
 
 ShapeRecord = record(
@@ -96,6 +129,7 @@ ShapeRecord = record(
     lower=Field(wp.vec3, "", "m", "lower corner of the bounding box"),
     upper=Field(wp.vec3, "", "m", "upper corner of the bounding box"),
     size=Field(float, "", "m", "smallest extent of the bounding box; contact tolerances scale with it"),
+    cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
     rise=Field(float, "", "m/s", "largest speed of the surface relative to the body; 0 except for moving ground"),
 )
 
@@ -108,6 +142,8 @@ Shapes = layout(
     samples=Field(SampleRecord, "samples", "", "surface samples of the shapes"),
     hull=Field(wp.vec3, "hull_vertices", "m", "vertices of convex meshes, in the shape's frame"),
     grid_value=Field(float, "nodes", "m", "signed distance, or height, at a grid node"),
+    tree=Field(TreeRecord, "tree_nodes", "", "trees of the triangles of meshes"),
+    triangles=Field(TriangleRecord, "triangles", "", "triangles of meshes, in the order of the leaves"),
 )
 
 Surfaces = layout(

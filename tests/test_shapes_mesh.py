@@ -117,8 +117,8 @@ def test_a_flat_sliver_between_collinear_corners_is_no_hole():
     assert "dropped 1 faces without area" in mesh.repairs
     assert_same_solid(mesh, Mesh(vertices, faces))
     points = np.random.default_rng(2).uniform(-1, 1, (500, 3))
-    distance, _ = mesh.exact_signed_distance(points)
-    expected = Mesh(vertices, faces).exact_signed_distance(points)[0]
+    distance, _ = mesh.signed_distance(points)
+    expected = Mesh(vertices, faces).signed_distance(points)[0]
     np.testing.assert_allclose(distance, expected, atol=1e-6)
 
 

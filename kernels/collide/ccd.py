@@ -18,6 +18,7 @@ from warp_rigid.kernels.collide.approach import NEAR
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.narrowphase import matters, out_of_box
 from warp_rigid.kernels.collide.samples import gradient, slope
+from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
 from warp_rigid.kernels.enums import PartKind, Role, SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
@@ -120,20 +121,25 @@ def trace(
     arm: wp.vec3,
     radius: float,
     allowed: float,
+    slack: float,
     tolerance: float,
     begin: float,
     end: float,
 ):
-    """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`."""
+    """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`.
+
+    With a `slack` other than zero, the distance to a mesh is that of its grid, which may be that much too large.
+    """
     other_spin = wp.length(other.angular)
     away = wp.length(own.center + arm - other.center)
     speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * wp.length(arm) + other_spin * away
     curve = wp.length_sq(own.angular) * wp.length(arm) + other_spin * (2.0 * speed + other_spin * away)
+    near = wp.where(slack > 0.0, -FAR, radius + shapes.shapes[other.shape].cell)
     t = float(begin)
     for _round in range(ROUNDS):
         x = place_at(own, other, arm, t)
-        d = signed_distance(shapes, other.shape, x)
-        left = d[3] - radius + allowed
+        d = signed_distance(shapes, other.shape, x, near)
+        left = d[3] - slack - radius + allowed
         if left < tolerance:
             return t
         if shapes.shapes[other.shape].convex == 1:
@@ -161,7 +167,7 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
     t = float(left)
     rounds = int(0)
     while rounds < 2 + EDGE_ROUNDS:
-        d = signed_distance(shapes, shape, middle + t * slide)
+        d = signed_distance(shapes, shape, middle + t * slide, -FAR)
         if d[3] < deepest[3]:
             place = t
             deepest = d
@@ -241,7 +247,7 @@ def trace_segment(
     slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
     radius = shapes.samples[s].radius
     tolerance = CLOSE_ENOUGH * size
-    at = trace(shapes, own, other, arm, radius + wp.length(slide), 0.0, tolerance, begin, end)
+    at = trace(shapes, own, other, arm, radius + wp.length(slide), 0.0, 0.0, tolerance, begin, end)
     if at >= end:
         return end
     low = place_at(own, other, arm - slide, 0.0)
@@ -273,7 +279,7 @@ def trace_sample(
     A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`.
     """
     arm = wp.quat_rotate(own.turn, p - own.local_center)
-    d = signed_distance(shapes, other.shape, place_at(own, other, arm, 0.0))
+    d = signed_distance(shapes, other.shape, place_at(own, other, arm, 0.0), radius + shapes.shapes[other.shape].cell)
     gap = d[3] - radius
     allowed = DEPTH * size
     earliest = float(begin)
@@ -282,7 +288,7 @@ def trace_sample(
         earliest = 0.0
     if gap + allowed > reach:
         return end
-    return trace(shapes, own, other, arm, radius, allowed, CLOSE_ENOUGH * size, earliest, end)
+    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * size, earliest, end)
 
 
 @wp.func
@@ -314,7 +320,8 @@ def first_touch(
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
     tolerance = CLOSE_ENOUGH * size
-    begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, tolerance, 0.0, end)
+    slack = GRID_ERROR * shapes.shapes[other.shape].cell
+    begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, slack, tolerance, 0.0, end)
     if begin >= end:
         return earliest
     if shapes.shapes[own.shape].convex == 1 and lane == 0:
@@ -322,12 +329,13 @@ def first_touch(
         earliest = trace_sample(shapes, own, other, center, 0.0, DEPTH * size, begin, earliest, size, reach)
     first = shapes.shapes[own.shape].cluster_start + lane
     for cluster in range(first, shapes.shapes[own.shape].cluster_end, lanes):
-        if matters(shapes.clusters[cluster].kind, own.shape, other.shape, 1, shapes):
+        kind = shapes.clusters[cluster].kind
+        if kind != SampleKind.CORNER and matters(kind, own.shape, other.shape, 1, shapes):
             arm = wp.quat_rotate(own.turn, shapes.clusters[cluster].center - own.local_center)
             ball = shapes.clusters[cluster].radius
             at = float(earliest)
             if not out_of_box(place_at(own, other, arm, 0.0), ball + reach, other.shape, shapes):
-                at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
+                at = trace(shapes, own, other, arm, ball, 0.0, slack, tolerance, 0.0, earliest)
             if at < earliest:
                 earliest = trace_cluster(shapes, own, other, cluster, at, earliest, size, reach)
     return earliest

@@ -32,7 +32,7 @@ from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
 from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.convex_pairs import check_by_axis, is_apart
-from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_nearer, signed_distance
 from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind, SampleKind
@@ -76,6 +76,8 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     sphere. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
     segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
     """
+    if kind == SampleKind.CORNER:
+        return has_triangles(shapes, shape)
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
@@ -109,8 +111,7 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
     margin = shapes.clusters[cluster].radius + approach.reach
     if out_of_box(center, margin, approach.shape, shapes):
         return 0
-    d = signed_distance(shapes, approach.shape, center)
-    return wp.where(d[3] < margin, 1, 0)
+    return wp.where(is_nearer(shapes, approach.shape, center, margin), 1, 0)
 
 
 @wp.func
@@ -209,7 +210,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     evaluated = int(0)
     while evaluated < 2:
         # First the radius of the sphere, then its distance from the other body.
-        d = signed_distance(shapes, shape, query)
+        d = signed_distance(shapes, shape, query, -FAR)
         if evaluated == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius

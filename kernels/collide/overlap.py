@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import signed_distance
+from warp_rigid.kernels.collide.distance import is_nearer
 from warp_rigid.kernels.collide.samples import bring_to_touch
 from warp_rigid.kernels.schema import Bodies, Pairs, Shapes, State
 
@@ -20,8 +20,7 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
     own_shape = bodies.shape[own]
     for cluster in range(shapes.shapes[own_shape].cluster_start, shapes.shapes[own_shape].cluster_end):
         c = wp.quat_rotate(turn, shapes.clusters[cluster].center) + shift
-        d = signed_distance(shapes, shape, c)
-        if d[3] < shapes.clusters[cluster].radius - deepest:
+        if is_nearer(shapes, shape, c, shapes.clusters[cluster].radius - deepest):
             for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
                 found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, 0.0, 0.0)
                 deepest = wp.max(deepest, -found.distance)

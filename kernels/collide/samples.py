@@ -8,7 +8,14 @@ the GPU code small and fast, and its compilation short.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import BORDER, FAR, contact_distance, direction_or_up
+from warp_rigid.kernels.collide.distance import (
+    BORDER,
+    FAR,
+    ball_distance_to_mesh,
+    contact_distance,
+    direction_or_up,
+    has_triangles,
+)
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -64,6 +71,7 @@ EDGE_FACING = wp.constant(11)
 EDGE_BEFORE = wp.constant(12)
 EDGE_AFTER = wp.constant(13)
 
+RIM_CENTER = wp.constant(0)
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
 
@@ -320,6 +328,8 @@ def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
         search.direction = gradient(d)
         search.distance = d[3]
         return search
+    if d[3] >= FAR:
+        return nowhere(search)
     n = gradient(d)
     down = wp.dot(n, search.along) * search.along - n
     if wp.length(down) < 0.05:
@@ -460,12 +470,22 @@ def bring_to_touch(
     radius = shapes.samples[s].radius
     convex = shapes.shapes[shape].convex
     size = shapes.shapes[shape].size
-    exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == PartKind.HEIGHTFIELD, 1, convex)
+    part = shapes.shapes[shape].part_start
+    exact = wp.where(shapes.parts[part].kind == PartKind.HEIGHTFIELD, 1, convex)
+    if shapes.parts[part].tree_start < shapes.parts[part].tree_end:
+        exact = 1
+    choice = shapes.samples[s].choice
+    corners = choice > 0 and has_triangles(shapes, shape)
+    near = radius + wp.min(reach, shapes.shapes[shape].cell)
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, shape, turn, shift, weight)
     while search.stage >= 0:
-        d = contact_distance(shapes, shape, search.query, search.facing)
+        d = wp.vec4(0.0, 0.0, 1.0, FAR)
+        if corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER)):
+            d = ball_distance_to_mesh(shapes, part, search.query, radius, reach, choice)
+        else:
+            d = contact_distance(shapes, shape, search.query, search.facing, near)
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:

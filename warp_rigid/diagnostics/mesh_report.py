@@ -7,6 +7,7 @@ import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.scene.shapes import Mesh
+from warp_rigid.scene.shapes.distance_grid import interpolate
 from warp_rigid.scene.shapes.sampling import SampleKind
 
 __all__ = ["inspect_mesh", "parse_slice", "save_slice"]
@@ -128,4 +129,4 @@ def _distances_near_surface(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     weights = rng.dirichlet((1.0, 1.0, 1.0), size=PROBES)
     reach = 2.0 * mesh.grid.spacing / np.sqrt(3.0)
     points = np.einsum("ni,nij->nj", weights, corners) + rng.uniform(-reach, reach, (PROBES, 3))
-    return mesh.signed_distance(points)[0], mesh.exact_signed_distance(points)[0]
+    return interpolate(mesh.grid, points)[0], mesh.signed_distance(points)[0]

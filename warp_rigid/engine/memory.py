@@ -12,6 +12,7 @@ from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes.triangle_tree import tree_bytes
 
 LARGEST_LIMIT = 2**50
 
@@ -42,14 +43,14 @@ def body_bytes(scene: Scene, num_envs: int) -> int:
 
 
 def shape_bytes(scene: Scene) -> int:
-    """Bytes of the distance grids and samples of all distinct shapes, without computing the grids."""
+    """Bytes of the distance grids, triangles and samples of all distinct shapes, without computing the grids."""
     shapes = {body.shape.key: body.shape for body in scene.bodies}.values()
     records = sum(
         _record_bytes(schema.SampleRecord) * len(shape.samples().kind)
         + _record_bytes(schema.ClusterRecord) * len(shape.samples().cluster_radius)
         for shape in shapes
     )
-    return records + sum(4 * shape.grid_nodes for shape in shapes)
+    return records + sum(4 * shape.grid_nodes + tree_bytes(shape.tree_triangles) for shape in shapes)
 
 
 def _record_bytes(record: Any) -> int:

@@ -273,6 +273,7 @@ def _pool_shapes(shapes: list[Shape], exact_reach: float, num_envs: int, device:
     hull = np.concatenate([np.zeros((0, 3)), *(shape.hull for shape in shapes)])
     pool.hull = wp.array(hull.astype(np.float32), dtype=wp.vec3, device=device)
     pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
+    _pool_trees(pool, flat, device)
     return pool, *build_surfaces(shapes, _starts([len(s.kind) for s in samples]), num_envs, device)
 
 
@@ -293,6 +294,9 @@ def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
     rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]
+    rows["cell"] = [
+        max((part.grid.spacing for part in group if part.kind == PartKind.GRID), default=0.0) for group in parts
+    ]
     rows["rise"] = [shape.top_speed if moves(shape) else 0.0 for shape in shapes]
     return rows
 
@@ -309,7 +313,25 @@ def _part_rows(parts: list, grids: list[np.ndarray], exact_reach: float) -> np.n
             row["grid_dims"] = part.grid.values.shape
             row["grid_origin"], row["grid_spacing"] = part.grid.origin, part.grid.spacing
     rows["grid_start"] = _starts([grid.size for grid in grids])[:-1]
+    tree_start = _starts([len(part.tree.nodes) if part.tree else 0 for part in parts])
+    rows["tree_start"], rows["tree_end"] = tree_start[:-1], tree_start[1:]
     return rows
+
+
+def _pool_trees(pool: Any, parts: list, device: Any) -> None:
+    """Concatenate the trees of all meshes; their indices then count from the start of the pool."""
+    trees = [part.tree for part in parts if part.tree]
+    node_start, triangle_start = _starts([len(t.nodes) for t in trees]), _starts([len(t.triangles) for t in trees])
+    nodes = np.zeros(node_start[-1], schema.TreeRecord.numpy_dtype())
+    for tree, node, triangle in zip(trees, node_start, triangle_start, strict=False):
+        rows = nodes[node : node + len(tree.nodes)]
+        rows[:] = tree.nodes
+        rows["skip"] += node
+        rows["triangle_start"] += triangle
+        rows["triangle_end"] += triangle
+    triangles = np.concatenate([np.zeros(0, schema.TriangleRecord.numpy_dtype()), *[t.triangles for t in trees]])
+    pool.tree = wp.array(nodes, dtype=schema.TreeRecord, device=device)
+    pool.triangles = wp.array(triangles, dtype=schema.TriangleRecord, device=device)
 
 
 def _cluster_rows(samples: list) -> np.ndarray:
@@ -320,7 +342,9 @@ def _cluster_rows(samples: list) -> np.ndarray:
         rows["center"] = np.concatenate([s.cluster_center for s in samples])
         rows["radius"] = np.concatenate([s.cluster_radius for s in samples])
         kind = np.concatenate([s.kind[s.cluster_start[:-1]] for s in samples])
-        rows["kind"] = np.where(np.isin(kind, (SampleKind.RIM, SampleKind.CAP)), SampleKind.POINT, kind)
+        choice = np.concatenate([s.choice[s.cluster_start[:-1]] for s in samples])
+        kind = np.where(np.isin(kind, (SampleKind.RIM, SampleKind.CAP)), SampleKind.POINT, kind)
+        rows["kind"] = np.where(choice > 1, SampleKind.CORNER, kind)
         rows["sample_start"] = np.concatenate(
             [s.cluster_start[:-1] + f for s, f in zip(samples, first_sample, strict=False)]
         )
@@ -333,7 +357,7 @@ def _cluster_rows(samples: list) -> np.ndarray:
 def _sample_rows(samples: list) -> np.ndarray:
     """One record per sample."""
     rows = np.zeros(sum(len(s.kind) for s in samples), schema.SampleRecord.numpy_dtype())
-    for name in ("point", "normal", "slide", "radius", "kind"):
+    for name in ("point", "normal", "slide", "radius", "kind", "choice"):
         rows[name] = np.concatenate([getattr(s, name) for s in samples])
     return rows
 

@@ -13,6 +13,7 @@ from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
+from warp_rigid.scene.shapes.triangle_tree import TriangleTree
 
 IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
@@ -39,7 +40,8 @@ class Part:
 
     `size` by kind: SPHERE (radius, 0, 0, 0), BOX (half x, half y, half z, 0), CAPSULE and CYLINDER
     (radius, half height, 0, 0) about local z, PLANE (unit normal, offset), GRID (0, 0, 0, 0),
-    HEIGHTFIELD (extent x, extent y, steepest slope, 0); all but the slope [m].
+    HEIGHTFIELD (extent x, extent y, steepest slope, 0); all but the slope [m]. A GRID with a `tree` has exact distances
+    to triangles near its surface.
     """
 
     kind: PartKind
@@ -47,6 +49,7 @@ class Part:
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     orientation: tuple[float, float, float, float] = IDENTITY_ROTATION
     grid: Grid | None = None
+    tree: TriangleTree | None = None
 
 
 class Shape:
@@ -159,6 +162,11 @@ class Shape:
     @property
     def grid_nodes(self) -> int:
         """Number of grid values among the parts, without computing them."""
+        return 0
+
+    @property
+    def tree_triangles(self) -> int:
+        """Number of triangles among the parts that have exact distances."""
         return 0
 
     def to_data(self, place: Callable[["Shape"], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

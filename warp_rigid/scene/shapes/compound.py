@@ -1,5 +1,6 @@
 """Compound: several shapes rigidly joined into one."""
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Self
 
@@ -9,7 +10,6 @@ from warp_rigid import rotations
 from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
-    Part,
     Shape,
     frozen_array,
     point_array,
@@ -89,6 +89,11 @@ class Compound(Shape):
         """Sum over all children."""
         return sum(shape.grid_nodes for shape, _, _ in self.children)
 
+    @property
+    def tree_triangles(self):
+        """Sum over all children."""
+        return sum(shape.tree_triangles for shape, _, _ in self.children)
+
     def to_data(self, place):
         """The children by index, each with its pose."""
         return {
@@ -113,7 +118,7 @@ class Compound(Shape):
             for part in shape.parts():
                 place = rotation @ np.array(part.position) + position
                 turned = tuple(rotations.multiply(orientation, part.orientation).tolist())
-                flat.append(Part(part.kind, part.size, tuple(place.tolist()), turned, part.grid))
+                flat.append(replace(part, position=tuple(place.tolist()), orientation=turned))
         return flat
 
     def sample_list(self):

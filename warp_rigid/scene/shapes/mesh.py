@@ -11,6 +11,7 @@ from warp_rigid.scene.shapes import distance_grid, mass_properties, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.mesh_repair import Surface, checked, repair
 from warp_rigid.scene.shapes.sampling import sample_mesh
+from warp_rigid.scene.shapes.triangle_tree import TriangleTree, triangle_tree
 
 SAMPLES_PER_SIDE = 16
 
@@ -19,7 +20,8 @@ class Mesh(Shape):
     """Solid inside a triangle mesh, convex or not.
 
     Collisions use a grid of signed distances, which is computed at first use and stored in a cache
-    folder (see `warp_rigid.scene.shapes.distance_grid`).
+    folder (see `warp_rigid.scene.shapes.distance_grid`), and near the surface the triangles themselves, so
+    that walls may be thinner than a cell of the grid. The triangles take at most 200 bytes each.
 
     A mesh with holes represents the solid that results when each boundary loop is closed by a fan
     of triangles from the loop's mean point. Mass, signed distance and sign (by winding number
@@ -125,6 +127,11 @@ class Mesh(Shape):
         nx, ny, nz = distance_grid.grid_layout(self.vertices, self.sdf_resolution)[2]
         return nx * ny * nz
 
+    @property
+    def tree_triangles(self):
+        """All, or none."""
+        return len(self._solid_faces) if self._simple else 0
+
     def to_data(self, place):
         """Triangles and distances as arrays."""
         arrays = {"vertices": self.vertices, "faces": self.faces, "distances": self.grid.values}
@@ -161,23 +168,21 @@ class Mesh(Shape):
         return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
 
     def signed_distance(self, points):
-        """Trilinear interpolation of the grid.
+        """Signed distance to the triangles (n,) [m] and unit direction (n, 3), which is zero on the surface itself.
 
-        The gradient is that of the interpolation: close to unit length but not normalised. Outside the
-        grid the distance is a lower bound (see `warp_rigid.scene.shapes.distance_grid.interpolate`).
-        """
-        return distance_grid.interpolate(self.grid, point_array(points))
-
-    def exact_signed_distance(self, points):
-        """Signed distance to the triangles themselves (n,) [m] and unit direction (n, 3).
-
-        The direction is undefined (zero) on the surface.
+        Computed in float32 about the middle of the mesh. The simulation takes it from the grid where no contact can be,
+        and more than a cell inside.
         """
         return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
 
     def parts(self):
-        """One GRID."""
-        return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid)]
+        """One GRID, with a tree of triangles where their distance has a sign."""
+        return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid, tree=self.tree)]
+
+    @cached_property
+    def tree(self) -> TriangleTree | None:
+        """Triangles for exact distances near the surface; None if edges or holes leave the sign to winding numbers."""
+        return triangle_tree(self._solid_vertices, self._solid_faces) if self._simple else None
 
     @property
     def sample_spacing(self) -> float:
