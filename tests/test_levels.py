@@ -19,7 +19,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.common import team
-from warp_rigid.kernels.graph import support
+from warp_rigid.kernels.graph import islands, support
 from warp_rigid.scene.fields import PointField
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Sphere
@@ -65,6 +65,7 @@ class HandMadeGraph:
         self.constraints.row_count.assign(touches)
         self.constraints.first_row.assign(np.arange(len(rows), dtype=np.int32))
         self.graph.supports.assign(supports * touches)
+        self.graph.swept.fill_(1)
 
     def launch(self, kernel, *arrays, before=()):
         """One team an environment; on the GPU it has more lanes than a small environment has bodies."""
@@ -75,6 +76,16 @@ class HandMadeGraph:
     def solve(self):
         """Levels and islands, (envs, bodies) each."""
         self.launch(support.find_structure, self.bodies, self.constraints, self.graph)
+        rows = self.count * self.per_env
+        wp.launch(islands.start_islands, rows, inputs=[self.bodies, self.graph], device=self.device)
+        inputs = [1, self.bodies, self.constraints, self.graph]
+        wp.launch(islands.join_islands, 1, inputs=inputs, device=self.device)
+        state, shapes = schema.State(), schema.Shapes()
+        state.heap_steps = wp.zeros(rows, dtype=int, device=self.device)
+        state.linear_velocity = wp.zeros(rows, dtype=wp.vec3, device=self.device)
+        shapes.shapes = wp.zeros(1, dtype=schema.ShapeRecord, device=self.device)
+        inputs = [0.01, shapes, self.bodies, self.envs, state, self.graph]
+        wp.launch(islands.vote, rows, inputs=inputs, device=self.device)
         shape = (self.count, self.per_env)
         return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)
 

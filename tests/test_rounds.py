@@ -13,10 +13,10 @@ from warp_rigid.scene.shapes import Box, Sphere
 
 DT = 1 / 120
 LANDED = 1024
-"""Ineffective steps from which islands of any size are solved in rounds."""
+"""Ineffective steps from which islands of any size are solved in rounds, in environments of more than 128 bodies."""
 
 
-def fallen(device, bodies=40, steps=70, **settings):
+def fallen(device, bodies=140, steps=70, **settings):
     """A heap of boxes while it comes down in its bin, and its stages after the velocity update of the next step."""
     case = find_case(f"pile_box:{bodies}")
     sim, stages = opened(case.build(), device, settings=Settings(dt=DT, **settings))
@@ -86,7 +86,7 @@ def with_limit(rounds, limit):
 
 
 def test_many_rounds_reach_coulombs_law(device):
-    _, stages = fallen(device, bodies=20, contact_iterations=400)
+    _, stages = fallen(device, contact_iterations=100)
     problem = ContactProblem(stages)
     stages.solve_heaps()
     impulse = stages.pools.contacts.impulses.numpy()["impulse"][: len(problem.contacts["gap"])].astype(np.float64)
@@ -115,15 +115,19 @@ def test_islands_are_the_connected_components(device):
             assert set(island[list(component)]) == {min(component)}
 
 
-def kinetic_energy(sim):
-    return float(sim.get("kinetic_energy").sum())
+def crowded_scene(**ground):
+    """The ground, and so many balls in the air that small islands are solved in rounds."""
+    scene = ground_scene(**ground)
+    for k in range(130):
+        scene.add_body(Sphere(0.05), position=(k % 13, 5 + k // 13, 500.0))
+    return scene
 
 
 @pytest.mark.parametrize("restitution", [0.3, 1.0])
 def test_impacts_of_a_heap_never_increase_the_energy(device, restitution):
     """Balls that fall together into a bin; the impacts of one step at a time."""
     rng = np.random.default_rng(3)
-    scene = ground_scene(friction=0.4)
+    scene = crowded_scene(friction=0.4)
     for place in rng.uniform(-0.3, 0.3, (30, 3)):
         scene.add_body(Sphere(0.05), position=(*place[:2], 0.4 + place[2]), restitution=restitution)
     sim, stages = opened(scene, device, settings=Settings(dt=DT))
@@ -147,7 +151,7 @@ def test_impacts_of_a_heap_never_increase_the_energy(device, restitution):
 
 
 def test_two_balls_exchange_their_velocities_in_rounds(device):
-    scene = ground_scene()
+    scene = crowded_scene()
     for x, speed in ((-0.1001, 1.0), (0.1001, 0.0)):
         scene.add_body(Sphere(0.1), position=(x, 0, 5), restitution=1.0, linear_velocity=(speed, 0, 0))
     scene.gravity = (0.0, 0.0, 0.0)
@@ -155,12 +159,12 @@ def test_two_balls_exchange_their_velocities_in_rounds(device):
     stages.state.heap_steps.fill_(LANDED)
     sim.step(4)
     assert sim.stats()["islands_rounds"][0] >= 1
-    np.testing.assert_allclose(sim.get("linear_velocity")[0, moving(scene), 0], [0.0, 1.0], atol=1e-5)
+    np.testing.assert_allclose(sim.get("linear_velocity")[0, -2:, 0], [0.0, 1.0], atol=1e-5)
 
 
 def test_overlaps_of_a_heap_are_removed_without_velocity(device):
     """Boxes pressed into each other by 2 mm come apart and do not move afterwards."""
-    scene = ground_scene(friction=0.5)
+    scene = crowded_scene(friction=0.5)
     for k in range(6):
         scene.add_body(Box((0.1,) * 3), position=(0.198 * k, 0, 0.099))
     sim, stages = opened(scene, device, settings=Settings(dt=DT))
@@ -171,39 +175,39 @@ def test_overlaps_of_a_heap_are_removed_without_velocity(device):
         stages.state.heap_steps.fill_(LANDED)
         sim.step(1)
     assert sim.penetration()[0] < 1e-4
-    assert np.abs(sim.get("linear_velocity")).max() < 1e-3
+    assert np.abs(sim.get("linear_velocity")[0, -6:]).max() < 1e-3
 
 
 def test_a_heap_rests(device):
-    """Eight seconds after its drop, the boxes hardly move any more."""
-    case = find_case("pile_box:64")
-    sim = Simulator(case.build(), settings=Settings(dt=DT), device=device)
+    """Of five heaps, only a few boxes that are balanced on an edge still move after six seconds."""
+    case = find_case("pile_box:140")
+    sim = Simulator(case.build(), num_envs=5, settings=Settings(dt=DT), device=device)
     case.scatter(sim)
-    sim.step(960)
-    assert sim.stats()["islands_rounds"][0] > 0
+    sim.step(720)
+    assert (sim.stats()["islands_rounds"] > 0).all()
     before = sim.get("position")
     sim.step(120)
     moved = np.linalg.norm(sim.get("position") - before, axis=2)
-    assert np.quantile(moved, 0.9) < 1e-4, "a box that is balanced on the edge of the bin may still fall"
-    assert sim.penetration()[0] < 1e-4
+    assert ((moved > 1e-4).mean(axis=1) < 0.05).all()
+    assert np.median(sim.penetration()) < 5e-5
 
 
 def test_heavy_bodies_are_not_solved_in_rounds(device):
     """A body of 1000 times the mass that lands on a light one is carried: its island is never a heap."""
-    scene = ground_scene()
-    scene.add_body(Box((0.1,) * 3), position=(0, 0, 0.1), density=100.0)
-    scene.add_body(Box((0.1,) * 3), position=(0, 0, 0.6), density=100000.0)
+    scene = crowded_scene()
+    light = scene.add_body(Box((0.1,) * 3), position=(0, 0, 0.1), density=100.0)
+    heavy = scene.add_body(Box((0.1,) * 3), position=(0, 0, 0.6), density=100000.0)
     sim, stages = opened(scene, device, settings=Settings(dt=DT))
     graph = stages.pools.graph
     for _ in range(240):
         sim.step()
-        assert graph.island.numpy()[2] == 2 or graph.solver.numpy()[2] != IslandSolver.ROUNDS
-    assert graph.island.numpy()[2] == 1
-    assert sim.get("position")[0, 2, 2] == pytest.approx(0.3, abs=1e-4)
+        assert graph.island.numpy()[heavy] == heavy or graph.solver.numpy()[heavy] != IslandSolver.ROUNDS
+    assert graph.island.numpy()[heavy] == light
+    assert sim.get("position")[0, heavy, 2] == pytest.approx(0.3, abs=1e-4)
 
 
 def test_the_choice_is_saved(device, tmp_path):
-    case = find_case("pile_box:40")
+    case = find_case("pile_box:140")
     sim = Simulator(case.build(), settings=Settings(dt=DT), device=device)
     case.scatter(sim)
     sim.step(80)

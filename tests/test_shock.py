@@ -250,7 +250,7 @@ def test_a_tower_of_crossed_beams_stands(device):
 
 def heap_beside_a_tower(device):
     """A simulator of a heap that has come down in its bin, with a tower outside, and the bodies of both."""
-    case = find_case("pile_box:70")
+    case = find_case("pile_box:140")
     scene = case.build()
     heap = moving(scene)
     tower = stacks.add_stack(scene, 8, x=4.0)

@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from warp_rigid.kernels.enums import IslandSolver, Motion
+from warp_rigid.kernels.enums import IslandSolver, Motion, Role
 from warp_rigid.kernels.graph.islands import PATIENCE
-from warp_rigid.kernels.schema import Bodies, Environments, Graph, Rounds, State
+from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Rounds, State
 from warp_rigid.kernels.solve.line_search import accepted_share, searched
 
 wp.set_module_options({"enable_backward": False})
@@ -25,13 +25,15 @@ def steps_after_shock(steps: int, island: int, graph: Graph):
 
 
 @wp.kernel
-def count_ineffective_steps(bodies: Bodies, envs: Environments, graph: Graph, rounds: Rounds, state: State):
+def count_ineffective_steps(
+    bodies: Bodies, envs: Environments, motions: Motions, graph: Graph, rounds: Rounds, state: State
+):
     """One thread per body: count the ineffective steps of its island, or the steps of a free flight.
 
     Steps in which sweeps or rounds have converged are not counted: shock propagation was not needed.
     """
     b = wp.tid()
-    if bodies.motion[b] != Motion.DYNAMIC:
+    if motions.role[b] != Role.FREE or bodies.motion[b] != Motion.DYNAMIC:
         return
     env = bodies.env[b]
     if graph.touching[b] == 0:

@@ -50,7 +50,7 @@ def read(world: World, name: str) -> np.ndarray:
     if name in PER_ENVIRONMENT:
         return setting_from_device(name, getattr(world.envs, name).numpy().copy())
     if name == "level":
-        level = world.shards.gather(lambda shard: shard.pools.graph.level.numpy())
+        level = world.shards.gather(lambda shard: shard.stages.levels())
         return level.reshape(world.num_envs, world.num_bodies)
     if name == "asleep":
         return _rows(world, world.sleep_state.asleep).astype(bool)
@@ -318,7 +318,7 @@ def counts(world: World) -> dict[str, int]:
     return {
         "pairs": int(pairs.sum()),
         "contacts": int(contacts.sum()),
-        "levels": int(world.shards.gather(lambda shard: shard.pools.graph.level_count.numpy()).max()),
+        "levels": int(world.shards.gather(lambda shard: shard.stages.levels()).max()),
         "pair_capacity": sizes["pairs"],
         "contact_capacity": sizes["contacts"],
         "most_pairs": int(world.shards.most_wanted[0]),

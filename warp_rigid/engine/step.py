@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from warp_rigid.engine.hash_grid import HashGrid
@@ -17,6 +18,7 @@ from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
+from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
     effectiveness,
@@ -237,7 +239,7 @@ class Stages:
         self._per_env(support.compare_graph, [], [graph])
         self._per_body(islands.start_islands, [bodies], [graph])
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
-        self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.state], [graph])
+        self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
         self._per_body(islands.choose_solver, [bodies, self.envs], [graph])
         self._list_heaps()
         own = [self.lanes, self.envs, bodies, constraints]
@@ -288,7 +290,7 @@ class Stages:
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
         self.solve_heaps()
-        found = [self.model.bodies, self.envs, self.pools.graph, self.pools.rounds]
+        found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
         self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
     def sweep_constraints(self, after_shock: int) -> None:
@@ -425,6 +427,24 @@ class Stages:
         else:
             self._shared(build_contacts.store_impulses, self.pools.sizes["contacts"], [], [contacts, pairs], [history])
         wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
+
+    def levels(self) -> np.ndarray:
+        """Level of each body in the contact graph of the last step, (bodies,).
+
+        The step needs no levels of heaps, so they are found here, in arrays of their own.
+        """
+        graph = self.pools.graph
+        if not (graph.solver.numpy() == IslandSolver.ROUNDS).any():
+            return graph.level.numpy()
+        found = declare.allocate(schema.Graph, self.pools.sizes, self.device)
+        found.supports = graph.supports
+        found.swept.fill_(1)
+        self._per_team(
+            support.find_structure,
+            [self.lanes, self.envs, self.model.bodies, self.pools.constraints],
+            [found],
+        )
+        return np.where(self.sleep_state.asleep.numpy() == 1, graph.level.numpy(), found.level.numpy())
 
     def deepest_overlap(self, deepest: Any) -> None:
         """Find the deepest overlap of each environment in the current state: an array (envs, 1) of floats [m].
