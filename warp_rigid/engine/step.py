@@ -305,7 +305,6 @@ class Stages:
         self._color_by_color(line_search.sum_energy)
         self._color_by_color(line_search.accept)
 
-    @stage
     def solve_heaps(self) -> None:
         """Rounds: solve all pairs of heaps at once, until nothing changes."""
         pools, solved = self.pools, self.pools.rounds
@@ -327,7 +326,6 @@ class Stages:
         self._color_by_color(push_out.push_apart)
         self.push_heaps()
 
-    @stage
     def push_heaps(self) -> None:
         """Push-out of heaps, in rounds."""
         model, pools, pushed = self.model, self.pools, self.pools.selected
