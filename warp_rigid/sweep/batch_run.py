@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid.checks import shown
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -75,7 +76,8 @@ def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = No
     """Build a simulator of one row in its initial state; see SweepResult.replay."""
     source = result.source if scene is None else scene
     if source is None:
-        raise ValueError("scene: must be given, since the table does not name its source")
+        named = shown(result.about.get("source"))
+        raise ValueError(f"scene: must be given: a file named in a table is not run, and the table names {named}")
     demo, scene_id = resolve_scene(source)
     if scene_id != result.about.get("scene"):
         raise ValueError(f"scene: must be that of the rows, {result.about.get('scene')}, got {scene_id}")
