@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "warp_rigid"
 
 LAYERS = (
-    ("version", "errors", "checks", "rotations"),
+    ("version", "errors", "checks", "rotations", "threads"),
     ("kernels",),
     ("files",),
     ("scene",),

@@ -81,7 +81,8 @@ def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
         if device is None:
             device = header["device"] if isinstance(header["device"], str) else "cpu"
         made = make(**arguments, device=device)
-        restore(made._world, header, arrays)
+        with made.in_use():
+            restore(made._world, header, arrays)
         return made
     except archive.UNREADABLE as error:
         if str(error).startswith(("device:", "memory")):

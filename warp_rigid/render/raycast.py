@@ -11,6 +11,7 @@ from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.render.film import Film
 from warp_rigid.rotations import rotate
+from warp_rigid.threads import exclusive
 
 wp.set_module_options({"enable_backward": False})
 
@@ -234,6 +235,10 @@ class RayCaster:
 
     def __init__(self, film: Film, camera: Camera):
         """Build the data shared by all frames."""
+        with exclusive():  # it changes the default device of all threads
+            self._upload(film, camera)
+
+    def _upload(self, film: Film, camera: Camera) -> None:
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
@@ -260,6 +265,10 @@ class RayCaster:
 
     def draw(self, frame: int, width: int, height: int) -> np.ndarray:
         """Render one frame, (height, width, 3) uint8 (sRGB)."""
+        with exclusive():
+            return self._draw(frame, width, height)
+
+    def _draw(self, frame: int, width: int, height: int) -> np.ndarray:
         self._place_instances(frame)
         x = (2.0 * np.arange(width) + 1.0) / width - 1.0
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height

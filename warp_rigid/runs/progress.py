@@ -71,7 +71,8 @@ class Checkpoints:
                 if not isinstance(value, Scene | Body | Shape)
             },
         }
-        checkpoint.save(plan.sim._world, self.path, more, arrays)
+        with plan.sim.in_use():
+            checkpoint.save(plan.sim._world, self.path, more, arrays)
 
     def resume(self, plan: Any, progress: Progress) -> bool:
         """Restore the simulator of the plan and the progress from the checkpoint.
@@ -104,7 +105,8 @@ class Checkpoints:
             progress.deepest = archive.shaped(arrays, DEEPEST, np.float64, progress.deepest.shape)
             progress.recorder.restore(arrays.below(FRAMES))
             vars(progress.outcome).update({k: _from_plain(v, arrays) for k, v in more["outcome"].items()})
-            checkpoint.restore(plan.sim._world, header, arrays)
+            with plan.sim.in_use():
+                checkpoint.restore(plan.sim._world, header, arrays)
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         return True

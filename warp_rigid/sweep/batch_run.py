@@ -67,7 +67,8 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     settings = Settings(**inputs[0].settings)
     sim = Simulator(scenes[0], num_envs=len(runs), settings=settings, device=job.device, seed=runs[0].seed)
     if len(scenes) > 1:
-        start_each(sim, scenes, which)
+        with sim.in_use():
+            start_each(sim, scenes, which)
     _set_all(sim, inputs)
     return Prepared(sim, [EnvironmentView(sim, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
 
@@ -138,7 +139,8 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
         step_frame(sim, min(steps_per_sample, remaining), events)
         remaining -= steps_per_sample
         recorder.observe()
-        peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
+        with sim.in_use():
+            peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
         for outcome, view in zip(outcomes, prepared.views, strict=False):
             outcome.observe(view)
         _append_frame(job, sim, frames)

@@ -13,6 +13,7 @@ from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
+from warp_rigid.threads import exclusive
 
 IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
@@ -216,6 +217,11 @@ def analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.nd
         part: of an analytic kind, neither GRID nor HEIGHTFIELD.
         points: (n, 3) float64 in the part's frame [m].
     """
+    with exclusive():
+        return _analytic_distance(part, points)
+
+
+def _analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     places = wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
     found = wp.empty(len(points), dtype=wp.vec4d, device="cpu")
     inputs = [int(part.kind), wp.vec4d(*part.size), places]

@@ -17,6 +17,7 @@ import numpy as np
 from warp_rigid.engine.cores import spread, usable_cores
 from warp_rigid.scene.shapes import topology
 from warp_rigid.scene.shapes.base import Grid, content_hash, frozen_array
+from warp_rigid.threads import exclusive
 
 PADDING_CELLS = 3
 FORMAT = 1  # raise whenever the same mesh would give another grid or file
@@ -68,6 +69,11 @@ def bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -
     Returns:
         (nx, ny, nz) float32 [m].
     """
+    with exclusive():
+        return _bake(vertices, faces, origin, spacing, shape, simple, device)
+
+
+def _bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -> np.ndarray:
     import warp as wp
 
     from warp_rigid.kernels.collide import bake as kernels
@@ -125,11 +131,15 @@ def mesh_distance(vertices, faces, points, simple: bool, device=None):
     Returns:
         Distance (k,) [m], and unit direction (k, 3), zero on the surface.
     """
+    with exclusive():
+        return _mesh_distance(vertices, faces, points, simple, device or _device())
+
+
+def _mesh_distance(vertices, faces, points, simple: bool, device):
     import warp as wp
 
     from warp_rigid.kernels.collide import bake as kernels
 
-    device = device or _device()
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     tables, held = _mesh_tables(vertices - center, faces, simple, device)
     positions = wp.array((points - center).astype(np.float32), dtype=wp.vec3, device=device)
