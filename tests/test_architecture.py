@@ -13,6 +13,7 @@ LAYERS = (
     ("version", "errors", "checks", "rotations", "threads"),
     ("kernels",),
     ("files",),
+    ("kernel_cache",),
     ("scene",),
     ("engine",),
     ("scenes",),

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine.cores import spread, usable_cores
+from warp_rigid.kernel_cache import load_module
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.render.film import Film
 from warp_rigid.rotations import rotate
@@ -239,6 +240,7 @@ class RayCaster:
             self._upload(film, camera)
 
     def _upload(self, film: Film, camera: Camera) -> None:
+        load_module(wp.get_device("cpu"), __name__, 1)
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
@@ -328,7 +330,6 @@ class RayCaster:
         point = wp.array(places, dtype=wp.vec2, device="cpu")
         color = wp.zeros(count, dtype=wp.vec3, device="cpu")
         cuts = np.linspace(0, count, 4 * self._threads + 1, dtype=int)
-        wp.load_module(device="cpu")
 
         # A CPU launch runs on the calling thread and releases the GIL.
         def cast(part):

@@ -3,12 +3,13 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import warp as wp
 
+from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes.mass_properties import MassProperties
@@ -218,7 +219,13 @@ def analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.nd
         points: (n, 3) float64 in the part's frame [m].
     """
     with exclusive():
+        _load_host_distance()
         return _analytic_distance(part, points)
+
+
+@cache
+def _load_host_distance() -> None:
+    load_module(wp.get_device("cpu"), host_distance.__name__, 1)
 
 
 def _analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
