@@ -61,7 +61,7 @@ class Simulator:
         capacity: initial capacity for "pairs" and "contacts" of all environments; None estimates both.
 
     Attributes:
-        scene: as given.
+        scene: a copy of the scene given; later changes of either do not affect the simulation.
         num_envs: number of environments.
         num_bodies: number of bodies in each environment, in the order of the scene.
         settings: as given.
@@ -103,7 +103,7 @@ class Simulator:
                 memory_limit,
                 capacity or {},
             )
-        self.scene, self.settings, self.device = scene, self._world.settings, self._world.device
+        self.scene, self.settings, self.device = self._world.scene, self._world.settings, self._world.device
         self.num_envs, self.num_bodies = self._world.num_envs, self._world.num_bodies
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
 
