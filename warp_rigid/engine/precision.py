@@ -52,7 +52,7 @@ def _check_heights(scene: Scene, size: float) -> None:
         if step > LARGEST_STEP * size:
             raise ValueError(
                 f"body {index} ({body.name}): must be closer to the origin along gravity, got {place @ down:.6g} m; "
-                f"heights there are multiples of {step:.2g} m in single precision, too coarse for a body of {size:.3g} m"
+                f"heights there are multiples of {step:.2g} m in single precision, too coarse for {size:.3g} m"
             )
 
 
