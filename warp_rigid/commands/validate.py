@@ -13,6 +13,7 @@ from rich.table import Table
 
 from warp_rigid.commands.terminal import check_outputs, console, progress
 from warp_rigid.engine.simulator import choose_device
+from warp_rigid.files.atomic import atomic_file
 
 
 def validate_command(
@@ -130,6 +131,7 @@ class _Writer:
             "results.json": json.dumps(report.as_json(findings, devices), indent=1),
         }
         for name, text in texts.items():
-            (self.folder / name).write_text(text)
+            with atomic_file(self.folder / name) as temporary:
+                temporary.write_text(text)
             self.files.append(str(self.folder / name))
         return self.files

@@ -6,7 +6,7 @@ how many cores shared the environments: any machine goes on from it.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -81,7 +81,8 @@ def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
         if device is None:
             device = header["device"] if isinstance(header["device"], str) else "cpu"
         made = make(**arguments, device=device)
-        restore(made._world, header, arrays)
+        with made.in_use():
+            restore(made._world, header, arrays)
         return made
     except archive.UNREADABLE as error:
         if str(error).startswith(("device:", "memory")):
@@ -89,7 +90,7 @@ def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
         raise archive.unusable(path, KIND, error) from None
 
 
-def restore(world: World, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+def restore(world: World, header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
     """Bring a simulator of the same scene and as many environments to where a checkpoint was written.
 
     Raises:
@@ -110,7 +111,7 @@ def restore(world: World, header: dict[str, Any], arrays: dict[str, np.ndarray])
     world.record()
 
 
-def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """The Simulator's arguments, after a look whether the arrays are as large as they would make it."""
     scene = scene_from_data(header["scene"], arrays)
     envs = whole_in("num_envs", header["num_envs"], 1, 10_000_000)
@@ -183,7 +184,7 @@ def _newer_coefficients(header: dict[str, Any]) -> set[str]:
 
 
 def _checked(
-    name: str, own: np.ndarray, arrays: dict[str, np.ndarray], used: dict[str, int], world: World
+    name: str, own: np.ndarray, arrays: Mapping[str, np.ndarray], used: dict[str, int], world: World
 ) -> np.ndarray:
     """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
     struct, _, last = name.partition(".")

@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any
 
-import warp as wp
-
 from warp_rigid.engine.cores import usable_cores
+from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import bake, broadphase, candidates, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
@@ -82,7 +81,7 @@ def load_kernels(
 
     jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:
-        loaded = [pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], block) for module, block in jobs]
+        loaded = [pool.submit(load_module, device, module.__name__, block) for module, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):
             done.result()
             if on_module is not None:

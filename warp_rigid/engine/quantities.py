@@ -7,8 +7,9 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import shown
+from warp_rigid.checks import LARGEST, shown, whole_in
 from warp_rigid.engine.model import mass_arrays
+from warp_rigid.engine.precision import check_mass_ratio
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
@@ -126,14 +127,17 @@ def _rows(world: World, array: wp.array) -> np.ndarray:
 
 
 def _broadcast(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """The value as finite float32 of a shape."""
+    """The value as float32 of a shape, each number finite in float32. Text, complex numbers and booleans are none."""
     try:
-        values = np.broadcast_to(np.asarray(value, np.float32), shape)
+        numbers = np.asarray(value)
+        if numbers.dtype.kind not in "iuf":
+            raise TypeError
+        values = np.broadcast_to(numbers, shape)
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {_brief(value)}") from error
-    if not np.isfinite(values).all():
+    if not (np.abs(values) <= LARGEST).all():
         raise ValueError(f"{name}: must be finite numbers")
-    return values
+    return values.astype(np.float32)
 
 
 def _brief(value: Any) -> str:
@@ -189,16 +193,22 @@ def _assign_rows(world: World, array: wp.array, values: Any, chosen: np.ndarray,
 def _write_active(world: World, value: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
     if np.asarray(value).dtype != bool:
         raise ValueError(f"active: must be True or False, got {_brief(value)}")
-    _assign_rows(world, world.state.active, _broadcast("active", value, (len(chosen), len(bodies))), chosen, bodies)
+    numbers = np.asarray(value).astype(np.int32)
+    _assign_rows(world, world.state.active, _broadcast("active", numbers, (len(chosen), len(bodies))), chosen, bodies)
 
 
 def _write_mass(world: World, value: Any, chosen: np.ndarray, bodies: np.ndarray) -> None:
     new = _broadcast("mass", value, (len(chosen), len(bodies)))
     if (new <= 0.0).any():
         raise ValueError("mass: must be > 0 [kg]")
-    for column, body in enumerate(bodies):
+    for body in bodies:
         if world.scene.bodies[body].motion != Motion.DYNAMIC:
             raise ValueError(f"mass: body {body} is not dynamic and has none")
+    masses = read(world, "mass")
+    masses[np.ix_(chosen, bodies)] = new
+    masses = masses[:, [body.motion == Motion.DYNAMIC for body in world.scene.bodies]]
+    check_mass_ratio(masses[(masses.max(axis=1) / masses.min(axis=1)).argmax()].tolist())
+    for column, body in enumerate(bodies):
         rows = chosen * world.num_bodies + body
         for name, values in mass_arrays(world.scene.bodies[body].shape, new[:, column].astype(np.float64)).items():
             array = getattr(world.model.bodies, name)
@@ -251,7 +261,7 @@ def reset(world: World, envs: Any) -> None:
 def apply_impulse(world: World, impulse: Any, point: Any, body: int, envs: Any) -> None:
     """Change velocities by an impulse at a world point; see Simulator.apply_impulse."""
     chosen = env_indices(world, envs)
-    b = int(_body_indices(world, body)[0])
+    b = whole_in("body", body, 0, world.num_bodies - 1)
     push = _broadcast("impulse", impulse, (len(chosen), 3))
     at = _broadcast("point", point, (len(chosen), 3))
     if world.scene.bodies[b].motion != Motion.DYNAMIC:
@@ -262,8 +272,12 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int, envs: Any) 
     mass = read(world, "mass")[chosen, b]
     linear = read(world, "linear_velocity")[chosen, b] + push / mass[:, None]
     angular = read(world, "angular_velocity")[chosen, b] + spin
-    write(world, "linear_velocity", linear[:, None], chosen, [b])
-    write(world, "angular_velocity", angular[:, None], chosen, [b])
+    # Both are checked before either is written.
+    velocities = {"linear_velocity": linear, "angular_velocity": angular}
+    for name, values in velocities.items():
+        _broadcast(f"impulse: {name}", values, values.shape)
+    for name, values in velocities.items():
+        write(world, name, values[:, None], chosen, [b])
 
 
 def contact_records(world: World) -> np.ndarray:

@@ -17,6 +17,7 @@ from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
+from warp_rigid.threads import exclusive
 
 WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
 """Status of an environment that a step records; it is undone with the step and cleared by a reset."""
@@ -81,7 +82,10 @@ class Shard:
         Only one shard at a time can record, while no other one is stepping. If an exception is raised, the shard is
         unchanged.
         """
-        pools = pools or self.pools
+        with exclusive():
+            self._record(dt, repetitions, sleeping, pools or self.pools)
+
+    def _record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools) -> None:
         stages = Stages(self._model, self._state, self._sleep_state, self._envs, pools, dt, repetitions, sleeping)
         kept = self._kept_arrays(pools, sleeping)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
@@ -122,12 +126,16 @@ class Shard:
     def record_measuring(self) -> None:
         """Record the kernels of `deepest_overlap`, unless recorded already; one shard at a time, as for `record`."""
         if self._measuring is None:
-            load_kernels(self._device, OVERLAP)
-            self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
-            with wp.ScopedCapture(self._device, force_module_load=False) as capture:
-                self.pools.begin()
-                self.stages.deepest_overlap(self._deepest)
-            self._measuring = capture.graph
+            with exclusive():
+                self._record_measuring()
+
+    def _record_measuring(self) -> None:
+        load_kernels(self._device, OVERLAP)
+        self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
+        with wp.ScopedCapture(self._device, force_module_load=False) as capture:
+            self.pools.begin()
+            self.stages.deepest_overlap(self._deepest)
+        self._measuring = capture.graph
 
     def deepest_overlap(self) -> np.ndarray:
         """Deepest overlap in each of its environments, (envs,) [m]; see Simulator.penetration."""

@@ -1,8 +1,11 @@
 """Simulator: many environments of one scene that are stepped together on one device."""
 
+import functools
 import logging
-from collections.abc import Mapping
-from typing import Any
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import warp as wp
@@ -14,12 +17,32 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
 from warp_rigid.scene.scene import Scene
+from warp_rigid.threads import exclusive, on_stream
 
 log = logging.getLogger("warp_rigid")
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def guarded(
+    method: Callable[Concatenate["Simulator", Given], Result],
+) -> Callable[Concatenate["Simulator", Given], Result]:
+    """Let one thread at a time use a simulator, and none while another one records a step."""
+
+    @functools.wraps(method)
+    def run(self: "Simulator", *arguments: Given.args, **named: Given.kwargs) -> Result:
+        with self.in_use():
+            return method(self, *arguments, **named)
+
+    return run
 
 
 class Simulator:
     """`num_envs` environments of one scene, each with its own state, parameters and settings.
+
+    Simulators can be used from several threads. On a CPU their steps run at the same time, on a GPU one after another.
+    A simulator works on the stream that was current when it was made.
 
     Args:
         scene: the scene.
@@ -38,7 +61,7 @@ class Simulator:
         capacity: initial capacity for "pairs" and "contacts" of all environments; None estimates both.
 
     Attributes:
-        scene: as given.
+        scene: a copy of the scene given; later changes of either do not affect the simulation.
         num_envs: number of environments.
         num_bodies: number of bodies in each environment, in the order of the scene.
         settings: as given.
@@ -65,18 +88,22 @@ class Simulator:
         capacity: Mapping[str, int] | None = None,
     ) -> None:
         """Upload the scene and compile the step."""
-        self._world = World(
-            scene,
-            num_envs,
-            settings or Settings(),
-            choose_device(device),
-            seed,
-            on_overflow,
-            on_nonfinite,
-            memory_limit,
-            capacity or {},
-        )
-        self.scene, self.settings, self.device = scene, self._world.settings, self._world.device
+        chosen = choose_device(device)
+        self._lock = threading.RLock()
+        self._stream = wp.get_stream(chosen) if chosen.is_cuda else None
+        with exclusive():
+            self._world = World(
+                scene,
+                num_envs,
+                settings or Settings(),
+                chosen,
+                seed,
+                on_overflow,
+                on_nonfinite,
+                memory_limit,
+                capacity or {},
+            )
+        self.scene, self.settings, self.device = self._world.scene, self._world.settings, self._world.device
         self.num_envs, self.num_bodies = self._world.num_envs, self._world.num_bodies
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
 
@@ -90,6 +117,13 @@ class Simulator:
         """Device memory that the simulator occupies [bytes]."""
         return self._world.shards.memory
 
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Context in which this thread alone uses the simulator, and none records a step."""
+        with self._lock, on_stream(self.device, self._stream):
+            yield
+
+    @guarded
     def step(self, count: int = 1) -> None:
         """Advance all environments by `count` steps of dt.
 
@@ -105,10 +139,12 @@ class Simulator:
             if self.on_nonfinite == "raise":
                 self._raise_if_nonfinite()
 
+    @guarded
     def get(self, name: str) -> np.ndarray:
         """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings."""
         return quantities.read(self._world, name)
 
+    @guarded
     def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None) -> None:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
@@ -127,6 +163,7 @@ class Simulator:
         """Return the device array of a state or body quantity, (envs * bodies, ...), without a copy."""
         return quantities.live_array(self._world, name)
 
+    @guarded
     def reset(self, envs: Any = None) -> None:
         """Reset environments to the initial state of the scene, bit for bit; parameters and settings are kept.
 
@@ -135,6 +172,7 @@ class Simulator:
         """
         quantities.reset(self._world, envs)
 
+    @guarded
     def save(self, path: Any) -> None:
         """Write a checkpoint, a file from which `load` continues bit for bit.
 
@@ -161,10 +199,12 @@ class Simulator:
         """
         return checkpoint.load(path, device, Simulator)
 
+    @guarded
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """Apply an impulse [N s] to a body at a world point [m], immediately; the body and its island wake up."""
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 
+    @guarded
     def contacts(self) -> np.ndarray:
         """Return the contacts of the last step as records: env, body_a, body_b, position, normal, depth, impulse.
 
@@ -172,10 +212,12 @@ class Simulator:
         """
         return quantities.contact_records(self._world)
 
+    @guarded
     def penetration(self) -> np.ndarray:
         """Return the current deepest overlap of each environment over all surface samples, (envs,) [m]."""
         return self._world.shards.deepest_overlap()
 
+    @guarded
     def status(self) -> np.ndarray:
         """Return records (envs,): the status, and the step, time [s] and body at which it began (-1 if ok).
 
@@ -184,10 +226,12 @@ class Simulator:
         """
         return quantities.status_records(self._world)
 
+    @guarded
     def counts(self) -> dict[str, int]:
         """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use."""
         return quantities.counts(self._world)
 
+    @guarded
     def stats(self) -> dict[str, np.ndarray]:
         """Return what the solver did in the last step: arrays (envs,) by name.
 
@@ -203,6 +247,7 @@ class Simulator:
         """
         return quantities.solver_stats(self._world)
 
+    @guarded
     def swept_boxes(self) -> np.ndarray:
         """Return the boxes of the last broad phase, (envs, bodies, 2, 3): lower and upper corners [m].
 

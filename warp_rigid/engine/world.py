@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from warp_rigid.checks import one_of, whole_in
+from warp_rigid.checks import one_of, shown, whole_in
 from warp_rigid.engine import pools
 from warp_rigid.engine.batch import Shards, plan
 from warp_rigid.engine.loading import GRIDS, STEP, load_kernels
 from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.engine.model import build_model, initial_environments, initial_state
+from warp_rigid.engine.precision import check_precision
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
@@ -22,7 +23,7 @@ class World:
     The arguments are those of `Simulator`, which describes them.
 
     Attributes:
-        scene: as given.
+        scene: a copy of the scene given.
         num_envs: environments.
         num_bodies: bodies in each, in the scene's order.
         settings: of all environments at first.
@@ -52,8 +53,12 @@ class World:
         capacity: Mapping[str, int],
     ) -> None:
         """Check the arguments, upload the scene and compile the step."""
+        if not isinstance(scene, Scene):
+            raise ValueError(f"scene: must be a Scene, got {shown(scene)}")
         if not scene.bodies:
             raise ValueError("scene.bodies: must hold at least one body")
+        scene = scene.copy()
+        check_precision(scene)
         self.scene, self.settings, self.device = scene, settings, device
         self.num_envs = whole_in("num_envs", num_envs, 1, 10_000_000)
         self.num_bodies = len(scene.bodies)

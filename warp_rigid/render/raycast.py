@@ -8,9 +8,11 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine.cores import spread, usable_cores
+from warp_rigid.kernel_cache import load_module
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.render.film import Film
 from warp_rigid.rotations import rotate
+from warp_rigid.threads import exclusive
 
 wp.set_module_options({"enable_backward": False})
 
@@ -234,6 +236,11 @@ class RayCaster:
 
     def __init__(self, film: Film, camera: Camera):
         """Build the data shared by all frames."""
+        with exclusive():  # it changes the default device of all threads
+            self._upload(film, camera)
+
+    def _upload(self, film: Film, camera: Camera) -> None:
+        load_module(wp.get_device("cpu"), __name__, 1)
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
@@ -260,6 +267,10 @@ class RayCaster:
 
     def draw(self, frame: int, width: int, height: int) -> np.ndarray:
         """Render one frame, (height, width, 3) uint8 (sRGB)."""
+        with exclusive():
+            return self._draw(frame, width, height)
+
+    def _draw(self, frame: int, width: int, height: int) -> np.ndarray:
         self._place_instances(frame)
         x = (2.0 * np.arange(width) + 1.0) / width - 1.0
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height
@@ -319,7 +330,6 @@ class RayCaster:
         point = wp.array(places, dtype=wp.vec2, device="cpu")
         color = wp.zeros(count, dtype=wp.vec3, device="cpu")
         cuts = np.linspace(0, count, 4 * self._threads + 1, dtype=int)
-        wp.load_module(device="cpu")
 
         # A CPU launch runs on the calling thread and releases the GIL.
         def cast(part):

@@ -61,7 +61,8 @@ def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     name, bracket, bodies = name.strip().partition("[")
     name = name.replace("-", "_")
     parts = [part.strip() for part in _split(values)]
-    if not equals or not name.isidentifier() or (bracket and not bodies.endswith("]")) or not all(parts):
+    choice_is_bad = bracket and not (bodies.endswith("]") and bodies[:-1].strip())
+    if not equals or not name.isidentifier() or choice_is_bad or not all(parts):
         raise ValueError(f"{flag}: must be name=value or name=value,value,..., got {shown(text)}")
     return name + bracket + bodies, [_value(part) for part in parts]
 

@@ -4,6 +4,7 @@ The attributes of an outcome must be plain data: numbers, strings, arrays, and l
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,8 @@ class Checkpoints:
                 if not isinstance(value, Scene | Body | Shape)
             },
         }
-        checkpoint.save(plan.sim._world, self.path, more, arrays)
+        with plan.sim.in_use():
+            checkpoint.save(plan.sim._world, self.path, more, arrays)
 
     def resume(self, plan: Any, progress: Progress) -> bool:
         """Restore the simulator of the plan and the progress from the checkpoint.
@@ -101,10 +103,10 @@ class Checkpoints:
             progress.frame = whole_in("frame", more["frame"], 1, plan.frames)
             progress.events[:] = progress.events[len(progress.events) - more["events"] :]
             progress.deepest = archive.shaped(arrays, DEEPEST, np.float64, progress.deepest.shape)
-            frames = {name[len(FRAMES) :]: array for name, array in arrays.items() if name.startswith(FRAMES)}
-            progress.recorder.restore(frames)
+            progress.recorder.restore(arrays.below(FRAMES))
             vars(progress.outcome).update({k: _from_plain(v, arrays) for k, v in more["outcome"].items()})
-            checkpoint.restore(plan.sim._world, header, arrays)
+            with plan.sim.in_use():
+                checkpoint.restore(plan.sim._world, header, arrays)
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         return True
@@ -147,7 +149,7 @@ def _to_plain(name: str, value: Any, arrays: dict[str, np.ndarray]) -> Any:
     raise ValueError(f"{name}: must be plain data to be stored in a checkpoint, got {type(value).__name__}")
 
 
-def _from_plain(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _from_plain(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     ((kind, content),) = value.items()

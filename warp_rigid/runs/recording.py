@@ -4,7 +4,7 @@ A saved recording is self-contained: it stores the surfaces and names of the bod
 drawn without the program that made it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -243,7 +243,7 @@ class Recorder:
         """All recorded data as arrays, by name."""
         return self._stacked() | (_contact_arrays(self._contact_frames()) if self._contacts else {})
 
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the frames that another recorder returned from `arrays`.
 
         Raises:
@@ -344,7 +344,7 @@ def is_moving(motion: np.ndarray) -> np.ndarray:
     return np.asarray(motion) != Motion.STATIC
 
 
-def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
+def _checked(text: dict, arrays: Mapping[str, np.ndarray]) -> dict:
     """Validate the content of a file and return the fields of a Recording."""
     time = shaped(arrays, "time", np.float64, (None,))
     envs = shaped(arrays, "envs", np.int64, (None,))
@@ -372,7 +372,7 @@ def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
     }  # fmt: skip
 
 
-def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency: float) -> DrawnSurface:
+def _surface(arrays: Mapping[str, np.ndarray], index: int, endless: bool, frequency: float) -> DrawnSurface:
     vertices = shaped(arrays, f"vertices_{index}", np.float32, (None, 3))
     faces = shaped(arrays, f"faces_{index}", np.int32, (None, 3))
     if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
@@ -383,7 +383,7 @@ def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency
     return DrawnSurface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0))
 
 
-def _quantities(arrays: dict[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
+def _quantities(arrays: Mapping[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
     """Validate quantities of shape (frames, envs, bodies, ...), by name."""
     return {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in kinds.items()}
 
@@ -403,7 +403,7 @@ def _contact_arrays(contacts: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     return {"contact_count": counts} | {place: records[name] for name, place in CONTACTS.items()}
 
 
-def _contacts(arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray, ...]:
+def _contacts(arrays: Mapping[str, np.ndarray], frames: int) -> tuple[np.ndarray, ...]:
     """Inverse of `_contact_arrays`, validated."""
     counts = shaped(arrays, "contact_count", np.int64, (frames,))
     total = len(shaped(arrays, CONTACTS["env"], np.int32, (None,)))

@@ -5,6 +5,7 @@ is given, so that an error is reported at the line that caused it.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -112,6 +113,13 @@ class Scene:
         """Return the number of bodies of each kind as text."""
         counts = [sum(body.motion == motion for body in self.bodies) for motion in Motion]
         return f"Scene({counts[2]} dynamic, {counts[1]} kinematic, {counts[0]} static bodies)"
+
+    def copy(self) -> "Scene":
+        """Return a scene with the same content, which later additions to this one do not change."""
+        found = copy(self)
+        for name in ("bodies", "force_fields", "filtered_pairs", "constraints"):
+            setattr(found, name, copy(getattr(self, name)))
+        return found
 
     @list_coefficients
     def add_body(

@@ -1,6 +1,6 @@
 """Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -49,7 +49,7 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return data, arrays
 
 
-def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scene:
+def scene_from_data(data: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Scene:
     """Return the scene that `scene_to_data` was called with.
 
     Raises:
@@ -102,7 +102,9 @@ def _place_shape(shape: Shape, shapes: list, arrays: dict, places: dict[str, int
     return places[shape.key]
 
 
-def _shape_from_data(index: int, entry: dict[str, Any], arrays: dict[str, np.ndarray], earlier: list[Shape]) -> Shape:
+def _shape_from_data(
+    index: int, entry: dict[str, Any], arrays: Mapping[str, np.ndarray], earlier: list[Shape]
+) -> Shape:
     def array(name: str, dtype: Any, shape: tuple[int | None, ...]) -> np.ndarray:
         return shaped(arrays, f"shape_{index}_{name}", dtype, shape)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid.checks import shown
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -66,7 +67,8 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     settings = Settings(**inputs[0].settings)
     sim = Simulator(scenes[0], num_envs=len(runs), settings=settings, device=job.device, seed=runs[0].seed)
     if len(scenes) > 1:
-        start_each(sim, scenes, which)
+        with sim.in_use():
+            start_each(sim, scenes, which)
     _set_all(sim, inputs)
     return Prepared(sim, [EnvironmentView(sim, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
 
@@ -75,7 +77,8 @@ def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = No
     """Build a simulator of one row in its initial state; see SweepResult.replay."""
     source = result.source if scene is None else scene
     if source is None:
-        raise ValueError("scene: must be given, since the table does not name its source")
+        named = shown(result.about.get("source"))
+        raise ValueError(f"scene: must be given: a file named in a table is not run, and the table names {named}")
     demo, scene_id = resolve_scene(source)
     if scene_id != result.about.get("scene"):
         raise ValueError(f"scene: must be that of the rows, {result.about.get('scene')}, got {scene_id}")
@@ -136,7 +139,8 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
         step_frame(sim, min(steps_per_sample, remaining), events)
         remaining -= steps_per_sample
         recorder.observe()
-        peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
+        with sim.in_use():
+            peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
         for outcome, view in zip(outcomes, prepared.views, strict=False):
             outcome.observe(view)
         _append_frame(job, sim, frames)

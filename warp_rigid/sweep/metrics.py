@@ -104,7 +104,8 @@ def _escaped(recorder: MetricRecorder) -> np.ndarray:
 
 def _contacts(recorder: MetricRecorder) -> np.ndarray:
     """Number of contacts in the last step."""
-    return counts_of_environments(recorder.sim._world)[1]
+    with recorder.sim.in_use():
+        return counts_of_environments(recorder.sim._world)[1]
 
 
 def _final_pose(recorder: MetricRecorder) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import scenes
 from warp_rigid.checks import shown
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
@@ -38,14 +39,15 @@ class SweepResult:
         rows: one dictionary per run: run, id, seed, parameters, environment, status, reason, peak pair and contact
             counts, metrics, wall_time [s].
         about: metadata: scene, design, versions.
-        source: the scene as passed to `sweep`; for a table read from a file, the name or path of the scene, or None.
+        source: the scene as passed to `sweep`; for a table read from a file, the name of its built-in scene, or None.
     """
 
     def __init__(self, rows: Sequence[dict[str, Any]], about: dict[str, Any], source: Any = None) -> None:
         """Sort the rows by their position in the design."""
         self.rows = sorted(rows, key=lambda row: row["run"])
         self.about = about
-        self.source = about.get("source") if source is None else source
+        named = about.get("source")
+        self.source = source if source is not None else named if named in scenes.names() else None
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -108,12 +110,12 @@ class SweepResult:
     def replay(self, row: dict[str, Any], scene: Any = None, device: Any = None) -> Any:
         """Build a Simulator of one row in its initial state, to simulate that run again.
 
-        Events of a built-in scene, such as a thrown box, are not included.
+        Events of a built-in scene, such as a thrown box, are not included. A table read from a file is data: a scene
+        file that it names is neither opened nor run.
 
         Args:
             row: one of `rows`.
-            scene: the scene as passed to `sweep`; required only for a table read from a file whose scene has neither a
-                name nor a file.
+            scene: the scene as passed to `sweep`; required for a table read from a file, unless the scene is built in.
             device: as in Simulator; results are bitwise equal only on the same kind of device.
         """
         return replay(self, row, scene, device)

@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from warp_rigid.usd.opening import MAX_PRIMS
+from warp_rigid.usd.examination import MAX_PRIMS
 
 __all__ = ["expand_instancers"]
 
@@ -97,6 +97,9 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
         raise ValueError(f"{prim.GetPath()}: must have a constant number of instances and arrays of equal length")
     if len(indices) and not (0 <= indices.min() and indices.max() < len(prototypes)):
         raise ValueError(f"{prim.GetPath()}: protoIndices must be from 0 to {len(prototypes) - 1}")
+    missing = [path for path in prototypes if not stage.GetPrimAtPath(path)]
+    if missing:
+        raise ValueError(f"{prim.GetPath()}: prototypes: there is no prim {missing[0]}")
     masked = instancer.ComputeMaskAtTime(times[0])
     visible = np.array(masked, dtype=bool) if masked else np.ones(len(indices), dtype=bool)
     outer = UsdGeom.Xformable(prim).GetLocalTransformation(Usd.TimeCode.Default())

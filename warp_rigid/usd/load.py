@@ -56,13 +56,16 @@ def film_duration(path) -> float:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: It is not a USD file.
+        ValueError: It is not a USD file, or its range of time codes is not that of a film.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
 
-    from warp_rigid.usd.opening import open_stage
+    from warp_rigid.usd.metadata import time_codes
+    from warp_rigid.usd.opening import convert_errors, open_stage
 
     stage = open_stage(path)
-    return (stage.GetEndTimeCode() - stage.GetStartTimeCode()) / stage.GetTimeCodesPerSecond()
+    with convert_errors(path):
+        codes = time_codes(stage)
+        return (codes.last - codes.first) / codes.rate

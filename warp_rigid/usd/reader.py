@@ -18,6 +18,7 @@ from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.materials import read_material
+from warp_rigid.usd.metadata import is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 
@@ -95,9 +96,9 @@ class Reader:
         self._root = self._stage.GetPrimAtPath(root) if root else self._stage.GetPseudoRoot()
         expand_instancers(self._root, [Usd.TimeCode.Default()])
         self._transforms = UsdGeom.XformCache()
-        self._meter = UsdGeom.GetStageMetersPerUnit(self._stage)
-        self._kilogram = UsdPhysics.GetStageKilogramsPerUnit(self._stage)
-        y_up = UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.y
+        self._meter = meters_per_unit(self._stage)
+        self._kilogram = kilograms_per_unit(self._stage)
+        y_up = is_y_up(self._stage)
         self._to_z_up = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) if y_up else np.eye(3)
         self._shapes: dict[str, Shape] = {}
         self._body_of: dict[str, int] = {}
@@ -285,19 +286,19 @@ class Reader:
                 matrix = matrix_of(self._transforms.ComputeRelativeTransform(prim, body.prim)[0])
             matrix[:3] = stretch @ matrix[:3]
             shape, position, orientation = convert_prim(prim, matrix, self._sdf_resolution, notes)
+            material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
+            coefficients, density = self._material(prim, material.GetPrim() if material else None)
+            mass_api = UsdPhysics.MassAPI(prim)
+            own_density = _positive(mass_api.GetDensityAttr())
+            if own_density is None:
+                own_density = _positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
+            mass = _positive(mass_api.GetMassAttr()) if prim != body.prim else None
         except ValueError as error:
             self._leave_out(prim.GetPath(), str(error))
             return None
         for note in notes:
             self._change(prim, note)
         shape = self._shapes.setdefault(shape.key, shape)
-        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
-        coefficients, density = self._material(prim, material.GetPrim() if material else None)
-        mass_api = UsdPhysics.MassAPI(prim)
-        own_density = _positive(mass_api.GetDensityAttr())
-        if own_density is None:
-            own_density = _positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
-        mass = _positive(mass_api.GetMassAttr()) if prim != body.prim else None
         return _Collider(prim, shape, position, orientation, coefficients, own_density, mass)
 
     def _material(self, prim: Usd.Prim, material: Usd.Prim | None) -> tuple[dict[str, float], float | None]:
@@ -376,9 +377,17 @@ def _joined(group: list[_Collider], motion: Motion) -> tuple[Shape, np.ndarray, 
 
 
 def _positive(attribute: Usd.Attribute) -> float | None:
-    """A number if it is positive and finite, else None; USD ignores other masses and densities."""
+    """A mass or density; None if it is not authored or zero, which USD ignores.
+
+    Raises:
+        Unreadable: It is negative or not finite.
+    """
     value = attribute.Get() if attribute else None
-    return float(value) if value is not None and 0.0 < value < math.inf else None
+    if value is None or value == 0.0:
+        return None
+    if not 0.0 < value < math.inf:
+        raise Unreadable(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
+    return float(value)
 
 
 def _kind_name(kind: Any) -> str:

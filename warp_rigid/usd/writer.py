@@ -1,11 +1,15 @@
 """Writer of USD files frame by frame; the file is readable after every flush."""
 
+import contextlib
 import tempfile
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
@@ -14,7 +18,15 @@ from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
-from warp_rigid.usd.specs import SampleWriter, define, open_layer, save_layer, set_attribute, stage_metadata
+from warp_rigid.usd.specs import (
+    SampleWriter,
+    define,
+    export_layer,
+    open_layer,
+    save_layer,
+    set_attribute,
+    stage_metadata,
+)
 
 __all__ = ["UsdWriter"]
 
@@ -52,13 +64,30 @@ class UsdWriter:
         self._writers: list[tuple[SampleWriter, Instancers | Bodies | ContactMarks]] = []
         self._clips: Clips | None = None
         self._frames = self._flushed = 0
+        self._failure: OSError | None = None
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Convert errors of the library. After an error nothing more is written: the layers may be incomplete."""
+        if self._failure is not None:
+            raise self._failure
+        try:
+            yield
+        except (Tf.ErrorException, OSError) as error:
+            foreign = self._package is not None or not isinstance(error, OSError)
+            self._failure = OSError(f"{self._path}: cannot be written; is the disk full?") if foreign else error
+            raise self._failure from None
 
     def write(self, frame: Frame) -> None:
         """Append a frame.
 
         Raises:
-            OSError: A file cannot be written.
+            OSError: A file cannot be written, now or earlier.
         """
+        with self._writing():
+            self._write(frame)
+
+    def _write(self, frame: Frame) -> None:
         with Sdf.ChangeBlock():
             if self._frames == 0:
                 self._define(frame)
@@ -104,8 +133,12 @@ class UsdWriter:
         """Set the final spacing of the environments and finish the file.
 
         Raises:
-            OSError: A file cannot be written.
+            OSError: A file cannot be written, now or earlier.
         """
+        with self._writing():
+            self._finish()
+
+    def _finish(self) -> None:
         if len(self._rows) > 1 and self._frames:
             with Sdf.ChangeBlock():
                 self._arrange()
@@ -119,11 +152,7 @@ class UsdWriter:
     def _compact(self) -> None:
         """Remove the data that later flushes replaced."""
         for layer in self._layers:
-            path = Path(layer.realPath)
-            compacted = path.with_name(f".{path.name}")
-            if not layer.Export(str(compacted)):
-                raise OSError(f"{path}: cannot be written")
-            compacted.replace(path)
+            export_layer(layer, Path(layer.realPath))
 
     def _define(self, frame: Frame) -> None:
         """Write the constant data, and the first frame as default values."""
@@ -203,16 +232,19 @@ class UsdWriter:
         return f"./{self._parts.name}/{Path(part.realPath).name}"
 
     def _pack(self, package: tempfile.TemporaryDirectory) -> None:
-        """Write the .usdz package."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        """Write the .usdz package. The library does not report a disk that becomes full, so the result is checked."""
+        inner = Path(self._root.realPath)
         try:
-            written = UsdUtils.CreateNewUsdzPackage(self._root.realPath, str(self._path))
-        except Tf.ErrorException:
-            written = False
+            with atomic_file(self._path) as temporary:
+                UsdUtils.CreateNewUsdzPackage(str(inner), str(temporary))
+                with zipfile.ZipFile(temporary) as made:
+                    complete = made.testzip() is None and made.getinfo(inner.name).file_size == inner.stat().st_size
+                if not complete:
+                    raise OSError(f"{temporary}: cannot be written")
+        except (Tf.ErrorException, zipfile.BadZipFile, KeyError, EOFError):
+            raise OSError(f"{self._path}: cannot be written; is the disk full?") from None
         finally:
             package.cleanup()
-        if not written:
-            raise OSError(f"{self._path}: cannot be written")
 
 
 class Clips:
@@ -268,7 +300,5 @@ class Clips:
     def _export(self, layer: Sdf.Layer, name: str) -> str:
         """Write a file; returns its path relative to the root file."""
         path = self._folder / f"{name}{self._suffix}"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not layer.Export(str(path)):
-            raise OSError(f"{path}: cannot be written")
+        export_layer(layer, path)
         return f"./{self._folder.name}/{path.name}"

@@ -3,17 +3,19 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import warp as wp
 
+from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree
+from warp_rigid.threads import exclusive
 
 IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
@@ -229,6 +231,17 @@ def analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.nd
         part: of an analytic kind, neither GRID nor HEIGHTFIELD.
         points: (n, 3) float64 in the part's frame [m].
     """
+    with exclusive():
+        _load_host_distance()
+        return _analytic_distance(part, points)
+
+
+@cache
+def _load_host_distance() -> None:
+    load_module(wp.get_device("cpu"), host_distance.__name__, 1)
+
+
+def _analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     places = wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
     found = wp.empty(len(points), dtype=wp.vec4d, device="cpu")
     inputs = [int(part.kind), wp.vec4d(*part.size), places]
