@@ -14,6 +14,8 @@ from warp_rigid.bench import measure, peers
 from warp_rigid.bench.cases import STANDARD, BenchmarkCase, find_case, moving
 from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.commands import cli
+from warp_rigid.rotations import rotate
+from warp_rigid.scenes.builders import stacks
 
 NAMES = [find_case(text) for text in STANDARD]
 
@@ -67,6 +69,51 @@ def test_bodies_start_apart_and_every_environment_in_its_own_way(case):
     assert alike == (case.name == "stack")
     # The scene by itself is environment 0.
     assert position[0] == pytest.approx(np.array([sim.scene.bodies[i].position for i in rows]), abs=1e-5)
+
+
+@pytest.mark.parametrize("name, bodies", [("pyramid", 21), ("pyramid", 23), ("kapla", 180), ("kapla", 400)])
+def test_structures_start_at_rest_and_stay(name, bodies):
+    """Pyramids and towers, with an unfinished row or layer too: they touch without overlap, and nothing moves."""
+    case = BenchmarkCase(name, bodies)
+    sim = Simulator(case.build(), 1, device="cpu")
+    rows = moving(sim.scene)
+    start = sim.get("position")[:, rows].astype(np.float64)
+    assert len(rows) == bodies
+    assert sim.penetration().max() < 1e-8
+    assert case.drift(start).max() < 1e-6 and np.abs(case.height_error(start)).max() < 1e-7
+    sim.step(60)
+    assert sim.counts()["levels"] >= 2
+    assert np.abs(sim.get("position")[:, rows] - start).max() < 1e-6
+
+
+def test_pyramid_is_that_of_the_other_engine():
+    """Box3D, large_pyramid: 100 rows of cubes of 1 m, 5050 in all, density 100, friction 0.6."""
+    scene = BenchmarkCase("pyramid", 5050).build()
+    cubes = [scene.bodies[i] for i in moving(scene)]
+    assert (
+        len(cubes) == 5050 and {body.mass for body in cubes} == {100.0} and {b.friction for b in scene.bodies} == {0.6}
+    )
+    assert cubes[99].position == (49.5, 0.0, 0.5) and cubes[-1].position == (0.0, 0.0, 99.5)
+    assert sum(body.position[2] == 0.5 for body in cubes) == 100
+
+
+@pytest.mark.parametrize("sectors", [36, 60])
+def test_bricks_of_a_tower_rest_on_two_others(sectors):
+    """Seen from above, a brick covers points of the faces of two bricks below, on either side of its middle."""
+    count = 6 * sectors
+    position, orientation = stacks.brick_tower(count, sectors)
+    length, width, thickness = stacks.BRICK
+    along = rotate(orientation, np.tile([1.0, 0.0, 0.0], (count, 1)))
+    across = rotate(orientation, np.tile([0.0, 1.0, 0.0], (count, 1)))
+    assert np.unique(np.round(position[:, 2] / thickness)).tolist() == [1.0, 3.0, 5.0, 7.0]
+    u, v = (n.ravel() for n in np.meshgrid(np.linspace(-length, length, 31), np.linspace(-width, width, 7)))
+    faces = position[:, None] + u[:, None] * along[:, None] + v[:, None] * across[:, None]
+    for k in range(sectors, count):
+        below = np.isclose(position[:, 2], position[k, 2] - 2.0 * thickness)
+        place = (faces[below] - position[k]) @ np.stack([along[k], across[k]], axis=1)
+        covered = (np.abs(place) < [length, width]).all(axis=-1)
+        assert covered.any(axis=1).sum() >= 2
+        assert place[covered][:, 0].min() < 0.0 < place[covered][:, 0].max()
 
 
 def test_piles_start_where_their_seed_says():
