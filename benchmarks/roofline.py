@@ -1,8 +1,8 @@
 """Roofline: the least time of each stage by memory, arithmetic and launches; `python -m benchmarks.roofline`.
 
 Every scene is run until it has settled, or for a given time in which it still moves. Then the work of one step is
-counted: rows from the live arrays, bytes per row from the declarations in `kernels/schema.py`, operations per visit from
-the constants below. The floor of a stage is the largest of three times: its bytes at the memory's bandwidth, its
+counted: rows from the live arrays, bytes per row from the declarations in `kernels/schema.py`, operations per visit
+from the constants below. The floor of a stage is the largest of three times: its bytes at the memory's bandwidth, its
 operations at the arithmetic's rate, and its launches one after another. Each array counts once per stage, because
 repeated reads are assumed to hit a cache. Therefore no implementation with this data can be faster than the floor.
 """

@@ -111,7 +111,7 @@ def test_a_table_is_written_with_every_stage_that_launches(device, tmp_path, cap
 
 
 def test_a_scene_in_motion_is_counted_at_its_time(device, tmp_path):
-    """A cube that starts at a height of 0.25 m touches the floor after 0.2 s, and is searched in each step until it rests."""
+    """A cube that starts at 0.25 m touches the floor after 0.2 s, and is searched in each step until it rests."""
     page = tmp_path / "page.md"
     roofline.main(["pile_box:2:2@0.3", "--device", str(device), "--write", str(page)])
     assert "## pile_box:2 × 2, 0.3 s after the start" in page.read_text()
