@@ -33,6 +33,8 @@ def run(problem):
         raise RuntimeError("three is too many")
     if problem.num_envs == 4:
         import an_engine_that_is_missing
+    if problem.num_envs == 5:
+        print("Warning: Triangle pair buffer overflowed 2000 > 1000.")
     gravity = np.array(problem.gravity)
     velocity = np.broadcast_to(gravity * time, problem.position.shape)
     figures = {"engine": "mujoco", "version": "1", "device": "cpu", "collider": "none", **seconds}
@@ -304,13 +306,15 @@ def test_other_engines_get_the_same_start_and_the_same_judge(capsys, fake_peer):
 
 def test_an_engine_that_is_missing_or_fails_is_told(capsys, fake_peer):
     few = ("--frames", 1, "--settle", 0, "--peers", "mujoco")
-    status, told, error = bench(capsys, "stack:1", "--envs", "3,4", *few)
+    status, told, error = bench(capsys, "stack:1", "--envs", "3,4,5", *few)
     assert status == 0
     assert [row.get("fault") for row in told["rows"]] == [
         None,
         "RuntimeError: three is too many",
         None,
         "not installed",
+        None,
+        "contacts are missing: Warning: Triangle pair buffer overflowed 2000 > 1000.",
     ]
     assert "mujoco: stack:1: not installed" in error
 
@@ -382,7 +386,7 @@ def test_table_fits_and_tells_the_cold_start(capsys, monkeypatch, fake_peer):
         (["stack:1", "--phases", "--peers", "mujoco"], "--phases: cannot be combined with"),
         (["stack:1", "--until", "3"], "--until: needs --phases"),
         (["stack:1", "-o", "bench.pdf"], "bench.pdf: must end in .png"),
-        (["stack:1", "--peers", "chrono"], "--peers: must be one of newton"),
+        (["stack:1", "--peers", "chrono"], "--peers: must be one of newton_steel, newton_xpbd"),
         (["stack:1", "--peers", "mujoco", "--peer-python", "mujoco=/nowhere"], "no interpreter at '/nowhere'"),
         (["stack:1", "--peer-python", "rapier=/bin/sh"], "--peer-python: must be one of an engine of --peers"),
     ],

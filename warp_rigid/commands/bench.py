@@ -38,7 +38,8 @@ def bench_command(
     json_lines: Annotated[str | None, typer.Option(help="Append one JSON line per run to this file.")] = None,
     output: Annotated[str | None, typer.Option("-o", "--output", help="Plot of all runs, .png.")] = None,
     peers: Annotated[
-        str | None, typer.Option(help="Engines to compare with: newton, mujoco_warp, mujoco, rapier, pybullet.")
+        str | None,
+        typer.Option(help="Engines to compare with: newton_steel, newton_xpbd, mujoco_warp, mujoco, rapier, pybullet."),
     ] = None,
     peer_python: Annotated[
         list[str] | None, typer.Option(help="Python interpreter of an engine, as name=path; repeatable.")
