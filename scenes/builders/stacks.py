@@ -8,6 +8,7 @@ import numpy as np
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scene.shapes.base import Shape
+from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders.bodies import add_bodies
 
 CUBE = Box((0.1, 0.1, 0.1))
@@ -168,6 +169,51 @@ def add_brick_tower(scene: Scene, count: int, sectors: int = 60, **coefficients:
         Indices of the bricks, lowest first.
     """
     return add_bodies(scene, Box(BRICK), *brick_tower(count, sectors), **coefficients)
+
+
+def voussoir(stones: int, radius: float, thickness: float, depth: float, sdf_resolution: int = 64) -> Mesh:
+    """A stone of a semicircular arch, about the centre of its middle radius; z points outwards, x along the arch.
+
+    Args:
+        stones: number of stones in the arch.
+        radius: mean radius of the arch [m].
+        thickness: of the arch, radially [m].
+        depth: along the axis of the arch [m].
+        sdf_resolution: as in `Mesh`.
+    """
+    half = 0.5 * np.pi / stones
+    corners = [
+        (along * r * np.sin(half), across * 0.5 * depth, r * np.cos(half) - radius)
+        for r in (radius - 0.5 * thickness, radius + 0.5 * thickness)
+        for across in (-1, 1)
+        for along in (-1, 1)
+    ]
+    faces = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3)]
+    faces += [(0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
+    return Mesh(np.array(corners), np.array(faces), sdf_resolution)
+
+
+def add_arch(
+    scene: Scene, stones: int, radius: float, thickness: float, depth: float = 1.0, **coefficients: Any
+) -> list[int]:
+    """Add a semicircular arch of equal stones that stands on the plane z = 0, about the y axis.
+
+    Args:
+        scene: the scene.
+        stones: number of stones.
+        radius: mean radius [m].
+        thickness: radial thickness [m].
+        depth: along y [m].
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the stones, from -x to +x.
+    """
+    angle = np.pi * ((np.arange(stones) + 0.5) / stones - 0.5)
+    flat = np.zeros(stones)
+    positions = radius * np.stack([np.sin(angle), flat, np.cos(angle)], axis=1)
+    orientations = np.stack([flat, np.sin(0.5 * angle), flat, np.cos(0.5 * angle)], axis=1)
+    return add_bodies(scene, voussoir(stones, radius, thickness, depth), positions, orientations, **coefficients)
 
 
 def add_ball_pyramid(scene: Scene, base: int, radius: float, **coefficients: Any) -> list[int]:
