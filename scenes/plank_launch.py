@@ -70,7 +70,7 @@ class LaunchOutcome:
         text = f"plank in base < {1e3 * limit:g} mm during the launch"
         sound = {"default": True, "one_pass": True}
         verdicts = [
-            Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound),
+            Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound, "m"),
         ]
         if self.depth is not None:
             verdicts.append(below("depth", self.depth, limit, text, sound | {"off": False}))

@@ -18,10 +18,9 @@ from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
+    OverlapOutcome,
     Verdict,
-    below,
     indices,
-    overlap_verdict,
     start_apart,
 )
 
@@ -118,22 +117,18 @@ def threaded(position, orientation, feet) -> np.ndarray:
     return inside.any(axis=-1).sum(axis=1)
 
 
-class RingsOutcome:
-    """Number of rings on poles, whether none is lost, and how deep they overlap during the run and at its end."""
+class RingsOutcome(OverlapOutcome):
+    """Number of rings on poles, and whether none is lost and none overlaps another."""
 
     def __init__(self, scene):
         """Find rings and poles."""
+        super().__init__()
         self.rings = indices(scene, "ring_")
         self.feet = np.array([scene.bodies[i].position[:2] for i in indices(scene, "pole_")])
         self.bound = LOST * CYLINDER_A_SIDE * math.isqrt(len(self.feet))
-        self.depth: Any = 0.0
-
-    def observe(self, sim):
-        """Measure the overlap."""
-        self.depth = np.maximum(self.depth, sim.penetration())
 
     def verdicts(self, sim):
-        """Rings lost, rings on poles, and overlap at the end."""
+        """Rings lost, rings on poles, and overlap."""
         position = sim.get("position")[:, self.rings].astype(np.float64)
         orientation = sim.get("orientation")[:, self.rings].astype(np.float64)
         # A ring whose position is NaN counts as lost.
@@ -145,14 +140,7 @@ class RingsOutcome:
         return [
             Verdict("lost", lost, "no ring lost", lost == 0, sound),
             Verdict("threaded", on_poles, "at least one ring on a pole", on_poles > 0, some),
-            below(
-                "deepest",
-                np.maximum(self.depth, sim.penetration()),
-                DEEPEST,
-                f"overlap < {1e3 * DEEPEST:g} mm at all times",
-                sound,
-            ),
-            overlap_verdict(sim, 0.02, sound),
+            *self.overlap_verdicts(sim, 0.02, DEEPEST, sound),
         ]
 
 

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from warp_rigid.commands import cli
 from warp_rigid.commands import run as run_module
 from warp_rigid.commands.terminal import explain
 from warp_rigid.runs import runner
+from warp_rigid.scenes import incline
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -115,18 +117,33 @@ def test_verdicts_name_what_is_not_as_expected(capsys):
         "labels": ["default", "off", "on"],
         "verdicts": [
             {
-                "name": "drift", "limit": "drift < 1", "values": [0.5, 2.0, 3.0],
+                "name": "drift", "limit": "drift < 1 mm", "unit": "mm", "values": [0.5e-3, 2e-3, 3e-3],
                 "passed": [True, False, False], "expected": [True, False, True],
             }
         ],
     }  # fmt: skip
     run_module._print_summary(summary)
     out = capsys.readouterr().out
-    assert "0.5 yes" in out and "2 no, as expected" in out and "3 no, NOT AS EXPECTED" in out
+    # In the unit of the condition.
+    assert "0.5 mm yes" in out and "2 mm no, as expected" in out and "3 mm no, NOT AS EXPECTED" in out
     assert "2 of 3 verdicts as expected" in out
     summary["envs"] = 100
     run_module._print_summary(summary)
-    assert "1 of 3" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "1 of 3" in out and "0.5 mm" in out and "3 mm" in out
+
+
+@pytest.mark.parametrize("expected, status", [(True, 0), (False, 6)])
+def test_an_unexpected_verdict_has_its_own_status(capsys, monkeypatch, expected, status):
+    """The block of the incline starts at rest: it has not slid, whatever the scene expects."""
+
+    class Slides(incline.InclineOutcome):
+        def verdicts(self, sim):
+            return [replace(super().verdicts(sim)[0], expected={"default": expected})]
+
+    demo = replace(scenes.get("incline"), outcome=Slides, duration=1 / 60)
+    monkeypatch.setattr("warp_rigid.runs.runner.find_scene", lambda name: demo)
+    assert run(capsys, "run", "incline")[0] == status
 
 
 def test_lists_run_side_by_side(capsys, scene_file):

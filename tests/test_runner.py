@@ -81,6 +81,7 @@ def test_summary_holds_verdicts_and_what_is_expected():
         {
             "name": "rank",
             "limit": "rank < 1",
+            "unit": "",
             "values": [0.0, 1.0],
             "passed": [True, False],
             "expected": [True, False],

@@ -12,10 +12,11 @@ from warp_rigid.commands.terminal import check_outputs, console, note, progress
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
+from warp_rigid.scenes.demo import shown_value
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
-CAPACITY, NON_FINITE = 3, 4
+CAPACITY, NON_FINITE, UNEXPECTED = 3, 4, 6
 MAX_RECORDED = 16
 """Default maximum number of recorded environments."""
 MAX_COLUMNS = 8
@@ -67,7 +68,10 @@ def run_command(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Simulate a scene, evaluate its outcome, and write animations and images."""
+    """Simulate a scene, evaluate its outcome, and write animations and images.
+
+    Exit status 6: a verdict is not as expected.
+    """
     pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
     check_outputs(output, {path: endings for path, endings in pictures.items() if path})
     one_of("--color", color, COLORINGS)
@@ -112,7 +116,7 @@ def run_command(
         print(json.dumps(summary))
     else:
         _print_summary(summary)
-    return _status(summary["failed"])
+    return _status(summary["failed"]) or (0 if all(_judged(summary["verdicts"])) else UNEXPECTED)
 
 
 def _memory_limit(text: str | None) -> int | float | None:
@@ -235,33 +239,38 @@ def _verdict_table(summary: dict[str, Any]) -> Table:
     for verdict in summary["verdicts"]:
         rows = list(zip(verdict["values"], verdict["passed"], verdict["expected"], strict=True))
         if few:
-            cells = [_cell(*row) for row in rows]
+            cells = [_cell(*row, verdict["unit"]) for row in rows]
         else:
             passed = sum(verdict["passed"])
             color = "green" if passed == len(rows) else "red"
             cells = [f"[{color}]{passed} of {len(rows)}[/]"]
-            cells += [f"{pick(verdict['values']):.3g}" for pick in (min, max)]
+            cells += [shown_value(pick(verdict["values"]), verdict["unit"]) for pick in (min, max)]
         table.add_row(verdict["name"], verdict["limit"], *cells)
     return table
 
 
-def _cell(value: float, passed: bool, expected: bool | None) -> str:
-    answer = "yes" if passed else "no"
+def _cell(value: float, passed: bool, expected: bool | None, unit: str) -> str:
+    answer, shown = "yes" if passed else "no", shown_value(value, unit)
     if expected is None:
-        return f"{value:.3g} {answer}"
+        return f"{shown} {answer}"
     if passed == expected:
-        return f"{value:.3g} [green]{answer}{'' if passed else ', as expected'}[/]"
-    return f"{value:.3g} [red]{answer}, NOT AS EXPECTED[/]"
+        return f"{shown} [green]{answer}{'' if passed else ', as expected'}[/]"
+    return f"{shown} [red]{answer}, NOT AS EXPECTED[/]"
 
 
-def _conclusion(verdicts: list[dict[str, Any]]) -> str:
-    """Summarise how many verdicts are as expected."""
-    judged = [
+def _judged(verdicts: list[dict[str, Any]]) -> list[bool]:
+    """Whether each verdict with an expectation is as expected."""
+    return [
         passed == expected
         for verdict in verdicts
         for passed, expected in zip(verdict["passed"], verdict["expected"], strict=True)
         if expected is not None
     ]
+
+
+def _conclusion(verdicts: list[dict[str, Any]]) -> str:
+    """Summarise how many verdicts are as expected."""
+    judged = _judged(verdicts)
     if not judged:
         return "no verdict is expected with changed settings or a shortened run"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"

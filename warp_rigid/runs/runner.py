@@ -428,6 +428,7 @@ def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, An
     return {
         "name": verdict.name,
         "limit": verdict.limit,
+        "unit": verdict.unit,
         "values": _numbers(verdict.values),
         "passed": [bool(passed) for passed in verdict.passed],
         "expected": [None if variant is None else verdict.expected.get(variant) for variant in variants],

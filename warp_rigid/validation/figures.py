@@ -15,7 +15,7 @@ MOST_LINES = 12
 """Largest number of variants in a plot, which are chosen at equal intervals."""
 SMALLEST = 1e-6
 """Smallest ratio of error and tolerance in the overview."""
-INK = {"PASS": "tab:green", "MISS": "tab:orange", "FAIL": "tab:red", "ERROR": "tab:red"}
+INK = {"PASS": "tab:green", "MISS": "tab:orange", "MET": "gold", "FAIL": "tab:red", "ERROR": "tab:red"}
 assert set(INK) == set(COLORS)
 
 

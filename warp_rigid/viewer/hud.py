@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from warp_rigid.scene.scene import Motion
-from warp_rigid.scenes.demo import AT_REST
+from warp_rigid.scenes.demo import AT_REST, shown_value
 from warp_rigid.viewer.session import Paced, Session
 
 __all__ = ["Hud"]
@@ -90,7 +90,7 @@ def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest:
         lines.append(f"environment {env}: **{failed['status'][env]}** since step {failed['step'][env]}")
     for verdict in session.verdicts:
         shown = [
-            f"{'yes' if passed else 'no'} ({value:.3g})"
+            f"{'yes' if passed else 'no'} ({shown_value(value, verdict.unit)})"
             for value, passed in zip(verdict.values[rows], verdict.passed[rows], strict=True)
         ]
         lines.append(f"{verdict.limit}: **{', '.join(shown[:4])}**{' ...' if len(shown) > 4 else ''}")
