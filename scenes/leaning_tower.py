@@ -53,7 +53,7 @@ class TowerOutcome:
         expected = {"default": True, "one_pass": not self.falls}
         if self.falls:
             expected |= {"off": True, "two_pass": True}
-        return [Verdict("top_height", top, text, passed, expected)]
+        return [Verdict("top_above_platform", top, text, passed, expected)]
 
 
 DEMO = Demo(

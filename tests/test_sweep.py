@@ -254,6 +254,8 @@ def test_scenes_come_in_five_forms(tmp_path):
         ({"friction": [-1.0]}, {}, "friction: must be a finite number >= 0"),
         ({"restitution": [2.0]}, {}, "restitution: must be a number from 0 to 1"),
         ({"mass[ball]": [0.0]}, {}, "must be a finite number > 0"),
+        ({"gravity": [-9.81]}, {}, "gravity: must be vectors of 3 numbers, got -9.81"),
+        ({"active[ball]": [1]}, {}, "must be true or false, got 1"),
         ({"mass[cone]": [1.0]}, {}, r"mass\[cone\]: selects no body; bodies are ground, ball"),
         ({"dt[ball]": [0.1]}, {}, "cannot select bodies"),
         ({"shock_propagation": ["on"]}, {}, "shock_propagation: must be one of"),
@@ -287,6 +289,6 @@ def test_tower_falls_where_statics_says_except_for_one_pass():
     }  # fmt: skip
     # What the scene sets besides is told in the rows, and yields to what the user says.
     assert [row["warm_starting"] for row in result.rows] == [True, False, True] * 2
-    assert [row["outcome_top_height_ok"] for row in result.rows] == [True, True, True, True, False, True]
+    assert [row["outcome_top_above_platform_ok"] for row in result.rows] == [True, True, True, True, False, True]
     told = wr.sweep("leaning_tower", axes, device="cpu", duration=0.01, fixed={"warm_starting": True})
     assert "warm_starting" not in told.rows[0] and told.rows[0]["contact_iterations"] == 40

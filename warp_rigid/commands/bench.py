@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from warp_rigid.bench.cases import STANDARD, find_case
-from warp_rigid.commands.terminal import check_outputs, console, note, progress
+from warp_rigid.commands.terminal import check_outputs, check_writable, console, note, progress
 from warp_rigid.engine.simulator import choose_device
 
 
@@ -56,6 +56,8 @@ def bench_command(
             raise ValueError(f"{name}: must be >= {least}, got {value}")
     chosen = other.choose_peers(peers, peer_python)
     check_outputs(None, {output: (".png",)} if output else {})
+    if json_lines:
+        check_writable(json_lines)
     found = choose_device(device)
     machine = measure.surroundings(found)
     rows: list[dict[str, Any]] = []
@@ -70,8 +72,7 @@ def bench_command(
             measure.compare(done)
             _append(done, json_lines)
             rows += done
-            if advance:
-                advance(len(rows))
+            advance(len(rows))
     if output:
         _draw(rows, output)
     files = [path for path in (json_lines, output) if path]
