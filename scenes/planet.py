@@ -113,4 +113,5 @@ DEMO = Demo(
     duration=8.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 20.0),
 )

@@ -102,4 +102,5 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}},
     vary=vary,
+    view=(-60.0, 28.0),
 )

@@ -112,4 +112,5 @@ DEMO = Demo(
     duration=5.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 34.0),
 )

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -122,7 +123,8 @@ def run_command(
     if output and not streamed:
         _export(result.recording, output, usd)
     if picture or film or contact_sheet or html:
-        _draw(_film(result.recording, output if to_usd else None, color), picture, film, contact_sheet, html)
+        drawn = replace(_film(result.recording, output if to_usd else None, color), view=plan.demo.view)
+        _draw(drawn, picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:
         print(json.dumps(summary))

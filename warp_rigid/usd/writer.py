@@ -66,8 +66,7 @@ class UsdWriter:
                 for samples, writer in self._writers:
                     writer.sample(samples, float(self._frames), frame)
                 self._library.sample(float(self._frames), frame.time)
-        if len(self._rows) > 1:
-            self._spread.add(frame.position[self._rows])
+        self._spread.add(frame.position[self._rows])
         self._frames += 1
         if self._live and self._frames - self._flushed >= self._flush_interval():
             self.flush()
@@ -106,7 +105,7 @@ class UsdWriter:
         Raises:
             OSError: A file cannot be written.
         """
-        if len(self._rows) > 1 and self._frames:
+        if self._frames:
             with Sdf.ChangeBlock():
                 self._arrange()
         if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
@@ -172,15 +171,14 @@ class UsdWriter:
 
     def _arrange(self) -> None:
         """Offset the prims of the environments to a grid; poses inside stay unchanged."""
-        spacing = self._spread.spacing()
         layer = self._library.layer if self._options.layout == "clips" else self._root
-        offsets = environment_offsets(len(self._rows), spacing)
+        offsets = environment_offsets(len(self._rows), self._spread.spacing())
         for row, offset in zip(self._rows.tolist(), offsets.tolist(), strict=True):
             prim = layer.GetPrimAtPath(f"{WORLD}/env_{self._film.envs[row]:04d}")
             set_attribute(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))
             order = Vt.TokenArray(["xformOp:translate"])
             set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
-        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), spacing)):
+        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread)):
             original = self._film.surfaces[index]
             if surface is original:
                 continue

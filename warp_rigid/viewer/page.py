@@ -7,8 +7,8 @@ import math
 import numpy as np
 import viser
 
+from warp_rigid.render.camera import fit_camera, points_to_see
 from warp_rigid.render.film import Film
-from warp_rigid.render.images import fit_camera, points_to_see
 from warp_rigid.render.raycast import WALL_THICKNESS
 from warp_rigid.rotations import rotate
 from warp_rigid.viewer.server import CheckedServer
