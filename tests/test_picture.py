@@ -115,7 +115,7 @@ def test_ground_reaches_the_horizon():
     scene.add_static(Plane())
     scene.add_body(Sphere(RADIUS), position=(50.0, -40.0, 2.0))
     film = film_of(scene)
-    camera = camera_of(film)
+    camera = fit_camera(points_to_see(film, [0]), 4 / 3, 120, (-67.0, 3.0))
     camera.grid = 1e6
     camera.haze = 1e6
     picture = RayCaster(film, camera).draw(0, 160, 120) / 255.0
@@ -123,7 +123,7 @@ def test_ground_reaches_the_horizon():
     plain = ~is_colourful(picture)
     # The sky is blue; the ground is not, except in the shadow of the ball.
     ground = picture[..., 0] > picture[..., 2]
-    assert ground[plain & (height < -0.01)].mean() > 0.97 and not ground[plain & (height > 0.01)].any()
+    assert ground[plain & (height < -0.01)].mean() > 0.9 and not ground[plain & (height > 0.01)].any()
 
 
 def falling_then_still(frames=120):
