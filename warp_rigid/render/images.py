@@ -26,6 +26,8 @@ PANEL_ROW = 3
 GIF_RATE = 20.0
 """Frames per second of a GIF; common viewers slow down higher rates."""
 GIF_FRAMES = 200
+COLORFUL = 40
+"""Difference between the largest and the smallest channel from which on a pixel counts as saturated, of 255."""
 MP4_RATE = 30.0
 """Maximum frames per second of an MP4 file."""
 
@@ -100,11 +102,29 @@ def _save_gif(film: Film, path, width: int, height: int) -> None:
     stride = max(round(film.fps / GIF_RATE), math.ceil((event_end(film) + 1) / GIF_FRAMES), 1)
     images = list(_frames(film, stride, width, height))
     # A common palette without dithering avoids flicker and compresses constant regions.
-    strip = Image.fromarray(np.concatenate([np.asarray(i)[::4, ::4] for i in images[::4]]))
-    palette = strip.quantize(255)
+    palette = shared_palette(images[::4], 255)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     duration = round(1000.0 * stride / film.fps)
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
+
+
+def shared_palette(images: list, colors: int):
+    """A palette for some Pillow images, as an image of Pillow's.
+
+    Half of it is for the saturated pixels, which are few: grounds and skies would take nearly all of it.
+    """
+    from PIL import Image
+
+    pixels = np.concatenate([np.asarray(image)[::2, ::2].reshape(-1, 3) for image in images])
+    colorful = np.ptp(pixels.astype(int), axis=1) > COLORFUL
+    palettes = []
+    for chosen, count in ((pixels[~colorful], colors - colors // 2), (pixels[colorful], colors // 2)):
+        if len(chosen):
+            strip = Image.fromarray(chosen[None]).quantize(count, Image.Quantize.MEDIANCUT)
+            palettes += (strip.getpalette() or [])[: 3 * count]
+    made = Image.new("P", (1, 1))
+    made.putpalette(palettes)
+    return made
 
 
 def _save_mp4(film: Film, path, width: int, height: int) -> None:
