@@ -290,7 +290,7 @@ def drawn_surfaces(recording: Recording, count: int, spread: Spread) -> list[Dra
     for index, surface in enumerate(surfaces):
         if surface.endless and len(surface.faces) == 2:
             center = surface.vertices.mean(axis=0)
-            width = np.linalg.norm(surface.vertices[1] - surface.vertices[0])
+            width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
             scale = spread.plane_width() / width
             if count > 1 and _is_tilted(recording, index):
                 scale = min(1.0, float(np.max(spread.spacing())) / width)

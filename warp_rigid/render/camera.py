@@ -35,8 +35,8 @@ LONELY_ROOM = 0.5
 """Space around a single body, in its own sizes; less is added around several bodies."""
 STRAY = 6.0
 """Bodies farther from the others than this multiple of the distance within which most are do not guide the camera."""
-RAISE, MOST_RAISES = 10.0, 6
-"""If the ground hides the view, the camera is raised by this angle, so many times at most [degree]."""
+RAISE, HIGHEST = 10.0, 75.0
+"""If the ground hides the view, the camera is raised by steps of this angle, up to an elevation [degree]."""
 STRAY_PART = 0.02
 """An event is over when no more than this fraction of the bodies moves."""
 AFTERMATH = 0.8
@@ -66,11 +66,10 @@ class CameraPath:
         seen = [np.concatenate([points_to_see(film, [int(key)]) for film in films]) for key in self._keys]
         all_seen = np.concatenate([points_to_see(film, spaced) for film in films])
         relief = np.concatenate([_relief(film) for film in films])
-        for _ in range(MOST_RAISES):
+        self._still, fits = self._fit(all_seen), [self._fit(points) for points in seen]
+        while self._view[1] < HIGHEST and any(fit.is_blocked(relief) for fit in (self._still, *fits)):
+            self._view = (self._view[0], min(self._view[1] + RAISE, HIGHEST))
             self._still, fits = self._fit(all_seen), [self._fit(points) for points in seen]
-            if not any(fit.is_blocked(relief) for fit in (self._still, *fits)):
-                break
-            self._view = (self._view[0], min(self._view[1] + RAISE, 85.0))
         self._follows = self._still.reach > FOLLOW_GAIN * min(fit.reach for fit in fits)
         self._eyes, self._reaches = np.array([fit.eye for fit in fits]), np.array([fit.reach for fit in fits])
         if self._follows:
@@ -221,7 +220,7 @@ def points_to_see(film: Film, frames) -> np.ndarray:
     middle = np.median(points.reshape(-1, 3), axis=0)
     away = np.linalg.norm(points.mean(axis=1) - middle, axis=1)
     points = points[away <= STRAY * np.percentile(away, 75.0) + 1e-9]
-    size = np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0))
+    size = float(np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0)))
     own = float(np.median(np.linalg.norm(np.ptp(points, axis=1), axis=1)))
     room = LONELY_ROOM * own * min(1.0, own / max(size, 1e-9))
     points = np.concatenate([points + room * np.array((*side, 0.0)) for side in SIDES])

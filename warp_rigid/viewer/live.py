@@ -307,6 +307,8 @@ class LiveViewer:
             client.get_render(16, 16, timeout=LOADING_PATIENCE)
         except Exception as error:  # a page in the background draws nothing
             log.info("the page did not report that it was loaded: %s", error)
+        # The panel may have narrowed the view meanwhile.
+        look_from_page(client, self._film)
         self._loaded.add(client.client_id)
 
     def _replay(self, wall: float) -> bool:

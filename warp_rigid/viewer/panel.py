@@ -197,10 +197,10 @@ class Panel:
         drop.on_click(lambda event: self._viewer.ask(self._viewer.spawn, self._widgets["spawned"].value))
 
     def _add_scene(self) -> None:
-        self._gui.add_markdown("Parameters of the scene; restarting applies them.")
+        self._gui.add_markdown("Parameters of the scene; applying them builds it again.")
         self._parameters = self._gui.add_folder("Parameters")
         self._inputs: dict[str, Any] = {}
-        again = self._gui.add_button_group("", ("Restart with these",))
+        again = self._gui.add_button_group("", ("Apply",))
         again.on_click(lambda event: self._viewer.ask(self._restart_with_parameters))
 
     def _show_parameters(self, session: Session) -> None:
@@ -258,7 +258,7 @@ class Panel:
         commands = {
             "Run or pause": ("space", viewer.toggle),
             "Single step": ("N", viewer.single_step),
-            "Restart": ("R", viewer.restart),
+            "Begin again": ("R", viewer.restart),
             "Contact processing on or off": ("C", partial(self.flip, "contact_processing")),
             "Next way of shock propagation": ("S", self.next_shock_mode),
             "Stage order": ("O", partial(self.flip, "collision_first")),
