@@ -250,6 +250,12 @@ class Spread:
         extent = (self._upper - self._lower)[:2]
         return np.where(np.isfinite(extent), np.maximum(SPACING * extent, 1e-3), 1.0)
 
+    def corners(self, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner of the box around all environments at these translations [m]."""
+        if not (np.isfinite(self._lower).all() and np.isfinite(self._upper).all()):
+            return offsets.min(axis=0) - 1.0, offsets.max(axis=0) + 1.0
+        return self._lower + offsets.min(axis=0), self._upper + offsets.max(axis=0)
+
     def plane_width(self) -> float:
         """Width with which a level plane is drawn, so that the bodies stay on it [m]."""
         extent = np.abs([self._lower[:2], self._upper[:2]])

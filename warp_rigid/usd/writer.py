@@ -12,6 +12,7 @@ from warp_rigid.usd.animation import Instancers
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
+from warp_rigid.usd.look import define_look, place_camera
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
 from warp_rigid.usd.specs import SampleWriter, define, open_layer, save_layer, set_attribute, stage_metadata
@@ -134,6 +135,7 @@ class UsdWriter:
             self._root.GetPrimAtPath(WORLD).referenceList.prependedItems = [Sdf.Reference(self._asset(base), WORLD)]
         else:
             base = self._new_part("shapes", "Shapes") if separate else self._root
+        define_look(self._root, WORLD)
         self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time)
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
@@ -178,6 +180,7 @@ class UsdWriter:
             set_attribute(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))
             order = Vt.TokenArray(["xformOp:translate"])
             set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
+        place_camera(self._root, WORLD, *self._spread.corners(offsets))
         for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread)):
             original = self._film.surfaces[index]
             if surface is original:
