@@ -37,7 +37,7 @@ LAMP_LIGHT, SKY_LIGHT = 2.1, 1.4
 FIELD_OF_VIEW = math.radians(40.0)
 USUAL_SIZE = (1280, 900)
 """Width and height of the view that is assumed until a page reports its own [pixel]."""
-ROOM = 1.2
+ROOM = 1.5
 """Distance of the camera, relative to the one at which the bodies fill the view: they will move."""
 
 
@@ -165,7 +165,8 @@ def look_from(view, film: Film, width: int, height: int) -> None:
     eye, ahead = np.array(camera.eye), np.array(camera.forward)
     target = eye + ahead * float(np.median((points - eye) @ ahead))
     half = math.tan(0.5 * FIELD_OF_VIEW)
-    eye = target + ROOM * math.tan(0.5 * FITTED_FIELD) / half * (eye - target)
+    room = ROOM if film.num_frames == 1 else 1.0
+    eye = target + room * math.tan(0.5 * FITTED_FIELD) / half * (eye - target)
     view.fov = FIELD_OF_VIEW
     # The nearer the first visible distance, the less of the depth's precision is left for the rest.
     view.near = 0.02 * float(np.linalg.norm(eye - target))
