@@ -149,4 +149,5 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
+    view=(-70.0, 26.0),
 )

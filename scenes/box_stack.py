@@ -123,4 +123,5 @@ DEMO = Demo(
         "off": {**OFF_2003, "contact_iterations": 2},
     },
     events=events,
+    view=(-75.0, 16.0),
 )

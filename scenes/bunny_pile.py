@@ -70,4 +70,5 @@ DEMO = Demo(
     duration=6.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
+    view=(-62.0, 26.0),
 )

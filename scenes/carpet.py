@@ -115,4 +115,5 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 30.0),
 )

@@ -106,4 +106,5 @@ DEMO = Demo(
         },
         "collisions_last": {**ONE_PASS_2003, "collision_first": False},
     },
+    view=(-110.0, 24.0),
 )

@@ -80,4 +80,5 @@ DEMO = Demo(
     goes_with={
         "shock_propagation": {"one_pass": {"warm_starting": False}, "off": {"contact_iterations": 40}},
     },
+    view=(-80.0, 14.0),
 )

@@ -116,4 +116,5 @@ DEMO = Demo(
     duration=8.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 20.0),
 )

@@ -84,4 +84,5 @@ DEMO = Demo(
     outcome=LaunchOutcome,
     duration=3.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003},
+    view=(-84.0, 14.0),
 )

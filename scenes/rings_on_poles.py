@@ -157,4 +157,5 @@ DEMO = Demo(
     duration=8.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
+    view=(-67.0, 20.0),
 )

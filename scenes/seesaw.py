@@ -112,4 +112,5 @@ DEMO = Demo(
         "one_pass": ONE_PASS_2003,
         "no_contact": {**ONE_PASS_2003, "contact_iterations": 0},
     },
+    view=(-84.0, 14.0),
 )

@@ -100,4 +100,5 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}},
     vary=vary,
+    view=(-60.0, 28.0),
 )

@@ -128,4 +128,5 @@ DEMO = Demo(
     outcome=MeetingOutcome,
     duration=6.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
+    view=(-75.0, 30.0),
 )

@@ -114,4 +114,5 @@ DEMO = Demo(
     duration=5.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 34.0),
 )

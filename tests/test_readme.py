@@ -67,9 +67,21 @@ def test_command_runs(command, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("program", blocks("python"))
 def test_program_runs(program, tmp_path, monkeypatch):
+    for framework in re.findall(r"^import (torch|jax|gymnasium)\b", program, flags=re.MULTILINE):
+        pytest.importorskip(framework, reason="an optional framework")
     monkeypatch.chdir(tmp_path)
     exec(compile(program, "program.py", "exec"), {})
     assert all((tmp_path / path).is_file() for path in re.findall(r'"(out/[^"]+)"', program))
+
+
+FILES = re.findall(r'```python title="(\w+\.py)"\n(.*?)```', "\n".join(p.read_text() for p in PAGES), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(("name", "text"), FILES)
+def test_scene_files_of_the_pages_run(name, text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    assert cli.main(["run", name, "--frames", "2", "--device", "cpu", "--picture", "out/a.png"]) == 0
 
 
 def test_make_targets_and_files_exist():

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from warp_rigid.bench.cases import STANDARD, find_case
-from warp_rigid.commands.terminal import check_outputs, console, note, progress
+from warp_rigid.commands.terminal import check_outputs, check_writable, console, note, progress
 from warp_rigid.engine.simulator import choose_device
 
 
@@ -63,6 +63,8 @@ def bench_command(
     _check_times(frames, settle, until, phases, peers is not None or output is not None)
     chosen = other.choose_peers(peers, peer_python)
     check_outputs(None, {output: (".png",)} if output else {})
+    if json_lines:
+        check_writable(json_lines)
     found = choose_device(device)
     machine = measure.surroundings(found)
     rows: list[dict[str, Any]] = []
@@ -80,8 +82,7 @@ def bench_command(
                 measure.compare(done)
             _append(done, json_lines)
             rows += done
-            if advance:
-                advance(len(rows))
+            advance(len(rows))
     if output:
         _draw(rows, output)
     files = [path for path in (json_lines, output) if path]

@@ -1,6 +1,8 @@
 """`warp-rigid run`: simulate a scene, evaluate its outcome and write animations and images."""
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,7 +10,15 @@ import typer
 from rich.table import Table
 
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.commands.terminal import check_outputs, console, note, progress
+from warp_rigid.commands.terminal import (
+    check_outputs,
+    check_writable,
+    console,
+    continued,
+    note,
+    progress,
+    told_if_interrupted,
+)
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
@@ -24,6 +34,7 @@ MAX_COLUMNS = 8
 
 
 def run_command(
+    context: typer.Context,
     scene: Annotated[str, typer.Argument(help="Built-in scene, USD file, or .py file with a function scene().")],
     envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
     frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None,
@@ -72,6 +83,9 @@ def run_command(
 
     Exit status 6: a verdict is not as expected.
     """
+    written = [path for path in (output, picture, film, contact_sheet, html) if path]
+    if len(set(written)) < len(written):
+        raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
     pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
     check_outputs(output, {path: endings for path, endings in pictures.items() if path})
     one_of("--color", color, COLORINGS)
@@ -93,24 +107,28 @@ def run_command(
     )
     if checkpoint_every is not None:
         whole_in("--checkpoint-every", checkpoint_every, 1, 10**9)
+        check_writable(checkpoint or f"{plan.demo.name}.ckpt")
     checkpoints = Checkpoints(Path(checkpoint or f"{plan.demo.name}.ckpt"), checkpoint_every, resume)
     if resume and not checkpoints.path.exists():
         note(f"{checkpoints.path}: no checkpoint found, starting from the beginning")
-    written = [path for path in (output, picture, film, contact_sheet, html) if path]
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
     _print_import_report(plan.scene.import_report)
     # A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
-    if output and to_usd and checkpoint_every is None and not resume:
-        result = _execute_to_usd(plan, output, chosen, usd)
-    else:
-        with progress(plan.demo.name, plan.frames) as advance:
-            result = runner.execute(
-                plan, chosen, advance, checkpoints, velocities=color == "speed", contacts=usd_contacts
-            )
-        if output:
-            _export(result.recording, output, usd)
+    streamed = output if to_usd and checkpoint_every is None and not resume else None
+    done = _FramesDone(plan.frames)
+    with told_if_interrupted(lambda: done.kept(streamed, checkpoints, context)):
+        if streamed:
+            result = _execute_to_usd(plan, streamed, chosen, usd, done)
+        else:
+            with progress(plan.demo.name, plan.frames) as advance:
+                result = runner.execute(
+                    plan, chosen, done.then(advance), checkpoints, velocities=color == "speed", contacts=usd_contacts
+                )
+    if output and not streamed:
+        _export(result.recording, output, usd)
     if picture or film or contact_sheet or html:
-        _draw(_film(result.recording, output if to_usd else None, color), picture, film, contact_sheet, html)
+        drawn = replace(_film(result.recording, output if to_usd else None, color), view=plan.demo.view)
+        _draw(drawn, picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:
         print(json.dumps(summary))
@@ -129,18 +147,48 @@ def _memory_limit(text: str | None) -> int | float | None:
         raise ValueError(f"--memory-limit: must be bytes or a fraction such as 0.5, got {text}") from None
 
 
-def _execute_to_usd(plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions) -> runner.Result:
+class _FramesDone:
+    """Counts the finished frames, for the message after an interruption."""
+
+    def __init__(self, total: int):
+        self._done, self._total = 0, total
+
+    def then(self, advance: Callable[[int], None]) -> Callable[[int], None]:
+        """A function for runner.execute that counts the frame and calls another function."""
+
+        def on_frame(done: int) -> None:
+            self._done = done
+            advance(done)
+
+        return on_frame
+
+    def kept(self, streamed: str | None, checkpoints: Checkpoints, context: typer.Context) -> str:
+        """What an interrupted run has kept, and how to continue it."""
+        text = f"after {self._done} of {self._total} frames; "
+        every = checkpoints.every
+        if every is not None and self._done >= every:
+            frame = self._done - self._done % every
+            return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(context)}"
+        if streamed:
+            return (
+                text + f"kept {streamed} with {self._done + 1} frames; to be able to continue, use --checkpoint-every N"
+            )
+        return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
+
+
+def _execute_to_usd(
+    plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions, done: _FramesDone
+) -> runner.Result:
     """Run and stream each frame to the file, so that memory stays constant and an interrupted run keeps its frames."""
     labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
     with UsdStream(plan.sim, path, plan.fps, envs, labels, **vars(options)) as stream:
         with progress(plan.demo.name, plan.frames) as advance:
 
-            def on_frame(done: int) -> None:
+            def capture(frame: int) -> None:
                 stream.capture(plan.sim)
-                if advance is not None:
-                    advance(done)
+                advance(frame)
 
-            return runner.execute(plan, [], on_frame)
+            return runner.execute(plan, [], done.then(capture))
 
 
 def _print_import_report(report: ImportReport | None) -> None:
@@ -157,9 +205,12 @@ def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
         note(f"recording the first {MAX_RECORDED} environments; use --usd-envs to choose others")
         return list(range(MAX_RECORDED))
     try:
-        return [int(part) for part in text.split(",")]
+        chosen = [int(part) for part in text.split(",")]
     except ValueError:
         raise ValueError(f"--usd-envs: must be numbers such as 0,5,7 or all, got {text}") from None
+    if not all(0 <= env < num_envs for env in chosen) or len(set(chosen)) < len(chosen):
+        raise ValueError(f"--usd-envs: must be different numbers from 0 to {num_envs - 1}, got {text}")
+    return chosen
 
 
 def _export(recording, path: str, options: UsdOptions) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warp_rigid.commands.terminal import console, note, progress
+from warp_rigid.commands.terminal import check_writable, console, continued, note, progress, told_if_interrupted
 
 FAILED_RUNS = 5
 
@@ -64,9 +64,21 @@ def sweep_command(
     measured = check_metrics(metrics.split(",") if metrics else None)
     if plot:
         check_plot(plot, plot_kind)
+        check_writable(plot)
         _check_columns(plot_x, plot_y, axes, measured)
     start = time.perf_counter()
-    with progress(scene, 1) as advance:
+    finished = [0, 0]
+
+    def on_progress(done: int, total: int) -> None:
+        finished[:] = done, total
+        advance(done, total)
+
+    def kept() -> str:
+        if output is None:
+            return "nothing was kept; to be able to continue, use -o FILE.parquet"
+        return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(context)}"
+
+    with told_if_interrupted(kept), progress(scene, 1) as advance:
         result = sweep(
             scene,
             axes,
@@ -87,7 +99,7 @@ def sweep_command(
             shard=_shard(shard),
             cluster=_cluster(cluster),
             workers=workers,
-            on_progress=advance and (lambda done, total: advance(done / total)),
+            on_progress=on_progress,
             command=context.obj,
         )
     seconds = time.perf_counter() - start
@@ -143,9 +155,10 @@ def _by_name(pairs: Any, flag: str) -> dict[str, Any]:
 
 def _fixed(texts: Any) -> dict[str, Any]:
     """Values shared by all runs, by name."""
-    from warp_rigid.runs.assignments import parse_assignment
+    from warp_rigid.runs.assignments import join_vector, parse_assignment
 
     given = _by_name(map(parse_assignment, texts), "--set")
+    given = {name: join_vector(name, values) for name, values in given.items()}
     for name, values in given.items():
         if len(values) > 1:
             raise ValueError(f"--set {name}: takes one value; use --vary for several")

@@ -69,9 +69,7 @@ def _compare_shock(devices: list[str], quick: bool, as_json: bool) -> int:
     total = len(devices) * len(shock.SCHEMES) * len(shock.structures(quick))
     with progress("validate", total) as advance:
         count = itertools.count(1)
-        tables = {
-            name: shock.compare(name, quick, lambda: advance(next(count)) if advance else None) for name in devices
-        }
+        tables = {name: shock.compare(name, quick, lambda: advance(next(count))) for name in devices}
     if as_json:
         results = {
             name: {scheme: {one: asdict(cell) for one, cell in cells.items()} for scheme, cells in table.items()}
@@ -104,8 +102,7 @@ class _Watcher:
         self.done += 1
         if self.writer and case.curve and subject is not None:
             self.writer.draw(case, device, subject)
-        if self.advance:
-            self.advance(self.done)
+        self.advance(self.done)
 
 
 class _Writer:

@@ -20,6 +20,9 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion
 
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
+VECTOR_LENGTHS = {name: 4 if name == "orientation" else 3 for name in (*STATE_NAMES, "gravity")}
+"""Numbers of components of the quantities that are vectors."""
+ZEROABLE = ("linear_velocity", "angular_velocity", "force", "torque")
 REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "angular_velocity_remainder"}
 """Where the device keeps what rounding left over of a quantity."""
 
@@ -70,6 +73,8 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any) -> None:
     if name in PER_ENVIRONMENT:
         _write_setting(world, name, value, chosen)
         return
+    if name in VECTOR_LENGTHS:
+        check_vectors(name, value)
     if name == "gravity":
         touched = np.arange(world.num_bodies)
         rows = world.envs.gravity.numpy()
@@ -124,6 +129,17 @@ def _rows(world: World, array: wp.array) -> np.ndarray:
     """A copy of a body array as (envs, bodies, ...)."""
     values = array.numpy().copy()
     return values.reshape(world.num_envs, world.num_bodies, *values.shape[1:])
+
+
+def check_vectors(name: str, value: Any) -> None:
+    """Refuse a value of a vector quantity without an axis of its components: it would fill all of them.
+
+    A velocity, force or torque may be 0, the zero vector.
+    """
+    length, shape = VECTOR_LENGTHS[name], np.shape(value)
+    if shape[-1:] == (length,) or (name in ZEROABLE and shape == () and not isinstance(value, str) and value == 0):
+        return
+    raise ValueError(f"{name}: must be vectors of {length} numbers, got {_brief(value)}")
 
 
 def _broadcast(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -107,6 +107,11 @@ class Simulator:
         self.num_envs, self.num_bodies = self._world.num_envs, self._world.num_bodies
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
 
+    def __repr__(self) -> str:
+        """Show the size, the device and the time."""
+        size = f"{self.num_envs} environments of {self.num_bodies} bodies"
+        return f"Simulator({size} on {self.device}, dt {self.settings.dt:.6g} s, at {self.time:.6g} s)"
+
     @property
     def time(self) -> float:
         """Simulated time since the start or the last reset of all environments [s]."""

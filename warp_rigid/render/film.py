@@ -12,8 +12,8 @@ from warp_rigid.render.appearance import (
     corner_normals,
     drawn_surfaces,
     environment_offsets,
-    environment_spacing,
     frame_colors,
+    spread_of,
 )
 from warp_rigid.runs.recording import DrawnSurface, Recording
 
@@ -56,6 +56,7 @@ class Film:
         env: (instances,) index of the environment.
         offset: (envs, 3) translation of the environments [m].
         labels: one label per environment; may be empty.
+        view: azimuth and elevation from which pictures are taken [degree]; the azimuth counts from x toward y.
     """
 
     meshes: tuple[DrawnMesh, ...]
@@ -67,6 +68,7 @@ class Film:
     env: np.ndarray
     offset: np.ndarray
     labels: tuple[str, ...]
+    view: tuple[float, float] = (-67.0, 22.0)
 
     @property
     def num_frames(self) -> int:
@@ -105,9 +107,9 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
         ValueError: One of the environments was not recorded.
     """
     rows = recording.rows(envs)
-    spacing = environment_spacing(recording)
-    surfaces = drawn_surfaces(recording, len(rows), spacing)
-    offsets = environment_offsets(len(rows), spacing).astype(np.float32)
+    spread = spread_of(recording)
+    surfaces = drawn_surfaces(recording, len(rows), spread)
+    offsets = environment_offsets(len(rows), spread.spacing()).astype(np.float32)
     frames, count = len(recording.time), len(rows) * len(recording.surface)
     return Film(
         meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),

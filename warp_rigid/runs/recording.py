@@ -128,6 +128,11 @@ class Recording:
     scene: Scene | None = None
     start: dict[str, np.ndarray] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Show the size."""
+        size = f"{len(self.envs)} environments of {len(self.names)} bodies"
+        return f"Recording({len(self.time)} frames of {size}, {self.fps:g} frames/s)"
+
     @property
     def num_frames(self) -> int:
         """Number of frames after the initial one."""

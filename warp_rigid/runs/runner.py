@@ -1,7 +1,6 @@
 """Runner: one simulation, from the name of a scene to its recording, verdicts and summary."""
 
 import fnmatch
-import importlib.util
 import time
 import warnings
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.assignments import PROPERTIES, Assignments, sort_assignments
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
+from warp_rigid.runs.user_code import module_of_file, scene_function
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
@@ -25,7 +25,7 @@ from warp_rigid.usd.load import film_duration
 from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
 from warp_rigid.version import __version__
 
-__all__ = ["Plan", "Result", "execute", "find_scene", "module_of_file", "plan_run", "set_each", "step_frame"]
+__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "set_each", "step_frame"]
 
 FILE_SCENE_DURATION = 4.0
 """Default duration of a scene from a user's file [s]."""
@@ -226,29 +226,12 @@ class NoOutcome:
         return []
 
 
-def module_of_file(path: Path) -> Any:
-    """Import a user's .py file as a module.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    spec: Any = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def _scene_of_file(path: Path) -> Demo:
     module = module_of_file(path)
-    build = getattr(module, "scene", None)
-    if not callable(build):
-        raise ValueError(f"{path}: has no function scene()")
     return Demo(
         name=path.stem,
         summary=(module.__doc__ or "").partition("\n")[0],
-        build=build,
+        build=scene_function(path, getattr(module, "scene", None)),
         outcome=NoOutcome,
         duration=FILE_SCENE_DURATION,
         variants={},

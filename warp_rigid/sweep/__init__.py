@@ -13,6 +13,9 @@ from warp_rigid.sweep.execution import sweep
 from warp_rigid.sweep.search import search
 from warp_rigid.sweep.table import SweepResult, merge, read
 
+# `warp_rigid.sweep` is this function, not the package: the functions that read its tables are found on it.
+sweep.__dict__.update(read=read, merge=merge)
+
 __all__ = [
     "Choice",
     "Distribution",

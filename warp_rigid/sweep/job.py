@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
+from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
+from warp_rigid.engine.quantities import check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.variation import structure
 from warp_rigid.runs.assignments import assignment_target
@@ -222,12 +223,14 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
         number_in(name, value, above=0.0)
+    elif plain == "active":
+        if not isinstance(value, bool):
+            raise ValueError(f"{name}: must be true or false, got {shown(value)}")
     elif plain == "orientation":
         unit_quaternion(name, value)
-    elif np.ndim(value):
-        finite_vector(name, value)
     else:
-        finite_number(name, value)
+        check_vectors(plain, value)
+        finite_vector(name, value if np.ndim(value) else (value,) * 3)
 
 
 def _digest(text: str) -> str:

@@ -13,7 +13,8 @@ def import_usd(path, root: str | None = None, *, strict: bool = False, sdf_resol
     """Read the rigid bodies and colliders of a USD file.
 
     Lengths, masses and the up axis are converted to metres, kilograms and z. Meshes collide as nonconvex solids with a
-    signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the default time.
+    signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the start of the
+    animation.
 
     Unsupported content (joints, articulations, unknown schemas) is listed in `scene.import_report`, with a warning.
 

@@ -94,8 +94,12 @@ class Reader:
         if root is not None and not (Sdf.Path.IsValidPathString(root) and self._stage.GetPrimAtPath(root)):
             raise ValueError(f"root: {path} has no prim {root}")
         self._root = self._stage.GetPrimAtPath(root) if root else self._stage.GetPseudoRoot()
-        expand_instancers(self._root, [Usd.TimeCode.Default()])
-        self._transforms = UsdGeom.XformCache()
+        # An animated transform may have no value at the default time.
+        authored = self._stage.HasAuthoredTimeCodeRange()
+        self._start = Usd.TimeCode(self._stage.GetStartTimeCode()) if authored else Usd.TimeCode.EarliestTime()
+        expand_instancers(self._root, [self._start])
+        self._transforms = UsdGeom.XformCache(self._start)
+        self._names: set[str] = set()
         self._meter = meters_per_unit(self._stage)
         self._kilogram = kilograms_per_unit(self._stage)
         y_up = is_y_up(self._stage)
@@ -241,7 +245,7 @@ class Reader:
         common: dict[str, Any] = {
             "position": position + rotation @ where,
             "orientation": quaternion_of_matrix(rotation @ rotations.matrix(turn)),
-            "name": body.prim.GetDisplayName() or body.prim.GetName(),
+            "name": body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
             **self._coefficients(body, group),
         }
         try:
@@ -257,6 +261,14 @@ class Reader:
             self._leave_out(body.prim.GetPath(), str(error))
             return
         self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
+
+    def _unique_name(self, name: str) -> str:
+        """The name, with a number if an earlier body has it."""
+        found, number = name, 1
+        while found in self._names:
+            found, number = f"{name}_{number}", number + 1
+        self._names.add(found)
+        return found
 
     def _frame(self, prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Polar decomposition of the transform of a body: position [m], rotation (3, 3) and stretch (3, 3).
@@ -316,8 +328,8 @@ class Reader:
     def _velocities(self, prim: Usd.Prim, rotation: np.ndarray) -> dict[str, np.ndarray]:
         """Velocities in the world frame; USD has them in the body frame, in degrees."""
         api = UsdPhysics.RigidBodyAPI(prim)
-        speed = np.array(api.GetVelocityAttr().Get(), dtype=np.float64) * self._meter
-        spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(), dtype=np.float64))
+        speed = np.array(api.GetVelocityAttr().Get(self._start), dtype=np.float64) * self._meter
+        spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(self._start), dtype=np.float64))
         return {"linear_velocity": rotation @ speed, "angular_velocity": rotation @ spin}
 
     def _mass(self, body: _Body, group: list[_Collider], shape: Shape) -> float:
@@ -360,7 +372,9 @@ class Reader:
         above = body.prim
         while above and not above.IsPseudoRoot():
             if UsdGeom.Xformable(above) and UsdGeom.Xformable(above).TransformMightBeTimeVarying():
-                self._change(body.prim, "its animated motion is ignored; it starts with its pose at the default time")
+                self._change(
+                    body.prim, "its animated motion is ignored; it starts with the first pose of the animation"
+                )
                 return
             above = above.GetParent()
 

@@ -16,6 +16,7 @@ from warp_rigid.usd.animation import Instancers
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
+from warp_rigid.usd.look import define_look, place_camera
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
 from warp_rigid.usd.specs import (
@@ -95,8 +96,7 @@ class UsdWriter:
                 for samples, writer in self._writers:
                     writer.sample(samples, float(self._frames), frame)
                 self._library.sample(float(self._frames), frame.time)
-        if len(self._rows) > 1:
-            self._spread.add(frame.position[self._rows])
+        self._spread.add(frame.position[self._rows])
         self._frames += 1
         if self._live and self._frames - self._flushed >= self._flush_interval():
             self.flush()
@@ -139,7 +139,7 @@ class UsdWriter:
             self._finish()
 
     def _finish(self) -> None:
-        if len(self._rows) > 1 and self._frames:
+        if self._frames:
             with Sdf.ChangeBlock():
                 self._arrange()
         if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
@@ -164,6 +164,7 @@ class UsdWriter:
             self._root.GetPrimAtPath(WORLD).referenceList.prependedItems = [Sdf.Reference(self._asset(base), WORLD)]
         else:
             base = self._new_part("shapes", "Shapes") if separate else self._root
+        define_look(self._root, WORLD)
         self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time)
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
@@ -201,15 +202,15 @@ class UsdWriter:
 
     def _arrange(self) -> None:
         """Offset the prims of the environments to a grid; poses inside stay unchanged."""
-        spacing = self._spread.spacing()
         layer = self._library.layer if self._options.layout == "clips" else self._root
-        offsets = environment_offsets(len(self._rows), spacing)
+        offsets = environment_offsets(len(self._rows), self._spread.spacing())
         for row, offset in zip(self._rows.tolist(), offsets.tolist(), strict=True):
             prim = layer.GetPrimAtPath(f"{WORLD}/env_{self._film.envs[row]:04d}")
             set_attribute(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))
             order = Vt.TokenArray(["xformOp:translate"])
             set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
-        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), spacing)):
+        place_camera(self._root, WORLD, *self._spread.corners(offsets))
+        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread)):
             original = self._film.surfaces[index]
             if surface is original:
                 continue

@@ -66,8 +66,10 @@ class Hud:
         potential = float(sim.get("potential_energy")[rows].sum())
         if not self._energy or session.time > self._energy[-1][0]:
             self._energy.append((session.time, kinetic, potential, kinetic + potential))
-        if len(self._energy) > 1:
-            self._plot.data = tuple(np.array(self._energy).T.copy())
+        points = list(self._energy)
+        if len(points) == 1:  # a line needs two points: before the first step it is level
+            points.append((points[0][0] + session.sim.settings.dt, *points[0][1:]))
+        self._plot.data = tuple(np.array(points).T.copy())
         self._text.content = _text(session, rows, rate, pace, self._deepest)
         return True
 

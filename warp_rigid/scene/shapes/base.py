@@ -94,6 +94,12 @@ class Shape:
             raise AttributeError(f"{type(self).__name__}.{name} cannot be changed")
         super().__setattr__(name, value)
 
+    def __repr__(self) -> str:
+        """The constructor call of an analytic shape; other shapes list their sizes."""
+        values = {name: np.asarray(getattr(self, name)).tolist() for name in self.parameters}
+        listed = (f"{name}={tuple(v) if isinstance(v, list) else v}" for name, v in values.items())
+        return f"{type(self).__name__}({', '.join(listed)})"
+
     @property
     def volume(self) -> float:
         """Volume [m^3]."""

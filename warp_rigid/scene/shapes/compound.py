@@ -37,6 +37,10 @@ class Compound(Shape):
         self.children = tuple(_checked_child(index, child) for index, child in enumerate(children))
         self._rotations = [rotations.matrix(orientation) for _, _, orientation in self.children]
 
+    def __repr__(self) -> str:
+        """Show the shapes of the children."""
+        return f"Compound({', '.join(repr(shape) for shape, _, _ in self.children)})"
+
     def _content(self):
         return [item for child in self.children for item in (child[0].key, child[1], child[2])]
 

@@ -65,6 +65,11 @@ class Mesh(Shape):
         self._solid_faces = frozen_array(solid_faces, np.int32)
         _refuse_flat(self.vertices, self.faces, self.mass_properties)
 
+    def __repr__(self) -> str:
+        """Show the numbers of vertices and triangles."""
+        sizes = f"{len(self.vertices)} vertices, {len(self.faces)} triangles"
+        return f"Mesh({sizes}, sdf_resolution={self.sdf_resolution})"
+
     @classmethod
     def from_file(cls, path, scale: float = 1.0, sdf_resolution: int = 64) -> "Mesh":
         """Read a mesh file.
