@@ -73,6 +73,16 @@ class Passage:
     rotation: float
 
 
+@wp.struct
+class Ball:
+    """A bounding sphere in the frame of the shape, and its samples; the sample -1 is the centre of the body."""
+
+    center: wp.vec3
+    radius: float
+    sample_start: int
+    sample_end: int
+
+
 @wp.func
 def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
     """The motion of a body whose velocities are scaled by `share`."""
@@ -323,18 +333,27 @@ def path_length(own: Course, other: Course, arm: wp.vec3, passage: Passage):
 
 
 @wp.func
-def is_clear(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, passage: Passage):
-    """Whether a sample is not too deep in the other body at places of its path less than FAST sizes apart.
+def gap_of(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, passage: Passage):
+    """Distance of a sample from the other body at the start; FAR if the sample need not be traced.
 
-    Pairs that move less than that in a step are not traced either.
+    This is so if it moves little and is not too deep at places of its path less than FAST sizes apart. Pairs that move
+    less than that in a step are not traced either.
     """
-    d = signed_distance(shapes, shape, wp.transform_point(passage.end, p))
-    if d[3] - radius <= -DEPTH * passage.size:
-        return False
-    if path < FAST * passage.size:
-        return True
-    d = signed_distance(shapes, shape, wp.transform_point(passage.middle, p))
-    return d[3] - radius > -DEPTH * passage.size
+    gap = float(FAR)
+    place = wp.where(path < 2.0 * FAST * passage.size, 2, 0)
+    while place >= 0:
+        pose = wp.where(place == 2, passage.end, wp.where(place == 1, passage.middle, passage.start))
+        d = signed_distance(shapes, shape, wp.transform_point(pose, p))
+        gap = d[3] - radius
+        if place == 0:
+            place = -1
+        elif gap <= -DEPTH * passage.size:
+            place = 0
+        elif place == 1 or path < FAST * passage.size:
+            return FAR
+        else:
+            place = 1
+    return gap
 
 
 @wp.func
@@ -357,10 +376,7 @@ def trace_sample(
     size = passage.size
     arm = wp.quat_rotate(own.turn, p - own.local_center)
     path = path_length(own, other, arm, passage)
-    if path < 2.0 * FAST * size and is_clear(shapes, other.shape, p, radius, path, passage):
-        return end
-    d = signed_distance(shapes, other.shape, wp.transform_point(passage.start, p))
-    gap = d[3] - radius
+    gap = gap_of(shapes, other.shape, p, radius, path, passage)
     allowed = DEPTH * size
     earliest = float(begin)
     if gap < near:
@@ -372,18 +388,41 @@ def trace_sample(
 
 
 @wp.func
-def trace_cluster(shapes: Shapes, own: Course, other: Course, cluster: int, begin: float, end: float, passage: Passage):
-    """Time at which a sample of a cluster would penetrate the other body too deep, not before `begin`, or `end`."""
-    near = NEAR * passage.size
+def trace_samples(shapes: Shapes, own: Course, other: Course, ball: Ball, begin: float, end: float, passage: Passage):
+    """Time at which a sample of a ball would penetrate the other body too deep, not before `begin`, or `end`."""
     earliest = float(end)
-    for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-        if shapes.samples[s].kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
-            earliest = trace_segment(shapes, own, other, s, near, begin, earliest, passage.size)
-        elif shapes.samples[s].kind != SampleKind.RIM:
+    for s in range(ball.sample_start, ball.sample_end):
+        p = own.local_center
+        radius = float(0.0)
+        near = DEPTH * passage.size
+        kind = int(SampleKind.POINT)
+        if s >= 0:
             p = shapes.samples[s].point
             radius = shapes.samples[s].radius
+            near = NEAR * passage.size
+            kind = shapes.samples[s].kind
+        if kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
+            earliest = trace_segment(shapes, own, other, s, near, begin, earliest, passage.size)
+        elif kind != SampleKind.RIM:
             earliest = trace_sample(shapes, own, other, p, radius, near, begin, earliest, passage)
     return earliest
+
+
+@wp.func
+def ball_of(own: Course, cluster: int, shapes: Shapes):
+    """The bounding sphere of a cluster; for the cluster -1, that of the body. Its sample is the centre if convex."""
+    ball = Ball()
+    if cluster < 0:
+        ball.center = own.local_center
+        ball.radius = own.radius
+        ball.sample_start = -1
+        ball.sample_end = shapes.shapes[own.shape].convex - 1
+    else:
+        ball.center = shapes.clusters[cluster].center
+        ball.radius = shapes.clusters[cluster].radius
+        ball.sample_start = shapes.clusters[cluster].sample_start
+        ball.sample_end = shapes.clusters[cluster].sample_end
+    return ball
 
 
 @wp.func
@@ -395,25 +434,21 @@ def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: floa
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
-    tolerance = CLOSE_ENOUGH * size
-    begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, tolerance, 0.0, end)
-    if begin >= end:
-        return earliest
     passage = passage_of(own, other, dt, size)
-    if shapes.shapes[own.shape].convex == 1 and lane == 0:
-        center = own.local_center
-        earliest = trace_sample(shapes, own, other, center, 0.0, DEPTH * size, begin, earliest, passage)
-    first = shapes.shapes[own.shape].cluster_start + lane
-    for cluster in range(first, shapes.shapes[own.shape].cluster_end, lanes):
-        if matters(shapes.clusters[cluster].kind, own.shape, other.shape, 1, shapes):
-            arm = wp.quat_rotate(own.turn, shapes.clusters[cluster].center - own.local_center)
-            ball = shapes.clusters[cluster].radius
-            at = float(earliest)
-            x = wp.transform_point(passage.start, shapes.clusters[cluster].center)
-            if not out_of_box(x, ball + passage.reach, other.shape, shapes):
-                at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
-            if at < earliest:
-                earliest = trace_cluster(shapes, own, other, cluster, at, earliest, passage)
+    cluster = int(-1)
+    while cluster < shapes.shapes[own.shape].cluster_end:
+        ball = ball_of(own, cluster, shapes)
+        near = cluster < 0 or matters(shapes.clusters[wp.max(cluster, 0)].kind, own.shape, other.shape, 1, shapes)
+        margin = ball.radius + passage.reach
+        at = float(earliest)
+        if near and not out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
+            arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
+            at = trace(shapes, own, other, arm, ball.radius, 0.0, CLOSE_ENOUGH * size, 0.0, earliest)
+        if at < earliest and (cluster >= 0 or lane == 0):
+            earliest = trace_samples(shapes, own, other, ball, at, earliest, passage)
+        elif at >= end and cluster < 0:
+            return earliest
+        cluster = wp.where(cluster < 0, shapes.shapes[own.shape].cluster_start + lane, cluster + lanes)
     return earliest
 
 
