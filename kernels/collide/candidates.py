@@ -45,6 +45,9 @@ FINER_LEVELS = 8
 LONGEST = wp.constant(256)
 """A body with more candidates has no list."""
 
+MOST_CANDIDATES = wp.constant(2**30)
+"""Largest capacity for candidates of all bodies together, so that it can be counted in 32 bits."""
+
 ALL_LATER = wp.constant(-1)
 """Length of the list of a body whose candidates are all later bodies."""
 
@@ -240,7 +243,7 @@ def finish_lists(which: int, room: int, bodies: Bodies, turn: wp.array[int], cel
     if cells.stale[bodies.env[i]] == 0:
         return
     count = cells.listed[i]
-    if count > LONGEST:
+    if count > wp.min(LONGEST, MOST_CANDIDATES / cells.listed.shape[0]):
         cells.listed[i] = ALL_LATER
         return
     if count > room:

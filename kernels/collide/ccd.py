@@ -56,6 +56,35 @@ class Course:
     shape: int
 
 
+@wp.struct
+class Passage:
+    """Relative motion of a body with samples in the frame of the body with the distance, over the whole step.
+
+    `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
+    `reach`: upper bound of the motion of points that can meet the other body.
+    `size`: the smaller size of the two bodies.
+    `rotation`: angle by which both bodies together turn in the step.
+    """
+
+    start: wp.transform
+    middle: wp.transform
+    end: wp.transform
+    reach: float
+    size: float
+    dt: float
+    rotation: float
+
+
+@wp.struct
+class Ball:
+    """A bounding sphere in the frame of the shape, and its samples; the sample -1 is the centre of the body."""
+
+    center: wp.vec3
+    radius: float
+    sample_start: int
+    sample_end: int
+
+
 @wp.func
 def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
     """The motion of a body whose velocities are scaled by `share`."""
@@ -75,9 +104,50 @@ def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motio
 def rotation_after(angular: wp.vec3, t: float):
     """Rotation by an angular velocity in a time t."""
     speed = wp.length(angular)
-    if speed == 0.0:
+    if speed == 0.0 or t == 0.0:
         return wp.quat_identity()
     return wp.quat_from_axis_angle(angular / speed, speed * t)
+
+
+@wp.func
+def relative_motion(a: Course, b: Course, dt: float):
+    """Upper bound of the relative motion of two bodies in a step [m], at the surface of the smaller one."""
+    small = a
+    if b.radius < a.radius:
+        small = b
+    v = a.linear + wp.cross(a.angular, small.center - a.center)
+    w = b.linear + wp.cross(b.angular, small.center - b.center)
+    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius)
+
+
+@wp.func
+def largest_motion(a: Course, b: Course, dt: float):
+    """`relative_motion`, with the increase by the rotation of the larger body within the step."""
+    return relative_motion(a, b, dt) * (1.0 + dt * (wp.length(a.angular) + wp.length(b.angular)))
+
+
+@wp.func
+def pose_in(own: Course, other: Course, t: float):
+    """Pose of a body's shape at time t in the frame of the other body's shape."""
+    back = wp.quat_inverse(rotation_after(other.angular, t) * other.turn)
+    turn = back * rotation_after(own.angular, t) * own.turn
+    apart = own.center - other.center + t * (own.linear - other.linear)
+    shift = wp.quat_rotate(back, apart) + other.local_center - wp.quat_rotate(turn, own.local_center)
+    return wp.transformation(shift, turn)
+
+
+@wp.func
+def passage_of(own: Course, other: Course, dt: float, size: float):
+    """The relative motion of a body in the frame of another over the step."""
+    passage = Passage()
+    passage.start = pose_in(own, other, 0.0)
+    passage.middle = pose_in(own, other, 0.5 * dt)
+    passage.end = pose_in(own, other, dt)
+    passage.reach = largest_motion(own, other, dt)
+    passage.size = size
+    passage.dt = dt
+    passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
+    return passage
 
 
 @wp.func
@@ -262,6 +332,38 @@ def trace_segment(
 
 
 @wp.func
+def path_length(own: Course, other: Course, arm: wp.vec3, passage: Passage):
+    """Upper bound of the motion of a point at `arm` relative to the material of the other body [m]."""
+    away = own.center + arm - other.center
+    v = own.linear + wp.cross(own.angular, arm) - other.linear - wp.cross(other.angular, away)
+    return wp.min(passage.reach, passage.dt * wp.length(v) + 0.5 * passage.rotation * passage.reach)
+
+
+@wp.func
+def gap_of(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, passage: Passage):
+    """Distance of a sample from the other body at the start; FAR if the sample need not be traced.
+
+    This is so if it moves little and is not too deep at places of its path less than FAST sizes apart. Pairs that move
+    less than that in a step are not traced either.
+    """
+    gap = float(FAR)
+    place = wp.where(path < 2.0 * FAST * passage.size, 2, 0)
+    while place >= 0:
+        pose = wp.where(place == 2, passage.end, wp.where(place == 1, passage.middle, passage.start))
+        d = signed_distance(shapes, shape, wp.transform_point(pose, p), radius + shapes.shapes[shape].cell)
+        gap = d[3] - radius
+        if place == 0:
+            place = -1
+        elif gap <= -DEPTH * passage.size:
+            place = 0
+        elif place == 1 or path < FAST * passage.size:
+            return FAR
+        else:
+            place = 1
+    return gap
+
+
+@wp.func
 def trace_sample(
     shapes: Shapes,
     own: Course,
@@ -271,91 +373,92 @@ def trace_sample(
     near: float,
     begin: float,
     end: float,
-    size: float,
-    reach: float,
+    passage: Passage,
 ):
     """Time at which a sample would penetrate the other body too deep, or `end`; this cannot happen before `begin`.
 
-    A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`.
+    A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`. A sample that
+    moves little is not traced if it is clear.
     """
+    size = passage.size
     arm = wp.quat_rotate(own.turn, p - own.local_center)
-    d = signed_distance(shapes, other.shape, place_at(own, other, arm, 0.0), radius + shapes.shapes[other.shape].cell)
-    gap = d[3] - radius
+    path = path_length(own, other, arm, passage)
+    gap = gap_of(shapes, other.shape, p, radius, path, passage)
     allowed = DEPTH * size
     earliest = float(begin)
     if gap < near:
         allowed = near - wp.min(gap, 0.0)
         earliest = 0.0
-    if gap + allowed > reach:
+    if gap + allowed > path:
         return end
     return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * size, earliest, end)
 
 
 @wp.func
-def trace_cluster(
-    shapes: Shapes, own: Course, other: Course, cluster: int, begin: float, end: float, size: float, reach: float
-):
-    """Time at which a sample of a cluster would penetrate the other body too deep, not before `begin`, or `end`."""
+def trace_samples(shapes: Shapes, own: Course, other: Course, ball: Ball, begin: float, end: float, passage: Passage):
+    """Time at which a sample of a ball would penetrate the other body too deep, not before `begin`, or `end`."""
     earliest = float(end)
-    for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-        if shapes.samples[s].kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
-            earliest = trace_segment(shapes, own, other, s, NEAR * size, begin, earliest, size)
-        elif shapes.samples[s].kind != SampleKind.RIM:
+    for s in range(ball.sample_start, ball.sample_end):
+        p = own.local_center
+        radius = float(0.0)
+        near = DEPTH * passage.size
+        kind = int(SampleKind.POINT)
+        if s >= 0:
             p = shapes.samples[s].point
             radius = shapes.samples[s].radius
-            earliest = trace_sample(shapes, own, other, p, radius, NEAR * size, begin, earliest, size, reach)
+            near = NEAR * passage.size
+            kind = shapes.samples[s].kind
+        if kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
+            earliest = trace_segment(shapes, own, other, s, near, begin, earliest, passage.size)
+        elif kind != SampleKind.RIM:
+            earliest = trace_sample(shapes, own, other, p, radius, near, begin, earliest, passage)
     return earliest
 
 
 @wp.func
-def first_touch(
-    shapes: Shapes, own: Course, other: Course, end: float, size: float, reach: float, lane: int, lanes: int
-):
+def ball_of(own: Course, cluster: int, shapes: Shapes):
+    """The bounding sphere of a cluster; for the cluster -1, that of the body. Its sample is the centre if convex."""
+    ball = Ball()
+    if cluster < 0:
+        ball.center = own.local_center
+        ball.radius = own.radius
+        ball.sample_start = -1
+        ball.sample_end = shapes.shapes[own.shape].convex - 1
+    else:
+        ball.center = shapes.clusters[cluster].center
+        ball.radius = shapes.clusters[cluster].radius
+        ball.sample_start = shapes.clusters[cluster].sample_start
+        ball.sample_end = shapes.clusters[cluster].sample_end
+    return ball
+
+
+@wp.func
+def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: float, size: float, lane: int, lanes: int):
     """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`.
 
-    The lanes of a team share the clusters; the earliest of their times is that of the pair. `reach` bounds the relative
-    motion of the bodies.
+    The lanes of a team share the clusters; the earliest of their times is that of the pair.
     """
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
-    tolerance = CLOSE_ENOUGH * size
+    passage = passage_of(own, other, dt, size)
     slack = GRID_ERROR * shapes.shapes[other.shape].cell
-    begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, slack, tolerance, 0.0, end)
-    if begin >= end:
-        return earliest
-    if shapes.shapes[own.shape].convex == 1 and lane == 0:
-        center = own.local_center
-        earliest = trace_sample(shapes, own, other, center, 0.0, DEPTH * size, begin, earliest, size, reach)
-    first = shapes.shapes[own.shape].cluster_start + lane
-    for cluster in range(first, shapes.shapes[own.shape].cluster_end, lanes):
-        kind = shapes.clusters[cluster].kind
-        if kind != SampleKind.CORNER and matters(kind, own.shape, other.shape, 1, shapes):
-            arm = wp.quat_rotate(own.turn, shapes.clusters[cluster].center - own.local_center)
-            ball = shapes.clusters[cluster].radius
-            at = float(earliest)
-            if not out_of_box(place_at(own, other, arm, 0.0), ball + reach, other.shape, shapes):
-                at = trace(shapes, own, other, arm, ball, 0.0, slack, tolerance, 0.0, earliest)
-            if at < earliest:
-                earliest = trace_cluster(shapes, own, other, cluster, at, earliest, size, reach)
+    cluster = int(-1)
+    while cluster < shapes.shapes[own.shape].cluster_end:
+        ball = ball_of(own, cluster, shapes)
+        kind = shapes.clusters[wp.max(cluster, 0)].kind
+        near = cluster < 0 or (kind != SampleKind.CORNER and matters(kind, own.shape, other.shape, 1, shapes))
+        margin = ball.radius + passage.reach
+        at = float(earliest)
+        if near and not out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
+            arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
+            at = trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * size, 0.0, earliest)
+        if at < earliest and (cluster >= 0 or lane == 0):
+            earliest = trace_samples(shapes, own, other, ball, at, earliest, passage)
+        elif at >= end and cluster < 0:
+            return earliest
+        cluster = wp.where(cluster < 0, shapes.shapes[own.shape].cluster_start + lane, cluster + lanes)
     return earliest
-
-
-@wp.func
-def relative_motion(a: Course, b: Course, dt: float):
-    """Upper bound of the relative motion of two bodies in a step [m], at the surface of the smaller one."""
-    small = a
-    if b.radius < a.radius:
-        small = b
-    v = a.linear + wp.cross(a.angular, small.center - a.center)
-    w = b.linear + wp.cross(b.angular, small.center - b.center)
-    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius)
-
-
-@wp.func
-def largest_motion(a: Course, b: Course, dt: float):
-    """`relative_motion`, with the increase by the rotation of the larger body within the step."""
-    return relative_motion(a, b, dt) * (1.0 + dt * (wp.length(a.angular) + wp.length(b.angular)))
 
 
 @wp.func
@@ -415,11 +518,10 @@ def limit_motion(
         size = smaller_size(a, b, shapes, bodies)
         first = course_of(a, share_a, bodies, state, motions)
         second = course_of(b, share_b, bodies, state, motions)
-        reach = largest_motion(first, second, dt)
         t = float(dt)
         side = int(0)
         while side < 2:
-            t = first_touch(shapes, first, second, t, size, reach, lane, lanes)
+            t = first_touch(shapes, first, second, dt, t, size, lane, lanes)
             swapped = first
             first = second
             second = swapped

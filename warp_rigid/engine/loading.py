@@ -39,7 +39,6 @@ STEP = (
     *ROUND_MODULES,
     effectiveness,
     impact_rounds,
-    candidates,
     broadphase,
     build_contacts,
     records,
@@ -48,10 +47,10 @@ STEP = (
 )
 """Kernel modules that every step requires; the slowest to compile come first."""
 
-GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
-"""Kernel modules for distance grids, `deepest_overlap`, sleeping and moving ground."""
+GRIDS, OVERLAP, SLEEP, GROUND, CANDIDATES = (bake,), (overlap,), (sleep,), (ground_motion,), (candidates,)
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground and large environments."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND)
+EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *CANDIDATES)
 
 
 def load_kernels(

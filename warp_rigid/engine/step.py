@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine import loading
 from warp_rigid.engine.hash_grid import HashGrid
-from warp_rigid.engine.loading import GROUND, SLEEP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, TRACE_LANES, most_lanes, team_lanes
@@ -104,7 +104,9 @@ class Stages:
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
-        load_kernels(device, [*(SLEEP if sleeping else ()), *(GROUND if model.surface_vertices else ())])
+        large, moving_ground = self.grid.buckets > 0, model.surface_vertices > 0
+        needed = ((loading.SLEEP, sleeping), (loading.GROUND, moving_ground), (loading.CANDIDATES, large))
+        loading.load_kernels(device, [module for modules, used in needed if used for module in modules])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
