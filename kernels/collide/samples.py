@@ -76,9 +76,13 @@ BALL_LAST = wp.constant(27)
 
 @wp.struct
 class Search:
-    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`."""
+    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
+
+    `evaluations`: number of distances so far, for measurements.
+    """
 
     stage: int
+    evaluations: int
     query: wp.vec3
     facing: wp.vec3
     normal: wp.vec3
@@ -466,6 +470,7 @@ def bring_to_touch(
     search = begin_search(shapes, s, shape, turn, shift, weight)
     while search.stage >= 0:
         d = contact_distance(shapes, shape, search.query, search.facing)
+        search.evaluations += 1
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:
