@@ -26,7 +26,7 @@ from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import approach as approaches
-from warp_rigid.kernels.collide import narrowphase
+from warp_rigid.kernels.collide import convex_pairs, narrowphase, samples
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
 """The four main scenes: name, bodies, environments."""
@@ -121,6 +121,7 @@ class Counts:
         near: clusters that passed the test.
         samples: tested samples of near clusters.
         close: samples that passed the test, for which a distance is computed.
+        distances: distances that the searches of these samples compute.
         touching: pairs with contacts.
         contacts: number of contacts.
         levels: highest level of any environment.
@@ -143,6 +144,7 @@ class Counts:
     near: int
     samples: int
     close: int
+    distances: int
     touching: int
     contacts: int
     levels: int
@@ -187,7 +189,7 @@ def count_samples(
     pairs: schema.Pairs,
     counted: wp.array2d[int],
 ):
-    """One thread per searched pair: its clusters, near clusters, their samples, and close samples."""
+    """One thread per searched pair: its clusters, near clusters, their samples, close samples, and their distances."""
     pair = wp.tid()
     if pairs.patch_count[pair] < 0:
         return
@@ -199,6 +201,7 @@ def count_samples(
     while side < 2:
         own = wp.where(side == 0, a, b)
         approach = approaches.approach_of(own, a + b - own, reach, bodies, state)
+        approach = convex_pairs.cut_by_axis(approach, pairs.axis[pair], side, shapes)
         own_shape = shapes.shapes[approach.own_shape]
         counted[pair, 0] += own_shape.cluster_end - own_shape.cluster_start
         for cluster in range(own_shape.cluster_start, own_shape.cluster_end):
@@ -208,6 +211,10 @@ def count_samples(
                     counted[pair, 2] += 1
                     if narrowphase.sample_is_near(s, approach, shapes):
                         counted[pair, 3] += 1
+                        found = samples.place_sample(
+                            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, reach
+                        )
+                        counted[pair, 4] += found.evaluations
         side += 1
 
 
@@ -227,7 +234,7 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
     scene, _, seconds = text.partition("@")
     name, _, envs = scene.rpartition(":")
     case = find_case(name)
-    sim = _advanced(case, int(envs), device, round(FPS * float(seconds)) if seconds else settle)
+    sim = settled(case, int(envs), device, round(FPS * float(seconds)) if seconds else settle)
     counts = count(sim)
     launches = count_launches(sim)
     work = {stage: work_of(stage, counts) for stage in STAGES if stage in launches}
@@ -238,7 +245,8 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
     return Found(text, named, commit(), counts, work, stage_times(sim, steps), sim.memory, limits)
 
 
-def _advanced(case: BenchmarkCase, envs: int, device: Any, frames: int) -> Simulator:
+def settled(case: BenchmarkCase, envs: int, device: Any, frames: int) -> Simulator:
+    """A simulator of a case in one shard, after some frames."""
     with shared_by(usable_cores()):  # one core, so one shard
         sim = Simulator(case.build(), envs, Settings(dt=1.0 / (FPS * SUBSTEPS)), device=device)
     case.scatter(sim)
@@ -261,7 +269,7 @@ def count(sim: Simulator) -> Counts:
     converged = pools.graph.converged.numpy() == 1
     shard.undo(attempt=0)
     stages.predict(sim.settings.dt)
-    counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
+    counted = wp.zeros((max(pairs, 1), 5), dtype=int, device=sim.device)
     inputs = [
         sim.settings.dt,
         sim._world.model.shapes,
@@ -271,7 +279,7 @@ def count(sim: Simulator) -> Counts:
         pools.pairs,
     ]
     wp.launch(count_samples, dim=pairs, inputs=inputs, outputs=[counted], device=sim.device)
-    clusters, near, samples, close = (int(total) for total in counted.numpy().sum(axis=0))
+    clusters, near, tested, close, distances = (int(total) for total in counted.numpy().sum(axis=0))
     return Counts(
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
@@ -281,8 +289,9 @@ def count(sim: Simulator) -> Counts:
         searched=searched,
         clusters=clusters,
         near=near,
-        samples=samples,
+        samples=tested,
         close=close,
+        distances=distances,
         touching=int((np.diff(start) > 0).sum()),
         contacts=int(contacts.sum()),
         levels=sim.counts()["levels"],

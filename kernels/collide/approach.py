@@ -30,7 +30,8 @@ class Touch:
 class Approach:
     """Relative pose of the body with the samples (`own`) in the frame of the body with the distance (`other`).
 
-    `weight`: weight of a gap in the score of a sample (contact_reduction.py).
+    `weight`: weight of a gap in the score of a sample (contact_reduction.py). `cut`, `level`: points p of `own`, in its
+    frame, with `cut . p > level` cannot touch; a zero vector if that is not known of any.
     """
 
     own: int
@@ -42,6 +43,8 @@ class Approach:
     reach: float
     rise: float
     weight: float
+    cut: wp.vec3
+    level: float
 
 
 @wp.func

@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import approach_of, contact_reach, touch_of
+from warp_rigid.kernels.collide.approach import Approach, approach_of, contact_reach, touch_of
 from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory
-from warp_rigid.kernels.collide.convex import Solids, deepest_point, find_axis, gap_along, is_solid
+from warp_rigid.kernels.collide.convex import Solids, deepest_point, find_axis, furthest_point, gap_along, is_solid
 from warp_rigid.kernels.collide.distance import BORDER, FAR
 from warp_rigid.kernels.collide.samples import Search
 from warp_rigid.kernels.common.team import sync_warp
@@ -112,6 +112,31 @@ def check_by_axis(
 
 
 @wp.func
+def border_of(a: int, b: int, shapes: Shapes):
+    """Distance from a shape at which a point may still count as above one of its faces (distance.py) [m]."""
+    return BORDER * wp.max(shapes.shapes[a].size, shapes.shapes[b].size)
+
+
+@wp.func
+def cut_by_axis(approach: Approach, axis: wp.vec3, side: int, shapes: Shapes):
+    """Limit the samples of a convex body to those that are near the other convex body along the axis of the pair.
+
+    On side 0 the approach is that of the first body in the frame of the second one, and of this the axis is. On side 1
+    it is the inverse.
+    """
+    if wp.length_sq(axis) == 0.0:
+        return approach
+    n = axis
+    if side == 1:
+        n = -wp.quat_rotate(approach.turn, axis)
+    approach.cut = wp.quat_rotate_inv(approach.turn, n)
+    furthest = wp.dot(n, furthest_point(shapes, approach.shape, n))
+    border = border_of(approach.own_shape, approach.shape, shapes)
+    approach.level = furthest + approach.reach + border - wp.dot(n, approach.shift)
+    return approach
+
+
+@wp.func
 def is_apart(
     pair: int,
     last: int,
@@ -137,7 +162,7 @@ def is_apart(
     if not is_solid(shapes, shape_a) or not is_solid(shapes, shape_b):
         return False
     reach = contact_reach(a, b, size, dt, state, motions)
-    reach += BORDER * wp.max(shapes.shapes[shape_a].size, shapes.shapes[shape_b].size)
+    reach += border_of(shape_a, shape_b, shapes)
     solids = solids_of(a, b, size, bodies, state)
     touched = int(0)
     axis = wp.vec3(0.0, 0.0, 0.0)

@@ -31,9 +31,9 @@ from warp_rigid.kernels.collide.approach import (
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
 from warp_rigid.kernels.collide.convex import is_solid
-from warp_rigid.kernels.collide.convex_pairs import check_by_axis, is_apart
+from warp_rigid.kernels.collide.convex_pairs import border_of, check_by_axis, cut_by_axis, is_apart
 from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_nearer, signed_distance
-from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
+from warp_rigid.kernels.collide.samples import OVERLAP, Search, gradient, place_sample
 from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
@@ -103,9 +103,26 @@ def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
 
 
 @wp.func
+def segment_meets_box(middle: wp.vec3, half: wp.vec3, margin: float, shape: int, shapes: Shapes):
+    """Whether a segment comes within a margin of a shape's bounding box, by separating axes of the enlarged box."""
+    center = 0.5 * (shapes.shapes[shape].lower + shapes.shapes[shape].upper)
+    e = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower) + wp.vec3(margin, margin, margin)
+    m = middle - center
+    h = wp.vec3(wp.abs(half[0]), wp.abs(half[1]), wp.abs(half[2]))
+    if wp.abs(m[0]) > e[0] + h[0] or wp.abs(m[1]) > e[1] + h[1] or wp.abs(m[2]) > e[2] + h[2]:
+        return False
+    across = wp.cross(m, half)
+    x = wp.abs(across[0]) <= e[1] * h[2] + e[2] * h[1]
+    y = wp.abs(across[1]) <= e[0] * h[2] + e[2] * h[0]
+    return x and y and wp.abs(across[2]) <= e[0] * h[1] + e[1] * h[0]
+
+
+@wp.func
 def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
     """Whether a cluster may contain a touching sample."""
     if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
+        return 0
+    if wp.dot(approach.cut, shapes.clusters[cluster].center) - shapes.clusters[cluster].radius > approach.level:
         return 0
     center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
     margin = shapes.clusters[cluster].radius + approach.reach
@@ -116,9 +133,16 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
 
 @wp.func
 def sample_is_near(s: int, approach: Approach, shapes: Shapes):
-    """Whether a sample is close enough to the other shape's bounding box to touch."""
+    """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch."""
+    lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
+    if lowest - shapes.samples[s].radius > approach.level:
+        return False
     p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
-    margin = approach.reach + shapes.samples[s].radius + wp.length(shapes.samples[s].slide)
+    margin = approach.reach + shapes.samples[s].radius
+    if shapes.samples[s].kind == SampleKind.EDGE:
+        slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
+        margin += border_of(approach.own_shape, approach.shape, shapes)
+        return segment_meets_box(p, slide, margin, approach.shape, shapes)
     return not out_of_box(p, margin, approach.shape, shapes)
 
 
@@ -281,6 +305,7 @@ def look_for_contacts(
         approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
         approach.rise = rise
         approach.weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
+        approach = cut_by_axis(approach, pairs.axis[pair], side, shapes)
         end = shapes.shapes[approach.own_shape].cluster_end
         for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
             near = int(0)

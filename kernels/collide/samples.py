@@ -84,9 +84,13 @@ BALL_LAST = wp.constant(27)
 
 @wp.struct
 class Search:
-    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`."""
+    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
+
+    `evaluations`: number of distances so far, for measurements.
+    """
 
     stage: int
+    evaluations: int
     query: wp.vec3
     facing: wp.vec3
     normal: wp.vec3
@@ -486,6 +490,7 @@ def bring_to_touch(
             d = ball_distance_to_mesh(shapes, part, search.query, radius, reach, choice)
         else:
             d = contact_distance(shapes, shape, search.query, search.facing, near)
+        search.evaluations += 1
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:
