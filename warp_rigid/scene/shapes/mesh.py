@@ -169,6 +169,13 @@ class Mesh(Shape):
         """
         return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
 
+    @cached_property
+    def inner_ball(self):
+        """About the deepest node of the grid."""
+        deepest = np.unravel_index(np.argmin(self.grid.values), self.grid.values.shape)
+        center = np.array(self.grid.origin) + self.grid.spacing * np.array(deepest)
+        return center, max(0.0, -float(self.grid.values[deepest]))
+
     def parts(self):
         """One GRID, with a tree of triangles where their distance has a sign."""
         return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid, tree=self.tree)]
