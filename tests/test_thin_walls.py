@@ -110,3 +110,16 @@ def test_two_thin_plates_do_not_pass_each_other(device, speed):
         sim.step()
         assert (sim.get("position")[:, 1, 2] > 0.0).all()
         assert sim.penetration().max() < 5e-4
+
+
+def test_thin_walls_with_a_hole_are_refused_until_the_grid_resolves_them(device):
+    """With a triangle missing only the grid tells inside from outside: the message names the resolution that holds."""
+    whole = tray(SIZE / 100)
+    with pytest.raises(ValueError, match="^sdf_resolution: must be at least [0-9]+ for walls about") as refusal:
+        wr.Mesh(whole.vertices, whole.faces[1:])
+    assert "\n" not in str(refusal.value) and "the mesh has holes" in str(refusal.value)
+    least = int(str(refusal.value).split("least ")[1].split()[0])
+    assert 64 < least < 200
+    fine = wr.Mesh(whole.vertices, whole.faces[1:], sdf_resolution=least)
+    place, _, deepest = dropped(device, fine, BODIES["box"], 0.1)
+    assert (place[:, 2] > 0.0).all() and deepest.max() < DEEPEST
