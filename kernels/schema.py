@@ -129,6 +129,8 @@ ShapeRecord = record(
     lower=Field(wp.vec3, "", "m", "lower corner of the bounding box"),
     upper=Field(wp.vec3, "", "m", "upper corner of the bounding box"),
     size=Field(float, "", "m", "smallest extent of the bounding box; contact tolerances scale with it"),
+    inner_center=Field(wp.vec3, "", "m", "centre of a large ball inside the shape"),
+    inner_radius=Field(float, "", "m", "its radius; 0 if the shape has no inside"),
     cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
     rise=Field(float, "", "m/s", "largest speed of the surface relative to the body; 0 except for moving ground"),
 )

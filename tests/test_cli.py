@@ -383,12 +383,16 @@ def test_inspect_tells_of_holes_and_draws_a_slice(capsys, tmp_path):
         "--slice", "z=0.2",
     )  # fmt: skip
     assert status == 0 and "open" in out.splitlines()[0]
+    told = " ".join(out.split())
+    assert "from the grid only, as the mesh has holes: walls thinner than 81.2 mm do not hold" in told
+    assert "repair the mesh or raise --sdf-resolution" in told
     assert Image.open(picture).size[0] > 400
 
 
 def test_ready_made_meshes_have_names(capsys):
     status, out, _ = run(capsys, "inspect", "tetrahedron", "--sdf-resolution", 16)
     assert status == 0 and "4 vertices, 4 triangles, watertight" in out
+    assert "from the triangles, so walls may be thinner than a cell" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(("module", "extra"), [("viser", "viewer"), ("imageio_ffmpeg", "picture"), ("PIL", "picture")])

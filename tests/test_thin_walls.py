@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 import warp_rigid as wr
+from warp_rigid.scenes.builders import meshes
 
 SIZE = 0.3
 DEEPEST = 1e-3
@@ -82,6 +83,24 @@ def test_bodies_stay_in_a_vessel_with_thin_walls(device, vessel, body, share):
     assert np.abs(speed).max() < 0.5
 
 
+@pytest.mark.parametrize("body", [*BODIES, "bunny"])
+def test_a_wall_of_a_thousandth_stops_what_moves_half_its_size_in_a_step(device, body):
+    """0.3 mm, at 5 m/s and 1/240 s. The bunny overlaps by up to 4 mm in the step of its impact, and still stays."""
+    count, speed = 24, 5.0
+    scene = wr.Scene()
+    scene.add_static(tray(SIZE / 1000))
+    scene.add_body(BODIES.get(body) or meshes.bunny(0.05, sdf_resolution=32))
+    generator = np.random.default_rng(1)
+    sim = wr.Simulator(scene, num_envs=count, device=device)
+    sim.set("position", generator.uniform((-0.05, -0.05, 0.06), (0.05, 0.05, 0.12), (count, 3))[:, None], bodies=[1])
+    turns = generator.normal(size=(count, 1, 4))
+    sim.set("orientation", turns / np.linalg.norm(turns, axis=2, keepdims=True), bodies=[1])
+    sim.set("linear_velocity", (0, 0, -speed), bodies=[1])
+    sim.set("angular_velocity", generator.normal(scale=5.0, size=(count, 1, 3)), bodies=[1])
+    sim.step(120)
+    assert (sim.get("center_of_mass")[:, 1, 2] > 0.0).all()
+
+
 @pytest.mark.parametrize("thickness", [0.05, 0.02, 0.005])
 @pytest.mark.parametrize("body", ["ball", "box", "rod"])
 def test_a_plate_thinner_than_a_cell_carries(device, body, thickness):
@@ -110,3 +129,16 @@ def test_two_thin_plates_do_not_pass_each_other(device, speed):
         sim.step()
         assert (sim.get("position")[:, 1, 2] > 0.0).all()
         assert sim.penetration().max() < 5e-4
+
+
+def test_thin_walls_with_a_hole_are_refused_until_the_grid_resolves_them(device):
+    """With a triangle missing only the grid tells inside from outside: the message names the resolution that holds."""
+    whole = tray(SIZE / 100)
+    with pytest.raises(ValueError, match="^sdf_resolution: must be at least [0-9]+ for walls about") as refusal:
+        wr.Mesh(whole.vertices, whole.faces[1:])
+    assert "\n" not in str(refusal.value) and "the mesh has holes" in str(refusal.value)
+    least = int(str(refusal.value).split("least ")[1].split()[0])
+    assert 64 < least < 200
+    fine = wr.Mesh(whole.vertices, whole.faces[1:], sdf_resolution=least)
+    place, _, deepest = dropped(device, fine, BODIES["box"], 0.1)
+    assert (place[:, 2] > 0.0).all() and deepest.max() < DEEPEST

@@ -10,7 +10,7 @@ Contacts are reduced while they are found (contact_reduction.py).
 
 Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
 each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
-made with the inscribed sphere about the centre of mass of one body, which overlaps the other body only if both do.
+made with a large ball inside one body, which overlaps the other body only if the bodies overlap.
 
 A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of a cluster. Touching samples
 are broadcast to all lanes in sample order, and each lane updates its own slots.
@@ -218,29 +218,35 @@ def try_cluster(
 
 @wp.func
 def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """The contact of the inscribed sphere about the centre of mass of a pair's first (side 0) or second (side 1) body.
+    """The contact of the inner ball of a pair's first (side 0) or second (side 1) body.
 
-    If it penetrates the other body, the two bodies overlap. The gap is FAR if it is not known: the radius is exact only
-    for convex bodies, and outside a grid the distance is only a bound.
+    If it penetrates the other body, the two bodies overlap. That of a convex body is about its centre of mass, and any
+    overlap with a convex body counts; else its centre must be inside the other body. The gap is FAR if it is not known:
+    outside a grid the distance is only a bound.
     """
     own = wp.where(side == 0, a, b)
     other = wp.where(side == 0, b, a)
-    placed = Search()
-    placed.query = wp.quat_rotate_inv(state.orientation[other], motions.center[own] - state.position[other])
-    placed.distance = FAR
     shape = bodies.shape[own]
+    convex = shapes.shapes[shape].convex
     query = bodies.center_of_mass[own]
+    x = motions.center[own]
     radius = float(0.0)
     evaluated = int(0)
+    if convex == 0:
+        query = shapes.shapes[shape].inner_center
+        x = wp.quat_rotate(state.orientation[own], query) + state.position[own]
+    placed = Search()
+    placed.query = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
+    placed.distance = FAR
     while evaluated < 2:
-        # First the radius of the sphere, then its distance from the other body.
+        # First the radius of the ball, then its distance from the other body.
         d = signed_distance(shapes, shape, query, -FAR)
-        if evaluated == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
+        if evaluated == 1 and (d[3] < 0.0 or (convex == 1 and shapes.shapes[shape].convex == 1)):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
-        elif evaluated == 0 and shapes.shapes[shape].convex == 1:
-            radius = -d[3]
+        elif evaluated == 0:
+            radius = wp.where(convex == 1, -d[3], shapes.shapes[shape].inner_radius)
         shape = bodies.shape[other]
         query = placed.query
         evaluated = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), evaluated + 1, 2)

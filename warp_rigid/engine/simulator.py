@@ -219,7 +219,11 @@ class Simulator:
 
     @guarded
     def penetration(self) -> np.ndarray:
-        """Return the current deepest overlap of each environment over all surface samples, (envs,) [m]."""
+        """Return the current deepest overlap of each environment, (envs,) [m].
+
+        It is the depth of the deepest surface sample in another body. If another body contains the centre of the
+        largest ball inside a body, it is at least the distance by which that ball must move.
+        """
         return self._world.shards.deepest_overlap()
 
     @guarded

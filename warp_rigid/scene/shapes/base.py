@@ -129,6 +129,16 @@ class Shape:
         """Vertices of the solid if it is a convex mesh, (n, 3) [m], else (0, 3)."""
         return np.zeros((0, 3))
 
+    @cached_property
+    def inner_ball(self) -> tuple[np.ndarray, float]:
+        """Centre (3,) and radius [m] of a large ball inside the shape; radius 0 if it has no inside.
+
+        For a convex shape the ball about its centre of mass.
+        """
+        if self.static_only:
+            return np.zeros(3), 0.0
+        return self.center_of_mass, float(-self.signed_distance(self.center_of_mass)[0][0])
+
     def signed_distance(self, points) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the surface and its gradient, in float64.
 

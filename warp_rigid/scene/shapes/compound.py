@@ -67,6 +67,14 @@ class Compound(Shape):
             axis=0,
         )
 
+    @cached_property
+    def inner_ball(self):
+        """The largest of the children's."""
+        balls = [shape.inner_ball for shape, _, _ in self.children]
+        largest = int(np.argmax([radius for _, radius in balls]))
+        center, radius = balls[largest]
+        return self._rotations[largest] @ center + self.children[largest][1], radius
+
     def signed_distance(self, points):
         """Distance to the nearest child.
 
