@@ -124,8 +124,11 @@ def stop_checks(bodies, experiments, misses=()):
         own = {id(experiment) for experiment in experiments}
         return lambda s: each(lambda t: stops(t)[k])(tuple(t for t in s if id(t.experiment) in own))
 
+    def reference(k):
+        return lambda _: exact()[k]
+
     return tuple(
-        ReferenceCheck(name, unit, measure(k), lambda _, k=k: exact()[k], relative(0.02), labels, known[k])
+        ReferenceCheck(name, unit, measure(k), reference(k), relative(0.02), labels, known[k])
         for k, (name, unit) in enumerate(kinds)
     )
 
