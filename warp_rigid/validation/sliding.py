@@ -116,7 +116,7 @@ def stop_checks(bodies, experiments, misses=()):
     @cache
     def exact():
         """References (3, variants), computed when they are needed."""
-        found = [stop(*body, speed, spin) for body in bodies for speed, spin in MOTIONS]
+        found = [stop(feet, height, k, *motion) for feet, height, k in bodies for motion in MOTIONS]
         return np.array(found).T
 
     labels = [f"{one.label}, {variant}" if one.label else variant for one in experiments for variant in one.variants]
