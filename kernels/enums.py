@@ -66,6 +66,15 @@ class ShockMode(IntEnum):
     TWO_PASS = 2
 
 
+class OutOfBounds(IntEnum):
+    """What happens to a body whose centre of mass leaves the bounds of its environment."""
+
+    UNBOUNDED = 0
+    """There are no bounds."""
+    REPORT = 1
+    REMOVE = 2
+
+
 class CombineRule(IntEnum):
     """How the coefficients of two bodies are combined."""
 

@@ -35,7 +35,7 @@ SYMBOLS = {
     "samples": "surface samples in the pool",
     "nodes": "grid nodes in the pool",
     "vertices": "vertices of moving height fields",
-    "fields": "force fields besides gravity",
+    "fields": "force fields besides gravity, over all environments",
     "field_parameters": "parameters of the force field that has most",
     "small": "bodies in the hash grid",
     "oversized": "bodies outside the hash grid",
@@ -205,10 +205,15 @@ Motions = layout(
 
 Environments = layout(
     "Environments",
-    "Bodies, settings and status of each environment.",
+    "Bodies, rules, settings and status of each environment.",
     first_body=Field(
         int, "envs + 1", "", "first body of each environment; the last entry is the number of bodies", "bodies"
     ),
+    friction_rule=Field(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
+    restitution_rule=Field(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
+    out_of_bounds=Field(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
+    lower=Field(wp.vec3, "envs", "m", "lower corner of the bounds"),
+    upper=Field(wp.vec3, "envs", "m", "upper corner of the bounds"),
     gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),
     collision_iterations=Field(int, "envs", "", "maximum sweeps of the restitution stage"),
     contact_iterations=Field(int, "envs", "", "sweeps of the contact solver (gauss_seidel.py)"),
@@ -242,22 +247,31 @@ Cells = layout(
         int, "envs + 1", "", "first oversized body of each environment; the last entry is their number"
     ),
     oversized=Field(int, "oversized", "", "bodies tested against every body, by their index within the environment"),
+    width=Field(float, "envs", "m", "cell width of the hash grid"),
+    first_bucket=Field(
+        int,
+        "envs + 1",
+        "",
+        "first bucket of each environment; their number is a power of two, or 0 if all pairs are tested",
+    ),
     reach=Field(float, "envs", "m", "largest half-extent of the swept boxes of the small bodies"),
     key=Field(
         int,
         "points + points",
         "",
-        "bucket of each small body, in ascending order; the second half is scratch space for sorting",
+        "bucket of each small body, in ascending order; past the last one where all pairs are tested; the second half "
+        "is scratch space for sorting",
     ),
     member=Field(
         int, "points + points", "", "bodies in the order of their buckets; the second half is scratch space for sorting"
     ),
-    start=Field(int, "buckets + 1", "", "first member of each bucket; each environment has the same number of buckets"),
+    start=Field(int, "buckets + 1", "", "first member of each bucket"),
 )
 
 FieldForces = layout(
     "FieldForces",
-    "Force fields besides gravity, the same in all environments.",
+    "Force fields besides gravity. Their parameters can be changed for each environment.",
+    start=Field(int, "envs + 1", "", "first force field of each environment", "fields"),
     kind=Field(int, "fields", "", "a FieldKind"),
     parameters=Field(
         float, "fields, field_parameters", "SI", "attributes of the field's host class, in order of declaration"

@@ -53,7 +53,7 @@ def brute_force(stages):
     return {
         pair
         for pair in pairs
-        if len({body // stages.num_bodies for body in pair}) == 1 and any(dynamic[body] for body in pair)
+        if len({body // stages.model.layout.most_bodies for body in pair}) == 1 and any(dynamic[body] for body in pair)
     }
 
 
@@ -133,22 +133,21 @@ def test_both_searches_list_the_same_pairs(device, monkeypatch):
 def test_only_ordinary_dynamic_bodies_enter_the_grid(device, search):
     scene = mixed_scene(np.random.default_rng(7))
     _, stages = opened(scene, device)
-    small = stages.model.small
-    wide = stages.model.oversized
+    small, wide, width = stages.model.size_groups[scene]
     assert sorted([*small, *wide]) == list(range(len(scene.bodies)))
     assert all(scene.bodies[k].motion == Motion.DYNAMIC for k in small)
     dynamic = np.flatnonzero(moving(scene))
     extent = {k: np.linalg.norm(np.ptp(scene.bodies[k].shape.bounds, axis=0)) for k in dynamic}
     assert len(small) < len(dynamic)
     assert max(extent[k] for k in small) <= OVERSIZED * np.median(list(extent.values()))
-    assert stages.model.grid_radius >= max(extent[k] for k in small)
+    assert width >= max(extent[k] for k in small)
 
 
 def test_halted_environments_have_no_pairs(device, search):
     _, stages = opened(mixed_scene(np.random.default_rng(8), 60), device, num_envs=3)
     stages.envs.failed.assign(np.array([0, 1, 0], np.int32))
     found_pairs(stages)
-    env = pair_list(stages)[:, 0] // stages.num_bodies
+    env = pair_list(stages)[:, 0] // stages.model.layout.most_bodies
     assert set(env) == {0, 2}
 
 

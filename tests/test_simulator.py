@@ -459,7 +459,7 @@ SCENE = small_scene()
         (lambda sim: sim.step(1.5), "count"),
         (lambda sim: sim.reset(envs=[7]), "envs"),
         (lambda sim: sim.apply_impulse((1, 0), (0, 0, 0), 2), "impulse"),
-        (lambda sim: sim.apply_impulse((1, 0, 0), (0, 0, 0), 9), "bodies"),
+        (lambda sim: sim.apply_impulse((1, 0, 0), (0, 0, 0), 9), "body"),
         (lambda sim: Simulator(SCENE, num_envs=0, device=sim.device), "num_envs"),
         (lambda sim: Simulator(SCENE, seed=-1, device=sim.device), "seed"),
         (lambda sim: Simulator(SCENE, device="cuda:99"), "device"),

@@ -142,25 +142,31 @@ def cell_along(x: float, width: float):
 
 
 @wp.func
-def bucket_of(env: int, x: int, y: int, z: int, buckets: int):
-    """The bucket of a cell; each environment has `buckets` of them, a power of two (Teschner et al. 2003)."""
+def bucket_of(x: int, y: int, z: int, first: int, buckets: int):
+    """The bucket of a cell, among the `buckets` of its environment, a power of two (Teschner et al. 2003)."""
     mixed = wp.uint32(x) * wp.uint32(73856093)
     mixed = mixed ^ (wp.uint32(y) * wp.uint32(19349663))
     mixed = mixed ^ (wp.uint32(z) * wp.uint32(83492791))
     mixed = (mixed ^ (mixed >> wp.uint32(15))) * HASH_MULTIPLIER
-    return env * buckets + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
+    return first + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
 
 
 @wp.kernel
-def choose_buckets(buckets: int, width: float, envs: Environments, motions: Motions, cells: Cells):
+def choose_buckets(envs: Environments, motions: Motions, cells: Cells):
     """One thread per small body: the bucket of its swept box's centre, and the environment's largest half-extent."""
     k = wp.tid()
     env = cells.small_env[k]
     b = envs.first_body[env] + cells.small[k]
+    first = cells.first_bucket[env]
+    buckets = cells.first_bucket[env + 1] - first
+    cells.member[k] = b
+    if buckets == 0:
+        cells.key[k] = cells.start.shape[0] - 1
+        return
+    width = cells.width[env]
     x = 0.5 * (motions.lower[b] + motions.upper[b])
     across = cell_along(x[0], width)
-    cells.key[k] = bucket_of(env, across, cell_along(x[1], width), cell_along(x[2], width), buckets)
-    cells.member[k] = b
+    cells.key[k] = bucket_of(across, cell_along(x[1], width), cell_along(x[2], width), first, buckets)
     wp.atomic_max(cells.reach, env, 0.5 * wp.max(motions.upper[b] - motions.lower[b]))
 
 
@@ -210,8 +216,6 @@ def visit_around(
     env: int,
     first: int,
     write: int,
-    buckets: int,
-    width: float,
     cells: Cells,
     bodies: Bodies,
     motions: Motions,
@@ -219,8 +223,13 @@ def visit_around(
 ):
     """Test body i against the later small bodies in the cells around it. Returns the number of pairs.
 
-    If a body moves so fast that there are more cells to search than bodies, all bodies are tested instead.
+    All bodies are tested instead if the environment has no grid, or if a body moves so fast that there are more cells
+    to search than bodies.
     """
+    buckets = cells.first_bucket[env + 1] - cells.first_bucket[env]
+    if buckets == 0:
+        return visit_small(i, env, first, write, cells, bodies, motions, pairs)
+    width = cells.width[env]
     around = wp.vec3(cells.reach[env], cells.reach[env], cells.reach[env])
     lower = motions.lower[i] - around
     upper = motions.upper[i] + around
@@ -231,7 +240,7 @@ def visit_around(
     for x in range(cell_along(lower[0], width), cell_along(upper[0], width) + 1):
         for y in range(cell_along(lower[1], width), cell_along(upper[1], width) + 1):
             for z in range(cell_along(lower[2], width), cell_along(upper[2], width) + 1):
-                bucket = bucket_of(env, x, y, z, buckets)
+                bucket = bucket_of(x, y, z, cells.first_bucket[env], buckets)
                 at = wp.vec3i(x, y, z)
                 total = visit_cell(i, first, total, write, at, width, bucket, cells, bodies, motions, pairs)
     return total
@@ -241,8 +250,6 @@ def visit_around(
 def pairs_by_grid(
     write: int,
     threads: int,
-    buckets: int,
-    width: float,
     cells: Cells,
     bodies: Bodies,
     motions: Motions,
@@ -258,7 +265,7 @@ def pairs_by_grid(
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
             if envs.moving[env] > envs.step[env]:
                 if bodies.oversized[i] == 0:
-                    found = visit_around(i, env, first, write, buckets, width, cells, bodies, motions, pairs)
+                    found = visit_around(i, env, first, write, cells, bodies, motions, pairs)
                 found = visit_oversized(i, env, first, found, write, cells, bodies, motions, pairs)
             found = keep_dormant(i, found, write, motions, history, pairs)
         if write == 0:

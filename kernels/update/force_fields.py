@@ -33,10 +33,10 @@ def point_acceleration(fields: FieldForces, f: int, x: wp.vec3):
 
 
 @wp.func
-def field_acceleration(fields: FieldForces, field_count: int, x: wp.vec3):
-    """Acceleration at x by all force fields [m/s^2]."""
+def field_acceleration(fields: FieldForces, env: int, x: wp.vec3):
+    """Acceleration at x by all force fields of an environment [m/s^2]."""
     a = wp.vec3(0.0, 0.0, 0.0)
-    for f in range(field_count):
+    for f in range(fields.start[env], fields.start[env + 1]):
         kind = fields.kind[f]
         if kind == FieldKind.UNIFORM:
             a += uniform_acceleration(fields, f, x)

@@ -66,7 +66,6 @@ def body_is_finite(b: int, state: State):
 
 @wp.kernel
 def derive_motion(
-    field_count: int,
     bodies: Bodies,
     state: State,
     sleep_state: SleepState,
@@ -78,8 +77,9 @@ def derive_motion(
     b = wp.tid()
     motions.role[b] = role_of(b, bodies, state, sleep_state)
     motions.is_finite[b] = wp.where(body_is_finite(b, state), 1, 0)
+    env = bodies.env[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
+        envs.moving[env] = envs.step[env] + 1
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
@@ -94,7 +94,7 @@ def derive_motion(
     motions.solver_bodies[b] = solver_body
     acceleration = wp.vec3(0.0, 0.0, 0.0)
     if bodies.motion[b] == Motion.DYNAMIC:
-        acceleration = envs.gravity[bodies.env[b]] + field_acceleration(fields, field_count, center)
+        acceleration = envs.gravity[env] + field_acceleration(fields, env, center)
     motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
     motions.spin_acceleration[b] = inverse * state.torque[b]
 

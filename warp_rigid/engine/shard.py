@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine.loading import OVERLAP, load_kernels
-from warp_rigid.engine.model import Model, env_ranges
+from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels import declare, schema
@@ -37,6 +37,10 @@ class Shard:
     Attributes:
         first: as given.
         end: as given.
+        num_envs: number of its environments.
+        layout: its environments.
+        first_body: row of its first body in the arrays of all environments.
+        end_body: one past the row of its last body.
         pools: pairs, contacts and graph.
         stages: the recorded step.
         recorded: arguments of the last `record`, None before it.
@@ -52,9 +56,11 @@ class Shard:
     ) -> None:
         """Allocate the arrays; `record` must be called next."""
         self.first, self.end = first, end
-        self.num_envs, self.num_bodies = end - first, len(model.scene.bodies)
+        ranges = model.layout.ranges(first, end)
+        self.num_envs = end - first
+        self.first_body, self.end_body = ranges["bodies"]
         self._model = model.part(first, end)
-        ranges = env_ranges(model.scene, first, end)
+        self.layout = self._model.layout
         self._state = declare.part(state, ranges)
         self._sleep_state = declare.part(sleep_state, ranges)
         self._envs = declare.part(envs, ranges)
@@ -63,17 +69,7 @@ class Shard:
         self._saved_sleep_state = declare.allocate(schema.SleepState, sizes, self._device)
         self._saved_envs = [(array, wp.clone(array)) for array in (getattr(self._envs, name) for name in WATCHED)]
         self._saved_in: int | None = None
-        self.pools = Pools.allocate(sizes, self._device)
-
-    @property
-    def first_body(self) -> int:
-        """Row of its first body in the arrays of all environments."""
-        return self.first * self.num_bodies
-
-    @property
-    def end_body(self) -> int:
-        """One past the row of its last body."""
-        return self.end * self.num_bodies
+        self.pools = Pools.allocate(self.layout, sizes, self._device)
 
     def record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools | None = None) -> None:
         """Record the step again, with other pools if they are given; the other arguments are those of Stages.

@@ -1,7 +1,7 @@
-"""Simulator: many environments of one scene that are stepped together on one device."""
+"""Simulator: many environments of one or several scenes that are stepped together on one device."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.engine import checkpoint, quantities
+from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.world import World
@@ -19,11 +20,14 @@ log = logging.getLogger("warp_rigid")
 
 
 class Simulator:
-    """`num_envs` environments of one scene, each with its own state, parameters and settings.
+    """Environments of one or several scenes, each with its own state, parameters and settings.
+
+    The scenes may differ in everything that a Scene states: shapes, number of bodies, masses, force fields, filtered
+    pairs, bounds, rules. The result of an environment does not depend on the others, to the bit.
 
     Args:
-        scene: the scene.
-        num_envs: number of environments.
+        scene: the scene, or a list of scenes.
+        num_envs: number of environments of each scene. With n scenes, environment e has scene e modulo n.
         settings: initial settings of all environments; `set` changes them per environment.
         device: a Warp device or its name. None selects the first CUDA device, or else the CPU, and logs which. On a CPU
             the environments are distributed over all cores that the process may use.
@@ -38,9 +42,13 @@ class Simulator:
         capacity: initial capacity for "pairs" and "contacts" of all environments; None estimates both.
 
     Attributes:
-        scene: as given.
+        scenes: the distinct scenes.
+        scene_of: (envs,) index into `scenes` for each environment.
         num_envs: number of environments.
-        num_bodies: number of bodies in each environment, in the order of the scene.
+        num_bodies: number of bodies of the largest environment; bodies are in the order of the scene.
+        first_body: (envs + 1,) row of the first body of each environment in the arrays of `array`; the last entry is
+            the number of all bodies.
+        exists: (envs, bodies) whether an environment has a body of that index.
         settings: as given.
         device: the Warp device.
         seed: as given.
@@ -54,7 +62,7 @@ class Simulator:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | Sequence[Scene],
         num_envs: int = 1,
         settings: Settings | None = None,
         device: Any = None,
@@ -64,10 +72,10 @@ class Simulator:
         memory_limit: int | float | None = None,
         capacity: Mapping[str, int] | None = None,
     ) -> None:
-        """Upload the scene and compile the step."""
+        """Upload the scenes and compile the step."""
+        layout = layout_of(scene, num_envs)
         self._world = World(
-            scene,
-            num_envs,
+            layout,
             settings or Settings(),
             choose_device(device),
             seed,
@@ -76,9 +84,22 @@ class Simulator:
             memory_limit,
             capacity or {},
         )
-        self.scene, self.settings, self.device = scene, self._world.settings, self._world.device
-        self.num_envs, self.num_bodies = self._world.num_envs, self._world.num_bodies
+        self.scenes, self.scene_of = layout.scenes, layout.scene_of
+        self.settings, self.device = self._world.settings, self._world.device
+        self.num_envs, self.num_bodies = layout.num_envs, layout.most_bodies
+        self.first_body, self.exists = layout.first_body, layout.rows != LACKING
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of all environments.
+
+        Raises:
+            ValueError: the environments have several scenes; see `scenes` and `scene_of`.
+        """
+        if len(self.scenes) > 1:
+            raise ValueError(f"scene: the environments have {len(self.scenes)} scenes; see scenes and scene_of")
+        return self.scenes[0]
 
     @property
     def time(self) -> float:
@@ -106,7 +127,10 @@ class Simulator:
                 self._raise_if_nonfinite()
 
     def get(self, name: str) -> np.ndarray:
-        """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings."""
+        """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings.
+
+        Bodies that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
+        """
         return quantities.read(self._world, name)
 
     def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None) -> None:
@@ -116,19 +140,23 @@ class Simulator:
             name: the quantity.
             value: number, array, mode name, or list of mode names.
             envs: indices of the environments; None for all.
-            bodies: indices of the bodies; None for all.
+            bodies: indices or names of the bodies, which all these environments must have; None for all bodies, where
+                the values of bodies that an environment lacks are not read.
 
         Raises:
-            ValueError: unknown name, wrong shape, or a value out of range.
+            ValueError: unknown name, wrong shape, a value out of range, or a body that an environment lacks.
         """
         quantities.write(self._world, name, value, envs, bodies)
 
     def array(self, name: str) -> wp.array:
-        """Return the device array of a state or body quantity, (envs * bodies, ...), without a copy."""
+        """Return the device array of a state or body quantity, (bodies of all environments, ...), without a copy.
+
+        The bodies of environment e are rows `first_body[e]` to `first_body[e + 1] - 1`.
+        """
         return quantities.live_array(self._world, name)
 
     def reset(self, envs: Any = None) -> None:
-        """Reset environments to the initial state of the scene, bit for bit; parameters and settings are kept.
+        """Reset environments to the initial state of their scene, bit for bit; parameters and settings are kept.
 
         Args:
             envs: indices of the environments; None for all, which also resets the time.
@@ -161,8 +189,11 @@ class Simulator:
         """
         return checkpoint.load(path, device, Simulator)
 
-    def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
-        """Apply an impulse [N s] to a body at a world point [m], immediately; the body and its island wake up."""
+    def apply_impulse(self, impulse: Any, point: Any, body: int | str, envs: Any = None) -> None:
+        """Apply an impulse [N s] to a body at a world point [m], immediately; the body and its island wake up.
+
+        The body is given by its index or name.
+        """
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 
     def contacts(self) -> np.ndarray:
@@ -179,8 +210,7 @@ class Simulator:
     def status(self) -> np.ndarray:
         """Return records (envs,): the status, and the step, time [s] and body at which it began (-1 if ok).
 
-            device: None selects the device on which it was saved. Results on another kind of device differ by rounding.
-        left `Scene.bounds`).
+        The status is "ok", "non-finite" (the environment is halted) or "out of bounds" (a body left `Scene.bounds`).
         """
         return quantities.status_records(self._world)
 
@@ -212,8 +242,8 @@ class Simulator:
 
     @property
     def grid_cell(self) -> float:
-        """Cell width of the hash grid [m]; environments of few bodies test all pairs instead."""
-        return self._world.model.grid_radius
+        """Cell width of the hash grid of the first scene [m]; environments of few bodies test all pairs instead."""
+        return self._world.model.size_groups[self.scenes[0]].width
 
     def _raise_if_nonfinite(self) -> None:
         failed = np.flatnonzero(self._world.envs.failed.numpy())

@@ -50,7 +50,7 @@ class Stages:
     """The stages of a step over one set of arrays; a change of the pools requires a new object.
 
     Args:
-        model: the scene on the device.
+        model: the scenes on the device.
         state: state of the bodies.
         sleep_state: sleep state of the bodies.
         envs: settings and status of the environments.
@@ -78,10 +78,9 @@ class Stages:
         self.current_stage: str | None = None
         device: Any = pools.wanted.device
         self.device = device
-        self.num_envs = model.num_envs
-        self.num_bodies = len(model.scene.bodies)
-        self.rows = self.num_envs * self.num_bodies
-        self.teams = team_sizes(self.device, self.num_envs, self.num_bodies)
+        self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
+        self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
+        self.teams = team_sizes(self.device, self.num_envs, model.layout.most_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
         self.grid = HashGrid(model, device)
@@ -159,7 +158,6 @@ class Stages:
         self._per_body(
             predict.derive_motion,
             [
-                self.model.field_count,
                 self.model.bodies,
                 self.state,
                 self.sleep_state,
@@ -197,7 +195,7 @@ class Stages:
             self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
-        inputs = [self.dt, self.model.combine_rules, *bodies_of_pair, pairs, self.pools.history]
+        inputs = [self.dt, *bodies_of_pair, pairs, self.pools.history]
         self._share_pairs(build_contacts.build_contacts, BUILD_LANES, inputs, [contacts])
         self._list_constraints()
 
@@ -285,17 +283,11 @@ class Stages:
     @stage
     def integrate_positions(self) -> None:
         """Position update, with checks for non-finite states before it and for bodies out of bounds after it."""
-        scene, bodies = self.model.scene, self.model.bodies
+        bodies = self.model.bodies
         self._per_body(integrate.find_non_finite, [bodies, self.motions], [self.envs])
         self._per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
-        if scene.bounds is not None:
-            lower, upper = (wp.vec3(corner) for corner in scene.bounds)
-            remove = int(scene.out_of_bounds == "remove")
-            self._per_body(
-                integrate.keep_inside,
-                [lower, upper, remove, bodies, self.motions],
-                [self.state, self.envs],
-            )
+        if self.bounded:
+            self._per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
         self._per_env(integrate.close_step, [], [self.envs])
 
     @stage
@@ -413,11 +405,9 @@ class Stages:
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
         model = self.model
-        kernel, own = broadphase.pairs_by_trying_all, []
-        if self.grid.buckets:
-            kernel, own = broadphase.pairs_by_grid, [self.grid.buckets, model.grid_radius]
-        common = [self.grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
-        self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
+        kernel = broadphase.pairs_by_grid if self.grid.buckets else broadphase.pairs_by_trying_all
+        inputs = [self.grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
+        self._shared(kernel, self.rows, [write], inputs, [self.pools.pairs])
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
@@ -429,14 +419,12 @@ class Stages:
         pairs, constraints = self.pools.pairs, self.pools.constraints
         count = max(self.pools.sizes["pairs"], self.num_envs + 1)
         self._shared(records.list_pairs, count, [], [self.envs, self.model.bodies, pairs], [constraints])
-        first = 0
         for kind in OTHER_KINDS:
-            kind.build(self, constraints, first)
-            first += len(kind.definitions(self.model.scene))
+            kind.build(self, constraints, self.model.constraint_offsets[kind.NAME])
 
     def _wake_constrained(self, kind: ModuleType) -> None:
         """Name the islands that wake because of constraints of a kind."""
         rows = self.model.constraint_rows[kind.NAME]
-        count = self.num_envs * len(kind.definitions(self.model.scene))
+        count = self.model.layout.sizes[kind.NAME]
         inputs = [rows.body_a, rows.body_b, self.motions]
         wp.launch(sleep.wake_constrained, dim=count, inputs=inputs, outputs=[self.sleep_state], device=self.device)

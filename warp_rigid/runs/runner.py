@@ -343,7 +343,13 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         sim.set(plain, values)
     else:
         # One value per environment, (envs, 1) or (envs, 1, 3), broadcast over its bodies.
-        sim.set(plain, np.asarray(values)[:, None], bodies=chosen_bodies(sim.scene, name, plain, choice.rstrip("]")))
+        columns = np.asarray(values)[:, None]
+        groups: dict[tuple[int, ...], list[int]] = {}
+        for index, scene in enumerate(sim.scenes):
+            groups.setdefault(tuple(chosen_bodies(scene, name, plain, choice.rstrip("]"))), []).append(index)
+        for bodies, scenes_of_group in groups.items():
+            envs = np.flatnonzero(np.isin(sim.scene_of, scenes_of_group))
+            sim.set(plain, columns[envs], envs=envs, bodies=bodies)
 
 
 def chosen_bodies(scene: Scene, name: str, plain: str, choice: str) -> list[int]:

@@ -43,7 +43,7 @@ class Body(Coefficients):
         linear_velocity: (3,) velocity of the centre of mass [m/s].
         angular_velocity: (3,) in the world frame [rad/s].
         mass: [kg]; 0 for static and kinematic bodies, on which impulses have no effect.
-        name: a label for tables and files; need not be unique.
+        name: selects the body in a simulation and labels it in tables and files; unique in its scene.
         active: whether it is simulated from the start.
     """
 
@@ -103,6 +103,7 @@ class Scene:
         self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
         self.bodies: list[Body] = []
+        self._names: set[str] = set()
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.constraints: list[Any] = []
@@ -138,7 +139,7 @@ class Scene:
             angular_velocity: (3,) in the world frame [rad/s].
             density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
             mass: [kg], > 0; instead of density.
-            name: label; the shape's kind and the body's index where none is given.
+            name: of the body, unique in the scene; the shape's kind and the body's index where none is given.
             active: False for a body that is not simulated until `sim.set("active", True, ...)` switches it on.
             **coefficients: coefficients of the body by name; see Coefficients.
 
@@ -264,12 +265,26 @@ class Scene:
             linear_velocity=finite_vector("linear_velocity", linear_velocity),
             angular_velocity=finite_vector("angular_velocity", angular_velocity),
             mass=mass,
-            name=name or f"{type(shape).__name__.lower()}_{len(self.bodies)}",
+            name=self._unique_name(name, f"{type(shape).__name__.lower()}_{len(self.bodies)}"),
             active=active,
             **coefficients,
         )
         self.bodies.append(body)
+        self._names.add(body.name)
         return len(self.bodies) - 1
+
+    def _unique_name(self, given: str | None, default: str) -> str:
+        """The name of a new body.
+
+        Raises:
+            ValueError: Another body has the given name.
+        """
+        if given in self._names:
+            raise ValueError(f"name: must be unique in a scene, got {shown(given)} again")
+        name = given or default
+        while name in self._names:
+            name += "_"
+        return name
 
 
 def _mass(shape, density, mass):

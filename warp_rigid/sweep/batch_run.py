@@ -2,8 +2,8 @@
 
 import logging
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy as np
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.scene.scene import Scene
@@ -20,6 +19,7 @@ from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
+from warp_rigid.sweep.structure import structure
 
 __all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
 
@@ -35,11 +35,11 @@ class Batch:
 
     Attributes:
         rows: one row per run.
-        trajectories: argument of Trajectories.add; None if trajectories are not recorded.
+        trajectories: for each group of runs the arguments of Trajectories.add; empty if they are not recorded.
     """
 
     rows: list[dict[str, Any]]
-    trajectories: dict[str, Any] | None = None
+    trajectories: list[tuple[list[Run], dict[str, Any]]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,19 @@ class Prepared:
     sim: Simulator
     views: list[EnvironmentView]
 
+    def views_of_structures(self) -> list[EnvironmentView]:
+        """The environments grouped by the structure of their scenes."""
+        groups: dict[Any, list[EnvironmentView]] = {}
+        for view in self.views:
+            groups.setdefault(structure(view.scene), []).append(view)
+        return [
+            EnvironmentView(self.sim, views[0].scene, np.sort(np.concatenate([view.envs for view in views])))
+            for views in groups.values()
+        ]
+
 
 def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
-    """Build the simulator of some runs of one group (see `group_runs`) in their initial states."""
+    """Build the simulator of some runs with the same time step in their initial states."""
     inputs = run_inputs(job, runs)
     keys = [run_input.scene_key for run_input in inputs]
     first = dict(reversed([(key, run_input) for key, run_input in zip(keys, inputs, strict=True)]))
@@ -64,9 +74,7 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     scenes: list[Scene] = [build_scene(job, run_input) for run_input in first.values()]
     which = np.array([place[key] for key in keys])
     settings = Settings(**inputs[0].settings)
-    sim = Simulator(scenes[0], num_envs=len(runs), settings=settings, device=job.device, seed=runs[0].seed)
-    if len(scenes) > 1:
-        start_each(sim, scenes, which)
+    sim = Simulator([scenes[index] for index in which], settings=settings, device=job.device, seed=runs[0].seed)
     _set_all(sim, inputs)
     return Prepared(sim, [EnvironmentView(sim, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
 
@@ -102,11 +110,7 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
     for row in second.rows:
         row["environment"] += middle
-    if first.trajectories is None or second.trajectories is None:
-        return Batch(first.rows + second.rows)
-    parts = (first.trajectories, second.trajectories)
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in ("position", "orientation")}
-    return Batch(first.rows + second.rows, first.trajectories | joined)
+    return Batch(first.rows + second.rows, first.trajectories + second.trajectories)
 
 
 def _is_memory_error(error: Exception) -> bool:
@@ -141,17 +145,41 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
             outcome.observe(view)
         _append_frame(job, sim, frames)
     columns = recorder.values()
-    columns |= {metric_name(metric): measure(metric, sim) for metric in job.metrics if not isinstance(metric, str)}
+    columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)])
     columns |= _verdicts(prepared, outcomes)
     rows = _rows(sim, runs, columns, peak_counts)
     seconds = (time.perf_counter() - start) / len(runs)
-    kept = None
-    if job.trajectories:
-        group = f"bodies_{sim.num_bodies}_{stable_hash(repr(structure(sim.scene)), sim.settings.dt)[:6]}"
-        kept = {"group": group, "time": np.array(frames["time"])}
-        kept |= {name: np.stack(frames[name], axis=1) for name in ("position", "orientation")}
-        rows = [row | {"trajectory": group} for row in rows]
+    kept = _trajectories(prepared, runs, rows, frames) if job.trajectories else []
     return Batch([row | {"wall_time": seconds} for row in rows], kept)
+
+
+def _measured(prepared: Prepared, metrics: list[Callable]) -> dict[str, np.ndarray]:
+    """The columns of metrics of the user, which get environments of the same structure at once."""
+    if not metrics:
+        return {}
+    if len(prepared.sim.scenes) == 1:
+        return {metric_name(metric): measure(metric, prepared.sim) for metric in metrics}
+    columns: dict[str, np.ndarray] = {}
+    for view in prepared.views_of_structures():
+        for metric in metrics:
+            column = columns.setdefault(metric_name(metric), np.full(prepared.sim.num_envs, None, object))
+            for env, value in zip(view.envs, measure(metric, view).tolist(), strict=True):
+                column[env] = value
+    return columns
+
+
+def _trajectories(prepared: Prepared, runs: Sequence[Run], rows: list[dict], frames: dict[str, list]) -> list:
+    """Arguments of Trajectories.add, one for each structure; the name of its group is added to the rows."""
+    found = []
+    for view in prepared.views_of_structures():
+        group = f"bodies_{view.num_bodies}_{stable_hash(repr(structure(view.scene)), view.settings.dt)[:6]}"
+        kept: dict[str, Any] = {"group": group, "time": np.array(frames["time"])}
+        for name in ("position", "orientation"):
+            kept[name] = np.stack([values[view.envs, : view.num_bodies] for values in frames[name]], axis=1)
+        for env in view.envs:
+            rows[env]["trajectory"] = group
+        found.append(([runs[env] for env in view.envs], kept))
+    return found
 
 
 def _set_all(sim: Simulator, inputs: list[RunInputs]) -> None:
@@ -192,7 +220,7 @@ def _verdicts(prepared: Prepared, outcomes: list) -> dict[str, np.ndarray]:
         for verdict in outcome.verdicts(view):
             for name, values in ((verdict.name, verdict.values), (f"{verdict.name}_ok", verdict.passed)):
                 column = found.setdefault(f"outcome_{name}", np.full(count, None, object))
-                column[view._envs] = np.asarray(values)
+                column[view.envs] = np.asarray(values)
     return found
 
 
@@ -202,7 +230,7 @@ def _rows(sim: Simulator, runs: Sequence[Run], columns: dict, peak_counts: np.nd
     rows = []
     for env, (run, record) in enumerate(zip(runs, sim.status(), strict=True)):
         ok = record["status"] in FINISHED
-        row = _row(run, env, str(record["status"]), None if record["status"] == "ok" else _reason(sim, record))
+        row = _row(run, env, str(record["status"]), None if record["status"] == "ok" else _reason(sim, env, record))
         row |= {"most_pairs": int(peak_counts[0, env]), "most_contacts": int(peak_counts[1, env])}
         rows.append(row | {name: values[env] if ok else None for name, values in lists.items()})
     return rows
@@ -220,9 +248,9 @@ def _row(run: Run, env: int, status: str, reason: str | None) -> dict[str, Any]:
     }
 
 
-def _reason(sim: Simulator, record: Any) -> str:
+def _reason(sim: Simulator, env: int, record: Any) -> str:
     body = int(record["body"])
-    name = sim.scene.bodies[body].name if body >= 0 else "none"
+    name = sim.scenes[sim.scene_of[env]].bodies[body].name if body >= 0 else "none"
     return f"{record['status']} since step {record['step']}, body {body} ({name})"
 
 

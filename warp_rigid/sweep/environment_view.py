@@ -1,9 +1,10 @@
-"""View of the environments of one scene in a simulator, passed to the events and the outcome of that scene."""
+"""View of some environments of a simulator whose scenes have the same bodies, as if they were all environments."""
 
 from typing import Any
 
 import numpy as np
 
+from warp_rigid.engine.quantities import is_of_bodies
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
@@ -14,15 +15,16 @@ class EnvironmentView:
     """A subset of the environments of a simulator, with part of the interface of `Simulator`.
 
     Attributes:
-        scene: the scene of these environments.
+        scene: the scene of these environments, or of the first of them.
+        envs: their indices in the simulator.
         num_envs: their number.
     """
 
     def __init__(self, sim: Simulator, scene: Scene, envs: np.ndarray) -> None:
         """Store the indices of the environments."""
-        self._sim, self.scene, self._envs = sim, scene, envs
-        self.num_envs = len(envs)
-        self.num_bodies, self.settings, self.device = sim.num_bodies, sim.settings, sim.device
+        self._sim, self.scene, self.envs = sim, scene, envs
+        self.num_envs, self.num_bodies = len(envs), len(scene.bodies)
+        self.settings, self.device = sim.settings, sim.device
 
     @property
     def time(self) -> float:
@@ -31,20 +33,31 @@ class EnvironmentView:
 
     def get(self, name: str) -> np.ndarray:
         """See Simulator.get."""
-        return self._sim.get(name)[self._envs]
+        values = self._sim.get(name)[self.envs]
+        return values[:, : self.num_bodies] if is_of_bodies(name) else values
+
+    def contacts(self) -> np.ndarray:
+        """See Simulator.contacts."""
+        records = self._sim.contacts()
+        place = np.full(self._sim.num_envs, -1, np.int32)
+        place[self.envs] = np.arange(self.num_envs)
+        records["env"] = place[records["env"]]
+        return records[records["env"] >= 0]
 
     def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None) -> None:
         """See Simulator.set."""
-        self._sim.set(name, value, self._envs if envs is None else self._envs[envs], bodies)
+        if bodies is None and is_of_bodies(name):
+            bodies = np.arange(self.num_bodies)
+        self._sim.set(name, value, self.envs if envs is None else self.envs[envs], bodies)
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """See Simulator.apply_impulse."""
-        self._sim.apply_impulse(impulse, point, body, self._envs if envs is None else self._envs[envs])
+        self._sim.apply_impulse(impulse, point, body, self.envs if envs is None else self.envs[envs])
 
     def penetration(self) -> np.ndarray:
         """See Simulator.penetration."""
-        return self._sim.penetration()[self._envs]
+        return self._sim.penetration()[self.envs]
 
     def status(self) -> np.ndarray:
         """See Simulator.status."""
-        return self._sim.status()[self._envs]
+        return self._sim.status()[self.envs]

@@ -7,7 +7,6 @@ import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,9 @@ import warp as wp
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.engine.simulator import choose_device
-from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch_run import Batch, run_batch
-from warp_rigid.sweep.batch_size import free_memory, max_environments, split_into_batches
+from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
@@ -61,9 +59,9 @@ def sweep(
 ) -> SweepResult:
     """Simulate a scene over a range of parameters; one row per run.
 
-    Runs with the same structure share a simulator, one environment per run; different meshes, numbers of bodies or
-    time steps go into separate batches. A row depends only on its parameters, not on the batch, the batch index, the
-    shard or the worker.
+    Runs with the same time step share a simulator, one environment per run, also where their scenes differ in shapes or
+    numbers of bodies. Runs with different time steps go into separate batches. A row depends only on its parameters,
+    not on the batch, the batch index, the shard or the worker.
 
     Args:
         scene: a built-in name, the path of a .py file with a function scene(), a Scene, or a function that returns one.
@@ -148,8 +146,9 @@ def sweep(
     done = len(runs) - len(missing)
     try:
         for part, result in _results(job, groups, batch, cluster, workers):
-            if trajectory_store is not None and result.trajectories is not None:
-                trajectory_store.add(part, result.trajectories)
+            if trajectory_store is not None:
+                for own, frames in result.trajectories:
+                    trajectory_store.add(own, frames)
             book.add(result.rows)
             done += len(part)
             if on_progress is not None:
@@ -161,7 +160,7 @@ def sweep(
 
 
 def _results(
-    job: Job, groups: list[tuple[Scene, list[Run]]], batch: int | str, cluster: Any, workers: int | None
+    job: Job, groups: list[list[SizedRun]], batch: int | str, cluster: Any, workers: int | None
 ) -> Iterator[tuple[list[Run], Batch]]:
     """Yield the runs of each batch with their results, in order of completion."""
     if not groups:
@@ -171,8 +170,7 @@ def _results(
         return
     device = choose_device(job.device)
     job = replace(job, device=device)
-    limit = partial(max_environments, device=device)
-    for part in split_into_batches(groups, batch, limit, free_memory(device)):
+    for part in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
         yield part, run_batch(job, part)
 
 

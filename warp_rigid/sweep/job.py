@@ -12,13 +12,14 @@ import numpy as np
 
 from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
 from warp_rigid.engine.settings import Settings
-from warp_rigid.engine.variation import structure
 from warp_rigid.runs.assignments import assignment_target
 from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
+from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
+from warp_rigid.sweep.structure import structure
 
 __all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene"]
 
@@ -142,36 +143,36 @@ def run_inputs(job: Job, runs: Sequence[Run]) -> list[RunInputs]:
     return found
 
 
-def group_runs(job: Job, runs: list[Run]) -> list[tuple[Scene, list[Run]]]:
-    """Group runs that can share a simulator: same scene structure, same time step.
+def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
+    """Group runs that can share a simulator: those with the same time step.
 
     Builds every scene and validates every value before any run.
 
     Returns:
-        For each group a scene of its structure and its runs, in the order of the design.
+        For each group its runs with the memory that they need, in the order of the design.
 
     Raises:
         ValueError: A name is unknown or a value is out of range.
     """
-    kinds: dict[str, Scene] = {}
-    examples: dict[Any, Scene] = {}
+    footprints: dict[str, Footprint] = {}
+    bodies: dict[str, Any] = {}
     checked: set[Any] = set()
     steps: dict[Any, float] = {}
-    groups: dict[Any, tuple[Scene, list[Run]]] = {}
+    groups: dict[float, list[SizedRun]] = {}
     for run, inputs in zip(runs, run_inputs(job, runs), strict=True):
         key = inputs.scene_key
-        if key not in kinds:
+        if key not in footprints:
             scene = build_scene(job, inputs)
-            kinds[key] = examples.setdefault(structure(scene), scene)
-        example = kinds[key]
+            footprints[key] = footprint_of(scene)
+            bodies[key] = tuple((body.name, body.motion) for body in scene.bodies)
         settings = tuple(inputs.settings.items())
         if settings not in steps:
             steps[settings] = Settings(**inputs.settings).dt
         for name, value in inputs.properties.items():
-            if (id(example), name, value) not in checked:
-                _check_property(example, name, value)
-                checked.add((id(example), name, value))
-        groups.setdefault((id(example), steps[settings]), (example, []))[1].append(run)
+            if (bodies[key], name, value) not in checked:
+                _check_property(build_scene(job, inputs), name, value)
+                checked.add((bodies[key], name, value))
+        groups.setdefault(steps[settings], []).append(SizedRun(run, footprints[key]))
     return list(groups.values())
 
 
