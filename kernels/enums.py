@@ -56,6 +56,7 @@ class FieldKind(IntEnum):
 
     UNIFORM = 0
     POINT = 1
+    DRAG = 2
 
 
 class ShockMode(IntEnum):

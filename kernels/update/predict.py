@@ -66,6 +66,7 @@ def body_is_finite(b: int, state: State):
 
 @wp.kernel
 def derive_motion(
+    dt: float,
     bodies: Bodies,
     state: State,
     sleep_state: SleepState,
@@ -94,7 +95,7 @@ def derive_motion(
     motions.solver_bodies[b] = solver_body
     acceleration = wp.vec3(0.0, 0.0, 0.0)
     if bodies.motion[b] == Motion.DYNAMIC:
-        acceleration = envs.gravity[env] + field_acceleration(fields, env, center)
+        acceleration = envs.gravity[env] + field_acceleration(fields, env, center, state.linear_velocity[b], dt)
     motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
     motions.spin_acceleration[b] = inverse * state.torque[b]
 

@@ -67,9 +67,15 @@ class Layout:
     @cached_property
     def rows(self) -> np.ndarray:
         """Row of each body of each environment, (envs, most bodies); LACKING where an environment has no such body."""
-        index = np.arange(self.most_bodies)
-        rows = self.first_body[:-1, None] + index
-        return rows if self.is_even else np.where(index < self.bodies_per_env[:, None], rows, LACKING)
+        return self.table("bodies")
+
+    def table(self, symbol: str) -> np.ndarray:
+        """Rows that a symbol counts, (envs, most of an environment); LACKING where an environment has fewer."""
+        start = self.starts[symbol]
+        count = np.diff(start)
+        index = np.arange(int(count.max()))
+        rows = start[:-1, None] + index
+        return rows if (count == count[0]).all() else np.where(index < count[:, None], rows, LACKING)
 
     @cached_property
     def env_of_row(self) -> np.ndarray:

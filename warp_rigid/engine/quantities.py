@@ -8,6 +8,7 @@ import warp as wp
 
 from warp_rigid import rotations
 from warp_rigid.checks import shown
+from warp_rigid.engine import field_values
 from warp_rigid.engine.layout import spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.selection import body_rows, env_indices, existing
@@ -45,7 +46,7 @@ STATUS_RECORD = np.dtype([("status", "U13"), ("step", np.int64), ("time", np.flo
 
 def is_of_bodies(name: str) -> bool:
     """Whether a quantity has a value for each body, and not one for each environment."""
-    return name != "gravity" and name not in PER_ENVIRONMENT
+    return name != "gravity" and name not in PER_ENVIRONMENT and name not in field_values.names()
 
 
 def read(world: World, name: str) -> np.ndarray:
@@ -64,15 +65,24 @@ def read(world: World, name: str) -> np.ndarray:
         return _flags(world, world.sleep_state.asleep)
     if name == "active":
         return _flags(world, world.state.active)
+    if name in field_values.names():
+        return field_values.read(world.layout, world.model.fields.parameters.numpy(), name)
     if name in DERIVED:
         return _DERIVE[name](world)
-    raise ValueError(f"name: must be one of {', '.join((*WRITABLE, *DERIVED))}, got {shown(name)}")
+    raise ValueError(f"name: must be one of {', '.join((*writable(), *DERIVED))}, got {shown(name)}")
+
+
+def writable() -> tuple[str, ...]:
+    """Names of the quantities that can be set."""
+    return (*WRITABLE, *field_values.names())
 
 
 def write(world: World, name: str, value: Any, envs: Any, bodies: Any) -> None:
     """Change a quantity; see Simulator.set."""
-    if name not in WRITABLE:
-        raise ValueError(f"name: must be one of {', '.join(WRITABLE)}, got {shown(name)}")
+    if name not in writable():
+        raise ValueError(f"name: must be one of {', '.join(writable())}, got {shown(name)}")
+    if bodies is not None and not is_of_bodies(name):
+        raise ValueError(f"bodies: must not be given for {name}, which is a quantity of environments")
     chosen = env_indices(world.layout, envs)
     if name in PER_ENVIRONMENT:
         _write_setting(world, name, value, chosen)
@@ -84,11 +94,14 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any) -> None:
         rows = world.envs.gravity.numpy()
         rows[chosen] = _broadcast(name, value, (len(chosen), 3))
         world.envs.gravity.assign(rows)
+    elif name in field_values.names():
+        touched = body_rows(world.layout, chosen, None)
+        _write_field(world, name, value, chosen)
     else:
         touched = body_rows(world.layout, chosen, bodies)
         writer = {"mass": _write_mass, "active": _write_active}.get(name)
         if writer is None:
-            _write_rows(world, name, value, touched)
+            write_rows(world, name, value, touched)
         else:
             writer(world, value, touched)
     wake(world, chosen, touched)
@@ -97,7 +110,7 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any) -> None:
 def wake(world: World, chosen: np.ndarray, rows: np.ndarray) -> None:
     """Wake the islands of bodies that were changed, and those that lie on them."""
     if world.shards.sleeping:
-        _assign_rows(world.sleep_state.disturbed, 1, rows)
+        assign_rows(world.sleep_state.disturbed, 1, rows)
         for shard, _ in world.shards.of(chosen):
             shard.stages.wake_disturbed_islands()
 
@@ -152,14 +165,24 @@ def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> N
     world.record()
 
 
+def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
+    array = world.model.fields.parameters
+    rows, needed = world.layout.table("fields")[chosen], field_values.having(world.layout, name)[chosen]
+    tail = field_values.read(world.layout, array.numpy(), name).shape[2:]
+    host = array.numpy()
+    field_values.write(world.layout, host, name, _broadcast(name, value, (*rows.shape, *tail), needed), rows)
+    array.assign(host)
+
+
 def _count_anew(world: World, rows: np.ndarray) -> None:
     """Forget how long bodies have kept still: the device counted only if others in the batch slept."""
-    _assign_rows(world.sleep_state.still_steps, 0, rows)
+    assign_rows(world.sleep_state.still_steps, 0, rows)
     for name in ("position", "orientation"):
-        _assign_rows(getattr(world.sleep_state, name), spread_rows(getattr(world.state, name).numpy(), rows), rows)
+        assign_rows(getattr(world.sleep_state, name), spread_rows(getattr(world.state, name).numpy(), rows), rows)
 
 
-def _write_rows(world: World, name: str, value: Any, rows: np.ndarray) -> None:
+def write_rows(world: World, name: str, value: Any, rows: np.ndarray) -> None:
+    """Change a state quantity or coefficient of bodies by their rows (n, m)."""
     array = getattr(world.state if name in STATE_NAMES else world.model.bodies, name)
     new = _broadcast(name, value, (*rows.shape, *array.numpy().shape[1:]), existing(rows))
     if name in COEFFICIENTS:
@@ -169,12 +192,12 @@ def _write_rows(world: World, name: str, value: Any, rows: np.ndarray) -> None:
         if (length < 1e-6).any():
             raise ValueError("orientation: must be quaternions (x, y, z, w) of length > 0")
         new = new / length
-    _assign_rows(array, new, rows)
+    assign_rows(array, new, rows)
     if name in REMAINDER_OF:
-        _assign_rows(getattr(world.state, REMAINDER_OF[name]), 0.0, rows)
+        assign_rows(getattr(world.state, REMAINDER_OF[name]), 0.0, rows)
 
 
-def _assign_rows(array: wp.array, values: Any, rows: np.ndarray) -> None:
+def assign_rows(array: wp.array, values: Any, rows: np.ndarray) -> None:
     """Write values (n, m, ...) to rows (n, m), except where a row is LACKING."""
     host = array.numpy()
     present = existing(rows)
@@ -186,7 +209,7 @@ def _assign_rows(array: wp.array, values: Any, rows: np.ndarray) -> None:
 def _write_active(world: World, value: Any, rows: np.ndarray) -> None:
     if np.asarray(value).dtype != bool:
         raise ValueError(f"active: must be True or False, got {_brief(value)}")
-    _assign_rows(world.state.active, _broadcast("active", value, rows.shape), rows)
+    assign_rows(world.state.active, _broadcast("active", value, rows.shape), rows)
 
 
 def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
@@ -206,6 +229,20 @@ def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
             hosts[name][targets[own]] = values
     for name, host in hosts.items():
         getattr(world.model.bodies, name).assign(host)
+
+
+def forget_contacts(shard: Shard, bodies: np.ndarray) -> None:
+    """Make bodies of a shard start their next step without remembered contacts and impulses."""
+    history = shard.pools.history
+    pairs, start = history.pair_start.numpy(), history.contact_start.numpy()
+    body_a = np.repeat(np.arange(len(pairs) - 1), np.diff(pairs))
+    theirs = np.isin(body_a, bodies) | np.isin(history.body_b.numpy()[: len(body_a)], bodies)
+    keys, searched = history.key.numpy(), history.searched.numpy()
+    for pair in np.flatnonzero(theirs):
+        keys[start[pair] : start[pair + 1]] = -1
+    searched[: len(theirs)][theirs] = 0
+    history.key.assign(keys)
+    history.searched.assign(searched)
 
 
 def forget_history(world: World, chosen: np.ndarray) -> None:
@@ -237,9 +274,9 @@ def reset(world: World, envs: Any) -> None:
     rows = body_rows(world.layout, chosen, None)
     for name in declare.field_names(schema.State):
         start = spread_rows(getattr(world.start, name).numpy(), rows)
-        _assign_rows(getattr(world.state, name), start, rows)
+        assign_rows(getattr(world.state, name), start, rows)
     for name in declare.field_names(schema.SleepState):
-        _assign_rows(getattr(world.sleep_state, name), 0, rows)
+        assign_rows(getattr(world.sleep_state, name), 0, rows)
     for name in WATCHED:
         values = getattr(world.envs, name).numpy()
         values[chosen] = 0
@@ -267,7 +304,7 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
     mass = world.model.bodies.mass.numpy()[rows]
     for name, change in (("linear_velocity", push / mass[:, None]), ("angular_velocity", spin)):
         new = read(world, name)[chosen, index] + change
-        _write_rows(world, name, new[:, None], rows[:, None])
+        write_rows(world, name, new[:, None], rows[:, None])
     wake(world, chosen, rows[:, None])
 
 
@@ -424,10 +461,7 @@ def _potential_energy(world: World) -> np.ndarray:
     """Potential energy of each body in gravity and force fields [J]."""
     x = _center_of_mass(world)
     per_mass = -np.einsum("ebi,ei->eb", x, world.envs.gravity.numpy())
-    for index, scene in enumerate(world.layout.scenes):
-        envs = world.layout.environments(index)
-        for field in scene.force_fields:
-            per_mass[envs] += field.potential(x[envs])
+    per_mass += field_values.potential(world.layout, world.model.fields.parameters.numpy(), x)
     return read(world, "active") * read(world, "mass") * per_mass
 
 

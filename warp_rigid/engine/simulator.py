@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import checkpoint, quantities
+from warp_rigid.engine import checkpoint, quantities, spawning
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings
@@ -162,6 +162,43 @@ class Simulator:
             envs: indices of the environments; None for all, which also resets the time.
         """
         quantities.reset(self._world, envs)
+
+    def spawn(
+        self,
+        pool: str,
+        position: Any,
+        orientation: Any = (0.0, 0.0, 0.0, 1.0),
+        linear_velocity: Any = (0.0, 0.0, 0.0),
+        angular_velocity: Any = (0.0, 0.0, 0.0),
+        envs: Any = None,
+    ) -> np.ndarray:
+        """Activate a body of a pool (see `Scene.add_pool`) in each environment, with a new state and no history.
+
+        Args:
+            pool: name of the pool.
+            position: (3,) or (envs, 3) position of the body [m].
+            orientation: (4,) or (envs, 4) quaternion (x, y, z, w).
+            linear_velocity: (3,) or (envs, 3) velocity of the centre of mass [m/s].
+            angular_velocity: (3,) or (envs, 3) in the world frame [rad/s].
+            envs: indices of the environments; None for all.
+
+        Returns:
+            (envs,) index of the body in each of these environments; -1 where all bodies of the pool are active.
+
+        Raises:
+            ValueError: there is no such pool, or a value has the wrong shape or is not finite.
+        """
+        names = ("position", "orientation", "linear_velocity", "angular_velocity")
+        values = (position, orientation, linear_velocity, angular_velocity)
+        return spawning.spawn(self._world, pool, dict(zip(names, values, strict=True)), envs)
+
+    def despawn(self, bodies: Any, envs: Any = None) -> None:
+        """Switch bodies off, by index or name; bodies of a pool can then be spawned again.
+
+        Raises:
+            ValueError: an environment has no such body.
+        """
+        spawning.despawn(self._world, bodies, envs)
 
     def save(self, path: Any) -> None:
         """Write a checkpoint, a file from which `load` continues bit for bit.

@@ -158,6 +158,7 @@ class Stages:
         self._per_body(
             predict.derive_motion,
             [
+                dt,
                 self.model.bodies,
                 self.state,
                 self.sleep_state,

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
+from warp_rigid.engine import field_values
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.assignments import PROPERTIES, Assignments, sort_assignments
+from warp_rigid.runs.assignments import BODY_PROPERTIES, Assignments, sort_assignments
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -339,7 +340,9 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         ValueError: No body is selected, or a value is out of range.
     """
     plain, _, choice = name.partition("[")
-    if plain == "gravity" or plain not in PROPERTIES:
+    if plain in field_values.names():
+        sim.set(plain, np.asarray(values)[:, None])
+    elif plain not in BODY_PROPERTIES:
         sim.set(plain, values)
     else:
         # One value per environment, (envs, 1) or (envs, 1, 3), broadcast over its bodies.

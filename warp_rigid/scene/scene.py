@@ -28,6 +28,8 @@ COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)
 
 OUT_OF_BOUNDS = ("report", "remove")
 
+MOST_IN_A_POOL = 1_000_000
+
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
@@ -103,7 +105,7 @@ class Scene:
         self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
         self.bodies: list[Body] = []
-        self._names: set[str] = set()
+        self._copies: dict[str, int] = {}
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.constraints: list[Any] = []
@@ -139,7 +141,8 @@ class Scene:
             angular_velocity: (3,) in the world frame [rad/s].
             density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
             mass: [kg], > 0; instead of density.
-            name: of the body, unique in the scene; the shape's kind and the body's index where none is given.
+            name: of the body; the shape's kind and the body's index where none is given. If another body has this
+                name, a number is added: "box", "box_1", "box_2".
             active: False for a body that is not simulated until `sim.set("active", True, ...)` switches it on.
             **coefficients: coefficients of the body by name; see Coefficients.
 
@@ -160,6 +163,24 @@ class Scene:
             active,
             coefficients,
         )
+
+    def add_pool(self, shape: Shape, count: int, name: str, **more: Any) -> list[int]:
+        """Add inactive dynamic bodies for `Simulator.spawn`, named NAME_0, NAME_1, and so on.
+
+        Args:
+            shape: of all bodies.
+            count: number of bodies, at least 1.
+            name: of the pool.
+            **more: as for add_body, such as density and friction.
+
+        Returns:
+            Indices of the bodies.
+
+        Raises:
+            ValueError: A value has the wrong type or is outside its range.
+        """
+        whole_in("count", count, 1, MOST_IN_A_POOL)
+        return [self.add_body(shape, name=f"{name}_{i}", active=False, **more) for i in range(count)]
 
     @list_coefficients
     def add_static(
@@ -265,25 +286,20 @@ class Scene:
             linear_velocity=finite_vector("linear_velocity", linear_velocity),
             angular_velocity=finite_vector("angular_velocity", angular_velocity),
             mass=mass,
-            name=self._unique_name(name, f"{type(shape).__name__.lower()}_{len(self.bodies)}"),
+            name=self._unique_name(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}"),
             active=active,
             **coefficients,
         )
         self.bodies.append(body)
-        self._names.add(body.name)
         return len(self.bodies) - 1
 
-    def _unique_name(self, given: str | None, default: str) -> str:
-        """The name of a new body.
-
-        Raises:
-            ValueError: Another body has the given name.
-        """
-        if given in self._names:
-            raise ValueError(f"name: must be unique in a scene, got {shown(given)} again")
-        name = given or default
-        while name in self._names:
-            name += "_"
+    def _unique_name(self, wanted: str) -> str:
+        """The wanted name, with a number behind it if another body has it."""
+        name = wanted
+        while name in self._copies:
+            name = f"{wanted}_{self._copies[wanted]}"
+            self._copies[wanted] += 1
+        self._copies[name] = 1
         return name
 
 

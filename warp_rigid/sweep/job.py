@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
+from warp_rigid.checks import finite_number, finite_vector, number_in, shown, unit_quaternion
+from warp_rigid.engine import field_values
 from warp_rigid.engine.settings import Settings
 from warp_rigid.runs.assignments import assignment_target
 from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
@@ -217,12 +218,19 @@ def _implied_value(job: Job, point: dict[str, Any], name: str, otherwise: Any) -
 def _check_property(scene: Scene, name: str, value: Any) -> None:
     """Validate a property as Simulator.set does, before any run."""
     plain, _, choice = name.partition("[")
+    if plain in field_values.names():
+        for field in field_values.fields_with(scene.force_fields, plain):
+            field_values.check(field, plain, value)
+        return
     if plain != "gravity":
         chosen_bodies(scene, name, plain, choice.rstrip("]"))
     if plain in COEFFICIENTS:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
         number_in(name, value, above=0.0)
+    elif plain == "active":
+        if not isinstance(value, bool):
+            raise ValueError(f"{name}: must be True or False, got {shown(value)}")
     elif plain == "orientation":
         unit_quaternion(name, value)
     elif np.ndim(value):
