@@ -35,6 +35,7 @@ SYMBOLS = {
     "samples": "surface samples in the pool",
     "nodes": "grid nodes in the pool",
     "vertices": "vertices of moving height fields",
+    "watches": "watches of each environment",
     "fields": "force fields besides gravity, over all environments",
     "field_parameters": "parameters of the force field that has most",
     "small": "bodies in the hash grid",
@@ -350,6 +351,24 @@ Contacts = layout(
     pair=Field(int, "contacts", "", "pair of bodies in contact"),
     key=Field(int, "contacts", "", "identity within the pair: 2 * sample + side"),
     position=Field(wp.vec3, "contacts", "m", "contact point in the world frame"),
+    impact=Field(wp.vec3, "pairs", "N s", "impulse of all impacts of a pair in this step, on the first body"),
+)
+
+Watches = layout(
+    "Watches",
+    "What watches have recorded of an environment, one of its bodies, or a pair of them, since the last reset.",
+    first=Field(
+        int, "envs, watches", "", "first body by its index within the environment, -1 for all bodies, -2 for none"
+    ),
+    second=Field(int, "envs, watches", "", "second body by its index within the environment, -1 for any, -2 for none"),
+    peak=Field(float, "envs, watches", "N s", "largest impulse of a pair in a step"),
+    total=Field(wp.int64, "envs, watches", "", "sum of the impulses over pairs and steps, in multiples of 2^-36 N s"),
+    overlap=Field(float, "envs, watches", "m", "largest overlap at a contact"),
+    contact_step=Field(int, "envs, watches", "", "number of the last step with a contact"),
+    first_contact=Field(int, "envs, watches", "", "number of the first step with a contact; 0: none yet"),
+    touching=Field(int, "envs, watches", "", "1: there was a contact in the last step"),
+    impacts=Field(int, "envs, watches", "", "number of steps with a contact after one without"),
+    moving_step=Field(int, "envs, watches", "", "number of the last step in which a body was not at rest"),
 )
 
 History = layout(

@@ -60,9 +60,7 @@ def test_terminal_velocity(device):
     sim.step(960)
     # The step adds g dt after the drag of the velocity before it: v = g dt / (1 - exp(-c dt)).
     drag = np.array([5.0, 10.0])
-    np.testing.assert_allclose(
-        sim.get("linear_velocity")[:, 0, 2], -9.81 * DT / (1.0 - np.exp(-drag * DT)), rtol=1e-4
-    )
+    np.testing.assert_allclose(sim.get("linear_velocity")[:, 0, 2], -9.81 * DT / (1.0 - np.exp(-drag * DT)), rtol=1e-4)
 
 
 def test_changed_fields_wake_sleeping_bodies_and_survive_a_checkpoint(device, tmp_path):

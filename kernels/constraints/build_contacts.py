@@ -193,6 +193,7 @@ def build_contacts(
         b = pairs.body_b[pair]
         size = smaller_size(a, b, shapes, bodies)
         env = bodies.env[a]
+        contacts.impact[pair] = wp.vec3(0.0, 0.0, 0.0)
         rules = wp.vec2i(envs.friction_rule[env], envs.restitution_rule[env])
         for k in range(wp.tid() % lanes, count, lanes):
             c = start + k

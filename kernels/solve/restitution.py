@@ -134,6 +134,19 @@ def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair
 
 
 @wp.func
+def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
+    """Add the impulse of an impact, of which the share `keep` was applied, to those of its pair in this step."""
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(begin, end):
+        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+        if stored[3] > NO_IMPACT:
+            row = read_contact(c, contacts.rows)
+            total += world_vector(row.normal, row.tangent, first_three(stored))
+    pair = contacts.pair[begin]
+    contacts.impact[pair] = contacts.impact[pair] + keep * total
+
+
+@wp.func
 def solve_impact(
     k: int,
     turn: int,
@@ -166,6 +179,7 @@ def solve_impact(
             after = collide_contact(c, after, rows.contacts)
         left = wp.where(after.change > CONVERGED, left - 1, 0)
     keep = energy_neutral_share(begin, end, before, after, 0.5 * dt * relative_pull, rows.contacts)
+    note_impact(begin, end, keep, rows.contacts)
     after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
     after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
     after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)

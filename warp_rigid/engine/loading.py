@@ -12,7 +12,7 @@ from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
 from warp_rigid.kernels.graph import coloring, support
 from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
+from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
@@ -31,10 +31,10 @@ STEP = (
 )
 """Kernel modules that every step requires; the slowest to compile come first."""
 
-GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
-"""Kernel modules for distance grids, `deepest_overlap`, sleeping and moving ground."""
+GRIDS, OVERLAP, SLEEP, GROUND, WATCH = (bake,), (overlap,), (sleep,), (ground_motion,), (watch,)
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground and watches."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND)
+EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *WATCH)
 
 
 def load_kernels(

@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_rigid import rotations
 from warp_rigid.checks import shown
-from warp_rigid.engine import field_values
+from warp_rigid.engine import field_values, watching
 from warp_rigid.engine.layout import spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.selection import body_rows, env_indices, existing
@@ -281,6 +281,7 @@ def reset(world: World, envs: Any) -> None:
         values = getattr(world.envs, name).numpy()
         values[chosen] = 0
         getattr(world.envs, name).assign(values)
+    watching.reset(world, chosen)
     forget_history(world, chosen)
     if envs is None:
         world.shards.steps = 0

@@ -43,11 +43,13 @@ class Shard:
         end_body: one past the row of its last body.
         pools: pairs, contacts and graph.
         stages: the recorded step.
+        watches: what its steps record for observers, None for nothing.
         recorded: arguments of the last `record`, None before it.
         seconds: duration of the last `advance` [s].
     """
 
     stages: Stages
+    watches: Any = None
     recorded: tuple[float, int, bool] | None = None
     seconds = 0.0
 
@@ -78,7 +80,8 @@ class Shard:
         unchanged.
         """
         pools = pools or self.pools
-        stages = Stages(self._model, self._state, self._sleep_state, self._envs, pools, dt, repetitions, sleeping)
+        arrays = (self._model, self._state, self._sleep_state, self._envs, pools)
+        stages = Stages(*arrays, dt, repetitions, sleeping, self.watches)
         kept = self._kept_arrays(pools, sleeping)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
             for array, saved in kept:
@@ -87,6 +90,12 @@ class Shard:
         self.pools, self.stages, self._kept, self._keeping = pools, stages, kept, capture.graph
         self._measuring: Any = None
         self.recorded = (dt, repetitions, sleeping)
+
+    def watch(self, watches: Any) -> None:
+        """Record watches of all environments, an instance of schema.Watches, from now on."""
+        assert self.recorded is not None
+        self.watches = declare.part(watches, {"envs": (self.first, self.end)})
+        self.record(*self.recorded)
 
     def advance(self, steps: int, attempt: int) -> None:
         """Execute steps that can be undone, at most CHUNK of them."""
@@ -136,6 +145,9 @@ class Shard:
         structs += [(schema.SleepState, self._sleep_state, self._saved_sleep_state)] if sleeping else []
         structs += [(schema.History, pools.history, declare.allocate(schema.History, pools.sizes, self._device))]
         both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in declare.field_names(struct)]
+        if self.watches is not None:
+            kept = [getattr(self.watches, name) for name in declare.field_names(schema.Watches)]
+            both += [(array, wp.clone(array)) for array in kept]
         both += [
             (array, wp.clone(array))
             for kind in OTHER_KINDS

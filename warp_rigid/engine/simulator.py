@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import checkpoint, quantities, spawning
+from warp_rigid.engine import checkpoint, quantities, spawning, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings
@@ -250,6 +250,33 @@ class Simulator:
         The status is "ok", "non-finite" (the environment is halted) or "out of bounds" (a body left `Scene.bounds`).
         """
         return quantities.status_records(self._world)
+
+    def watch(self, watched: Sequence[Any]) -> None:
+        """Record from now on, in every step, what happens to chosen bodies; see `watched`.
+
+        Args:
+            watched: for each watch None for all bodies of an environment, a body, or a pair of bodies, by index or
+                name. It replaces earlier watches. An environment that lacks a body records nothing for that watch.
+
+        Raises:
+            ValueError: no environment has a body of that index or name.
+        """
+        watching.watch(self._world, watched)
+
+    def watched(self) -> dict[str, np.ndarray]:
+        """Return what the watches have recorded since `watch` or the last reset: arrays (envs, watches) by name.
+
+        The impulse of a pair of bodies in a step is the magnitude of the sum of the impulses at its contacts, those of
+        impacts included. Watches are not stored in checkpoints.
+
+        - "peak_impulse": largest impulse of a pair in a step [N s].
+        - "summed_impulse": sum of the impulses over pairs and steps [N s].
+        - "first_contact": end of the first step with a contact [s]; NaN if there was none.
+        - "impacts": number of steps with a contact after a step without.
+        - "rest_time": end of the last step in which one of the bodies was faster than 0.05 m/s [s]; 0 if none was.
+        - "largest_overlap": largest overlap at a contact at the start of a step [m].
+        """
+        return watching.watched(self._world)
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use."""

@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.engine.hash_grid import HashGrid
-from warp_rigid.engine.loading import GROUND, SLEEP, load_kernels
+from warp_rigid.engine.loading import GROUND, SLEEP, WATCH, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, most_lanes, team_sizes
@@ -19,9 +19,12 @@ from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
 from warp_rigid.kernels.graph import coloring, support
 from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
+from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
 
 PAIRS, CONTACTS = 0, 1
+
+AT_REST = 0.05
+"""Speed below which a body counts as resting [m/s]."""
 
 STAGES: list[str] = []
 """Names of the stages of a step, in order of definition."""
@@ -58,6 +61,7 @@ class Stages:
         dt: time step [s].
         repetitions: largest number of shock iterations in any environment.
         sleeping: whether sleeping is enabled in any environment.
+        watches: what is recorded in every step; None for nothing.
     """
 
     def __init__(
@@ -70,10 +74,11 @@ class Stages:
         dt: float,
         repetitions: int,
         sleeping: bool,
+        watches: Any = None,
     ) -> None:
         """Record the step; `load_kernels` must have been called for `STEP`."""
         self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
-        self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
+        self.dt, self.repetitions, self.sleeping, self.watches = dt, repetitions, sleeping, watches
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
         device: Any = pools.wanted.device
@@ -88,7 +93,8 @@ class Stages:
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
-        load_kernels(device, [*(SLEEP if sleeping else ()), *(GROUND if model.surface_vertices else ())])
+        optional = [(sleeping, SLEEP), (model.surface_vertices, GROUND), (watches, WATCH)]
+        load_kernels(device, [module for used, modules in optional if used for module in modules])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -115,6 +121,8 @@ class Stages:
         self.push_out()
         self.detect_continuous_collisions()
         self.integrate_positions()
+        if self.watches:
+            self.record_watches()
         if self.sleeping:
             self.update_sleep()
         self.store_history()
@@ -303,6 +311,15 @@ class Stages:
         )
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
         self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
+
+    @stage
+    def record_watches(self) -> None:
+        """Watches: record contact impulses, contacts, overlaps and motion of the watched bodies."""
+        model, pools = self.model, self.pools
+        inputs = [self.envs, model.bodies, pools.pairs, pools.contacts]
+        self._shared(watch.watch_pairs, pools.sizes["pairs"], [], inputs, [self.watches])
+        self._per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
+        self._per_env(watch.close_watches, [self.envs], [self.watches])
 
     @stage
     def store_history(self) -> None:

@@ -36,6 +36,7 @@ class World:
         sleep_state: which bodies sleep.
         envs: settings and status of the environments.
         shards: ranges of environments with their pools and recorded steps.
+        watches: what the steps record for observers, None for nothing.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class World:
         self.state = initial_state(layout, device)
         self.start = initial_state(layout, device)
         self.sleep_state = declare.allocate(schema.SleepState, layout.sizes, device)
+        self.watches: Any = None
         self.envs: Any = initial_environments(layout, settings, device)
         arrays = (self.model, self.state, self.sleep_state, self.envs)
         limits = sizes if on_overflow == "raise" else None

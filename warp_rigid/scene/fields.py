@@ -94,6 +94,24 @@ class UniformField(ForceField):
 
 
 @dataclass(frozen=True)
+class PointField(ForceField):
+    """Attraction by a point: acceleration strength / d^2 toward the centre at distance d.
+
+    Attributes:
+        center: (3,) the attracting point in the world frame [m].
+        strength: acceleration times distance squared [m^3/s^2]; a negative one repels.
+    """
+
+    kind = FieldKind.POINT
+    center: Vector3
+    strength: float
+
+    def potential(self, x: np.ndarray) -> np.ndarray:
+        """Return -strength / d [J/kg]."""
+        return -self.strength / np.linalg.norm(x - np.array(self.center), axis=-1)
+
+
+@dataclass(frozen=True)
 class DragField(ForceField):
     """Resistance of a medium: a body approaches the velocity of the medium exponentially, in a time of 1 / drag.
 
@@ -117,21 +135,3 @@ class DragField(ForceField):
     def potential(self, x: np.ndarray) -> np.ndarray:
         """Return 0: drag dissipates energy and has no potential."""
         return np.zeros(x.shape[:-1])
-
-
-@dataclass(frozen=True)
-class PointField(ForceField):
-    """Attraction by a point: acceleration strength / d^2 toward the centre at distance d.
-
-    Attributes:
-        center: (3,) the attracting point in the world frame [m].
-        strength: acceleration times distance squared [m^3/s^2]; a negative one repels.
-    """
-
-    kind = FieldKind.POINT
-    center: Vector3
-    strength: float
-
-    def potential(self, x: np.ndarray) -> np.ndarray:
-        """Return -strength / d [J/kg]."""
-        return -self.strength / np.linalg.norm(x - np.array(self.center), axis=-1)
