@@ -1,6 +1,7 @@
 """`warp-rigid sweep`: simulate a scene over a range of parameters and tabulate the metrics."""
 
 import json
+import re
 import time
 from typing import Annotated, Any
 
@@ -27,6 +28,16 @@ def sweep_command(
     ] = None,
     metrics: Annotated[
         str | None, typer.Option(help="Metric names, outcome, or .py files with functions of the simulator: A,B,my.py.")
+    ] = None,
+    observe: Annotated[
+        str | None,
+        typer.Option(
+            help="Observers, read at every sample: peak_impulse, first_contact[BODY], .. or .py files: A,B,my.py."
+        ),
+    ] = None,
+    series: Annotated[
+        str | None,
+        typer.Option(help="Observers whose time series are kept in the folder TABLE.series: A,B[BODY]."),
     ] = None,
     design: Annotated[str, typer.Option(help="Design: grid, zip, random or lhs.")] = "grid",
     samples: Annotated[int | None, typer.Option(help="Number of points of the designs random and lhs.")] = None,
@@ -84,6 +95,8 @@ def sweep_command(
             resume=resume,
             overwrite=overwrite,
             trajectories=trajectories,
+            observe=split_names(observe),
+            series=split_names(series),
             shard=_shard(shard),
             cluster=_cluster(cluster),
             workers=workers,
@@ -154,6 +167,11 @@ def _fixed(texts: Any) -> dict[str, Any]:
 
 def _batch(text: str) -> int | str:
     return int(text) if text.isdigit() else text
+
+
+def split_names(text: str | None) -> list[str] | None:
+    """Split at commas outside brackets."""
+    return re.findall(r"[^,\[]+(?:\[[^\]]*\])?", text) if text else None
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:

@@ -72,6 +72,11 @@ def read(world: World, name: str) -> np.ndarray:
     raise ValueError(f"name: must be one of {', '.join((*writable(), *DERIVED))}, got {shown(name)}")
 
 
+def is_readable(name: str) -> bool:
+    """Whether `read` knows a quantity."""
+    return name in (*writable(), *DERIVED)
+
+
 def writable() -> tuple[str, ...]:
     """Names of the quantities that can be set."""
     return (*WRITABLE, *field_values.names())

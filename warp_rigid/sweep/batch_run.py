@@ -19,6 +19,7 @@ from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
+from warp_rigid.sweep.observers import Observers
 from warp_rigid.sweep.structure import structure
 
 __all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
@@ -36,10 +37,12 @@ class Batch:
     Attributes:
         rows: one row per run.
         trajectories: for each group of runs the arguments of Trajectories.add; empty if they are not recorded.
+        series: the arguments of Series.add; empty if there are no series.
     """
 
     rows: list[dict[str, Any]]
     trajectories: list[tuple[list[Run], dict[str, Any]]] = field(default_factory=list)
+    series: list[tuple[Sequence[Run], dict[str, np.ndarray]]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,8 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
     for row in second.rows:
         row["environment"] += middle
-    return Batch(first.rows + second.rows, first.trajectories + second.trajectories)
+    trajectories, series = first.trajectories + second.trajectories, first.series + second.series
+    return Batch(first.rows + second.rows, trajectories, series)
 
 
 def _is_memory_error(error: Exception) -> bool:
@@ -130,12 +134,15 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     sim = prepared.sim
     outcomes = [job.demo.outcome(view.scene) for view in prepared.views] if OUTCOME in job.metrics else []
     recorder = MetricRecorder(sim, [metric for metric in job.metrics if isinstance(metric, str) and metric != OUTCOME])
+    observers = Observers(sim, job.observers)
+    looks: dict[str, list] = {name: [] for name in ("time", *job.series)}
     events = _events(job, prepared.views)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
     frames: dict[str, list] = {"time": [], "position": [], "orientation": []}
     remaining = round(job.duration / sim.settings.dt)
     steps_per_sample = max(1, round(1.0 / (job.fps * sim.settings.dt)))
     _append_frame(job, sim, frames)
+    _append_look(sim, observers, looks)
     while remaining > 0:
         step_frame(sim, min(steps_per_sample, remaining), events)
         remaining -= steps_per_sample
@@ -143,14 +150,36 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
         peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
         for outcome, view in zip(outcomes, prepared.views, strict=False):
             outcome.observe(view)
+        observers.look()
+        _append_look(sim, observers, looks)
         _append_frame(job, sim, frames)
     columns = recorder.values()
     columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)])
     columns |= _verdicts(prepared, outcomes)
+    missing = np.full(sim.num_envs, None, object)
+    columns |= {name: observers.latest.get(name, missing) for name in job.observe}
     rows = _rows(sim, runs, columns, peak_counts)
+    if observers.errors:
+        log.error("%s", observers.errors[0])
+        rows = [_with_error(row, observers.errors[0]) for row in rows]
     seconds = (time.perf_counter() - start) / len(runs)
     kept = _trajectories(prepared, runs, rows, frames) if job.trajectories else []
-    return Batch([row | {"wall_time": seconds} for row in rows], kept)
+    series = [(runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
+    return Batch([row | {"wall_time": seconds} for row in rows], kept, series)
+
+
+def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -> None:
+    """Append the values of a look to the series; NaN of an observer that failed."""
+    looks["time"].append(sim.time)
+    for name, values in looks.items():
+        if name != "time":
+            now = observers.latest.get(name)
+            values.append(np.full_like(values[-1], np.nan, float) if now is None else now)
+
+
+def _with_error(row: dict[str, Any], error: str) -> dict[str, Any]:
+    """A finished row whose observer failed; its other columns stay."""
+    return row | {"status": "error", "reason": error[:MAX_REASON_LENGTH]} if row["status"] in FINISHED else row
 
 
 def _measured(prepared: Prepared, metrics: list[Callable]) -> dict[str, np.ndarray]:

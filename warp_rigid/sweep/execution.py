@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.checks import number_in, whole_in
+from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch_run import Batch, run_batch
@@ -23,6 +23,8 @@ from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
 from warp_rigid.sweep.metrics import check_metrics, metric_name
+from warp_rigid.sweep.observers import check_observers, observer_name
+from warp_rigid.sweep.series import Series
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.version import __version__
 
@@ -51,6 +53,8 @@ def sweep(
     resume: bool = False,
     overwrite: bool = False,
     trajectories: Any = None,
+    observe: Sequence[str | Callable] | None = None,
+    series: Sequence[str] | None = None,
     shard: tuple[int, int] | None = None,
     cluster: Any = None,
     workers: int | None = None,
@@ -86,6 +90,10 @@ def sweep(
         resume: keep the finished rows of `output` and run only the others.
         overwrite: replace `output`.
         trajectories: a .zarr folder for the poses of every sample.
+        observe: ready-made observers by name, functions of the simulator, classes, or .py files of these, called at
+            every sample; their values at the end are columns. See warp_rigid.sweep.observers.
+        series: names of ready-made observers, or of functions of `observe`, whose values at every sample are kept, in
+            the folder TABLE.series beside `output`, or in memory. `SweepResult.series` reads them.
         shard: (i, n) runs every n-th run of the design, starting with the i-th, 1 <= i <= n.
         cluster: "local" for worker processes on this machine, the address of a Dask scheduler, a Dask cluster or
             client, or a function that returns one; None runs in this process.
@@ -110,6 +118,8 @@ def sweep(
         trajectories=trajectories is not None,
         device=device,
     )
+    observers, names, kept = _observers(observe, series)
+    job = replace(job, observers=observers, observe=names, series=kept)
     if batch != "auto":
         whole_in("batch", batch, 1, MAX_BATCH)
     clean = clean_axes(axes)
@@ -140,6 +150,7 @@ def sweep(
         from warp_rigid.sweep.trajectories import Trajectories
 
         trajectory_store = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
+    book.series = Series(output, resume) if job.series else None
     if len(missing) < len(runs):
         log.info("%d of %d runs are already finished", len(runs) - len(missing), len(runs))
     book.write(state="running")
@@ -149,6 +160,9 @@ def sweep(
             if trajectory_store is not None:
                 for own, frames in result.trajectories:
                     trajectory_store.add(own, frames)
+            if book.series is not None:
+                for own_runs, looks in result.series:
+                    book.series.add(own_runs, looks)
             book.add(result.rows)
             done += len(part)
             if on_progress is not None:
@@ -174,6 +188,24 @@ def _results(
         yield part, run_batch(job, part)
 
 
+def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], tuple[str, ...], tuple[str, ...]]:
+    """All observers, the names of those whose values are columns, and the names of the series.
+
+    Raises:
+        ValueError: An observer is unknown, or a series is neither ready-made nor a function of `observe`.
+    """
+    columns = check_observers(observe)
+    names = [observer_name(observer) for observer in columns]
+    kept = [series] if isinstance(series, str) else list(series or ())
+    more = check_observers([name for name in kept if name not in names], "series")
+    if any(not isinstance(observer, str) for observer in more):
+        raise ValueError(f"series: must be names, with their functions in observe, got {shown(kept)}")
+    taken = [name for name in (*names, *more) if name in COLUMNS]
+    if taken:
+        raise ValueError(f"observe: {taken[0]} is the name of a standard column")
+    return (*columns, *more), tuple(names), tuple(kept)
+
+
 def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict[str, Any]:
     """Metadata of the table."""
     return {
@@ -183,6 +215,8 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
         "duration": job.duration,
         "fps": job.fps,
         "metrics": [metric_name(metric) for metric in job.metrics],
+        "observe": list(job.observe),
+        "series": list(job.series),
         "axes": list(axes),
         "parameters": list(runs[0].parameters) if runs else list(axes),
         "version": __version__,

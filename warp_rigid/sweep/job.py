@@ -20,6 +20,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
+from warp_rigid.sweep.observers import check_bodies
 from warp_rigid.sweep.structure import structure
 
 __all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene"]
@@ -42,6 +43,9 @@ class Job:
         fps: state samples per simulated second, for metrics and trajectories.
         metrics: names of built-in metrics, or functions of the simulator.
         trajectories: whether poses are recorded.
+        observers: names of ready-made observers, functions or classes, for the columns `observe` and the series.
+        observe: names of the observers whose values at the end are columns.
+        series: names of the observers whose values at every look are kept.
         device: a Warp device or its name; None uses the first CUDA device, else the CPU.
         scenes: cached scenes by key.
     """
@@ -53,6 +57,9 @@ class Job:
     fps: float
     metrics: tuple[str | Callable, ...]
     trajectories: bool = False
+    observers: tuple[str | Callable, ...] = ()
+    observe: tuple[str, ...] = ()
+    series: tuple[str, ...] = ()
     device: Any = None
     scenes: dict[str, Scene] = field(default_factory=dict)
 
@@ -157,6 +164,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
     """
     footprints: dict[str, Footprint] = {}
     bodies: dict[str, Any] = {}
+    known: dict[Any, Scene] = {}
     checked: set[Any] = set()
     steps: dict[Any, float] = {}
     groups: dict[float, list[SizedRun]] = {}
@@ -166,6 +174,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
             scene = build_scene(job, inputs)
             footprints[key] = footprint_of(scene)
             bodies[key] = tuple((body.name, body.motion) for body in scene.bodies)
+            known.setdefault(bodies[key], scene)
         settings = tuple(inputs.settings.items())
         if settings not in steps:
             steps[settings] = Settings(**inputs.settings).dt
@@ -174,6 +183,8 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
                 _check_property(build_scene(job, inputs), name, value)
                 checked.add((bodies[key], name, value))
         groups.setdefault(steps[settings], []).append(SizedRun(run, footprints[key]))
+    if runs:
+        check_bodies(job.observers, list(known.values()))
     return list(groups.values())
 
 
