@@ -67,7 +67,7 @@ class Checkpoints:
             "outcome": {
                 name: _to_plain(f"{plan.demo.name}: {name}", value, arrays)
                 for name, value in vars(progress.outcome).items()
-                if not isinstance(value, Scene | Body | Shape)
+                if not (isinstance(value, Scene | Body | Shape) or callable(value))
             },
         }
         checkpoint.save(plan.sim._world, self.path, more, arrays)

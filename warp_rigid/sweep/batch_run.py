@@ -223,14 +223,19 @@ def _set_all(sim: Simulator, inputs: list[RunInputs]) -> None:
 
 def _events(job: Job, views: list[EnvironmentView]) -> list:
     """Events of all scenes, each applied to the environments of its scene, sorted by time."""
-    return sorted(
-        (
-            (when, lambda _, act=act, view=view: act(view))
-            for view in views
-            for when, act in job.demo.events(view.scene)
-        ),
-        key=lambda event: event[0],
-    )
+    events = [_on_view(event, view) for view in views for event in job.demo.events(view.scene)]
+    return sorted(events, key=lambda event: event[0])
+
+
+def _on_view(event: tuple[float, Callable], view: EnvironmentView) -> tuple[float, Callable]:
+    """An event, and those that follow it, applied to a view instead of the simulator."""
+    when, act = event
+
+    def act_on_view(_: Simulator) -> tuple[float, Callable] | None:
+        following = act(view)
+        return None if following is None else _on_view(following, view)
+
+    return when, act_on_view
 
 
 def _append_frame(job: Job, sim: Simulator, frames: dict[str, list]) -> None:

@@ -11,7 +11,7 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.engine.cores import shared_by
-from warp_rigid.runs.runner import module_of_file
+from warp_rigid.runs.file_scene import module_of_file
 from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.design import Run

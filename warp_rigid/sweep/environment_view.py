@@ -50,6 +50,14 @@ class EnvironmentView:
             bodies = np.arange(self.num_bodies)
         self._sim.set(name, value, self.envs if envs is None else self.envs[envs], bodies)
 
+    def spawn(self, pool: str, position: Any, envs: Any = None, **state: Any) -> np.ndarray:
+        """See Simulator.spawn; all but the pool and the position are given by name."""
+        return self._sim.spawn(pool, position, envs=self.envs if envs is None else self.envs[envs], **state)
+
+    def despawn(self, bodies: Any, envs: Any = None) -> None:
+        """See Simulator.despawn."""
+        self._sim.despawn(bodies, self.envs if envs is None else self.envs[envs])
+
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """See Simulator.apply_impulse."""
         self._sim.apply_impulse(impulse, point, body, self.envs if envs is None else self.envs[envs])

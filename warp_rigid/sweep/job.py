@@ -14,7 +14,8 @@ from warp_rigid.checks import finite_number, finite_vector, number_in, shown, un
 from warp_rigid.engine import field_values
 from warp_rigid.engine.settings import Settings
 from warp_rigid.runs.assignments import assignment_target
-from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
+from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome
+from warp_rigid.runs.runner import chosen_bodies, find_scene
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo

@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.runner import module_of_file
+from warp_rigid.runs.file_scene import module_of_file
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 

@@ -18,7 +18,7 @@ from warp_rigid.checks import shown
 from warp_rigid.engine.quantities import is_of_bodies, is_readable
 from warp_rigid.engine.selection import names_of
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.runner import module_of_file
+from warp_rigid.runs.file_scene import module_of_file
 from warp_rigid.scene.scene import Scene
 
 __all__ = ["ENERGIES", "WATCHED", "Observers", "check_observers", "observer_name"]
