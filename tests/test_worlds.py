@@ -6,6 +6,9 @@ import pytest
 import warp_rigid as wr
 from warp_rigid import scenes
 from warp_rigid.engine import hash_grid
+from warp_rigid.scenes.builders import meshes
+from warp_rigid.sweep.batch_size import SizedRun, batch_bytes, footprint_of, split_into_batches
+from warp_rigid.sweep.design import Run
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 
@@ -86,8 +89,6 @@ def test_all_built_in_scenes_share_a_batch(device, steps):
 
 def test_shapes_are_shared_by_content(device):
     """Two scenes with a mesh each, read separately, take the memory of one distance grid."""
-    from warp_rigid.scenes.builders import meshes
-
     scene = [wr.Scene(), wr.Scene()]
     for index, one in enumerate(scene):
         one.add_body(meshes.tetrahedron(sdf_resolution=16), position=(0, 0, index))
@@ -146,6 +147,42 @@ def test_a_checkpoint_holds_all_scenes(device, tmp_path):
         some.step(40)
     for name in STATE:
         np.testing.assert_array_equal(again.get(name), sim.get(name))
+
+
+def test_environments_of_one_scene_are_recorded(device, tmp_path):
+    sim = wr.Simulator([pile(count=1), pile(count=3)], num_envs=2, device=device)
+    recording = wr.record(sim, frames=2, envs=[1, 3])
+    assert recording.position.shape == (3, 2, 4, 3) and recording.names == ("ground", "box_0", "box_1", "box_2")
+    np.testing.assert_array_equal(recording.position[-1], sim.get("position")[[1, 3]])
+    wr.export_usd(recording, tmp_path / "film.usdc", envs=[3])
+    with pytest.raises(ValueError, match=r"^envs: must be environments of one scene, got those of scenes \[0, 1\]"):
+        wr.record(sim, frames=1)
+
+
+def test_sizes_share_a_batch_of_a_sweep():
+    """Rows of box sizes are those of batches of one, bit for bit, as for any other axis."""
+    axes = {"half": [0.05, 0.1, 0.2], "count": [1, 4], "friction": [0.2, 0.8]}
+    options = {"duration": 0.5, "metrics": ["final_pose", "drift", "contacts", "kinetic_energy"], "device": "cpu"}
+    batches = []
+    for size in ("auto", 1):
+        rows = wr.sweep(
+            lambda half=0.1, count=1, friction=0.5: pile(half, count, friction), axes, batch=size, **options
+        )
+        batches.append([{k: v for k, v in row.items() if k not in ("environment", "wall_time")} for row in rows.rows])
+    assert batches[0] == batches[1] and len(batches[0]) == 12
+
+
+def test_batches_keep_to_the_memory_and_the_order():
+    """The boxes of a batch need memory each, the shapes that they share only once."""
+    footprints = [footprint_of(pile(half, count)) for half in (0.1, 0.2) for count in (1, 40)]
+    runs = [SizedRun(Run(i, str(i), {}, 0), footprints[i % 4]) for i in range(40)]
+    whole = batch_bytes(runs)
+    assert whole < sum(batch_bytes([run]) for run in runs)
+    parts = split_into_batches([runs], "auto", 1000, whole // 2)
+    assert [run.index for part in parts for run in part] == list(range(40)) and len(parts) > 3
+    for part in parts:
+        assert batch_bytes([runs[run.index] for run in part]) <= whole // 4
+    assert len(split_into_batches([runs], "auto", 1000, 10 * whole)) == 1
 
 
 def test_a_reset_of_some_environments(device):

@@ -46,7 +46,9 @@ def sweep_command(
     duration: Annotated[float | None, typer.Option(help="Simulated seconds. Default: duration of the scene.")] = None,
     fps: Annotated[float, typer.Option(help="State samples per simulated second.")] = 4.0,
     batch: Annotated[str, typer.Option(help="Maximum number of environments per batch, or auto.")] = "auto",
-    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Device, such as cpu or cuda:0, or all for every GPU of this machine.")
+    ] = None,
     output: Annotated[str | None, typer.Option("-o", "--output", help="Table, .parquet.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Keep the finished rows of an existing table.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing table.")] = False,

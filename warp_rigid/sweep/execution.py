@@ -84,7 +84,7 @@ def sweep(
             None uses all built-in metrics with one number per run.
         fps: state samples per simulated second.
         batch: maximum number of environments per batch, or "auto" to derive it from the available memory.
-        device: as in Simulator.
+        device: as in Simulator, or "all" for every GPU of this machine, each in a process of its own.
         output: a .parquet file that is updated while the sweep runs; PATH.json beside it holds scene, design, versions
             and commit.
         resume: keep the finished rows of `output` and run only the others.
@@ -107,6 +107,7 @@ def sweep(
     Raises:
         ValueError: A name is unknown, a value is out of range or `output` exists; raised before any run.
     """
+    device, cluster, workers = _machines(device, cluster, workers)
     demo, scene_id = resolve_scene(scene)
     job = Job(
         demo=demo,
@@ -186,6 +187,20 @@ def _results(
     job = replace(job, device=device)
     for part in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
         yield part, run_batch(job, part)
+
+
+def _machines(device: Any, cluster: Any, workers: int | None) -> tuple[Any, Any, int | None]:
+    """Device, cluster and workers of the arguments; "all" is a worker for each GPU if there are several.
+
+    Raises:
+        ValueError: "all" is combined with a cluster or workers.
+    """
+    if device != "all":
+        return device, cluster, workers
+    if cluster is not None or workers is not None:
+        raise ValueError("device: all must not be combined with cluster or workers")
+    gpus = wp.get_cuda_device_count()
+    return (None, "local", gpus) if gpus > 1 else (None, None, None)
 
 
 def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], tuple[str, ...], tuple[str, ...]]:
