@@ -31,11 +31,11 @@ def pool_bytes(sizes: dict[str, int]) -> int:
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 
-def body_bytes(layout: Layout) -> int:
+def body_bytes(sizes: dict[str, int]) -> int:
     """Bytes of all arrays sized with bodies, environments or constraints besides contacts, and of their copies."""
     structs = [schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments]
     structs += [struct for kind in OTHER_KINDS for struct in [kind.ROWS] * 2]
-    return sum(declare.byte_size(struct, layout.sizes) for struct in structs)
+    return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 
 def shape_bytes(layout: Layout) -> int:
@@ -43,14 +43,22 @@ def shape_bytes(layout: Layout) -> int:
     return sum(bytes_by_shape(layout).values())
 
 
-def bytes_by_shape(layout: Layout) -> dict[str, int]:
-    """Bytes of the distance grids and samples of each distinct shape and its copies, by the key of the shape."""
+def bytes_by_shape(layout: Layout, known: dict[str, int] | None = None) -> dict[str, int]:
+    """Bytes of the distance grids and samples of each distinct shape and its copies, by the key of the shape.
+
+    Args:
+        layout: the environments.
+        known: bytes of single shapes by their keys, to which those of new ones are added.
+    """
+    known = {} if known is None else known
     sample, cluster = _record_bytes(schema.SampleRecord), _record_bytes(schema.ClusterRecord)
     found = {}
     for shape, copies in distinct_shapes(layout):
-        samples = shape.samples()
-        own = sample * len(samples.kind) + cluster * len(samples.cluster_radius) + 4 * shape.grid_nodes
-        found[shape.key] = copies * own
+        if shape.key not in known:
+            samples = shape.samples()
+            records = sample * len(samples.kind) + cluster * len(samples.cluster_radius)
+            known[shape.key] = records + 4 * shape.grid_nodes
+        found[shape.key] = copies * known[shape.key]
     return found
 
 

@@ -215,9 +215,7 @@ def _upload_bodies(layout: Layout, pool: Pool, groups: dict[Scene, SizeGroups], 
     rows.filtered_start.assign(exclusive_sums(per_body).astype(np.int32))
     host: dict[str, np.ndarray] = {
         "motion": np.array([int(body.motion) for body in bodies], np.int32),
-        "oversized": np.concatenate(
-            [np.isin(np.arange(len(scene.bodies)), groups[scene].oversized) for scene in layout.scenes]
-        ).astype(np.int32),
+        "oversized": np.concatenate([_mask(len(scene.bodies), groups[scene].oversized) for scene in layout.scenes]),
         "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
     }
     for name in COEFFICIENTS:
@@ -226,6 +224,13 @@ def _upload_bodies(layout: Layout, pool: Pool, groups: dict[Scene, SizeGroups], 
         getattr(rows, name).assign(value[source])
     rows.shape.assign(pool.shape_of_row)
     return rows
+
+
+def _mask(count: int, indices: np.ndarray) -> np.ndarray:
+    """1 at the indices and 0 elsewhere, (count,) int32."""
+    mask = np.zeros(count, np.int32)
+    mask[indices] = 1
+    return mask
 
 
 def _masses(bodies: list[Body]) -> dict[str, np.ndarray]:

@@ -189,7 +189,7 @@ def _count_anew(world: World, rows: np.ndarray) -> None:
 def write_rows(world: World, name: str, value: Any, rows: np.ndarray) -> None:
     """Change a state quantity or coefficient of bodies by their rows (n, m)."""
     array = getattr(world.state if name in STATE_NAMES else world.model.bodies, name)
-    new = _broadcast(name, value, (*rows.shape, *array.numpy().shape[1:]), existing(rows))
+    new = _broadcast(name, value, (*rows.shape, *getattr(array.dtype, "_shape_", ())), existing(rows))
     if name in COEFFICIENTS:
         COEFFICIENTS[name].check_array(new[existing(rows)])
     if name == "orientation":

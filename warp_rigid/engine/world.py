@@ -59,7 +59,7 @@ class World:
         self.memory_limit = MemoryLimit(device, memory_limit)
         sizes = initial_capacity(layout, capacity)
         ranges = plan(layout, sizes, device)
-        other_bytes = body_bytes(layout) + shape_bytes(layout)
+        other_bytes = body_bytes(layout.sizes) + shape_bytes(layout)
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
         self.memory_limit.check(0, needed, f"simulating {self.num_envs} environment(s)")
         baking = any(isinstance(body.shape, Mesh | Compound) for body in layout.scene_bodies)

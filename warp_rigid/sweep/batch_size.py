@@ -1,5 +1,6 @@
 """Splitting of runs into batches that fit into the available memory."""
 
+import functools
 import logging
 import math
 from typing import Any, NamedTuple
@@ -46,12 +47,18 @@ class SizedRun(NamedTuple):
     footprint: Footprint
 
 
-def footprint_of(scene: Scene) -> Footprint:
-    """Initial device memory of an environment."""
+def footprint_of(scene: Scene, known: dict[str, int] | None = None) -> Footprint:
+    """Initial device memory of an environment; `known` as for bytes_by_shape."""
     layout = layout_of(scene, 1)
     pairs = int(expected_pairs(layout.dynamic_per_env)[0])
     sizes = sizes_for(int(layout.others_before()[-1]), pairs, 6 * pairs, layout.sizes)
-    return Footprint(body_bytes(layout) + pool_bytes(sizes), bytes_by_shape(layout))
+    return Footprint(_bytes_of_sizes(tuple(sizes.items())), bytes_by_shape(layout, known))
+
+
+@functools.lru_cache(maxsize=4096)
+def _bytes_of_sizes(sizes: tuple[tuple[str, int], ...]) -> int:
+    """Bytes of the arrays of an environment; many scenes of a sweep have the same numbers of bodies."""
+    return body_bytes(dict(sizes)) + pool_bytes(dict(sizes))
 
 
 def free_memory(device: Any) -> int:

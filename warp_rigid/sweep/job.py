@@ -164,6 +164,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
         ValueError: A name is unknown or a value is out of range.
     """
     footprints: dict[str, Footprint] = {}
+    shape_bytes: dict[str, int] = {}
     bodies: dict[str, Any] = {}
     known: dict[Any, Scene] = {}
     checked: set[Any] = set()
@@ -173,7 +174,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
         key = inputs.scene_key
         if key not in footprints:
             scene = build_scene(job, inputs)
-            footprints[key] = footprint_of(scene)
+            footprints[key] = footprint_of(scene, shape_bytes)
             bodies[key] = tuple((body.name, body.motion) for body in scene.bodies)
             known.setdefault(bodies[key], scene)
         settings = tuple(inputs.settings.items())
