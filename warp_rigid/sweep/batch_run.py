@@ -16,7 +16,7 @@ from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
-from warp_rigid.sweep.environment_view import EnvironmentView
+from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
 from warp_rigid.sweep.observers import Observers
@@ -62,8 +62,9 @@ class Prepared:
         groups: dict[Any, list[EnvironmentView]] = {}
         for view in self.views:
             groups.setdefault(structure(view.scene), []).append(view)
+        reads = SharedReads(self.sim)
         return [
-            EnvironmentView(self.sim, views[0].scene, np.sort(np.concatenate([view.envs for view in views])))
+            EnvironmentView(reads, views[0].scene, np.sort(np.concatenate([view.envs for view in views])))
             for views in groups.values()
         ]
 
@@ -79,7 +80,8 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     settings = Settings(**inputs[0].settings)
     sim = Simulator([scenes[index] for index in which], settings=settings, device=job.device, seed=runs[0].seed)
     _set_all(sim, inputs)
-    return Prepared(sim, [EnvironmentView(sim, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
+    reads = SharedReads(sim)
+    return Prepared(sim, [EnvironmentView(reads, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
 
 
 def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = None) -> Simulator:
