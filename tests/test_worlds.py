@@ -137,6 +137,19 @@ def test_bodies_are_chosen_by_name(device):
     assert sim.get("linear_velocity")[[0, 1], [1, 2], 0].tolist() == [0.0, 0.0]
 
 
+def test_names_of_a_scene():
+    """A name that is taken gets a number; pairs are filtered by names too."""
+    scene = wr.Scene()
+    for name in ("box", "box", None, "box", "sphere_2"):
+        scene.add_body(wr.Sphere(0.1), name=name)
+    assert [body.name for body in scene.bodies] == ["box", "box_1", "sphere_2", "box_2", "sphere_2_1"]
+    assert scene.index("box_2") == scene.index(3) == 3
+    scene.filter_pair("box_2", "box")
+    assert scene.filtered_pairs == {(0, 3)}
+    with pytest.raises(ValueError, match="^b: must be the index or name of a body, got 'lid'"):
+        scene.filter_pair("box", "lid")
+
+
 def test_a_checkpoint_holds_all_scenes(device, tmp_path):
     sim = wr.Simulator(different(), num_envs=2, device=device)
     sim.step(40)

@@ -243,18 +243,34 @@ class Scene:
             raise ValueError(f"field: must be a {' or a '.join(FIELDS)}, got {shown(field)}")
         self.force_fields.append(field)
 
-    def filter_pair(self, a: int, b: int) -> None:
+    def index(self, body: int | str, name: str = "body") -> int:
+        """Return the index of a body.
+
+        Args:
+            body: its index or name.
+            name: of the argument, for the error message.
+
+        Raises:
+            ValueError: There is no such body.
+        """
+        if not isinstance(body, str):
+            return whole_in(name, body, 0, len(self.bodies) - 1)
+        for index, other in enumerate(self.bodies):
+            if other.name == body:
+                return index
+        raise ValueError(f"{name}: must be the index or name of a body, got {shown(body)}")
+
+    def filter_pair(self, a: int | str, b: int | str) -> None:
         """Disable contacts between two bodies.
 
         Args:
-            a: index of one body, as returned by add_body.
-            b: index of the other.
+            a: index of one body, as returned by add_body, or its name.
+            b: index or name of the other.
 
         Raises:
             ValueError: There is no such body, or both are the same.
         """
-        last = len(self.bodies) - 1
-        first, second = sorted((whole_in("a", a, 0, last), whole_in("b", b, 0, last)))
+        first, second = sorted((self.index(a, "a"), self.index(b, "b")))
         if first == second:
             raise ValueError(f"b: must be another body than a, got {b} for both")
         self.filtered_pairs.add((first, second))
