@@ -177,9 +177,9 @@ def counts(scene: Scene) -> dict[str, int]:
         ValueError: a constraint of the scene is of no known kind.
     """
     kinds = {kind.NAME: kind.definitions(scene) for kind in OTHER_KINDS}
-    known = [definition for definitions in kinds.values() for definition in definitions]
+    known = {id(definition) for definitions in kinds.values() for definition in definitions}
     for index, constraint in enumerate(scene.constraints):
-        if not any(constraint is definition for definition in known):
+        if id(constraint) not in known:
             raise ValueError(f"scene.constraints: number {index} is of no known kind, got {shown(constraint)}")
     return {
         "bodies": len(scene.bodies),
