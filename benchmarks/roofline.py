@@ -280,11 +280,12 @@ def count(sim: Simulator) -> Counts:
     ]
     wp.launch(count_samples, dim=pairs, inputs=inputs, outputs=[counted], device=sim.device)
     clusters, near, tested, close, distances = (int(total) for total in counted.numpy().sum(axis=0))
+    groups = sim._world.model.size_groups[sim.scene]
     return Counts(
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
-        small=len(sim._world.model.small),
-        wide=len(sim._world.model.oversized),
+        small=len(groups.small),
+        wide=len(groups.oversized),
         pairs=pairs,
         searched=searched,
         clusters=clusters,

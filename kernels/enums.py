@@ -58,6 +58,7 @@ class FieldKind(IntEnum):
 
     UNIFORM = 0
     POINT = 1
+    DRAG = 2
 
 
 class ShockMode(IntEnum):
@@ -66,6 +67,15 @@ class ShockMode(IntEnum):
     OFF = 0
     ONE_PASS = 1
     TWO_PASS = 2
+
+
+class OutOfBounds(IntEnum):
+    """What happens to a body whose centre of mass leaves the bounds of its environment."""
+
+    UNBOUNDED = 0
+    """There are no bounds."""
+    REPORT = 1
+    REMOVE = 2
 
 
 class CombineRule(IntEnum):

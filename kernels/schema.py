@@ -41,7 +41,8 @@ SYMBOLS = {
     "tree_nodes": "nodes of trees of triangles in the pool",
     "triangles": "triangles of meshes in the pool",
     "vertices": "vertices of moving height fields",
-    "fields": "force fields besides gravity",
+    "watches": "watches of each environment",
+    "fields": "force fields besides gravity, over all environments",
     "field_parameters": "parameters of the force field that has most",
     "boxed": "bodies with fat boxes; 0 if every pair is tested",
     "buckets": "buckets of the hash grid, over all environments",
@@ -249,10 +250,13 @@ Motions = layout(
 
 Environments = layout(
     "Environments",
-    "Bodies, settings and status of each environment.",
-    first_body=Field(
-        int, "envs + 1", "", "first body of each environment; the last entry is the number of bodies", "bodies"
-    ),
+    "Bodies, rules, settings and status of each environment.",
+    first_body=Field(int, "envs + 1", "", "first body of each environment, then the number of bodies", "bodies"),
+    friction_rule=Field(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
+    restitution_rule=Field(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
+    out_of_bounds=Field(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
+    lower=Field(wp.vec3, "envs", "m", "lower corner of the bounds"),
+    upper=Field(wp.vec3, "envs", "m", "upper corner of the bounds"),
     gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),
     collision_iterations=Field(int, "envs", "", "maximum sweeps of the restitution stage"),
     contact_iterations=Field(int, "envs", "", "sweeps of the contact solver (gauss_seidel.py)"),
@@ -283,24 +287,25 @@ Cells = layout(
     rank=Field(int, "bodies", "", "place of each body in that order"),
     listed=Field(int, "bodies", "", "number of candidates in the list of each body; -1: all later bodies"),
     stale=Field(int, "envs", "", "1: the candidates are computed again in this step"),
+    width=Field(float, "envs", "m", "cell width at the lowest level of the grid"),
+    first_bucket=Field(int, "envs + 1", "", "first bucket of each environment, which has none or a power of two"),
     levels=Field(int, "envs", "", "bit mask of the levels of the grid that have bodies"),
     dynamic_levels=Field(int, "envs", "", "bit mask of the levels that have dynamic bodies"),
     lower=Field(wp.vec3, "boxed", "m", "lower corner of the fat box"),
     upper=Field(wp.vec3, "boxed", "m", "upper corner of the fat box"),
     cell=Field(wp.vec4i, "boxed", "", "cell of the centre of the fat box, along x, y and z, and its level"),
     bucket_count=Field(int, "buckets + 1", "", "bodies that are still to be entered in each bucket"),
-    bucket_start=Field(int, "buckets + 1", "", "first member of each bucket; environments have as many buckets each"),
+    bucket_start=Field(int, "buckets + 1", "", "first member of each bucket"),
     member=Field(int, "boxed", "", "bodies by bucket, in any order within one"),
     candidates=Field(int, "candidates", "", "lists of equal capacity of the candidates of each body, in that order"),
 )
 
 FieldForces = layout(
     "FieldForces",
-    "Force fields besides gravity, the same in all environments.",
+    "Force fields besides gravity. Their parameters can be changed for each environment.",
+    start=Field(int, "envs + 1", "", "first force field of each environment", "fields"),
     kind=Field(int, "fields", "", "a FieldKind"),
-    parameters=Field(
-        float, "fields, field_parameters", "SI", "attributes of the field's host class, in order of declaration"
-    ),
+    parameters=Field(float, "fields, field_parameters", "SI", "attributes of the host class, in order of declaration"),
 )
 
 Pairs = layout(
@@ -383,6 +388,22 @@ Contacts = layout(
     pair=Field(int, "contacts", "", "pair of bodies in contact"),
     key=Field(int, "contacts", "", "identity within the pair: 2 * sample + side"),
     position=Field(wp.vec3, "contacts", "m", "contact point in the world frame"),
+    impact=Field(wp.vec3, "pairs", "N s", "impulse of all impacts of a pair in this step, on the first body"),
+)
+
+Watches = layout(
+    "Watches",
+    "What watches have recorded of an environment, one of its bodies, or a pair of them, since the last reset.",
+    first=Field(int, "envs, watches", "", "first body by its index in the environment; -1: all bodies, -2: none"),
+    second=Field(int, "envs, watches", "", "second body by its index in the environment; -1: any body, -2: none"),
+    peak=Field(float, "envs, watches", "N s", "largest impulse of a pair in a step"),
+    total=Field(wp.int64, "envs, watches", "", "sum of the impulses over pairs and steps, in multiples of 2^-36 N s"),
+    overlap=Field(float, "envs, watches", "m", "largest overlap at a contact"),
+    contact_step=Field(int, "envs, watches", "", "number of the last step with a contact"),
+    first_contact=Field(int, "envs, watches", "", "number of the first step with a contact; 0: none yet"),
+    touching=Field(int, "envs, watches", "", "1: there was a contact in the last step"),
+    impacts=Field(int, "envs, watches", "", "number of steps with a contact after one without"),
+    moving_step=Field(int, "envs, watches", "", "number of the last step in which a body was not at rest"),
 )
 
 History = layout(

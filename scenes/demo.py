@@ -85,7 +85,7 @@ class Demo:
         variants: settings to compare, by name; each lists the differences from `Settings()`. A comparison runs each
             variant in one environment of one simulator. "default" is the first.
         events: function(scene) -> list of (time [s], function(sim)); a run calls each function when it reaches that
-            simulated time.
+            simulated time. The function may return the event that follows it.
         settings: differences from `Settings()` that all variants of this scene need.
         vary: function(sim, **parameters) that gives each environment of a batch a different start; None if all
             environments start alike. A run that compares settings does not call it.

@@ -20,7 +20,7 @@ def search(request, monkeypatch):
 
 
 def mixed_scene(generator, count=120, spread=2.0):
-    """Bodies whose sizes differ by a factor of 100, between statics, kinematic bodies and a plane."""
+    """Bodies of equal mass whose sizes differ by a factor of 100, between statics, kinematic bodies and a plane."""
     scene = ground_scene()
     scene.add_static(Plane(normal=(1, 0, 0), offset=-5.0))
     scene.add_static(Box((spread, 0.1, 0.1)), position=(0, 0, 0.5))
@@ -33,6 +33,7 @@ def mixed_scene(generator, count=120, spread=2.0):
             shape[generator.integers(3)],
             position=generator.uniform(-spread, spread, 3),
             orientation=random_quaternion(generator),
+            mass=1.0,
         )
     order = generator.permutation(len(scene.bodies))
     scene.bodies[:] = [scene.bodies[k] for k in order]
@@ -53,7 +54,7 @@ def brute_force(stages):
     return {
         pair
         for pair in pairs
-        if len({body // stages.num_bodies for body in pair}) == 1 and any(dynamic[body] for body in pair)
+        if len({body // stages.model.layout.most_bodies for body in pair}) == 1 and any(dynamic[body] for body in pair)
     }
 
 
@@ -134,28 +135,27 @@ def test_both_searches_list_the_same_pairs_in_the_same_order(device, monkeypatch
 def test_ordinary_dynamic_bodies_come_first_in_the_order_of_pairs(device, search):
     scene = mixed_scene(np.random.default_rng(7))
     _, stages = opened(scene, device)
+    small, wide, width = stages.model.size_groups[stages.model.layout.scenes[0]]
     found_pairs(stages)
     order, rank = stages.grid.cells.order.numpy(), stages.grid.cells.rank.numpy()
-    assert order.tolist() == [*stages.model.small, *stages.model.oversized]
+    assert order.tolist() == [*small, *wide]
     places = rank[pair_list(stages)]
     assert (places[:, 0] < places[:, 1]).all() and (np.diff(pair_list(stages)[:, 0]) >= 0).all()
     assert all(np.diff(places[places[:, 0] == first, 1]).min(initial=1) > 0 for first in rank)
-    small = stages.model.small
-    wide = stages.model.oversized
     assert sorted([*small, *wide]) == list(range(len(scene.bodies)))
     assert all(scene.bodies[k].motion == Motion.DYNAMIC for k in small)
     dynamic = np.flatnonzero(moving(scene))
     extent = {k: np.linalg.norm(np.ptp(scene.bodies[k].shape.bounds, axis=0)) for k in dynamic}
     assert len(small) < len(dynamic)
     assert max(extent[k] for k in small) <= OVERSIZED * np.median(list(extent.values()))
-    assert stages.model.grid_radius >= max(extent[k] for k in small)
+    assert width >= max(extent[k] for k in small)
 
 
 def test_halted_environments_have_no_pairs(device, search):
     _, stages = opened(mixed_scene(np.random.default_rng(8), 60), device, num_envs=3)
     stages.envs.failed.assign(np.array([0, 1, 0], np.int32))
     found_pairs(stages)
-    env = pair_list(stages)[:, 0] // stages.num_bodies
+    env = pair_list(stages)[:, 0] // stages.model.layout.most_bodies
     assert set(env) == {0, 2}
 
 

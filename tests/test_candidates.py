@@ -24,7 +24,7 @@ def candidate_lists(stages):
 
 def boxes_tested(stages):
     """Number of candidates that a step tests."""
-    n, rank = stages.num_bodies, stages.grid.cells.rank.numpy()
+    n, rank = stages.model.layout.most_bodies, stages.grid.cells.rank.numpy()
     lists = candidate_lists(stages)
     return sum(n - 1 - rank[i] if some is None else len(some) for i, some in enumerate(lists))
 
@@ -56,7 +56,7 @@ def test_candidates_are_the_overlapping_fat_boxes(device, monkeypatch, offset):
     sim, stages = opened(mixed_scene(generator), device, num_envs=2)
     scatter(sim, generator, 1.5, (offset, -offset, offset))
     assert computed_again(stages) == [0, 1]
-    cells, n = stages.grid.cells, stages.num_bodies
+    cells, n = stages.grid.cells, stages.model.layout.most_bodies
     dynamic = stages.model.bodies.motion.numpy() == int(Motion.DYNAMIC)
     expected = {
         pair

@@ -240,12 +240,12 @@ def with_header(saved, path, change):
 
 def test_a_newer_version_is_told(saved, tmp_path):
     path = with_header(saved, tmp_path / "newer", lambda header: header.update(version=99))
-    assert "version must be 7, got 99" in refused(path)
+    assert "version must be 8, got 99" in refused(path)
 
 
 def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path):
     def forget(header):
-        for body in header["scene"]["bodies"]:
+        for body in header["scenes"][0]["bodies"]:
             del body["restitution"]
 
     path = with_header(saved, tmp_path / "older", forget)
@@ -260,17 +260,17 @@ def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda h: h.pop("scene"),
+        lambda h: h.pop("scenes"),
         lambda h: h.update(num_envs=10_000_000),
         lambda h: h.update(num_envs="many"),
         lambda h: h.update(seed=-1),
         lambda h: h["settings"].update(dt=-1.0),
         lambda h: h["settings"].update(more=1),
-        lambda h: h["scene"]["bodies"][0].update(shape=99),
-        lambda h: h["scene"]["bodies"][0].update(orientation=[0, 0, 0, 7]),
-        lambda h: h["scene"]["shapes"][0].update(key="0"),
-        lambda h: h["scene"]["bodies"].clear(),
-        lambda h: h["scene"].update(filtered_pairs=[[0, 99]]),
+        lambda h: h["scenes"][0]["bodies"][0].update(shape=99),
+        lambda h: h["scenes"][0]["bodies"][0].update(orientation=[0, 0, 0, 7]),
+        lambda h: h["shapes"][0].update(key="0"),
+        lambda h: h["scenes"][0]["bodies"].clear(),
+        lambda h: h["scenes"][0].update(filtered_pairs=[[0, 99]]),
         lambda h: h["used"].update(contacts=3),
         lambda h: h.update(steps=None),
         lambda h: h.update(fitted=[]),

@@ -6,6 +6,7 @@ import warp as wp
 
 from tests.geometry_oracles import exact_distance
 from tests.oracles import random_quaternion
+from warp_rigid.engine.layout import layout_of
 from warp_rigid.engine.model import build_model
 from warp_rigid.kernels.collide import distance
 from warp_rigid.kernels.schema import Shapes
@@ -40,7 +41,7 @@ def measure(shape, points, device, normals=None, near=1e10):
     # Another shape before it, so that its parts and grids do not begin at the pool's first row.
     scene.add_static(Compound([(meshes.tetrahedron(sdf_resolution=8), (0, 0, 0), (0, 0, 0, 1))]))
     scene.add_static(shape)
-    model = build_model(scene, 1, wp.get_device(device))
+    model = build_model(layout_of(scene, 1), wp.get_device(device))
     points = wp.array(np.asarray(points, np.float32), dtype=wp.vec3, device=device)
     plain = np.zeros((len(points), 3))
     normals = wp.array(np.asarray(plain if normals is None else normals, np.float32), dtype=wp.vec3, device=device)

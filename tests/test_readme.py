@@ -45,6 +45,7 @@ def test_there_is_something_to_test():
 @pytest.mark.parametrize("command", OWN_COMMANDS)
 def test_command_runs(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     arguments = shlex.split(command)[1:]
     if arguments[0] == "run":
         arguments += ["--frames", "2", "--device", "cpu"]

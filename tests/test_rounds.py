@@ -65,7 +65,9 @@ def rounds_in_float64(problem, free, impulse, count):
 def test_a_solve_is_that_of_the_method_in_float64(device):
     _, stages = fallen(device)
     problem = ContactProblem(stages)
-    assert (stages.pools.graph.solver.numpy()[moving(stages.model.scene)] == IslandSolver.ROUNDS).mean() > 0.8
+    assert (
+        stages.pools.graph.solver.numpy()[moving(stages.model.layout.scenes[0])] == IslandSolver.ROUNDS
+    ).mean() > 0.8
     chosen = stages.pools.graph.solver.numpy() == IslandSolver.ROUNDS
     free = problem.velocity(stages)
     start = problem.contacts["impulse"].astype(np.float64)

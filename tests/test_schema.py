@@ -10,6 +10,7 @@ import warp as wp
 
 from warp_rigid import Box, Scene, Settings
 from warp_rigid.engine import model
+from warp_rigid.engine.layout import layout_of
 from warp_rigid.kernels import declare, enums, schema
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
@@ -272,23 +273,23 @@ def scene_with_filters_and_moving_ground(moving):
 def test_a_part_of_the_arrays_counts_from_its_own_start(moving):
     """Environments 1 and 2 of 3 are what a model of 2 has. Places in the pool of shapes stay those of the whole."""
     scene = scene_with_filters_and_moving_ground(moving)
-    whole, alone = (model.build_model(scene, count, "cpu") for count in (3, 2))
+    whole, alone = (model.build_model(layout_of(scene, count), "cpu") for count in (3, 2))
     part = whole.part(1, 3)
     for struct, pooled in (("bodies", "shape"), ("surfaces", "sample")):
         found, expected = getattr(part, struct), getattr(alone, struct)
         for name in declare.field_names(found._cls):
             if name != pooled:
                 np.testing.assert_array_equal(getattr(found, name).numpy(), getattr(expected, name).numpy(), name)
-    ranges = model.env_ranges(scene, 1, 3)
-    envs, expected = (model.initial_environments(scene, Settings(), count, "cpu") for count in (3, 2))
+    ranges = layout_of(scene, 3).ranges(1, 3)
+    envs, expected = (model.initial_environments(layout_of(scene, count), Settings(), "cpu") for count in (3, 2))
     first_body = declare.part(envs, ranges).first_body.numpy()
     np.testing.assert_array_equal(first_body, expected.first_body.numpy())
 
 
 def test_a_part_shares_memory_with_the_whole():
     scene = scene_with_filters_and_moving_ground(moving=False)
-    state = model.initial_state(scene, 3, "cpu")
-    part = declare.part(state, model.env_ranges(scene, 1, 3))
+    state = model.initial_state(layout_of(scene, 3), "cpu")
+    part = declare.part(state, layout_of(scene, 3).ranges(1, 3))
     part.position.fill_(wp.vec3(7.0, 8.0, 9.0))
     changed = (state.position.numpy() == [7.0, 8.0, 9.0]).all(axis=1)
     np.testing.assert_array_equal(changed, np.arange(3 * len(scene.bodies)) >= len(scene.bodies))

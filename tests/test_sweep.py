@@ -5,10 +5,10 @@ import pytest
 
 import warp_rigid as wr
 from warp_rigid import scenes
-from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep import batch_run as batch_module
 from warp_rigid.sweep.job import resolve_scene
+from warp_rigid.sweep.structure import structure
 from warp_rigid.sweep.table import BOOKKEEPING
 
 GRAVITY = 9.81
@@ -78,14 +78,11 @@ def count_of(count):
 
 def test_reset_returns_to_each_start():
     made = [ball(height=h, mass=h) for h in (1.0, 2.0)]
-    sim = wr.Simulator(made[0], num_envs=3, device="cpu")
-    start_each(sim, made, [1, 0, 1])
+    sim = wr.Simulator([made[1], made[0], made[1]], device="cpu")
     sim.step(24)
     sim.reset()
     assert sim.get("position")[:, 1, 2].tolist() == [2, 1, 2]
     assert sim.get("mass")[:, 1].tolist() == [2, 1, 2]
-    with pytest.raises(ValueError, match="number 1 has a different structure"):
-        start_each(sim, [made[0], ball(count=2)], [0, 1, 0])
 
 
 def test_rows_do_not_depend_on_batches_shards_or_order():
@@ -101,11 +98,11 @@ def test_rows_do_not_depend_on_batches_shards_or_order():
     }
 
 
-def test_what_cannot_share_a_batch_is_split(monkeypatch):
+def test_only_time_steps_split_a_batch(monkeypatch):
     sizes = []
-    monkeypatch.setattr(batch_module, "Simulator", lambda *a, **k: sizes.append(k["num_envs"]) or wr.Simulator(*a, **k))
+    monkeypatch.setattr(batch_module, "Simulator", lambda *a, **k: sizes.append(len(a[0])) or wr.Simulator(*a, **k))
     result = quick({"count": [1, 2], "dt": [1 / 240, 1 / 120], "height": [0.5, 0.6, 0.7]}, **POSES)
-    assert sizes == [3, 3, 3, 3] and not result.failed
+    assert sizes == [6, 6] and not result.failed
     assert {(row["count"], len(row["final_position"])) for row in result.rows} == {(1, 6), (2, 9)}
     assert structure(ball(height=1.0)) == structure(ball(height=2.0, mass=3.0)) != structure(ball(count=2))
 

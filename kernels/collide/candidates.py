@@ -72,14 +72,16 @@ def cell_along(x: float, width: float):
 
 
 @wp.func
-def bucket_of(env: int, cell: wp.vec4i, buckets: int):
-    """The bucket of a cell (x, y, z, level); an environment has `buckets`, a power of two (Teschner et al. 2003)."""
+def bucket_of(env: int, cell: wp.vec4i, cells: Cells):
+    """The bucket of a cell (x, y, z, level), among those of its environment (Teschner et al. 2003)."""
+    first = cells.first_bucket[env]
+    buckets = cells.first_bucket[env + 1] - first
     mixed = wp.uint32(cell[0]) * wp.uint32(73856093)
     mixed = mixed ^ (wp.uint32(cell[1]) * wp.uint32(19349663))
     mixed = mixed ^ (wp.uint32(cell[2]) * wp.uint32(83492791))
     mixed = mixed ^ (wp.uint32(cell[3]) * wp.uint32(50331653))
     mixed = (mixed ^ (mixed >> wp.uint32(15))) * HASH_MULTIPLIER
-    return env * buckets + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
+    return first + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
 
 
 @wp.func
@@ -95,9 +97,11 @@ def level_of(lower: wp.vec3, upper: wp.vec3, smallest: float):
 
 @wp.kernel
 def find_stale(bodies: Bodies, envs: Environments, motions: Motions, cells: Cells):
-    """One thread per body: mark its environment if its swept box is not within its fat box."""
+    """One thread per body: mark its environment if it has a grid and the swept box is not within the fat box."""
     i = wp.tid()
     env = bodies.env[i]
+    if cells.first_bucket[env + 1] == cells.first_bucket[env]:
+        return
     if envs.failed[env] == 1 or envs.moving[env] <= envs.step[env]:
         return
     below = motions.lower[i] - cells.lower[i]
@@ -109,8 +113,6 @@ def find_stale(bodies: Bodies, envs: Environments, motions: Motions, cells: Cell
 @wp.kernel
 def enlarge_boxes(
     dt: float,
-    buckets: int,
-    smallest: float,
     shapes: Shapes,
     bodies: Bodies,
     motions: Motions,
@@ -131,6 +133,7 @@ def enlarge_boxes(
         upper += wp.max(travel, nothing) + wp.vec3(margin, margin, margin)
     cells.lower[i] = lower
     cells.upper[i] = upper
+    smallest = cells.width[env]
     level = level_of(lower, upper, smallest)
     width = cell_width(level, smallest)
     x = 0.5 * (lower + upper)
@@ -141,16 +144,16 @@ def enlarge_boxes(
     wp.atomic_or(cells.levels, env, bit)
     if bodies.motion[i] == Motion.DYNAMIC:
         wp.atomic_or(cells.dynamic_levels, env, bit)
-    wp.atomic_add(cells.bucket_count, bucket_of(env, cell, buckets), 1)
+    wp.atomic_add(cells.bucket_count, bucket_of(env, cell, cells), 1)
 
 
 @wp.kernel
-def fill_buckets(buckets: int, bodies: Bodies, cells: Cells):
+def fill_buckets(bodies: Bodies, cells: Cells):
     """One thread per body of a marked environment: enter it in its bucket; the counts end at 0."""
     i = wp.tid()
     env = bodies.env[i]
     if cells.stale[env] == 1:
-        bucket = bucket_of(env, cells.cell[i], buckets)
+        bucket = bucket_of(env, cells.cell[i], cells)
         place = wp.atomic_sub(cells.bucket_count, bucket, 1) - 1
         cells.member[cells.bucket_start[bucket] + place] = i
 
@@ -202,9 +205,7 @@ def visit_cell(
 
 @wp.kernel
 def search_cells(
-    buckets: int,
     room: int,
-    smallest: float,
     bodies: Bodies,
     cells: Cells,
 ):
@@ -221,7 +222,7 @@ def search_cells(
     levels = wp.where(bodies.motion[i] == Motion.DYNAMIC, cells.levels[env], cells.dynamic_levels[env])
     for level in range(here[3], LEVELS):
         if ((levels >> level) & 1) == 1:
-            width = cell_width(level, smallest)
+            width = cell_width(level, cells.width[env])
             around = wp.vec3(0.5 * width, 0.5 * width, 0.5 * width)
             lower = cells.lower[i] - around
             upper = cells.upper[i] + around
@@ -230,7 +231,7 @@ def search_cells(
                     for z in range(cell_along(lower[2], width), cell_along(upper[2], width) + 1):
                         cell = wp.vec4i(x, y, z, level)
                         if level > here[3] or not precedes(cell, here):
-                            visit_cell(i, cell, bucket_of(env, cell, buckets), room, bodies, cells)
+                            visit_cell(i, cell, bucket_of(env, cell, cells), room, bodies, cells)
 
 
 @wp.kernel

@@ -182,7 +182,6 @@ def build_contacts(
     teams: int,
     lanes: int,
     dt: float,
-    rules: wp.vec2i,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
@@ -192,13 +191,16 @@ def build_contacts(
     history: History,
     contacts: Contacts,
 ):
-    """The teams share the pairs: build contact rows from the kept samples. `rules`: combine rules of coefficients."""
+    """The teams share the pairs: build contact rows from the kept samples."""
     for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
         start = pairs.contact_start[pair]
         count = pairs.contact_start[pair + 1] - start
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
         size = smaller_size(a, b, shapes, bodies)
+        env = bodies.env[a]
+        contacts.impact[pair] = wp.vec3(0.0, 0.0, 0.0)
+        rules = wp.vec2i(envs.friction_rule[env], envs.restitution_rule[env])
         for k in range(wp.tid() % lanes, count, lanes):
             c = start + k
             touch = touch_again(pairs.kept[pair, k], a, b, pairs.axis[pair], shapes, bodies, state, motions)
@@ -211,7 +213,7 @@ def build_contacts(
             contacts.position[c] = touch.position
             row = build_row(a, b, touch, dt, size, bodies, motions)
             write_contact(c, with_coefficients(row, a, b, rules, bodies), contacts.rows)
-            start_from_history(c, pairs.last[pair], row, envs.warm_starting[bodies.env[a]], contacts, history)
+            start_from_history(c, pairs.last[pair], row, envs.warm_starting[env], contacts, history)
 
 
 @wp.func

@@ -137,6 +137,19 @@ def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair
 
 
 @wp.func
+def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
+    """Add the impulse of an impact, of which the share `keep` was applied, to those of its pair in this step."""
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(begin, end):
+        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+        if stored[3] > NO_IMPACT:
+            row = read_contact(c, contacts.rows)
+            total += world_vector(row.normal, row.tangent, first_three(stored))
+    pair = contacts.pair[begin]
+    contacts.impact[pair] = contacts.impact[pair] + keep * total
+
+
+@wp.func
 def after_impact(
     begin: int, end: int, share_a: float, share_b: float, lag: wp.vec3, before: BodyPair, contacts: Contacts
 ):
@@ -149,6 +162,7 @@ def after_impact(
             after = collide_contact(c, share_a, share_b, after, contacts)
         left = wp.where(after.change > CONVERGED, left - 1, 0)
     keep = energy_neutral_share(begin, end, before, after, lag, contacts)
+    note_impact(begin, end, keep, contacts)
     after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
     after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
     after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)

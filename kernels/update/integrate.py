@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.enums import Motion, Role
+from warp_rigid.kernels.enums import Motion, OutOfBounds, Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, State
 from warp_rigid.kernels.update.predict import is_finite
 
@@ -151,24 +151,18 @@ def is_inside(x: wp.vec3, lower: wp.vec3, upper: wp.vec3):
 
 
 @wp.kernel
-def keep_inside(
-    lower: wp.vec3,
-    upper: wp.vec3,
-    remove: int,
-    bodies: Bodies,
-    motions: Motions,
-    state: State,
-    envs: Environments,
-):
-    """One thread per body: record it if its centre of mass has left the bounds, and switch it off if `remove` is 1."""
+def keep_inside(bodies: Bodies, motions: Motions, state: State, envs: Environments):
+    """One thread per body: record it if its centre of mass has left the bounds, and switch it off if so required."""
     b = wp.tid()
     env = bodies.env[b]
+    if envs.out_of_bounds[env] == OutOfBounds.UNBOUNDED:
+        return
     if bodies.motion[b] == Motion.STATIC or motions.role[b] == Role.ABSENT:
         return
     center = state.position[b] + wp.quat_rotate(state.orientation[b], bodies.center_of_mass[b])
-    if not is_inside(center, lower, upper):
+    if not is_inside(center, envs.lower[env], envs.upper[env]):
         wp.atomic_max(envs.strayed, env, envs.first_body[env + 1] - b)
-        if remove == 1:
+        if envs.out_of_bounds[env] == OutOfBounds.REMOVE:
             state.active[b] = 0
 
 

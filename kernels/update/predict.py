@@ -74,7 +74,7 @@ def body_is_finite(b: int, bodies: Bodies, state: State, acceleration: wp.vec3, 
 
 @wp.kernel
 def derive_motion(
-    field_count: int,
+    dt: float,
     bodies: Bodies,
     state: State,
     sleep_state: SleepState,
@@ -85,8 +85,9 @@ def derive_motion(
     """Role, centre of mass, world inertia and external accelerations of each body."""
     b = wp.tid()
     motions.role[b] = role_of(b, bodies, state, sleep_state)
+    env = bodies.env[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
+        envs.moving[env] = envs.step[env] + 1
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
@@ -101,7 +102,7 @@ def derive_motion(
     motions.solver_bodies[b] = solver_body
     acceleration = wp.vec3(0.0, 0.0, 0.0)
     if bodies.motion[b] == Motion.DYNAMIC:
-        acceleration = envs.gravity[bodies.env[b]] + field_acceleration(fields, field_count, center)
+        acceleration = envs.gravity[env] + field_acceleration(fields, env, center, state.linear_velocity[b], dt)
     motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
     spin_acceleration = inverse * state.torque[b]
     motions.spin_acceleration[b] = spin_acceleration

@@ -7,6 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from warp_rigid import scenes
+from warp_rigid.bench.scene_case import SceneCase
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion, Scene
@@ -107,12 +109,14 @@ class BenchmarkCase:
         return position - rest(self.bodies)
 
 
-def find_case(text: str) -> BenchmarkCase:
-    """Parse a case such as "stack:10".
+def find_case(text: str) -> BenchmarkCase | SceneCase:
+    """Parse a case such as "stack:10", or the name or .py file of a scene.
 
     Raises:
         ValueError: There is no such scene, or the number of bodies is missing or out of range.
     """
+    if text.endswith(".py") or text in scenes.names():
+        return SceneCase(text)
     name, _, count = text.partition(":")
     one_of("SCENE", name, tuple(SCENES))
     if not count.isdigit():

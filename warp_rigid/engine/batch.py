@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from warp_rigid.engine.cores import spread, usable_cores
+from warp_rigid.engine.hash_grid import grid_sizes
+from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.engine.memory import MemoryLimit, pool_bytes
-from warp_rigid.engine.model import Model, other_constraints
-from warp_rigid.engine.pools import LARGEST, NAMES, POOLS, Pools
+from warp_rigid.engine.model import Model
+from warp_rigid.engine.pools import LARGEST, NAMES, POOLS, sizes_for
 from warp_rigid.engine.shard import Shard
 from warp_rigid.errors import CapacityError
-from warp_rigid.scene.scene import Motion, Scene
 
 log = logging.getLogger("warp_rigid")
 
@@ -49,18 +50,24 @@ class Tally(NamedTuple):
     fitted: int = 0
 
 
-def plan(scene: Scene, num_envs: int, capacity: dict[str, int], device: Any) -> list[Range]:
-    """Ranges of about equally many environments, and their share of the capacity; one range on a GPU."""
+def plan(layout: Layout, capacity: dict[str, int], device: Any) -> list[Range]:
+    """Ranges of environments with about equally many dynamic bodies, and their capacity; one range on a GPU."""
     cores = 1 if device.is_cuda else usable_cores()
-    dynamic = sum(body.motion == Motion.DYNAMIC for body in scene.bodies)
-    worth = num_envs * dynamic // LEAST_BODIES
-    count = 1 if cores == 1 else max(1, min(cores * SHARDS_A_CORE, worth, num_envs))
+    weight = exclusive_sums(np.maximum(layout.dynamic_per_env, 1))
+    worth = int(layout.dynamic_per_env.sum()) // LEAST_BODIES
+    count = 1 if cores == 1 else max(1, min(cores * SHARDS_A_CORE, worth, layout.num_envs))
+    total = int(weight[-1])
+    ends = [int(np.searchsorted(weight, total * k // count, side="right")) - 1 for k in range(1, count)]
+    bounds = sorted({0, *ends, layout.num_envs})
+    others = layout.others_before()
 
     def sizes(first: int, end: int) -> dict[str, int]:
-        part = {name: max(1, all_ * end // num_envs - all_ * first // num_envs) for name, all_ in capacity.items()}
-        return Pools.sizes_for(end - first, len(scene.bodies), other_constraints(scene), **part)
+        low, high = int(weight[first]), int(weight[end])
+        part = {name: max(1, all_ * high // total - all_ * low // total) for name, all_ in capacity.items()}
+        own = {symbol: last - begin for symbol, (begin, last) in layout.ranges(first, end).items()}
+        own |= grid_sizes(layout.bodies_per_env[first:end])
+        return sizes_for(int(others[end] - others[first]), part["pairs"], part["contacts"], own)
 
-    bounds = [num_envs * k // count for k in range(count + 1)]
     return [Range(first, end, sizes(first, end)) for first, end in zip(bounds, bounds[1:], strict=False)]
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine.layout import exclusive_sums
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import candidates
 
@@ -29,27 +30,28 @@ LANES = 32
 """GPU lanes that test the candidates of a body of a large environment."""
 
 
-def grid_sizes(num_envs: int, num_bodies: int) -> dict[str, int]:
-    """Symbols of the data layout and their values; all are 0 where all pairs of an environment are tested."""
-    if num_bodies <= TRY_ALL_UP_TO:
+def grid_sizes(bodies_per_env: np.ndarray) -> dict[str, int]:
+    """Symbols of the data layout and their values; all are 0 where all pairs are tested in every environment.
+
+    Args:
+        bodies_per_env: (envs,) number of bodies of each environment.
+    """
+    buckets, bodies = int(_buckets(bodies_per_env).sum()), int(bodies_per_env.sum())
+    if buckets == 0:
         return {"boxed": 0, "buckets": 0, "candidates": 0}
-    return {
-        "boxed": num_envs * num_bodies,
-        "buckets": num_envs << math.ceil(math.log2(BUCKETS_PER_BODY * num_bodies)),
-        "candidates": num_envs * num_bodies * CANDIDATES_PER_BODY,
-    }
+    return {"boxed": bodies, "buckets": buckets, "candidates": bodies * CANDIDATES_PER_BODY}
 
 
 class HashGrid:
-    """The order of the bodies of an environment and, if it has many, their candidate pairs.
+    """The order of the bodies of each environment and, if one has many, their candidate pairs.
 
     Args:
-        model: the scene on the device.
+        model: the scenes on the device.
         sizes: symbols of the data layout and their values, with those of `grid_sizes`.
         device: the Warp device.
 
     Attributes:
-        buckets: number of buckets of each environment, a power of two; 0 if all pairs are tested.
+        buckets: number of buckets of all environments; 0 if all pairs are tested in each of them.
         room: capacity of the list of each body.
         lanes: GPU lanes that test the candidates of a body.
         cells: the device arrays.
@@ -57,16 +59,20 @@ class HashGrid:
 
     def __init__(self, model: "Model", sizes: dict[str, int], device: Any) -> None:
         """Allocate the arrays; all candidates are computed in the first step."""
-        self.device, self.count, self.num_envs = device, sizes["bodies"], model.num_envs
-        self.buckets = sizes["buckets"] // model.num_envs
+        layout = model.layout
+        self.device, self.count, self.buckets = device, sizes["bodies"], sizes["buckets"]
         self.room = sizes["candidates"] // sizes["bodies"]
         self.lanes = LANES if self.buckets and device.is_cuda else 1
         self.cells: Any = declare.allocate(schema.Cells, sizes, device)
         self._model = model
-        self._finest = ORDINARY_WIDTH * model.grid_radius / (1 << candidates.FINER_LEVELS)
-        order = np.concatenate([model.small, model.oversized]).astype(np.int32)
-        self.cells.order.assign(np.tile(order, self.num_envs))
-        self.cells.rank.assign(np.tile(np.argsort(order).astype(np.int32), self.num_envs))
+        groups = [model.size_groups[scene] for scene in layout.scenes]
+        orders = [np.concatenate([group.small, group.oversized]).astype(np.int32) for group in groups]
+        source = layout.copies([len(order) for order in orders])
+        self.cells.order.assign(np.concatenate(orders)[source])
+        self.cells.rank.assign(np.concatenate([np.argsort(order).astype(np.int32) for order in orders])[source])
+        finest = np.array([ORDINARY_WIDTH * group.width / (1 << candidates.FINER_LEVELS) for group in groups])
+        self.cells.width.assign(finest[layout.scene_of].astype(np.float32))
+        self.cells.first_bucket.assign(exclusive_sums(_buckets(layout.bodies_per_env)).astype(np.int32))
         self.cells.listed.fill_(int(candidates.ALL_LATER))
         self.cells.lower.fill_(math.inf)
 
@@ -86,14 +92,20 @@ class HashGrid:
         cells, bodies = self.cells, self._model.bodies
         for array in (cells.stale, cells.levels, cells.dynamic_levels):
             array.zero_()
-        inputs = [dt, self.buckets, self._finest, self._model.shapes, bodies, motions]
+        inputs = [dt, self._model.shapes, bodies, motions]
         self._per_body(candidates.find_stale, [bodies, envs, motions])
         self._per_body(candidates.enlarge_boxes, inputs)
         wp.utils.array_scan(cells.bucket_count, cells.bucket_start, inclusive=False)
-        self._per_body(candidates.fill_buckets, [self.buckets, bodies])
-        self._per_body(candidates.search_cells, [self.buckets, self.room, self._finest, bodies])
+        self._per_body(candidates.fill_buckets, [bodies])
+        self._per_body(candidates.search_cells, [self.room, bodies])
         self._per_body(candidates.finish_lists, [which, self.room, bodies, turn], [wanted])
 
     def _per_body(self, kernel: Any, inputs: list, more: Sequence = ()) -> None:
         outputs = [self.cells, *more]
         wp.launch(kernel, dim=self.count, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def _buckets(bodies_per_env: np.ndarray) -> np.ndarray:
+    """Number of buckets of each environment, a power of two; 0 where all pairs are tested."""
+    least = np.ceil(np.log2(BUCKETS_PER_BODY * bodies_per_env)).astype(np.int64)
+    return np.where(bodies_per_env > TRY_ALL_UP_TO, 1 << least, 0)

@@ -21,7 +21,7 @@ from warp_rigid.kernels.solve import (
     rounds,
     shock,
 )
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
+from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
@@ -47,10 +47,11 @@ STEP = (
 )
 """Kernel modules that every step requires; the slowest to compile come first."""
 
-GRIDS, OVERLAP, SLEEP, GROUND, CANDIDATES = (bake,), (overlap,), (sleep,), (ground_motion,), (candidates,)
-"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground and large environments."""
+GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
+CANDIDATES, WATCH = (candidates,), (watch,)
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground, large environments and watches."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *CANDIDATES)
+EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *CANDIDATES, *WATCH)
 
 
 def load_kernels(

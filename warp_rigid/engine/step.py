@@ -31,12 +31,15 @@ from warp_rigid.kernels.solve import (
     rounds,
     shock,
 )
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
+from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
 
 PAIRS, CONTACTS, CANDIDATES = 0, 1, 2
 
 ROUNDS_OF_A_GROUP = 6
 """Rounds between two decisions on whether more follow."""
+
+AT_REST = 0.05
+"""Speed below which a body counts as resting [m/s]."""
 
 STAGES: list[str] = []
 """Names of the stages of a step, in order of definition."""
@@ -65,7 +68,7 @@ class Stages:
     """The stages of a step over one set of arrays; a change of the pools requires a new object.
 
     Args:
-        model: the scene on the device.
+        model: the scenes on the device.
         state: state of the bodies.
         sleep_state: sleep state of the bodies.
         envs: settings and status of the environments.
@@ -73,6 +76,7 @@ class Stages:
         dt: time step [s].
         repetitions: largest number of shock iterations in any environment.
         sleeping: whether sleeping is enabled in any environment.
+        watches: what is recorded in every step; None for nothing.
     """
 
     def __init__(
@@ -85,18 +89,18 @@ class Stages:
         dt: float,
         repetitions: int,
         sleeping: bool,
+        watches: Any = None,
     ) -> None:
         """Record the step; `load_kernels` must have been called for `STEP`."""
         self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
-        self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
+        self.dt, self.repetitions, self.sleeping, self.watches = dt, repetitions, sleeping, watches
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
         device: Any = pools.wanted.device
         self.device = device
-        self.num_envs = model.num_envs
-        self.num_bodies = len(model.scene.bodies)
-        self.rows = self.num_envs * self.num_bodies
-        self.lanes = team_lanes(self.device, self.num_envs, self.num_bodies)
+        self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
+        self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
+        self.lanes = team_lanes(self.device, self.num_envs, model.layout.most_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
         self.grid = HashGrid(model, pools.sizes, device)
@@ -104,9 +108,13 @@ class Stages:
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
-        large, moving_ground = self.grid.buckets > 0, model.surface_vertices > 0
-        needed = ((loading.SLEEP, sleeping), (loading.GROUND, moving_ground), (loading.CANDIDATES, large))
-        loading.load_kernels(device, [module for modules, used in needed if used for module in modules])
+        optional = (
+            (loading.SLEEP, sleeping),
+            (loading.GROUND, model.surface_vertices > 0),
+            (loading.CANDIDATES, self.grid.buckets > 0),
+            (loading.WATCH, watches),
+        )
+        loading.load_kernels(device, [module for modules, used in optional if used for module in modules])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -133,6 +141,8 @@ class Stages:
         self.push_out()
         self.detect_continuous_collisions()
         self.integrate_positions()
+        if self.watches:
+            self.record_watches()
         if self.sleeping:
             self.update_sleep()
         self.store_history()
@@ -176,7 +186,7 @@ class Stages:
         self._per_body(
             predict.derive_motion,
             [
-                self.model.field_count,
+                dt,
                 self.model.bodies,
                 self.state,
                 self.sleep_state,
@@ -214,7 +224,7 @@ class Stages:
             self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
-        inputs = [self.dt, self.model.combine_rules, *bodies_of_pair, pairs, self.pools.history]
+        inputs = [self.dt, *bodies_of_pair, pairs, self.pools.history]
         self._share_pairs(build_contacts.build_contacts, BUILD_LANES, inputs, [contacts])
         self._list_constraints()
 
@@ -378,17 +388,11 @@ class Stages:
     @stage
     def integrate_positions(self) -> None:
         """Position update, with checks for non-finite states before it and for bodies out of bounds after it."""
-        scene, bodies = self.model.scene, self.model.bodies
+        bodies = self.model.bodies
         self._per_body(integrate.find_non_finite, [bodies, self.motions], [self.envs])
         self._per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
-        if scene.bounds is not None:
-            lower, upper = (wp.vec3(corner) for corner in scene.bounds)
-            remove = int(scene.out_of_bounds == "remove")
-            self._per_body(
-                integrate.keep_inside,
-                [lower, upper, remove, bodies, self.motions],
-                [self.state, self.envs],
-            )
+        if self.bounded:
+            self._per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
         self._per_env(integrate.close_step, [], [self.envs])
 
     @stage
@@ -403,6 +407,15 @@ class Stages:
         )
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
         self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
+
+    @stage
+    def record_watches(self) -> None:
+        """Watches: record contact impulses, contacts, overlaps and motion of the watched bodies."""
+        model, pools = self.model, self.pools
+        inputs = [self.envs, model.bodies, pools.pairs, pools.contacts]
+        self._shared(watch.watch_pairs, pools.sizes["pairs"], [], inputs, [self.watches])
+        self._per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
+        self._per_env(watch.close_watches, [self.envs], [self.watches])
 
     @stage
     def store_history(self) -> None:
@@ -551,14 +564,12 @@ class Stages:
         pairs, constraints = self.pools.pairs, self.pools.constraints
         count = max(self.pools.sizes["pairs"], self.num_envs + 1)
         self._shared(records.list_pairs, count, [], [self.envs, self.model.bodies, pairs], [constraints])
-        first = 0
         for kind in OTHER_KINDS:
-            kind.build(self, constraints, first)
-            first += len(kind.definitions(self.model.scene))
+            kind.build(self, constraints, self.model.constraint_offsets[kind.NAME])
 
     def _wake_constrained(self, kind: ModuleType) -> None:
         """Name the islands that wake because of constraints of a kind."""
         rows = self.model.constraint_rows[kind.NAME]
-        count = self.num_envs * len(kind.definitions(self.model.scene))
+        count = self.model.layout.sizes[kind.NAME]
         inputs = [rows.body_a, rows.body_b, self.motions]
         wp.launch(sleep.wake_constrained, dim=count, inputs=inputs, outputs=[self.sleep_state], device=self.device)

@@ -11,14 +11,16 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from warp_rigid.checks import shown
+from warp_rigid.engine import field_values
 from warp_rigid.engine.quantities import STATE_NAMES, VECTOR_LENGTHS, check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.scene.coefficients import COEFFICIENTS
 
-__all__ = ["PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
+__all__ = ["BODY_PROPERTIES", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
 
-PROPERTIES = (*COEFFICIENTS, "mass", "active", *STATE_NAMES, "gravity")
-"""Quantities that can be set in a simulation besides the settings; all bodies get the same value."""
+BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "active")
+PROPERTIES = (*BODY_PROPERTIES, "gravity", *field_values.names())
+"""Quantities that can be set in a simulation besides the settings; all bodies or force fields get the same value."""
 
 SETTINGS = tuple(f.name for f in fields(Settings))
 
@@ -107,7 +109,7 @@ def assignment_target(name: str, parameters, flag: str = "--set") -> str:
     """
     plain, bracket, _ = name.partition("[")
     if bracket:
-        if plain not in PROPERTIES or plain == "gravity":
+        if plain not in BODY_PROPERTIES:
             raise ValueError(f"{flag} {name}: is not a body property, so it cannot select bodies")
         return "property"
     if name in parameters:

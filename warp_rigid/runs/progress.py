@@ -16,7 +16,7 @@ from warp_rigid.engine import checkpoint
 from warp_rigid.files import archive
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Body, Scene
-from warp_rigid.scene.serialization import scene_to_data
+from warp_rigid.scene.serialization import scenes_to_data
 from warp_rigid.scene.shapes import Shape
 
 FRAMES, OUTCOME, DEEPEST = "more_frames_", "more_outcome_", "more_deepest"
@@ -68,7 +68,7 @@ class Checkpoints:
             "outcome": {
                 name: _to_plain(f"{plan.demo.name}: {name}", value, arrays)
                 for name, value in vars(progress.outcome).items()
-                if not isinstance(value, Scene | Body | Shape)
+                if not (isinstance(value, Scene | Body | Shape) or callable(value))
             },
         }
         with plan.sim.in_use():
@@ -89,7 +89,9 @@ class Checkpoints:
         try:
             more = header["more"]
             kept = more.get("run", {})
-            same_scene = _as_json(scene_to_data(plan.scene)[0]) == header["scene"]
+            same_scene = _as_json(scenes_to_data(plan.sim.scenes)[0]) == {
+                name: header[name] for name in ("shapes", "scenes")
+            }
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         for name, value in _identity(plan, progress).items():

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from warp_rigid.checks import number_in
-from warp_rigid.engine.quantities import CONTACT_RECORD
+from warp_rigid.engine.quantities import CONTACT_RECORD, is_of_bodies
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -208,7 +208,8 @@ class Recorder:
         contacts: whether to record contacts.
 
     Raises:
-        ValueError: An environment does not exist, or labels and environments differ in number.
+        ValueError: An environment does not exist, environments have different scenes, or labels and environments differ
+            in number.
     """
 
     def __init__(self, sim, fps, envs=None, labels=None, velocities=False, contacts=False):
@@ -223,17 +224,22 @@ class Recorder:
         self.fps = float(fps)
         self._captured = CAPTURED | (VELOCITIES if velocities else {})
         self._contacts = contacts
-        self._scene = sim.scene
-        self._start = {name: np.asarray(sim.get(name), dtype=np.float32)[self.envs] for name in START}
+        self._scene = _common_scene(sim, self.envs)
+        self._start = {name: self._rows(sim, name, np.float32) for name in START}
         self._frames: list[Frame] = []
 
     def snapshot(self, sim) -> Frame:
         """Return the current state without storing it."""
         return Frame(
             time=float(sim.time),
-            **{name: np.asarray(sim.get(name), dtype=dtype)[self.envs] for name, dtype in self._captured.items()},
+            **{name: self._rows(sim, name, dtype) for name, dtype in self._captured.items()},
             contacts=self._contacts_of(sim) if self._contacts else None,
         )
+
+    def _rows(self, sim, name: str, dtype) -> np.ndarray:
+        """A quantity of the recorded environments, without the bodies that only other scenes have."""
+        values = np.asarray(sim.get(name), dtype=dtype)[self.envs]
+        return values[:, : len(self._scene.bodies)] if is_of_bodies(name) else values
 
     def capture(self, sim) -> None:
         """Append the current state as a frame."""
@@ -290,6 +296,18 @@ class Recorder:
         return records[np.isin(records["env"], self.envs)]
 
 
+def _common_scene(sim, envs: np.ndarray) -> Scene:
+    """The scene of some environments.
+
+    Raises:
+        ValueError: They have different scenes.
+    """
+    found = np.unique(sim.scene_of[envs]).tolist()
+    if len(found) > 1:
+        raise ValueError(f"envs: must be environments of one scene, got those of scenes {found}; record one at a time")
+    return sim.scenes[found[0]] if found else sim.scenes[0]
+
+
 def record(
     sim, frames: int, fps: float = 60.0, on_frame=None, envs=None, *, velocities: bool = False, contacts: bool = False
 ) -> Recording:
@@ -300,7 +318,7 @@ def record(
         frames: number of frames to simulate, >= 0.
         fps: frames per simulated second; one frame must be a whole number of steps of dt.
         on_frame: function(index, sim), called after each captured frame; index 0 is the initial state.
-        envs: indices of the environments to record; None records all.
+        envs: indices of the environments to record, which must have the same scene; None records all.
         velocities: whether to record velocities.
         contacts: whether to record the contacts of the last step of each frame.
 

@@ -29,6 +29,8 @@ COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)
 
 OUT_OF_BOUNDS = ("report", "remove")
 
+MOST_IN_A_POOL = 1_000_000
+
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
@@ -44,7 +46,7 @@ class Body(Coefficients):
         linear_velocity: (3,) velocity of the centre of mass [m/s].
         angular_velocity: (3,) in the world frame [rad/s].
         mass: [kg]; 0 for static and kinematic bodies, on which impulses have no effect.
-        name: a label for tables and files; need not be unique.
+        name: selects the body in a simulation and labels it in tables and files; unique in its scene.
         active: whether it is simulated from the start.
     """
 
@@ -104,6 +106,7 @@ class Scene:
         self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
         self.bodies: list[Body] = []
+        self._copies: dict[str, int] = {}
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.constraints: list[Any] = []
@@ -146,7 +149,8 @@ class Scene:
             angular_velocity: (3,) in the world frame [rad/s].
             density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
             mass: [kg], > 0; instead of density.
-            name: label; the shape's kind and the body's index where none is given.
+            name: of the body; the shape's kind and the body's index where none is given. If another body has this
+                name, a number is added: "box", "box_1", "box_2".
             active: False for a body that is not simulated until `sim.set("active", True, ...)` switches it on.
             **coefficients: coefficients of the body by name; see Coefficients.
 
@@ -167,6 +171,24 @@ class Scene:
             active,
             coefficients,
         )
+
+    def add_pool(self, shape: Shape, count: int, name: str, **more: Any) -> list[int]:
+        """Add inactive dynamic bodies for `Simulator.spawn`, named NAME_0, NAME_1, and so on.
+
+        Args:
+            shape: of all bodies.
+            count: number of bodies, at least 1.
+            name: of the pool.
+            **more: as for add_body, such as density and friction.
+
+        Returns:
+            Indices of the bodies.
+
+        Raises:
+            ValueError: A value has the wrong type or is outside its range.
+        """
+        whole_in("count", count, 1, MOST_IN_A_POOL)
+        return [self.add_body(shape, name=f"{name}_{i}", active=False, **more) for i in range(count)]
 
     @list_coefficients
     def add_static(
@@ -229,18 +251,34 @@ class Scene:
             raise ValueError(f"field: must be a {' or a '.join(FIELDS)}, got {shown(field)}")
         self.force_fields.append(field)
 
-    def filter_pair(self, a: int, b: int) -> None:
+    def index(self, body: int | str, name: str = "body") -> int:
+        """Return the index of a body.
+
+        Args:
+            body: its index or name.
+            name: of the argument, for the error message.
+
+        Raises:
+            ValueError: There is no such body.
+        """
+        if not isinstance(body, str):
+            return whole_in(name, body, 0, len(self.bodies) - 1)
+        for index, other in enumerate(self.bodies):
+            if other.name == body:
+                return index
+        raise ValueError(f"{name}: must be the index or name of a body, got {shown(body)}")
+
+    def filter_pair(self, a: int | str, b: int | str) -> None:
         """Disable contacts between two bodies.
 
         Args:
-            a: index of one body, as returned by add_body.
-            b: index of the other.
+            a: index of one body, as returned by add_body, or its name.
+            b: index or name of the other.
 
         Raises:
             ValueError: There is no such body, or both are the same.
         """
-        last = len(self.bodies) - 1
-        first, second = sorted((whole_in("a", a, 0, last), whole_in("b", b, 0, last)))
+        first, second = sorted((self.index(a, "a"), self.index(b, "b")))
         if first == second:
             raise ValueError(f"b: must be another body than a, got {b} for both")
         self.filtered_pairs.add((first, second))
@@ -272,12 +310,21 @@ class Scene:
             linear_velocity=finite_vector("linear_velocity", linear_velocity),
             angular_velocity=finite_vector("angular_velocity", angular_velocity),
             mass=mass,
-            name=name or f"{type(shape).__name__.lower()}_{len(self.bodies)}",
+            name=self._unique_name(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}"),
             active=active,
             **coefficients,
         )
         self.bodies.append(body)
         return len(self.bodies) - 1
+
+    def _unique_name(self, wanted: str) -> str:
+        """The wanted name, with a number behind it if another body has it."""
+        name = wanted
+        while name in self._copies:
+            name = f"{wanted}_{self._copies[wanted]}"
+            self._copies[wanted] += 1
+        self._copies[name] = 1
+        return name
 
 
 def _mass(shape, density, mass):

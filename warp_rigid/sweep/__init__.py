@@ -11,6 +11,7 @@ result.plot("tower.png", x="offset", y="top_height")
 from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Normal, Uniform
 from warp_rigid.sweep.execution import sweep
 from warp_rigid.sweep.search import search
+from warp_rigid.sweep.series import read_series
 from warp_rigid.sweep.table import SweepResult, merge, read
 
 # `warp_rigid.sweep` is this function, not the package: the functions that read its tables are found on it.
@@ -26,6 +27,7 @@ __all__ = [
     "Uniform",
     "merge",
     "read",
+    "read_series",
     "search",
     "sweep",
 ]
