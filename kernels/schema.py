@@ -525,6 +525,9 @@ Graph = layout(
     flight_votes=Field(int, "bodies", "", "at an island's index: bodies that land after a free flight"),
     island_mass=Field(float, "bodies", "kg", "at an island's index: largest mass of a body"),
     island_inverse_mass=Field(float, "bodies", "1/kg", "at an island's index: largest inverse mass of a body"),
+    island_size=Field(float, "bodies", "m", "at an island's index: largest size of a body"),
+    island_low=Field(float, "bodies", "m", "at an island's index: largest coordinate of a body along gravity"),
+    island_high=Field(float, "bodies", "m", "at an island's index: largest coordinate of a body against gravity"),
     island_speed=Field(float, "bodies", "1/s", "at an island's index: largest speed of a body, divided by its size"),
     ineffective_steps=Field(
         int, "bodies", "", "steps in which shock propagation was ineffective for the body's island"

@@ -4,11 +4,11 @@ Islands are the connected components of the dynamic bodies: trees of bodies are 
 the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so that the root of an island is its
 lowest body, in whatever order the threads run.
 
-An island is a heap if it is large and shock propagation has been ineffective for it (shock.py), or, in an environment
-of many bodies, if it consists of bodies that have landed after a free flight. Heaps are solved in rounds (rounds.py),
-all other islands in sweeps, with shock propagation where it is effective. Islands merge and split, so each body stores
-for how many steps shock propagation has been ineffective for its island, and the majority of the bodies decides. Once
-the bodies of a heap are nearly at rest, shock propagation is tried again.
+An island is a heap if it consists of bodies that have landed after a free flight, in an environment of many bodies.
+Heaps are solved in rounds (rounds.py), all other islands in sweeps, with shock propagation where it is effective
+(shock.py). Islands merge and split, so each body stores for how many steps shock propagation has been ineffective for
+its island, and the majority of the bodies decides; landed bodies count as if it had been long. Once the bodies of a
+heap are nearly at rest, shock propagation is tried again.
 """
 
 import warp as wp
@@ -32,15 +32,15 @@ TRIAL_INTERVAL = wp.constant(64)
 """Steps between two trials of shock propagation in a large heap that rounds do not solve."""
 
 LARGE = wp.constant(64)
-"""Bodies of a large island. Smaller ones are solved in rounds only in crowded environments."""
+"""Bodies of the smallest heap in which shock propagation is tried again."""
 
 CROWDED = wp.constant(128)
 """Bodies above which an environment is crowded. There, sweeps and shock propagation of many islands, colour by colour,
 would take longer than rounds. With few bodies sweeps converge faster: three boxes are at rest after half the time."""
 
-CERTAIN = wp.constant(1024)
-"""Ineffective steps after which an island of any size is solved in rounds. Bodies that land count as if there had been
-so many. In smaller islands, such as a tower that topples, sweeps converge faster."""
+LANDED = wp.constant(1024)
+"""Ineffective steps from which an island is solved in rounds. Only bodies that have landed after a free flight count so
+many: in structures that were built up, such as a tower that topples or a large pyramid, sweeps converge faster."""
 
 CALM = wp.constant(0.5)
 """Largest speed of a body in a trial, in sizes of the body per second. Shock propagation transmits load at rest."""
@@ -52,9 +52,11 @@ SIMILAR, COMPARABLE = wp.constant(10.0), wp.constant(100.0)
 """Largest ratio of masses in an island that is presumed to be a heap, and in one that is solved in rounds. Rounds
 converge slowly with heavy bodies on light ones, and shock propagation does not."""
 
-ROUNDS, ROUNDS_PER_WIDTH = wp.constant(4.0), wp.constant(0.3)
-"""Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body along the
-edge of a cube of as many bodies as the island. Load crosses a heap in a number of rounds proportional to it."""
+ROUNDS, ROUNDS_PER_BODY = wp.constant(4.0), wp.constant(0.3)
+"""Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body that load
+passes on its way to the ground: along the edge of a cube of as many bodies, or along the height if that is larger."""
+
+LOWEST = wp.constant(-1.0e30)
 
 
 @wp.func
@@ -96,6 +98,9 @@ def start_islands(bodies: Bodies, graph: Graph):
     graph.heap_votes[b] = 0
     graph.heap_steps[b] = 0
     graph.flight_votes[b] = 0
+    graph.island_size[b] = 0.0
+    graph.island_low[b] = LOWEST
+    graph.island_high[b] = LOWEST
     graph.island_speed[b] = 0.0
     graph.island_mass[b] = 0.0
     graph.island_inverse_mass[b] = 0.0
@@ -143,7 +148,12 @@ def vote(dt: float, shapes: Shapes, bodies: Bodies, envs: Environments, state: S
     add_together(graph.flight_votes, island, wp.where(landed, 1, 0))
     if steps > graph.heap_steps[island]:
         wp.atomic_max(graph.heap_steps, island, steps)
-    raise_to(island, wp.length(state.linear_velocity[b]) / shapes.shapes[bodies.shape[b]].size, graph.island_speed)
+    size = shapes.shapes[bodies.shape[b]].size
+    raise_to(island, wp.length(state.linear_velocity[b]) / size, graph.island_speed)
+    raise_to(island, size, graph.island_size)
+    depth = wp.dot(state.position[b], wp.normalize(envs.gravity[bodies.env[b]]))
+    raise_to(island, depth, graph.island_low)
+    raise_to(island, -depth, graph.island_high)
     raise_to(island, bodies.mass[b], graph.island_mass)
     raise_to(island, bodies.inverse_mass[b], graph.island_inverse_mass)
     if graph.tied[b] == 1 or graph.touching[b] > MOST_SHARING:
@@ -165,14 +175,13 @@ def steps_as_heap(island: int, graph: Graph):
     landed = wp.where(mass_ratio(island, graph) <= SIMILAR, graph.flight_votes[island], 0)
     if 2 * (graph.heap_votes[island] + landed) <= graph.island_bodies[island]:
         return 0
-    return wp.max(graph.heap_steps[island], wp.where(landed > 0, int(CERTAIN), 0))
+    return wp.max(graph.heap_steps[island], wp.where(landed > 0, int(LANDED), 0))
 
 
 @wp.func
 def solver_without_shock(steps: int, island: int, crowded: bool, graph: Graph):
     """The IslandSolver of an island for which shock propagation has been ineffective for a number of steps."""
-    heap = graph.island_bodies[island] >= LARGE or (crowded and steps >= CERTAIN)
-    if heap and graph.needs_sweeps[island] == 0 and mass_ratio(island, graph) <= COMPARABLE:
+    if crowded and steps >= LANDED and graph.needs_sweeps[island] == 0 and mass_ratio(island, graph) <= COMPARABLE:
         return int(IslandSolver.ROUNDS)
     return int(IslandSolver.SWEEPS)
 
@@ -201,7 +210,8 @@ def solver_of(steps: int, island: int, mode: int, crowded: bool, graph: Graph):
 def most_rounds(island: int, iterations: int, graph: Graph):
     """Maximum number of rounds for an island."""
     width = wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0)
-    return int(float(iterations) * (ROUNDS + ROUNDS_PER_WIDTH * width))
+    height = (graph.island_low[island] + graph.island_high[island]) / graph.island_size[island]
+    return int(float(iterations) * (ROUNDS + ROUNDS_PER_BODY * wp.max(width, height)))
 
 
 @wp.kernel

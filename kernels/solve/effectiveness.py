@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.enums import IslandSolver, Motion, Role
-from warp_rigid.kernels.graph.islands import PATIENCE
+from warp_rigid.kernels.graph.islands import LANDED, PATIENCE
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Rounds, State
 from warp_rigid.kernels.solve.line_search import accepted_share, searched
 
@@ -45,7 +45,10 @@ def count_ineffective_steps(
         if rounds.last_change[env] == graph.rounds[env]:
             steps += 1
     elif searched(env, envs, graph):
-        steps = wp.where(
-            graph.solver[b] == IslandSolver.SHOCK, steps_after_shock(steps, graph.island[b], graph), steps + 1
-        )
+        if graph.solver[b] == IslandSolver.SHOCK:
+            steps = steps_after_shock(steps, graph.island[b], graph)
+        else:
+            steps += 1
+        if graph.ineffective_steps[b] < LANDED and steps >= LANDED:
+            steps = int(PATIENCE)
     state.heap_steps[b] = steps
