@@ -236,7 +236,7 @@ def test_collisions_gain_no_energy(device, restitution):
         sim.set("angular_velocity", generator.normal(scale=5.0, size=(sim.num_bodies, 3)))
         statics = np.flatnonzero(~moving(scene))
         for name in ("position", "linear_velocity", "angular_velocity"):
-            sim.set(name, 0.0, bodies=statics)
+            sim.set(name, (0.0, 0.0, 0.0), bodies=statics)
         find_contacts(stages)
         stages.build_graph()
         problem = ContactProblem(stages)

@@ -74,7 +74,7 @@ def test_a_refused_impulse_changes_nothing(sim, arguments, told):
         ("friction", [None], None, "friction: must be numbers"),
         ("friction", 1e39, None, "friction: must be finite"),
         ("linear_velocity", (0, 0, np.nan), None, "linear_velocity: must be finite"),
-        ("gravity", "0", None, "gravity: must be numbers"),
+        ("gravity", "0", None, "gravity: must be vectors of 3 numbers"),
         ("mass", 2.0, [1, 0], "mass: body 0 is not dynamic"),
         ("mass", 1e8, [1], "mass: the heaviest dynamic body must have at most 1e.06 times the mass of the lightest"),
         ("active", 1, None, "active: must be True or False"),
@@ -119,5 +119,5 @@ def test_what_single_precision_does_not_carry_is_refused():
 
 def test_what_is_no_scene_is_refused():
     for scene in (None, "box_stack", wr.Box((1, 1, 1))):
-        with pytest.raises(ValueError, match="^scene: must be a Scene, got "):
+        with pytest.raises(ValueError, match="^scene: must be a Scene or a list of at least one Scene, got "):
             wr.Simulator(scene, device="cpu")

@@ -252,7 +252,7 @@ def test_scenes_come_in_five_forms(tmp_path):
         ({"restitution": [2.0]}, {}, "restitution: must be a number from 0 to 1"),
         ({"mass[ball]": [0.0]}, {}, "must be a finite number > 0"),
         ({"gravity": [-9.81]}, {}, "gravity: must be vectors of 3 numbers, got -9.81"),
-        ({"active[ball]": [1]}, {}, "must be true or false, got 1"),
+        ({"active[ball]": [1]}, {}, "must be True or False, got 1"),
         ({"mass[cone]": [1.0]}, {}, r"mass\[cone\]: selects no body; bodies are ground, ball"),
         ({"dt[ball]": [0.1]}, {}, "cannot select bodies"),
         ({"shock_propagation": ["on"]}, {}, "shock_propagation: must be one of"),

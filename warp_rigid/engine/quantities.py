@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, shown
+from warp_rigid.checks import LARGEST, shown, whole_in
 from warp_rigid.engine import field_values, watching
 from warp_rigid.engine.layout import spread_rows
 from warp_rigid.engine.model import mass_arrays
@@ -328,8 +328,8 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
     """Change velocities by an impulse at a world point; see Simulator.apply_impulse."""
     layout = world.layout
     chosen = env_indices(layout, envs)
-    if np.ndim(body):
-        raise ValueError(f"body: must be one index or name, got {shown(body)}")
+    if not isinstance(body, str):
+        whole_in("body", body, 0, layout.most_bodies - 1)
     rows = body_rows(layout, chosen, body, "body")[:, 0]
     push = _broadcast("impulse", impulse, (len(chosen), 3))
     at = _broadcast("point", point, (len(chosen), 3))

@@ -244,7 +244,7 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
         number_in(name, value, above=0.0)
     elif plain == "active":
         if not isinstance(value, bool):
-            raise ValueError(f"{name}: must be true or false, got {shown(value)}")
+            raise ValueError(f"{name}: must be True or False, got {shown(value)}")
     elif plain == "orientation":
         unit_quaternion(name, value)
     else:
