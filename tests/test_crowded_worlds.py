@@ -8,7 +8,7 @@ from warp_rigid.engine import hash_grid
 from warp_rigid.kernels.graph.islands import CROWDED
 
 QUANTITIES = ("position", "orientation", "linear_velocity", "angular_velocity", "level", "asleep")
-STEPS = 60
+STEPS = 100
 
 
 def stack():
@@ -28,7 +28,7 @@ def pile(count, radius):
     for k in range(count):
         x, y, z = k % side, k // side % side, k // side**2
         place = 2.1 * radius * np.array((x + 0.1 * (z % 2), y + 0.13 * (z % 3), z))
-        scene.add_body(wr.Sphere(radius), position=place + (0, 0, 1.2 * radius), restitution=0.1 * (k % 2))
+        scene.add_body(wr.Sphere(radius), position=place + (0, 0, 0.5), restitution=0.1 * (k % 5 == 0))
     return scene
 
 
