@@ -225,8 +225,9 @@ def choose_solver(bodies: Bodies, envs: Environments, graph: Graph):
     steps = steps_as_heap(island, graph)
     graph.ineffective_steps[b] = steps
     solver = solver_of(steps, island, envs.shock_propagation[env], is_crowded(env, envs), graph)
-    if graph.solver[b] != solver:
-        graph.solver[b] = solver
+    # Levels and colours are only found for islands that are not solved in rounds.
+    if (graph.solver[b] == IslandSolver.ROUNDS) != (solver == IslandSolver.ROUNDS):
         graph.unchanged[env] = 0
+    graph.solver[b] = solver
     if graph.touching[b] > 0 and solver != IslandSolver.ROUNDS:
         graph.swept[env] = 1
