@@ -26,7 +26,12 @@ PITCH = 0.6
 JITTER = 0.04
 LOWEST = 0.8
 SLAB_HALF_HEIGHT = 0.25
-SURFACE: dict[str, Any] = {"friction": 0.9, "restitution": 0.1, "rolling_friction": 0.15 * RADIUS}
+SURFACE: dict[str, Any] = {
+    "friction": 0.9,
+    "restitution": 0.1,
+    "rolling_friction": 0.15 * RADIUS,
+    "spinning_friction": 0.05 * RADIUS,
+}
 
 
 def build(bodies: int = 100, seed: int = 0) -> Scene:

@@ -10,6 +10,7 @@ from warp_rigid.kernels.common.solver_body import load_bodies, store_bodies
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows, apply_row, solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
+from warp_rigid.kernels.graph.islands import PATIENCE
 from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import CONVERGED, entry_at, first_of_color, stride_of_color
 
@@ -81,10 +82,10 @@ def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, 
 
 @wp.func
 def find_shock_ineffective(first: int, last: int, team: Team, graph: Graph):
-    """Record whether any island that is solved in sweeps skips shock propagation."""
+    """Record whether shock propagation is ineffective for any island that is solved in sweeps."""
     found = int(0)
     for b in range(first + team.lane, last, team.lanes):
-        if graph.solver[b] == IslandSolver.SWEEPS:
+        if graph.solver[b] != IslandSolver.ROUNDS and graph.ineffective_steps[b] >= PATIENCE:
             found = 1
     found = any_of_team(found, team)
     if team.lane == 0:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
 from warp_rigid.kernels import schema
 from warp_rigid.scene.shapes import topology
@@ -36,15 +37,24 @@ def triangle_tree(vertices: np.ndarray, faces: np.ndarray) -> TriangleTree:
     corners = vertices[faces]
     center = corners.mean(axis=1)
     order = np.arange(len(faces))
-    levels = int(np.ceil(np.log2(max(len(faces) / LEAF_TRIANGLES, 1.0))))
+    levels = tree_levels(len(faces))
     for level in range(levels):
         order = _halved(order, center, _cuts(len(faces), level))
     return TriangleTree(_triangle_rows(vertices, faces)[order], _node_rows(corners[order], levels))
 
 
+def tree_levels(triangles: int) -> int:
+    """Levels of a tree below its root."""
+    return int(np.ceil(np.log2(max(triangles / LEAF_TRIANGLES, 1.0))))
+
+
 def tree_bytes(triangles: int) -> int:
-    """Upper bound of the memory of a tree [bytes]: 200 for each triangle."""
-    return 200 * triangles
+    """Memory of a tree [bytes]: its triangles and nodes, at most 200 for each triangle."""
+    if triangles == 0:
+        return 0
+    nodes = 2 ** (tree_levels(triangles) + 1) - 1
+    size = wp.types.type_size_in_bytes
+    return triangles * size(schema.TriangleRecord) + nodes * size(schema.TreeRecord)
 
 
 def _cuts(count: int, level: int) -> np.ndarray:
