@@ -269,7 +269,7 @@ def _rows(sim: Simulator, runs: Sequence[Run], columns: dict, peak_counts: np.nd
     rows = []
     for env, (run, record) in enumerate(zip(runs, sim.status(), strict=True)):
         ok = record["status"] in FINISHED
-        row = _row(run, env, str(record["status"]), None if record["status"] == "ok" else _reason(sim, env, record))
+        row = _row(run, env, str(record["status"]), _reason(sim, env, record))
         row |= {"most_pairs": int(peak_counts[0, env]), "most_contacts": int(peak_counts[1, env])}
         rows.append(row | {name: values[env] if ok else None for name, values in lists.items()})
     return rows
@@ -287,7 +287,10 @@ def _row(run: Run, env: int, status: str, reason: str | None) -> dict[str, Any]:
     }
 
 
-def _reason(sim: Simulator, env: int, record: Any) -> str:
+def _reason(sim: Simulator, env: int, record: Any) -> str | None:
+    """Why the status is not ok, or else what the warnings are of; None if there is neither."""
+    if record["status"] == "ok":
+        return f"warning: {record['warning']}" if record["warning"] else None
     body = int(record["body"])
     name = sim.scenes[sim.scene_of[env]].bodies[body].name if body >= 0 else "none"
     return f"{record['status']} since step {record['step']}, body {body} ({name})"
