@@ -8,8 +8,8 @@ import sys
 import tarfile
 import tomllib
 import zipfile
-from importlib import metadata
 from hashlib import sha256
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
