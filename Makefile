@@ -39,7 +39,7 @@ test-all: $(READY)
 browser-test: $(READY)
 	$(PYTEST) tests/browser
 
-# 10 000 new cases of wild input.
+# 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks.
 fuzz: $(READY)
 	FUZZ_CASES=10000 $(PYTEST) tests/fuzz
 

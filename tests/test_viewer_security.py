@@ -322,11 +322,13 @@ def test_upload_cannot_set_a_control_and_no_tunnel_opens(served, page, monkeypat
         "text",
     ],
 )
-def test_message_that_cannot_be_read_ends_its_connection_only(served, page, data):
+def test_message_that_cannot_be_read_ends_its_connection_only(served, page, caplog, data):
     with open_page(served) as broken:
         broken.send(data)
         until(lambda: len(served.viewer.server.get_clients()) == 1)
     served.alive()
+    lines = [record for record in caplog.records if record.name == "websockets.server"]
+    assert "Traceback" not in caplog.text and all("\n" not in record.getMessage() for record in lines)
 
 
 @pytest.mark.parametrize(
