@@ -14,7 +14,7 @@ from warp_rigid.checks import whole_in
 from warp_rigid.engine import checkpoint, quantities, spawning, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
-from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.settings import Settings, check_settings
 from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
 from warp_rigid.scene.scene import Scene
@@ -102,7 +102,7 @@ class Simulator:
         with exclusive():
             self._world = World(
                 layout,
-                settings or Settings(),
+                check_settings(settings),
                 chosen,
                 seed,
                 on_overflow,
