@@ -21,6 +21,10 @@ _FILES = (
     "rings_on_poles",
     "bone_pile",
     "bunny_pile",
+    "domino_spiral",
+    "balance_bird",
+    "nut_and_bolt",
+    "wrecking_ball",
 )
 """Files of this folder that define a DEMO, in the order of `names()`."""
 
