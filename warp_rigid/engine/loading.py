@@ -21,7 +21,7 @@ from warp_rigid.kernels.solve import (
     rounds,
     shock,
 )
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
+from warp_rigid.kernels.update import ground_motion, health, integrate, predict, sleep, watch
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
@@ -34,6 +34,7 @@ STEP = (
     ccd,
     *TEAM_MODULES,
     integrate,
+    health,
     predict,
     islands,
     effectiveness,
