@@ -11,6 +11,7 @@ from warp_rigid.kernels.collide import bake, broadphase, ccd, narrowphase, overl
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
 from warp_rigid.kernels.graph import coloring, support
+from warp_rigid.kernels.joints import joint_stages
 from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
 
@@ -31,10 +32,10 @@ STEP = (
 )
 """Kernel modules that every step requires; the slowest to compile come first."""
 
-GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
-"""Kernel modules for distance grids, `deepest_overlap`, sleeping and moving ground."""
+GRIDS, OVERLAP, SLEEP, GROUND, JOINT = (bake,), (overlap,), (sleep,), (ground_motion,), (joint_stages,)
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground and joints."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND)
+EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *JOINT)
 
 
 def load_kernels(
@@ -56,7 +57,7 @@ def load_kernels(
     """
     teams = sorted({team.block_of(size) for size in lanes}) if device.is_cuda else [1]
     others = [team.BLOCK if device.is_cuda else 1]
-    jobs = [(module, block) for module in modules for block in (teams if module in TEAM_MODULES else others)]
+    jobs = [(module, block) for module in modules for block in (teams if module in (*TEAM_MODULES, *JOINT) else others)]
     with ThreadPoolExecutor(usable_cores()) as pool:
         loaded = [pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], block) for module, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):

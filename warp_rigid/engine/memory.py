@@ -7,10 +7,9 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.checks import number_in, whole_in
-from warp_rigid.engine.model import body_sizes
+from warp_rigid.engine.model import KINDS, body_sizes
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.scene import Scene
 
 LARGEST_LIMIT = 2**50
@@ -35,7 +34,7 @@ def body_bytes(scene: Scene, num_envs: int) -> int:
     """Bytes of all arrays sized with bodies, environments or constraints besides contacts, and of their copies."""
     sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
     structs = [schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments]
-    structs += [struct for kind in OTHER_KINDS for struct in [kind.ROWS] * 2]
+    structs += [struct for kind in KINDS for struct in [kind.ROWS] * 2]
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import shown
+from warp_rigid.engine import joints
 from warp_rigid.engine.moving_ground import build_surfaces, with_copies
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.kernels import declare, schema
@@ -16,6 +17,9 @@ from warp_rigid.scene.fields import ForceField
 from warp_rigid.scene.scene import COMBINE_RULES, Body, Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
 from warp_rigid.scene.shapes.heightfield import moves
+
+KINDS = (*OTHER_KINDS, joints)
+"""Everything besides contacts that connects bodies: modules with NAME, ROWS, KEPT, `definitions` and `upload`."""
 
 UNBOUNDED = 2.0e9
 """Used for the infinite extents of planes [m]; products with it do not overflow in float32."""
@@ -42,7 +46,7 @@ class Model:
         small: (n,) bodies of an environment in the hash grid.
         oversized: (n,) the other bodies.
         grid_radius: cell width of the hash grid [m].
-        constraint_rows: arrays of the kinds of constraints other than contacts, by name.
+        constraint_rows: arrays of the joints and of the kinds of constraints other than contacts, by name.
     """
 
     scene: Scene
@@ -74,7 +78,7 @@ class Model:
             surface_node=self.surface_node + first * vertices,
             constraint_rows={
                 kind.NAME: declare.part(self.constraint_rows[kind.NAME], env_ranges(self.scene, first, end))
-                for kind in OTHER_KINDS
+                for kind in KINDS
             },
         )
 
@@ -101,7 +105,7 @@ def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
         small=np.array(small, np.int32),
         oversized=np.array(oversized, np.int32),
         grid_radius=grid_radius,
-        constraint_rows={kind.NAME: kind.upload(scene, num_envs, device) for kind in OTHER_KINDS},
+        constraint_rows={kind.NAME: kind.upload(scene, num_envs, device) for kind in KINDS},
     )
 
 
@@ -172,7 +176,7 @@ def _extent(shape: Shape) -> np.ndarray:
 def body_sizes(scene: Scene, num_envs: int) -> dict[str, int]:
     """How long the arrays of Bodies are, and those of the kinds of constraints besides contacts."""
     one = {"bodies": len(scene.bodies), "filtered": 2 * len(scene.filtered_pairs)}
-    one |= {kind.NAME: len(kind.definitions(scene)) for kind in OTHER_KINDS}
+    one |= {kind.NAME: len(kind.definitions(scene)) for kind in OTHER_KINDS} | joints.sizes(scene)
     return {symbol: num_envs * size for symbol, size in one.items()}
 
 

@@ -8,12 +8,12 @@ import warp as wp
 
 from warp_rigid import rotations
 from warp_rigid.checks import shown
-from warp_rigid.engine.model import mass_arrays
+from warp_rigid.engine import joint_quantities
+from warp_rigid.engine.model import KINDS, mass_arrays
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.solve.gauss_seidel import INEFFECTIVE_STEPS
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -59,14 +59,23 @@ def read(world: World, name: str) -> np.ndarray:
         return _rows(world, world.state.active).astype(bool)
     if name in DERIVED:
         return _DERIVE[name](world)
-    raise ValueError(f"name: must be one of {', '.join((*WRITABLE, *DERIVED))}, got {shown(name)}")
+    if name in joint_quantities.READABLE:
+        return joint_quantities.read(world, name)
+    names = (*WRITABLE, *DERIVED, *joint_quantities.READABLE)
+    raise ValueError(f"name: must be one of {', '.join(names)}, got {shown(name)}")
 
 
-def write(world: World, name: str, value: Any, envs: Any, bodies: Any) -> None:
+def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: Any = None) -> None:
     """Change a quantity; see Simulator.set."""
-    if name not in WRITABLE:
-        raise ValueError(f"name: must be one of {', '.join(WRITABLE)}, got {shown(name)}")
+    if name not in WRITABLE and name not in joint_quantities.READABLE:
+        names = (*WRITABLE, *joint_quantities.WRITABLE)
+        raise ValueError(f"name: must be one of {', '.join(names)}, got {shown(name)}")
     chosen = env_indices(world, envs)
+    if name in joint_quantities.READABLE:
+        touched = _indices("joints", joints, len(world.scene.joints))
+        joint_quantities.write(world, name, value, chosen, touched)
+        wake(world, chosen, joint_quantities.bodies_of(world, touched))
+        return
     if name in PER_ENVIRONMENT:
         _write_setting(world, name, value, chosen)
         return
@@ -221,7 +230,7 @@ def forget_history(world: World, chosen: np.ndarray) -> None:
             searched[pairs[first] : pairs[last]] = 0
         history.key.assign(keys)
         history.searched.assign(searched)
-    for kind in OTHER_KINDS:
+    for kind in KINDS:
         count = len(kind.definitions(world.scene))
         rows = np.add.outer(chosen * count, np.arange(count)).reshape(-1)
         for name in kind.KEPT:

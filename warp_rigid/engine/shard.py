@@ -12,11 +12,10 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine.loading import OVERLAP, load_kernels
-from warp_rigid.engine.model import Model, env_ranges
+from warp_rigid.engine.model import KINDS, Model, env_ranges
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 
 WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
 """Status of an environment that a step records; it is undone with the step and cleared by a reset."""
@@ -142,7 +141,7 @@ class Shard:
         both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in declare.field_names(struct)]
         both += [
             (array, wp.clone(array))
-            for kind in OTHER_KINDS
+            for kind in KINDS
             for array in (getattr(self._model.constraint_rows[kind.NAME], name) for name in kind.KEPT)
         ]
         return both + self._saved_envs + [(some, wp.clone(some)) for some in pools.levels.values()]

@@ -106,22 +106,31 @@ class Simulator:
                 self._raise_if_nonfinite()
 
     def get(self, name: str) -> np.ndarray:
-        """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings."""
+        """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings.
+
+        Quantities of joints are (envs, joints, ...): "joint_position", "joint_velocity", "joint_force" (force [N] and
+        torque [N m] on the first body in the last step, 6 numbers), "joint_broken" and what `set` changes.
+        """
         return quantities.read(self._world, name)
 
-    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None) -> None:
+    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
+
+        For quantities of joints it broadcasts to (envs, joints): "joint_target_position", "joint_target_velocity",
+        "joint_stiffness", "joint_damping", "joint_max_force", "joint_friction", "joint_lower", "joint_upper",
+        "joint_break_force", "joint_break_torque" and "joint_broken".
 
         Args:
             name: the quantity.
             value: number, array, mode name, or list of mode names.
             envs: indices of the environments; None for all.
             bodies: indices of the bodies; None for all.
+            joints: indices of the joints, for quantities of joints; None for all.
 
         Raises:
             ValueError: unknown name, wrong shape, or a value out of range.
         """
-        quantities.write(self._world, name, value, envs, bodies)
+        quantities.write(self._world, name, value, envs, bodies, joints)
 
     def array(self, name: str) -> wp.array:
         """Return the device array of a state or body quantity, (envs * bodies, ...), without a copy."""

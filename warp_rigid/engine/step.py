@@ -2,13 +2,14 @@
 
 import functools
 from collections.abc import Callable, Sequence
-from types import ModuleType
 from typing import Any
 
 import warp as wp
 
 from warp_rigid.engine.hash_grid import HashGrid
-from warp_rigid.engine.loading import GROUND, SLEEP, load_kernels
+from warp_rigid.engine.joints import NAME as JOINTS
+from warp_rigid.engine.joints import JointStages
+from warp_rigid.engine.loading import GROUND, JOINT, SLEEP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, most_lanes, team_sizes
@@ -89,6 +90,8 @@ class Stages:
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
+        self.joints = JointStages(self)
+        load_kernels(device, JOINT if self.joints.present else (), self.teams)
         load_kernels(device, [*(SLEEP if sleeping else ()), *(GROUND if model.surface_vertices else ())])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
@@ -211,7 +214,8 @@ class Stages:
         """Wake the islands of the bodies marked as disturbed, and those in contact with them."""
         self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
         for kind in OTHER_KINDS:
-            self._wake_constrained(kind)
+            self._wake_constrained(kind.NAME, len(kind.definitions(self.model.scene)))
+        self._wake_constrained(JOINTS, len(self.model.scene.joints))
         self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
 
     @stage
@@ -226,6 +230,7 @@ class Stages:
         self._per_team(lanes, coloring.color_constraints, [*own, constraints], [graph])
         inputs = [lanes, self.envs, constraints]
         self._per_team(lanes, coloring.group_constraints, inputs, [graph, self.pools.order])
+        self.joints.start()
 
     @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
@@ -251,16 +256,22 @@ class Stages:
         self.sweep_constraints(after_shock=1)
 
     def sweep_constraints(self, after_shock: int) -> None:
-        """Gauss-Seidel sweeps over all constraints."""
+        """Gauss-Seidel sweeps over all constraints, with direct solutions of the mechanisms of joints between them."""
+        if self.joints.present:
+            self.joints.sweep(after_shock)
+            return
         self._color_by_color(gauss_seidel.sweep_constraints, [after_shock], [self.state])
 
     @stage
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from increasing the energy."""
         self._color_by_color(line_search.store_before_shock, [self.state])
+        self.joints.before_shock()
         self._color_by_color(shock.propagate, [repetition])
+        self.joints.after_passes()
         self._color_by_color(line_search.sum_energy)
         self._color_by_color(line_search.accept, [repetition], [self.state])
+        self.joints.after_line_search()
 
     @stage
     def push_out(self) -> None:
@@ -273,6 +284,7 @@ class Stages:
             [self.motions, pools.graph, self.constraint_rows],
         )
         self._color_by_color(push_out.push_apart)
+        self.joints.settle()
 
     @stage
     def detect_continuous_collisions(self) -> None:
@@ -281,6 +293,7 @@ class Stages:
         self._limit_motion(ccd.limit_motion, [0])
         self._per_body(ccd.commit_time_of_impact, [], [self.motions])
         self._limit_motion(ccd.limit_motion, [1])
+        self.joints.limit_motion()
 
     @stage
     def integrate_positions(self) -> None:
@@ -297,6 +310,7 @@ class Stages:
                 [self.state, self.envs],
             )
         self._per_env(integrate.close_step, [], [self.envs])
+        self.joints.end()
 
     @stage
     def update_sleep(self) -> None:
@@ -309,6 +323,7 @@ class Stages:
             [self.sleep_state],
         )
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
+        self.joints.support()
         self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
 
     @stage
@@ -434,9 +449,9 @@ class Stages:
             kind.build(self, constraints, first)
             first += len(kind.definitions(self.model.scene))
 
-    def _wake_constrained(self, kind: ModuleType) -> None:
-        """Name the islands that wake because of constraints of a kind."""
-        rows = self.model.constraint_rows[kind.NAME]
-        count = self.num_envs * len(kind.definitions(self.model.scene))
+    def _wake_constrained(self, name: str, count: int) -> None:
+        """Name the islands that wake because of joints, or of constraints of a kind; `count`: in an environment."""
+        rows = self.model.constraint_rows[name]
         inputs = [rows.body_a, rows.body_b, self.motions]
-        wp.launch(sleep.wake_constrained, dim=count, inputs=inputs, outputs=[self.sleep_state], device=self.device)
+        dim = self.num_envs * count
+        wp.launch(sleep.wake_constrained, dim=dim, inputs=inputs, outputs=[self.sleep_state], device=self.device)
