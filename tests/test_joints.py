@@ -304,3 +304,41 @@ def test_bad_values_are_rejected_and_change_nothing(device):
             sim.set(name, value)
         assert str(caught.value).startswith(text)
         assert [sim.get(key).tobytes() for key in ("joint_lower", "joint_damping", "joint_broken")] == before
+
+
+def test_a_saved_simulation_continues_bit_for_bit(device, tmp_path):
+    scene = tumbling()
+    lever = scene.add_body(wr.Box((0.2, 0.05, 0.05)), position=(0, 3, 0), angular_velocity=(0, 0, 1))
+    hinge = scene.add_joint(
+        wr.RevoluteJoint((0, 0, 1), limits=(-4.0, 9.0), friction=0.1), lever, anchor=(-0.2, 3, 0), break_torque=1e4
+    )
+    scene.add_drive(hinge, stiffness=3.0, damping=1.0, max_force=2.0, target_position=8.0)
+    sim = simulator(scene, device, num_envs=2)
+    sim.set("joint_target_position", 2.0, envs=[1], joints=[hinge])
+    sim.set("joint_broken", True, envs=[1], joints=[0])
+    sim.step(100)
+    sim.save(tmp_path / "joints.ckpt")
+    loaded = wr.Simulator.load(tmp_path / "joints.ckpt", device)
+    assert loaded.scene.joints == scene.joints
+    for name in ("joint_position", "joint_velocity", "joint_force", "joint_target_position", "joint_broken"):
+        assert loaded.get(name).tobytes() == sim.get(name).tobytes()
+    sim.step(100)
+    loaded.step(100)
+    assert [bits(loaded, env) for env in (0, 1)] == [bits(sim, env) for env in (0, 1)]
+    assert bits(sim, 0) != bits(sim, 1)
+
+
+def test_hanging_bodies_sleep_and_wake_as_one(device):
+    """Two boxes hang from the world by a chain; a push of the lower one wakes both."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    upper = scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, -0.2))
+    lower = scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, -0.6))
+    scene.add_joint(wr.SphericalJoint(), upper, anchor=(0, 0, 0))
+    scene.add_joint(wr.SphericalJoint(), lower, upper, anchor=(0, 0, -0.4))
+    sim = simulator(scene, device, sleeping=True)
+    sim.step(180)
+    assert sim.get("asleep").all()
+    sim.apply_impulse((0.1, 0, 0), (0, 0, -0.6), lower)
+    sim.step()
+    assert not sim.get("asleep").any()
+    assert anchor_errors(sim).max() < 1e-6

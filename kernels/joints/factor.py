@@ -86,39 +86,50 @@ def diagonal_block(j: int, dt: float, joints: Joints):
 
 
 @wp.func
-def inverse_without_redundant(block: mat66d, scale: vec6d):
-    """Inverse of a symmetric block by L D L^T, with zero in place of the inverse of pivots that are too small."""
-    lower = mat66d()
-    inverse_pivots = vec6d()
+def largest_pivot(block: mat66d, scale: vec6d, taken: int):
+    """Row, not taken yet, with the largest pivot as a fraction of its diagonal entry; -1 if all are too small."""
+    best = int(-1)
+    most = REDUNDANT
     for k in range(6):
-        pivot = block[k, k]
-        for m in range(k):
-            if inverse_pivots[m] > ZERO:
-                pivot -= lower[k, m] * lower[k, m] / inverse_pivots[m]
-        if pivot > REDUNDANT * scale[k]:
-            inverse_pivots[k] = ONE / pivot
-        lower[k, k] = ONE
-        for i in range(k + 1, 6):
-            entry = block[i, k]
-            for m in range(k):
-                if inverse_pivots[m] > ZERO:
-                    entry -= lower[i, m] * lower[k, m] / inverse_pivots[m]
-            lower[i, k] = entry * inverse_pivots[k]
+        if not is_locked(taken, k) and block[k, k] > most * scale[k]:
+            most = block[k, k] / scale[k]
+            best = k
+    return best
+
+
+@wp.func
+def swept(block: mat66d, k: int):
+    """The symmetric block after the sweep operator for a row: the swept rows hold the negative of their inverse."""
+    pivot = block[k, k]
+    for i in range(6):
+        if i != k:
+            factor = block[i, k] / pivot
+            for j in range(6):
+                if j != k:
+                    block[i, j] = block[i, j] - factor * block[k, j]
+            block[i, k] = factor
+    for j in range(6):
+        if j != k:
+            block[k, j] = block[j, k]
+    block[k, k] = -ONE / pivot
+    return block
+
+
+@wp.func
+def inverse_without_redundant(given: mat66d, scale: vec6d):
+    """Inverse of a symmetric block, largest pivots first; zero in the rows whose pivots are too small."""
+    block = given
+    taken = int(0)
+    row = largest_pivot(block, scale, taken)
+    while row >= 0:
+        block = swept(block, row)
+        taken = taken | (1 << row)
+        row = largest_pivot(block, scale, taken)
     inverse = mat66d()
-    for c in range(6):
-        column = vec6d()
-        column[c] = ONE
-        for i in range(6):
-            for m in range(i):
-                column[i] = column[i] - lower[i, m] * column[m]
-        for i in range(6):
-            column[i] = column[i] * inverse_pivots[i]
-        for back in range(6):
-            i = 5 - back
-            for m in range(i + 1, 6):
-                column[i] = column[i] - lower[m, i] * column[m]
-        for i in range(6):
-            inverse[i, c] = column[i]
+    for i in range(6):
+        for j in range(6):
+            if is_locked(taken, i) and is_locked(taken, j):
+                inverse[i, j] = -block[i, j]
     return inverse
 
 

@@ -1,7 +1,7 @@
 """Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from warp_rigid.checks import unit_quaternion, whole_in
 from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
+from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
@@ -20,7 +21,7 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return plain data for JSON, and arrays by name.
 
     Raises:
-        ValueError: The scene has constraints besides contacts.
+        ValueError: The scene has constraints besides contacts and joints.
     """
     if scene.constraints:
         raise ValueError(f"scene.constraints: must be empty to save the scene, got {len(scene.constraints)}")
@@ -45,6 +46,7 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         "shapes": shapes,
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
+        "joints": [_joint_data(entry) for entry in scene.joints],
     }
     return data, arrays
 
@@ -69,7 +71,24 @@ def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scen
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
     for a, b in data["filtered_pairs"]:
         scene.filter_pair(a, b)
+    for entry in data.get("joints", []):  # older files have none
+        _add_joint(scene, entry)
     return scene
+
+
+def _joint_data(entry: JointEntry) -> dict[str, Any]:
+    """A joint as plain data."""
+    return {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
+
+
+def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
+    """Add a joint with all checks."""
+    frames = {name: JointFrame(**entry[name]) for name in ("frame_a", "frame_b")}
+    rest = {name: entry[name] for name in ("name", "break_force", "break_torque", "collide")}
+    joint = JOINTS[entry["kind"]](**entry["joint"])
+    index = scene.add_joint(joint, entry["body_a"], entry["body_b"], **frames, **rest)
+    if entry["drive"] is not None:
+        scene.add_drive(index, **entry["drive"])
 
 
 def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
