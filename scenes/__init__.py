@@ -21,6 +21,10 @@ _FILES = (
     "rings_on_poles",
     "bone_pile",
     "bunny_pile",
+    "chain",
+    "pallet",
+    "cradle",
+    "ragdolls",
 )
 """Files of this folder that define a DEMO, in the order of `names()`."""
 

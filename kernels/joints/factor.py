@@ -98,7 +98,7 @@ def largest_pivot(block: mat66d, scale: vec6d, taken: int):
 
 
 @wp.func
-def swept(block: mat66d, k: int):
+def swept(k: int, block: mat66d):
     """The symmetric block after the sweep operator for a row: the swept rows hold the negative of their inverse."""
     pivot = block[k, k]
     for i in range(6):
@@ -122,7 +122,7 @@ def inverse_without_redundant(given: mat66d, scale: vec6d):
     taken = int(0)
     row = largest_pivot(block, scale, taken)
     while row >= 0:
-        block = swept(block, row)
+        block = swept(row, block)
         taken = taken | (1 << row)
         row = largest_pivot(block, scale, taken)
     inverse = mat66d()
