@@ -25,6 +25,8 @@ _FILES = (
     "pallet",
     "cradle",
     "ragdolls",
+    "linkages",
+    "wrecking_ball",
 )
 """Files of this folder that define a DEMO, in the order of `names()`."""
 

@@ -38,8 +38,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MOST_CHANGES = wp.constant(8)
 """Maximum changes of modes in one solution, each with a new factorization."""
 
-PREDICTIONS = wp.constant(2)
-"""Solutions at newly predicted poses, at the start and at the end of a step."""
+MOST_PREDICTIONS = wp.constant(10)
+"""Maximum solutions at newly predicted poses, at the start and at the end of a step. Two are enough for slow bodies."""
 
 KEPT_ERROR = wp.constant(wp.float64(0.5))
 """Fraction of an error at the start of a step that may remain after it."""
@@ -225,12 +225,14 @@ def choose_modes(m: int, dt: float, motions: Motions, joints: Joints):
 @wp.func
 def settle_mechanism(m: int, first: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """Solve a mechanism at newly predicted poses; modes are chosen anew if it is the first time in a step."""
-    for k in range(PREDICTIONS):
+    k = int(0)
+    while k < MOST_PREDICTIONS:
         predict_mechanism(m, dt, bodies, state, motions, joints)
         if first + k == 1:
             if choose_modes(m, dt, motions, joints):
                 factorize(m, dt, motions, joints)
-        solve_mechanism(m, dt, motions, joints)
+        change = solve_mechanism(m, dt, motions, joints)
+        k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
 
 
 @wp.func

@@ -1,5 +1,6 @@
 """Reading and writing the quantities of joints by their names."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -103,7 +104,7 @@ class _Motion:
         self._apart = self._a[0] - self._b[0]
         self._axis_a, self._axis_b = (rotations.matrix(side[1])[..., 0] for side in (self._a, self._b))
 
-    def _side(self, bodies: list[int | None], frames: list) -> tuple[np.ndarray, ...]:
+    def _side(self, bodies: Sequence[int | None], frames: list) -> tuple[np.ndarray, ...]:
         """Origins, orientations, velocities of the origins and angular velocities, (envs, joints, ...) each."""
         world = self._world
         index = np.array([0 if body is None else body for body in bodies], int)

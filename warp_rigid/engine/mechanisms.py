@@ -103,7 +103,8 @@ def _eliminate(links: Links, shared: dict[tuple[int, int], tuple[int, ...]], fou
         for other in sorted(others, key=place.__getitem__):
             block[other, joint] = len(found.row)
             found.row.append(other)
-            found.shared.append((*shared.get((other, joint), ()), -1, -1)[:2])
+            bodies = (*shared.get((other, joint), ()), -1, -1)
+            found.shared.append((bodies[0], bodies[1]))
         found.column.append(len(found.row))
     for joint, others in later.items():
         for first, second in combinations(sorted(others, key=place.__getitem__), 2):

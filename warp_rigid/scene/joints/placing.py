@@ -68,12 +68,14 @@ def world_frame(body: Any, frame: JointFrame) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _local_frame(body: Any, point: Sequence[float], turn: np.ndarray) -> JointFrame:
-    if body is None:
-        return JointFrame(tuple(point), tuple(turn.tolist()))
-    own = np.array(body.orientation)
-    back = own * [-1.0, -1.0, -1.0, 1.0]
-    position = rotations.matrix(own).T @ (np.array(point) - np.array(body.position))
-    return JointFrame(tuple(position.tolist()), tuple(rotations.multiply(back, turn).tolist()))
+    """A frame of the world in the frame of a body."""
+    position = np.array(point, np.float64)
+    if body is not None:
+        own = np.array(body.orientation)
+        position = rotations.rotate(rotations.inverse(own), position - body.position)
+        turn = rotations.multiply(rotations.inverse(own), turn)
+    x, y, z, w = turn.tolist()
+    return JointFrame((float(position[0]), float(position[1]), float(position[2])), (x, y, z, w))
 
 
 def _checked_frame(name: str, frame: JointFrame) -> JointFrame:
