@@ -26,7 +26,6 @@ _FILES = (
     "cradle",
     "ragdolls",
     "linkages",
-    "wrecking_ball",
 )
 """Files of this folder that define a DEMO, in the order of `names()`."""
 
