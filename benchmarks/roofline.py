@@ -1,10 +1,10 @@
 """Roofline: the least time of each stage by memory, arithmetic and launches; `python -m benchmarks.roofline`.
 
-Every scene is run until it has settled. Then the work of one step is counted: rows from the live arrays, bytes per row
-from the declarations in `kernels/schema.py`, operations per visit from the constants below. The floor of a stage is the
-largest of three times: its bytes at the memory's bandwidth, its operations at the arithmetic's rate, and its launches
-one after another. Each array counts once per stage, because repeated reads are assumed to hit a cache. Therefore no
-implementation with this data can be faster than the floor.
+Every scene is run until it has settled, or for a given time in which it still moves. Then the work of one step is
+counted: rows from the live arrays, bytes per row from the declarations in `kernels/schema.py`, operations per visit
+from the constants below. The floor of a stage is the largest of three times: its bytes at the memory's bandwidth, its
+operations at the arithmetic's rate, and its launches one after another. Each array counts once per stage, because
+repeated reads are assumed to hit a cache. Therefore no implementation with this data can be faster than the floor.
 """
 
 import argparse
@@ -25,10 +25,14 @@ from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide import narrowphase
+from warp_rigid.kernels.collide import approach as approaches
+from warp_rigid.kernels.collide import convex_pairs, narrowphase, samples
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
 """The four main scenes: name, bodies, environments."""
+
+MOVING = ("pile_box:32:1024@0.5", "pile_torus:16:256@0.5", "pile_bunny:16:256@0.5", "pile_box:4096:1@1.2")
+"""Scenes in motion, with the time at which the work is counted [s]."""
 
 SUBSTEPS, SETTLE = 4, 240
 """Steps and frames of 1/60 s before the work is counted."""
@@ -117,6 +121,7 @@ class Counts:
         near: clusters that passed the test.
         samples: tested samples of near clusters.
         close: samples that passed the test, for which a distance is computed.
+        distances: distances that the searches of these samples compute.
         touching: pairs with contacts.
         contacts: number of contacts.
         levels: highest level of any environment.
@@ -139,6 +144,7 @@ class Counts:
     near: int
     samples: int
     close: int
+    distances: int
     touching: int
     contacts: int
     levels: int
@@ -183,18 +189,19 @@ def count_samples(
     pairs: schema.Pairs,
     counted: wp.array2d[int],
 ):
-    """One thread per searched pair: its clusters, near clusters, their samples, and close samples."""
+    """One thread per searched pair: its clusters, near clusters, their samples, close samples, and their distances."""
     pair = wp.tid()
     if pairs.patch_count[pair] < 0:
         return
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     size = wp.min(shapes.shapes[bodies.shape[a]].size, shapes.shapes[bodies.shape[b]].size)
-    reach = narrowphase.contact_reach(a, b, size, dt, state, motions)
+    reach = approaches.contact_reach(a, b, size, dt, state, motions)
     side = int(0)
     while side < 2:
         own = wp.where(side == 0, a, b)
-        approach = narrowphase.approach_of(own, a + b - own, reach, bodies, state)
+        approach = approaches.approach_of(own, a + b - own, reach, bodies, state)
+        approach = convex_pairs.cut_by_axis(approach, pairs.axis[pair], side, shapes)
         own_shape = shapes.shapes[approach.own_shape]
         counted[pair, 0] += own_shape.cluster_end - own_shape.cluster_start
         for cluster in range(own_shape.cluster_start, own_shape.cluster_end):
@@ -204,6 +211,10 @@ def count_samples(
                     counted[pair, 2] += 1
                     if narrowphase.sample_is_near(s, approach, shapes):
                         counted[pair, 3] += 1
+                        found = samples.place_sample(
+                            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, reach
+                        )
+                        counted[pair, 4] += found.evaluations
         side += 1
 
 
@@ -211,17 +222,19 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
     """Settle a scene and compare the measured time of each stage with its floor.
 
     Args:
-        text: name, bodies and environments, such as "stack:10:4096".
+        text: name, bodies and environments, such as "stack:10:4096", and optionally the time at which the work is
+            counted [s], as in "pile_box:32:1024@0.5".
         device: the Warp device.
-        settle: frames before the work is counted.
+        settle: frames before the work is counted, where no time is given.
         steps: number of steps over which the times are averaged.
 
     Raises:
         ValueError: There is no such scene.
     """
-    name, _, envs = text.rpartition(":")
+    scene, _, seconds = text.partition("@")
+    name, _, envs = scene.rpartition(":")
     case = find_case(name)
-    sim = _settled(case, int(envs), device, settle)
+    sim = settled(case, int(envs), device, round(FPS * float(seconds)) if seconds else settle)
     counts = count(sim)
     launches = count_launches(sim)
     work = {stage: work_of(stage, counts) for stage in STAGES if stage in launches}
@@ -232,11 +245,12 @@ def measure(text: str, device: Any, settle: int = SETTLE, steps: int = STAGE_STE
     return Found(text, named, commit(), counts, work, stage_times(sim, steps), sim.memory, limits)
 
 
-def _settled(case: BenchmarkCase, envs: int, device: Any, settle: int) -> Simulator:
+def settled(case: BenchmarkCase, envs: int, device: Any, frames: int) -> Simulator:
+    """A simulator of a case in one shard, after some frames."""
     with shared_by(usable_cores()):  # one core, so one shard
         sim = Simulator(case.build(), envs, Settings(dt=1.0 / (FPS * SUBSTEPS)), device=device)
     case.scatter(sim)
-    sim.step(settle * SUBSTEPS)
+    sim.step(frames * SUBSTEPS)
     return sim
 
 
@@ -255,7 +269,7 @@ def count(sim: Simulator) -> Counts:
     converged = pools.graph.converged.numpy() == 1
     shard.undo(attempt=0)
     stages.predict(sim.settings.dt)
-    counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
+    counted = wp.zeros((max(pairs, 1), 5), dtype=int, device=sim.device)
     inputs = [
         sim.settings.dt,
         sim._world.model.shapes,
@@ -265,18 +279,20 @@ def count(sim: Simulator) -> Counts:
         pools.pairs,
     ]
     wp.launch(count_samples, dim=pairs, inputs=inputs, outputs=[counted], device=sim.device)
-    clusters, near, samples, close = (int(total) for total in counted.numpy().sum(axis=0))
+    clusters, near, tested, close, distances = (int(total) for total in counted.numpy().sum(axis=0))
+    groups = sim._world.model.size_groups[sim.scene]
     return Counts(
         envs=sim.num_envs,
         rows=sim.num_envs * sim.num_bodies,
-        small=len(sim._world.model.small),
-        wide=len(sim._world.model.oversized),
+        small=len(groups.small),
+        wide=len(groups.oversized),
         pairs=pairs,
         searched=searched,
         clusters=clusters,
         near=near,
-        samples=samples,
+        samples=tested,
         close=close,
+        distances=distances,
         touching=int((np.diff(start) > 0).sum()),
         contacts=int(contacts.sum()),
         levels=sim.counts()["levels"],
@@ -490,10 +506,11 @@ _WORK: dict[str, Callable[[Counts], Work]] = {
 def markdown(found: Found) -> str:
     """One scene as a heading, a line of counts and a table."""
     c, lines = found.counts, []
+    scene, _, seconds = found.scene.partition("@")
     total, floor = sum(found.measured.values()), sum(seconds for seconds, _ in found.floors.values())
     visits = (c.contacts + c.sweeps) / max(found.measured["solve_contacts"], 1e-12)
     lines += [
-        f"## {found.scene.rpartition(':')[0]} × {c.envs}",
+        f"## {scene.rpartition(':')[0]} × {c.envs}" + (f", {seconds} s after the start" if seconds else ""),
         "",
         f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched again "
         f"({c.clusters:,} clusters, {c.samples:,} samples, {c.near + c.close:,} distances); {c.touching:,} touch, in "
@@ -528,15 +545,15 @@ def page(scenes: list[Found]) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Measure scenes, print their tables, and write the requested files."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", default=MAIN, help="name:bodies:environments")
+    parser.add_argument("scenes", nargs="*", help="name:bodies:environments, or name:bodies:environments@seconds")
     parser.add_argument("--device")
-    parser.add_argument("--settle", type=int, default=SETTLE, help="frames of 1/60 s before the work is counted")
+    parser.add_argument("--settle", type=int, default=SETTLE, help="frames before the work is counted, without @")
     parser.add_argument("--write", help="output file for the tables (.md)")
     parser.add_argument("--json", help="output file for the figures (.json)")
     given = parser.parse_args(arguments)
     device = choose_device(given.device)
     found = []
-    for text in given.scenes or MAIN:
+    for text in given.scenes or (*MAIN, *MOVING):
         found.append(measure(text, device, given.settle))
         print(markdown(found[-1]), flush=True)
     for path, text in ((given.write, page(found)), (given.json, json.dumps([asdict(f) for f in found], indent=1))):

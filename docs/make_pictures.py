@@ -12,8 +12,10 @@ from pathlib import Path
 
 from PIL import Image, ImageSequence
 
+from warp_rigid.render.images import shared_palette
+
 DOCS = Path(__file__).parent
-WIDEST = {".png": 1600, ".gif": 480}
+WIDEST = {".png": 1280, ".gif": 560}
 """Largest width of a picture [pixels]."""
 
 
@@ -44,11 +46,12 @@ def shrink(source: Path, target: Path) -> None:
         size = (round(scale * width), round(scale * height))
         if source.suffix == ".png":
             small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-            small.quantize(128, dither=Image.Dither.NONE).save(target, optimize=True)
+            palette = shared_palette([small], 128)
+            small.quantize(palette=palette, dither=Image.Dither.NONE).save(target, optimize=True)
             return
         duration = picture.info["duration"]
         frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(picture)]
-    palette = frames[len(frames) // 2].quantize(64, dither=Image.Dither.NONE)
+    palette = shared_palette(frames[::4], 160)
     first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     first.save(target, save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
 

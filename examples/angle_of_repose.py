@@ -1,4 +1,4 @@
-"""Angle of repose as a function of friction: a column of cubes collapses, and the slope of the heap is measured."""
+"""Angle of repose as a function of friction, or of shape: a column collapses, and the slope of the heap is measured."""
 
 import argparse
 from pathlib import Path
@@ -9,13 +9,23 @@ import warp_rigid as wr
 
 HALF = 0.05
 
+SHAPES = {
+    "cube": wr.Box((HALF,) * 3),
+    "plate": wr.Box((1.4 * HALF, 1.4 * HALF, 0.5 * HALF)),
+    "rod": wr.Capsule(0.6 * HALF, 0.9 * HALF),
+    "drum": wr.Cylinder(HALF, HALF),
+    "ball": wr.Sphere(1.2 * HALF),
+}
+"""Solids of about the same size."""
 
-def column(friction: float = 0.5, grains: int = 48, seed: int = 0) -> wr.Scene:
-    """Randomly oriented cubes of 0.1 m in layers of four, offset between layers so that the cubes do not stack.
+
+def column(friction: float = 0.5, grains: int = 48, shape: str = "cube", seed: int = 0) -> wr.Scene:
+    """Randomly oriented solids in layers of four, offset between layers so that they do not stack.
 
     Args:
-        friction: friction of cubes and ground.
-        grains: number of cubes.
+        friction: friction of solids and ground.
+        grains: number of solids.
+        shape: one of SHAPES.
         seed: seed of their orientations.
     """
     rng = np.random.default_rng(seed)
@@ -27,9 +37,8 @@ def column(friction: float = 0.5, grains: int = 48, seed: int = 0) -> wr.Scene:
         center = np.array([place % 2 + 0.5 * (layer % 2), place // 2 + 0.5 * (layer // 2 % 2), layer + 0.5])
         center[:2] += rng.uniform(-0.06, 0.06, 2)
         orientation = rng.normal(size=4)
-        scene.add_body(
-            wr.Box((HALF,) * 3), position=pitch * center, orientation=orientation, friction=friction, name=f"grain_{i}"
-        )
+        solid = SHAPES[shape]
+        scene.add_body(solid, position=pitch * center, orientation=orientation, friction=friction, name=f"grain_{i}")
     return scene
 
 
@@ -45,27 +54,30 @@ def slope(sim):
 
 
 def main(arguments=None):
-    """Sweep the friction with three heaps per value, and plot the slope against friction."""
+    """Sweep the friction, or the shape, with three heaps per value, and plot the slope against it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--size", type=int, default=10, help="number of friction values")
-    parser.add_argument("--grains", type=int, default=48, help="cubes per heap")
+    parser.add_argument("--grains", type=int, default=48, help="solids per heap")
+    parser.add_argument("--shapes", action="store_true", help="vary the shape instead of the friction")
     parser.add_argument("--duration", type=float, default=3.0, help="simulated seconds")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
     options = parser.parse_args(arguments)
 
     result = wr.sweep(
         column,
-        {"friction": np.linspace(0.0, 1.0, options.size)},
+        {"shape": list(SHAPES)} if options.shapes else {"friction": np.linspace(0.0, 1.0, options.size)},
         fixed={"grains": options.grains},
         repeats=3,
         duration=options.duration,
         metrics=[slope, "deepest_overlap", "kinetic_energy"],
-        output=options.out / "repose.parquet",
+        output=options.out / ("repose_shapes.parquet" if options.shapes else "repose.parquet"),
         resume=True,
     )
-    result.plot(options.out / "repose.png", x="friction", y="slope")
+    (axis,) = result.axes
+    if axis == "friction":
+        result.plot(options.out / "repose.png", x="friction", y="slope")
     for row in result.rows:
-        print(f"friction {row['friction']:.2f}, seed {row['seed']}: {row['slope']:.1f} degrees")
+        print(f"{axis} {row[axis]}, seed {row['seed']}: {row['slope']:.1f} degrees")
     return result
 
 

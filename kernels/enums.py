@@ -49,6 +49,8 @@ class SampleKind(IntEnum):
     """A point inside a face, for contacts with nonconvex shapes."""
     CAP = 4
     """A point on the rim of a cylinder's cap, used when the cap lies flat; RIM is used when it is tilted."""
+    CORNER = 5
+    """Kind of a cluster: further places where balls and rims touch a mesh, which in an inner corner are several."""
 
 
 class FieldKind(IntEnum):
@@ -56,6 +58,7 @@ class FieldKind(IntEnum):
 
     UNIFORM = 0
     POINT = 1
+    DRAG = 2
 
 
 class ShockMode(IntEnum):
@@ -64,6 +67,15 @@ class ShockMode(IntEnum):
     OFF = 0
     ONE_PASS = 1
     TWO_PASS = 2
+
+
+class OutOfBounds(IntEnum):
+    """What happens to a body whose centre of mass leaves the bounds of its environment."""
+
+    UNBOUNDED = 0
+    """There are no bounds."""
+    REPORT = 1
+    REMOVE = 2
 
 
 class CombineRule(IntEnum):
@@ -102,3 +114,14 @@ class JointNumber(IntEnum):
     TARGET_VELOCITY = 7
     BREAK_FORCE = 8
     BREAK_TORQUE = 9
+
+
+class IslandSolver(IntEnum):
+    """How an island is solved in a step."""
+
+    SHOCK = 0
+    """Sweeps and shock propagation."""
+    SWEEPS = 1
+    """Sweeps alone."""
+    ROUNDS = 2
+    """Rounds (rounds.py)."""

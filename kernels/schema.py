@@ -10,11 +10,6 @@ import warp as wp
 
 from warp_rigid.kernels.declare import Field, layout, packed_record, record
 
-mat33d = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
-mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
-mat63d = wp.types.matrix(shape=(6, 3), dtype=wp.float64)
-vec6d = wp.types.vector(length=6, dtype=wp.float64)
-
 COLORS = 32
 """Maximum number of colours of the constraints; those of the last colour are solved serially."""
 
@@ -27,6 +22,9 @@ PATCHES = 4
 PATCH_SLOTS = EXTREME_DIRECTIONS + 1
 """Samples kept for each patch: the furthest in each direction, and the deepest."""
 
+BALL_PLACES = 4
+"""Maximum number of places where a ball touches a mesh at the same time."""
+
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples kept for each pair before duplicates are removed."""
 
@@ -38,23 +36,20 @@ SYMBOLS = {
     "parts": "signed distance functions in the pool",
     "clusters": "sample clusters in the pool",
     "samples": "surface samples in the pool",
+    "hull_vertices": "vertices of convex meshes in the pool",
     "nodes": "grid nodes in the pool",
+    "tree_nodes": "nodes of trees of triangles in the pool",
+    "triangles": "triangles of meshes in the pool",
     "vertices": "vertices of moving height fields",
-    "fields": "force fields besides gravity",
+    "watches": "watches of each environment",
+    "fields": "force fields besides gravity, over all environments",
     "field_parameters": "parameters of the force field that has most",
-    "small": "bodies in the hash grid",
-    "oversized": "bodies outside the hash grid",
-    "points": "bodies in the hash grid; 0 if every pair is tested",
+    "boxed": "bodies with fat boxes; 0 if every pair is tested",
     "buckets": "buckets of the hash grid, over all environments",
+    "candidates": "capacity for candidate pairs",
     "pairs": "capacity for pairs of bodies",
     "contacts": "capacity for contacts",
     "constraints": "capacity for pairs and for constraints of other kinds than contact",
-    "joints": "joints of all environments",
-    "joined": "bodies of all environments; 0 if there are no joints",
-    "mechanisms": "groups of joints that dynamic bodies connect",
-    "members": "bodies of the mechanisms",
-    "blocks": "blocks below the diagonal in the factors of the mechanisms",
-    "eliminations": "updates of a block during factorization",
 }
 """What the symbols in the shapes of arrays count."""
 
@@ -71,6 +66,33 @@ PartRecord = record(
     grid_dims=Field(wp.vec3i, "", "", "number of grid nodes along x, y, z"),
     grid_origin=Field(wp.vec3, "", "m", "position of the first node, in the part's frame"),
     grid_spacing=Field(float, "", "m", "distance between neighbouring nodes"),
+    tree_start=Field(int, "", "", "first node of the tree of triangles"),
+    tree_end=Field(int, "", "", "one past the last; tree_start if the part has no exact distance to triangles"),
+)
+
+TreeRecord = record(
+    "TreeRecord",
+    "A node of a tree of triangles, stored depth first.",
+    lower=Field(wp.vec3, "", "m", "lower corner of the box around its triangles, in the part's frame"),
+    upper=Field(wp.vec3, "", "m", "upper corner of the box"),
+    skip=Field(int, "", "", "node that follows its subtree"),
+    triangle_start=Field(int, "", "", "first triangle of a leaf; 0 for other nodes"),
+    triangle_end=Field(int, "", "", "one past the last; 0 for other nodes"),
+)
+
+TriangleRecord = record(
+    "TriangleRecord",
+    "A triangle of a mesh, with the normals that give the sign of a distance.",
+    corner_0=Field(wp.vec3, "", "m", "first corner, in the part's frame"),
+    corner_1=Field(wp.vec3, "", "m", "second corner"),
+    corner_2=Field(wp.vec3, "", "m", "third corner"),
+    normal=Field(wp.vec3, "", "", "outward unit normal"),
+    side_0=Field(wp.vec3, "", "", "mean of the normals at the side between the first and second corner"),
+    side_1=Field(wp.vec3, "", "", "the same, second and third corner"),
+    side_2=Field(wp.vec3, "", "", "the same, third and first corner"),
+    vertex_0=Field(wp.vec3, "", "", "angle-weighted mean of the normals at the first corner"),
+    vertex_1=Field(wp.vec3, "", "", "the same at the second corner"),
+    vertex_2=Field(wp.vec3, "", "", "the same at the third corner"),
 )
 
 ClusterRecord = record(
@@ -91,6 +113,7 @@ SampleRecord = record(
     slide=Field(wp.vec3, "", "m", "half of the edge segment, from its middle to its end; zero for other samples"),
     radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
     kind=Field(int, "", "", "a SampleKind"),
+    choice=Field(int, "", "", "of a ball or rim on a mesh: the place that it stands for, from 1; 0: the nearest place"),
 )
 
 ShapeRecord = record(
@@ -101,9 +124,15 @@ ShapeRecord = record(
     convex=Field(int, "", "", "1: one convex part with an exact distance"),
     cluster_start=Field(int, "", "", "first cluster"),
     cluster_end=Field(int, "", "", "one past the last"),
+    hull_start=Field(int, "", "", "first hull vertex, if the shape is a convex mesh"),
+    hull_end=Field(int, "", "", "one past the last; `hull_start` if it is not"),
+    inside=Field(wp.vec3, "", "m", "a point inside the shape, if it is convex"),
     lower=Field(wp.vec3, "", "m", "lower corner of the bounding box"),
     upper=Field(wp.vec3, "", "m", "upper corner of the bounding box"),
     size=Field(float, "", "m", "smallest extent of the bounding box; contact tolerances scale with it"),
+    inner_center=Field(wp.vec3, "", "m", "centre of a large ball inside the shape"),
+    inner_radius=Field(float, "", "m", "its radius; 0 if the shape has no inside"),
+    cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
     rise=Field(float, "", "m/s", "largest speed of the surface relative to the body; 0 except for moving ground"),
 )
 
@@ -114,7 +143,10 @@ Shapes = layout(
     parts=Field(PartRecord, "parts", "", "signed distance functions of the shapes"),
     clusters=Field(ClusterRecord, "clusters", "", "sample clusters of the shapes"),
     samples=Field(SampleRecord, "samples", "", "surface samples of the shapes"),
+    hull=Field(wp.vec3, "hull_vertices", "m", "vertices of convex meshes, in the shape's frame"),
     grid_value=Field(float, "nodes", "m", "signed distance, or height, at a grid node"),
+    tree=Field(TreeRecord, "tree_nodes", "", "trees of the triangles of meshes"),
+    triangles=Field(TriangleRecord, "triangles", "", "triangles of meshes, in the order of the leaves"),
 )
 
 Surfaces = layout(
@@ -141,7 +173,6 @@ Bodies = layout(
     env=Field(int, "bodies", "", "environment of the body", "envs"),
     shape=Field(int, "bodies", "", "index into the pool of shapes"),
     motion=Field(int, "bodies", "", "static, kinematic or dynamic"),
-    oversized=Field(int, "bodies", "", "1: not in the hash grid, but tested against every body of its environment"),
     mass=Field(float, "bodies", "kg", "mass; 0 unless dynamic"),
     inverse_mass=Field(float, "bodies", "1/kg", "inverse mass; 0 unless dynamic"),
     inertia=Field(wp.mat33, "bodies", "kg m^2", "inertia tensor about the centre of mass, in the shape's frame"),
@@ -172,8 +203,11 @@ State = layout(
     active=Field(int, "bodies", "", "0: switched off, not simulated"),
     orientation_remainder=Field(wp.vec4, "bodies", "", "rounding error of the orientation"),
     angular_velocity_remainder=Field(wp.vec3, "bodies", "rad/s", "rounding error of the angular velocity"),
-    shock_ineffective_steps=Field(
-        int, "bodies", "", "consecutive steps in which shock propagation was ineffective for its island"
+    heap_steps=Field(
+        int,
+        "bodies",
+        "",
+        "steps in which shock propagation was ineffective for its island; negative: steps in free flight",
     ),
 )
 
@@ -216,10 +250,13 @@ Motions = layout(
 
 Environments = layout(
     "Environments",
-    "Bodies, settings and status of each environment.",
-    first_body=Field(
-        int, "envs + 1", "", "first body of each environment; the last entry is the number of bodies", "bodies"
-    ),
+    "Bodies, rules, settings and status of each environment.",
+    first_body=Field(int, "envs + 1", "", "first body of each environment, then the number of bodies", "bodies"),
+    friction_rule=Field(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
+    restitution_rule=Field(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
+    out_of_bounds=Field(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
+    lower=Field(wp.vec3, "envs", "m", "lower corner of the bounds"),
+    upper=Field(wp.vec3, "envs", "m", "upper corner of the bounds"),
     gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),
     collision_iterations=Field(int, "envs", "", "maximum sweeps of the restitution stage"),
     contact_iterations=Field(int, "envs", "", "sweeps of the contact solver (gauss_seidel.py)"),
@@ -245,34 +282,30 @@ Environments = layout(
 
 Cells = layout(
     "Cells",
-    "Lists of small and oversized bodies for the broad phase, and its hash grid.",
-    small_start=Field(int, "envs + 1", "", "first small body of each environment; the last entry is their number"),
-    small=Field(int, "small", "", "bodies in the grid, by their index within the environment"),
-    small_env=Field(int, "small", "", "environment of each small body"),
-    oversized_start=Field(
-        int, "envs + 1", "", "first oversized body of each environment; the last entry is their number"
-    ),
-    oversized=Field(int, "oversized", "", "bodies tested against every body, by their index within the environment"),
-    reach=Field(float, "envs", "m", "largest half-extent of the swept boxes of the small bodies"),
-    key=Field(
-        int,
-        "points + points",
-        "",
-        "bucket of each small body, in ascending order; the second half is scratch space for sorting",
-    ),
-    member=Field(
-        int, "points + points", "", "bodies in the order of their buckets; the second half is scratch space for sorting"
-    ),
-    start=Field(int, "buckets + 1", "", "first member of each bucket; each environment has the same number of buckets"),
+    "The order of bodies for the broad phase and, in large environments, their fat boxes, hash grid and candidates.",
+    order=Field(int, "bodies", "", "bodies of an environment in the order of pairs, by their index within it"),
+    rank=Field(int, "bodies", "", "place of each body in that order"),
+    listed=Field(int, "bodies", "", "number of candidates in the list of each body; -1: all later bodies"),
+    stale=Field(int, "envs", "", "1: the candidates are computed again in this step"),
+    width=Field(float, "envs", "m", "cell width at the lowest level of the grid"),
+    first_bucket=Field(int, "envs + 1", "", "first bucket of each environment, which has none or a power of two"),
+    levels=Field(int, "envs", "", "bit mask of the levels of the grid that have bodies"),
+    dynamic_levels=Field(int, "envs", "", "bit mask of the levels that have dynamic bodies"),
+    lower=Field(wp.vec3, "boxed", "m", "lower corner of the fat box"),
+    upper=Field(wp.vec3, "boxed", "m", "upper corner of the fat box"),
+    cell=Field(wp.vec4i, "boxed", "", "cell of the centre of the fat box, along x, y and z, and its level"),
+    bucket_count=Field(int, "buckets + 1", "", "bodies that are still to be entered in each bucket"),
+    bucket_start=Field(int, "buckets + 1", "", "first member of each bucket"),
+    member=Field(int, "boxed", "", "bodies by bucket, in any order within one"),
+    candidates=Field(int, "candidates", "", "lists of equal capacity of the candidates of each body, in that order"),
 )
 
 FieldForces = layout(
     "FieldForces",
-    "Force fields besides gravity, the same in all environments.",
+    "Force fields besides gravity. Their parameters can be changed for each environment.",
+    start=Field(int, "envs + 1", "", "first force field of each environment", "fields"),
     kind=Field(int, "fields", "", "a FieldKind"),
-    parameters=Field(
-        float, "fields, field_parameters", "SI", "attributes of the field's host class, in order of declaration"
-    ),
+    parameters=Field(float, "fields, field_parameters", "SI", "attributes of the host class, in order of declaration"),
 )
 
 Pairs = layout(
@@ -287,6 +320,8 @@ Pairs = layout(
     last=Field(int, "pairs", "", "the pair's row in the history, -1 if it is new; not set for dormant pairs"),
     candidates=Field(int, "pairs", "", "pairs whose samples are tested in this step, in any order"),
     candidate_count=Field(int, "1", "", "number of candidates"),
+    fast=Field(int, "pairs", "", "pairs that are traced by continuous collision detection, in any order"),
+    fast_count=Field(int, "1", "", "number of these"),
     patch_count=Field(int, "pairs", "", "number of contact patches"),
     patch_normal=Field(wp.vec3, f"pairs, {PATCHES}", "", "normal of a patch in the second body's frame"),
     dormant=Field(int, "pairs", "", "1 + the pair's row in the history if its bodies sleep, 0 otherwise"),
@@ -301,6 +336,12 @@ Pairs = layout(
     ),
     searched_orientation=Field(wp.quat, "pairs", "", "relative orientation at the last contact search"),
     searched_position=Field(wp.vec3, "pairs", "m", "relative position at the last contact search"),
+    axis=Field(
+        wp.vec3,
+        "pairs",
+        "",
+        "of convex bodies: last axis that separates them or along which they touch, in the second body's frame, or 0",
+    ),
 )
 
 ContactRecord = packed_record(
@@ -347,6 +388,22 @@ Contacts = layout(
     pair=Field(int, "contacts", "", "pair of bodies in contact"),
     key=Field(int, "contacts", "", "identity within the pair: 2 * sample + side"),
     position=Field(wp.vec3, "contacts", "m", "contact point in the world frame"),
+    impact=Field(wp.vec3, "pairs", "N s", "impulse of all impacts of a pair in this step, on the first body"),
+)
+
+Watches = layout(
+    "Watches",
+    "What watches have recorded of an environment, one of its bodies, or a pair of them, since the last reset.",
+    first=Field(int, "envs, watches", "", "first body by its index in the environment; -1: all bodies, -2: none"),
+    second=Field(int, "envs, watches", "", "second body by its index in the environment; -1: any body, -2: none"),
+    peak=Field(float, "envs, watches", "N s", "largest impulse of a pair in a step"),
+    total=Field(wp.int64, "envs, watches", "", "sum of the impulses over pairs and steps, in multiples of 2^-36 N s"),
+    overlap=Field(float, "envs, watches", "m", "largest overlap at a contact"),
+    contact_step=Field(int, "envs, watches", "", "number of the last step with a contact"),
+    first_contact=Field(int, "envs, watches", "", "number of the first step with a contact; 0: none yet"),
+    touching=Field(int, "envs, watches", "", "1: there was a contact in the last step"),
+    impacts=Field(int, "envs, watches", "", "number of steps with a contact after one without"),
+    moving_step=Field(int, "envs, watches", "", "number of the last step in which a body was not at rest"),
 )
 
 History = layout(
@@ -358,6 +415,7 @@ History = layout(
     searched=Field(int, "pairs", "", "as in Pairs"),
     searched_orientation=Field(wp.quat, "pairs", "", "as in Pairs"),
     searched_position=Field(wp.vec3, "pairs", "m", "as in Pairs"),
+    axis=Field(wp.vec3, "pairs", "", "as in Pairs"),
     key=Field(int, "contacts", "", "identity within the pair"),
     impulse=Field(wp.vec3, "contacts", "N s", "impulse in the world frame"),
     angular_impulse=Field(wp.vec3, "contacts", "N m s", "angular impulse in the world frame"),
@@ -427,7 +485,22 @@ Graph = layout(
     active_before=Field(
         int, "envs", "", "1 + number of active constraints of the last step; 0: its graph is not available"
     ),
-    unchanged=Field(int, "envs", "", "1: the graph is the same as in the last step"),
+    altered=Field(int, "envs", "", "1: the supports of a constraint differ from those of the last step"),
+    unchanged=Field(
+        int, "envs", "", "1: the graph, and the islands that are solved in rounds, are the same as in the last step"
+    ),
+    touching=Field(int, "bodies", "", "active constraints of the body"),
+    tied=Field(int, "bodies", "", "1: the body has a constraint of another kind than contact"),
+    island_bodies=Field(int, "bodies", "", "at an island's index: number of its bodies"),
+    heap_votes=Field(
+        int, "bodies", "", "at an island's index: bodies for whose island shock propagation was ineffective"
+    ),
+    heap_steps=Field(
+        int, "bodies", "", "at an island's index: largest number of ineffective steps of the bodies that voted"
+    ),
+    needs_sweeps=Field(int, "bodies", "", "at an island's index: 1 if it cannot be solved in rounds"),
+    solver=Field(int, "bodies", "", "an IslandSolver: how the body's island is solved; 0 for bodies without an island"),
+    swept=Field(int, "envs", "", "1: at least one island with constraints is solved in sweeps"),
     level=Field(
         int, "bodies", "", "0 for statics, else 1 + the highest level of the supports; bodies of a cycle share a level"
     ),
@@ -449,7 +522,16 @@ Graph = layout(
     ),
     largest=Field(float, "bodies", "J", "largest summand of the numerator and denominator"),
     max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest velocity change by shock propagation"),
-    ineffective_steps=Field(int, "bodies", "", "State.shock_ineffective_steps at the start of the step"),
+    flight_votes=Field(int, "bodies", "", "at an island's index: bodies that land after a free flight"),
+    island_mass=Field(float, "bodies", "kg", "at an island's index: largest mass of a body"),
+    island_inverse_mass=Field(float, "bodies", "1/kg", "at an island's index: largest inverse mass of a body"),
+    island_size=Field(float, "bodies", "m", "at an island's index: largest size of a body"),
+    island_low=Field(float, "bodies", "m", "at an island's index: largest coordinate of a body along gravity"),
+    island_high=Field(float, "bodies", "m", "at an island's index: largest coordinate of a body against gravity"),
+    island_speed=Field(float, "bodies", "1/s", "at an island's index: largest speed of a body, divided by its size"),
+    ineffective_steps=Field(
+        int, "bodies", "", "steps in which shock propagation was ineffective for the body's island"
+    ),
     energy_terms=Field(
         wp.vec2, "constraints", "J", "summands of the line search of each active constraint, in solving order"
     ),
@@ -464,13 +546,48 @@ Graph = layout(
         int, "bodies", "", "colour visit in which restitution or shock propagation last changed the velocity"
     ),
     converged=Field(int, "envs", "", "1: the solver has converged, shock propagation is not needed"),
-    shock_ineffective=Field(int, "envs", "", "1: shock propagation is ineffective for at least one island"),
+    shock_ineffective=Field(
+        int, "envs", "", "1: shock propagation is ineffective for at least one island that is solved in sweeps"
+    ),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
     sweeps=Field(int, "envs", "", "solver sweeps in the last step"),
     shock_sweeps=Field(int, "envs", "", "sweeps of shock propagation in the last step"),
     push_out_sweeps=Field(int, "envs", "", "sweeps of the push-out in the last step"),
-    residual=Field(float, "envs", "m/s", "largest velocity change by a row in the last sweep"),
-    gate=Field(wp.uint32, "envs, 4", "", "barrier for teams of several blocks"),
+    rounds=Field(int, "envs", "", "rounds of the solver in the last step"),
+    push_out_rounds=Field(int, "envs", "", "rounds of the push-out in the last step"),
+    residual=Field(float, "envs", "m/s", "largest velocity change by a row in the last sweep or round"),
+)
+
+RoundRecord = packed_record(
+    "RoundRecord",
+    "A pair of bodies that is solved in rounds. The mass of a body is shared equally by all its contacts.",
+    body_a=Field(int, "", "", "first body"),
+    body_b=Field(int, "", "", "second body"),
+    begin=Field(int, "", "", "first contact"),
+    end=Field(int, "", "", "one past the last contact"),
+    env=Field(int, "", "", "environment"),
+    sharing_a=Field(int, "", "", "contacts that share the first body's mass"),
+    sharing_b=Field(int, "", "", "contacts that share the second body's mass"),
+    limit=Field(int, "", "", "maximum number of rounds"),
+)
+
+Rounds = layout(
+    "Rounds",
+    "Pairs of heaps, which are solved all at once in rounds (rounds.py): all, or those with impacts or overlaps.",
+    pairs=Field(RoundRecord, "constraints", "", "the pairs, in any order"),
+    count=Field(int, "1", "", "number of pairs"),
+    sharing=Field(int, "bodies", "", "contacts that share the body's mass"),
+    gained=Field(
+        wp.int64,
+        f"bodies, {18}",
+        "",
+        "velocity change by the impulses of all contacts, linear and angular, in multiples of 2^-40 m/s and rad/s; "
+        "three buffers: read, written and cleared in a round",
+    ),
+    last_change=Field(int, "envs", "", "last round in which a velocity changed by more than the tolerance"),
+    done=Field(int, "1", "", "rounds completed before those of this launch"),
+    latest=Field(int, "1", "", "last round after which an environment needs another one"),
+    again=Field(int, "1", "", "1: more rounds follow"),
 )
 
 Order = layout(
@@ -479,54 +596,4 @@ Order = layout(
     entries=Field(OrderRecord, "constraints", "", "active constraints"),
     color_start=Field(int, f"envs, {COLORS + 1}", "", "first entry of each colour, and the end of the last"),
     color_count=Field(int, "envs", "", "number of colours in use; 32 if some constraints are solved serially"),
-)
-
-Joints = layout(
-    "Joints",
-    "Joints, and the mechanisms that they form. Each joint has six rows: three translations, then three rotations.",
-    body_a=Field(int, "joints", "", "first body", "bodies"),
-    body_b=Field(int, "joints", "", "second body; the first one again for a joint with the world", "bodies"),
-    to_world=Field(int, "joints", "", "1: the second frame is fixed to the world"),
-    locked=Field(int, "joints", "", "bit mask of the rows that the joint prevents"),
-    coordinate=Field(int, "joints", "", "a Coordinate: what limits, drive and friction act on"),
-    anchor_a=Field(wp.vec3, "joints", "m", "origin of the first frame, in the first body's frame"),
-    anchor_b=Field(wp.vec3, "joints", "m", "origin of the second frame, in the second body's frame"),
-    turn_a=Field(wp.quat, "joints", "", "orientation of the first frame, in the first body's frame"),
-    turn_b=Field(wp.quat, "joints", "", "orientation of the second frame, in the second body's frame"),
-    numbers=Field(float, "joints, 10", "SI", "parameters, by JointNumber"),
-    broken=Field(int, "joints", "", "1: broken, without effect"),
-    position=Field(float, "joints", "SI", "coordinate after the last step; angles count full turns"),
-    impulse=Field(wp.vec3, "joints", "N s", "impulse of the last step on the first body at its anchor"),
-    angular_impulse=Field(wp.vec3, "joints", "N m s", "angular impulse of the last step on the first body"),
-    first_joint=Field(int, "envs + 1", "", "first joint of each environment", "joints"),
-    first_mechanism=Field(int, "envs + 1", "", "first mechanism of each environment", "mechanisms"),
-    first_place=Field(int, "mechanisms + 1", "", "first place of each mechanism in `sequence`", "joints"),
-    first_member=Field(int, "mechanisms + 1", "", "first member of each mechanism", "members"),
-    member=Field(int, "members", "", "bodies of the mechanisms", "bodies"),
-    sequence=Field(int, "joints", "", "joints in the order of elimination, mechanism by mechanism", "joints"),
-    column=Field(int, "joints + 1", "", "first block of the joint at each place of `sequence`", "blocks"),
-    elimination=Field(int, "joints + 1", "", "first elimination of the joint at each place", "eliminations"),
-    row=Field(int, "blocks", "", "joint of the block's rows; the later one of its two joints", "joints"),
-    shared=Field(int, "blocks", "", "body that the two joints share; negative if the block is only fill-in", "bodies"),
-    shared_too=Field(int, "blocks", "", "second body that they share; negative if there is none", "bodies"),
-    left=Field(int, "eliminations", "", "first factor", "blocks"),
-    right=Field(int, "eliminations", "", "second factor", "blocks"),
-    target=Field(int, "eliminations", "", "block that is updated", "blocks"),
-    active=Field(int, "joints", "", "bit mask of the rows in the factors"),
-    mode=Field(wp.vec3i, "joints", "", "of the coordinate: a Mode, sliding direction, direction of drive saturation"),
-    linear=Field(mat63d, "joints", "", "rows: coefficients of the relative linear velocity"),
-    angular_a=Field(mat63d, "joints", "", "rows: coefficients of the first body's angular velocity"),
-    angular_b=Field(mat63d, "joints", "", "rows: coefficients of the second body's angular velocity"),
-    allowed=Field(vec6d, "joints", "SI", "errors that may remain after the step"),
-    bias=Field(vec6d, "joints", "SI", "predicted errors and coordinate over dt, less the velocities along the rows"),
-    total=Field(vec6d, "joints", "SI", "impulses of the rows in this step"),
-    start=Field(vec6d, "joints", "SI", "the same before shock propagation"),
-    solution=Field(vec6d, "joints", "SI", "residuals of the rows, then the changes of their impulses"),
-    pivot=Field(mat66d, "joints", "SI", "inverse of the diagonal block of the factorization"),
-    lower=Field(mat66d, "blocks", "SI", "block of the factor below the diagonal"),
-    added=Field(wp.vec2d, "joined", "kg", "mass [kg] and moment of inertia [kg m^2] that are added for stability"),
-    inverse_mass=Field(wp.float64, "joined", "1/kg", "inverse mass for the joints; 0 unless free"),
-    inverse_inertia=Field(mat33d, "joined", "1/(kg m^2)", "inverse inertia in the world for the joints; 0 unless free"),
-    pose_position=Field(wp.vec3d, "joined", "m", "position at the start of the step, or predicted for its end"),
-    pose_turn=Field(wp.quatd, "joined", "", "orientation at the start of the step, or predicted for its end"),
 )

@@ -19,9 +19,9 @@ from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
+    OverlapOutcome,
     Verdict,
     indices,
-    overlap_verdict,
     start_apart,
 )
 
@@ -110,20 +110,18 @@ def _funnel(bones):
     return Mesh(*tessellation.wheel(np.array(section), 48), sdf_resolution=128)
 
 
-class BonesOutcome:
+class BonesOutcome(OverlapOutcome):
     """Whether all bones fell through the funnel into the plot and none overlaps another."""
 
     def __init__(self, scene):
         """Find the bones."""
+        super().__init__()
         self.bones = indices(scene, "bone_")
         self.inner = _plot_half(len(self.bones))
         self.opening = _opening_height(len(self.bones))
 
-    def observe(self, sim):
-        """Measure nothing: only the final state is judged."""
-
     def verdicts(self, sim):
-        """Bones that left the plot, bones still in the funnel, and overlap at the end."""
+        """Bones that left the plot, bones still in the funnel, and overlap."""
         position = sim.get("center_of_mass")[:, self.bones]
         above = position[..., 2] > self.opening
         # A position that is NaN counts as outside.
@@ -134,7 +132,7 @@ class BonesOutcome:
         return [
             Verdict("escaped", left, "no bone outside the plot", left == 0, sound),
             Verdict("waiting", waiting, "no bone above the funnel's lower opening", waiting == 0, through),
-            overlap_verdict(sim, 5e-3, sound),
+            *self.overlap_verdicts(sim, 5e-4, 0.035, sound),
         ]
 
 
@@ -151,4 +149,5 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
+    view=(-70.0, 26.0),
 )

@@ -11,10 +11,10 @@ from warp_rigid.scenes.demo import (
     OFF_2003,
     ONE_PASS_2003,
     Demo,
+    OverlapOutcome,
     Verdict,
     below,
     indices,
-    overlap_verdict,
     rest_verdict,
 )
 
@@ -62,11 +62,12 @@ def events(scene):
     return [(LAUNCH_TIME, launch)]
 
 
-class StackOutcome:
+class StackOutcome(OverlapOutcome):
     """Accuracy of the stack before the hit, and its motion after the hit."""
 
     def __init__(self, scene):
         """Compute the exact heights of the boxes at rest."""
+        super().__init__()
         self.boxes = indices(scene, "box_")
         self.movable = self.boxes + indices(scene, "projectile")
         self.ideal = PLATFORM_TOP + HALF * (2.0 * np.arange(len(self.boxes)) + 1.0)
@@ -74,7 +75,8 @@ class StackOutcome:
         self.top = None
 
     def observe(self, sim):
-        """Record the deepest overlap before the hit, and the deviations in the last second before it."""
+        """Record overlap, before the hit for itself, and the deviations in the last second before it."""
+        super().observe(sim)
         if sim.time > LAUNCH_TIME + 1e-3:
             return
         self.depth = np.maximum(self.depth, sim.penetration())
@@ -102,8 +104,8 @@ class StackOutcome:
             moved = np.linalg.norm(sim.get("position")[:, self.boxes[-1]] - self.top, axis=-1)
             hit = {"default": True, "one_pass": True}
             verdicts += [
-                Verdict("thrown", moved, "hit moves the top box by > 0.2 m", moved > 0.2, hit),
-                overlap_verdict(sim, 1e-3, {"default": True}),
+                Verdict("thrown", moved, "hit moves the top box by > 0.2 m", moved > 0.2, hit, "m"),
+                *self.overlap_verdicts(sim, 5e-5, 0.01, {"default": True}),
                 rest_verdict(sim, self.movable, {"default": True}),
             ]
         return verdicts
@@ -121,4 +123,5 @@ DEMO = Demo(
         "off": {**OFF_2003, "contact_iterations": 2},
     },
     events=events,
+    view=(-75.0, 16.0),
 )

@@ -10,9 +10,9 @@ from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     ONE_PASS_2003,
     Demo,
+    OverlapOutcome,
     Verdict,
     indices,
-    overlap_verdict,
     rest_verdict,
     start_apart,
 )
@@ -34,19 +34,17 @@ def build(bodies: int = 8, seed: int = 1000) -> Scene:
     return scene
 
 
-class PileOutcome:
+class PileOutcome(OverlapOutcome):
     """Whether all bunnies came to rest in the box and none overlaps another."""
 
     def __init__(self, scene):
         """Find the bunnies."""
+        super().__init__()
         self.bunnies = indices(scene, "bunny_")
         self.inner = piles.inner_half(len(self.bunnies))
 
-    def observe(self, sim):
-        """Measure nothing: only the final state is judged."""
-
     def verdicts(self, sim):
-        """Bunnies outside the box, overlap and speed at the end."""
+        """Bunnies outside the box, overlap, and speed at the end."""
         position = sim.get("center_of_mass")[:, self.bunnies]
         # A position that is NaN counts as outside.
         inside = (np.abs(position[..., :2]).max(axis=-1) < self.inner) & (position[..., 2] > 0.0)
@@ -54,7 +52,7 @@ class PileOutcome:
         sound = {"default": True}
         return [
             Verdict("escaped", left, "no bunny outside the box", left == 0, sound),
-            overlap_verdict(sim, 2e-3, sound),
+            *self.overlap_verdicts(sim, 5e-5, 0.005, sound),
             rest_verdict(sim, self.bunnies, sound),
         ]
 
@@ -72,4 +70,5 @@ DEMO = Demo(
     duration=6.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
+    view=(-62.0, 26.0),
 )

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 from warp_rigid.scenes.builders import assortment, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, Verdict, indices, overlap_verdict, start_apart
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, indices, start_apart
 
 EXTENT = 30.0
 VERTICES = 61
@@ -52,18 +52,20 @@ def starts(bodies: int, seed: int, amplitude: float) -> tuple[np.ndarray, np.nda
     return position + rng.uniform(-0.1, 0.1, (bodies, 3)), rotations.random(rng, bodies)
 
 
-class CarpetOutcome:
+class CarpetOutcome(OverlapOutcome):
     """Height of the throws, mean speed, and whether a body passes through the ground."""
 
     def __init__(self, scene):
         """Find the bodies."""
+        super().__init__()
         self.bodies = indices(scene, "body_")
         self.reach = np.array([np.linalg.norm(scene.bodies[i].shape.surface()[0], axis=1).max() for i in self.bodies])
         self.throws = bool(scene.bodies[0].shape.amplitude.max() * FREQUENCY**2 > 1.1 * 9.81)
         self.sunk = self.flight = self.speed = self.frames = 0
 
     def observe(self, sim):
-        """Record the largest clearance above the ground, the mean speed, and the number of bodies below the ground."""
+        """Record overlap, the largest clearance above the ground, the mean speed, and the bodies below the ground."""
+        super().observe(sim)
         position = sim.get("center_of_mass")[:, self.bodies]
         places = position[..., :2].reshape(-1, 2)
         ground = sim.scene.bodies[0].shape
@@ -77,7 +79,7 @@ class CarpetOutcome:
             self.speed, self.frames = self.speed + speed, self.frames + 1
 
     def verdicts(self, sim):
-        """Bodies below the ground, height of the throws, mean speed, overlap at the end."""
+        """Bodies below the ground, height of the throws, mean speed, overlap."""
         if self.frames == 0:
             return []
         sound = {"default": True}
@@ -88,10 +90,15 @@ class CarpetOutcome:
                 "sunk", self.sunk, "no body below the ground or beyond its edge at any time", self.sunk == 0, sound
             ),
             Verdict(
-                "flight", self.flight, f"a body thrown > {THROW:g} m clear of the ground", self.flight > THROW, moved
+                "flight",
+                self.flight,
+                f"a body thrown > {THROW:g} m clear of the ground",
+                self.flight > THROW,
+                moved,
+                "m",
             ),
-            Verdict("speed", speed, "mean speed > 0.5 m/s", speed > 0.5, moved),
-            overlap_verdict(sim, 0.02, sound),
+            Verdict("speed", speed, "mean speed > 0.5 m/s", speed > 0.5, moved, "m/s"),
+            *self.overlap_verdicts(sim, 3e-3, 0.013, sound),
         ]
 
 
@@ -108,4 +115,5 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 30.0),
 )

@@ -18,7 +18,13 @@ OFF_2003 = {"shock_propagation": "off", "warm_starting": False}
 """The method of 2003 without shock propagation."""
 
 AT_REST = 0.05
-"""Speed below which a body counts as resting [m/s]."""
+"""Speed below which a body counts as resting [m/s], of every point of it."""
+
+LASTING = 0.25
+"""Time for which an overlap must last to count as lasting [s]: an impact overlaps for a few steps."""
+
+SCALES = {"mm": 1e3, "%": 100.0}
+"""Factors from SI units to units of conditions; 1 for the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +38,7 @@ class Verdict:
         passed: (envs,) bool, whether the condition holds.
         expected: for variants of the demo by name, whether the condition must hold. Variants that are not listed
             have no expectation.
+        unit: in which the values are shown, that of the condition; `values` are in SI units nevertheless.
     """
 
     name: str
@@ -39,6 +46,12 @@ class Verdict:
     limit: str
     passed: np.ndarray
     expected: dict[str, bool]
+    unit: str = ""
+
+
+def shown_value(value: float, unit: str) -> str:
+    """A value of a verdict as text, in the unit of its condition."""
+    return f"{SCALES.get(unit, 1.0) * value:.3g}" + (f" {unit}" if unit else "")
 
 
 class Outcome(Protocol):
@@ -72,12 +85,13 @@ class Demo:
         variants: settings to compare, by name; each lists the differences from `Settings()`. A comparison runs each
             variant in one environment of one simulator. "default" is the first.
         events: function(scene) -> list of (time [s], function(sim)); a run calls each function when it reaches that
-            simulated time.
+            simulated time. The function may return the event that follows it.
         settings: differences from `Settings()` that all variants of this scene need.
         vary: function(sim, **parameters) that gives each environment of a batch a different start; None if all
             environments start alike. A run that compares settings does not call it.
         goes_with: for settings by name and value, further settings that a sweep over that setting applies unless it
             sets them itself, so that the typical effect of the value shows in this scene.
+        view: azimuth and elevation from which pictures are taken [degree]; the azimuth counts from x toward y.
     """
 
     name: str
@@ -90,6 +104,7 @@ class Demo:
     settings: dict[str, Any] = field(default_factory=dict)
     vary: Callable[..., None] | None = None
     goes_with: dict[str, dict[Any, dict[str, Any]]] = field(default_factory=dict)
+    view: tuple[float, float] = (-67.0, 22.0)
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -141,27 +156,66 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     return smallest
 
 
-def below(name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool]) -> Verdict:
+def below(
+    name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool], unit: str = "mm"
+) -> Verdict:
     """Verdict: the values are below `limit`; NaN is not."""
-    return Verdict(name, values, text, values < limit, expected)
+    return Verdict(name, values, text, values < limit, expected, unit)
 
 
-def overlap_verdict(sim: Any, limit: float, expected: dict[str, bool]) -> Verdict:
-    """Verdict: no two bodies overlap by more than `limit` [m] now."""
-    text = f"overlap < {1e3 * limit:g} mm at the end"
-    return below("overlap", sim.penetration(), limit, text, expected)
+class OverlapOutcome:
+    """Base of the outcomes that judge the overlap of the whole film.
+
+    Attributes:
+        recent: (time, deepest overlap of each environment) of the frames within LASTING [s, m].
+        lasting: deepest overlap that lasted for LASTING [m].
+        deepest: deepest overlap at any time [m].
+    """
+
+    def __init__(self) -> None:
+        """Nothing is observed yet."""
+        self.recent: list = []
+        self.lasting: Any = 0.0
+        self.deepest: Any = 0.0
+
+    def observe(self, sim: Any) -> None:
+        """Record the overlap at this frame."""
+        now, time = sim.penetration(), float(sim.time)
+        self.recent = [frame for frame in self.recent if time - LASTING - 1e-6 < frame[0] < time] + [(time, now)]
+        self.deepest = np.maximum(self.deepest, now)
+        if time - self.recent[0][0] > LASTING - 1e-6:
+            self.lasting = np.maximum(self.lasting, np.min([overlap for _, overlap in self.recent], axis=0))
+
+    def overlap_verdicts(self, sim: Any, lasting: float, deepest: float, expected: dict[str, bool]) -> list[Verdict]:
+        """Verdicts: no overlap exceeds `lasting` [m] now or for LASTING, and none ever exceeds `deepest` [m]."""
+        now = sim.penetration()
+        text = f"overlap < {1e3 * lasting:g} mm at the end, and never more for {LASTING:g} s"
+        at_any_time = f"overlap < {1e3 * deepest:g} mm at any time"
+        return [
+            below("overlap", np.maximum(self.lasting, now), lasting, text, expected),
+            below("deepest", np.maximum(self.deepest, now), deepest, at_any_time, expected),
+        ]
+
+
+def surface_speed(sim: Any, bodies: list[int]) -> np.ndarray:
+    """Upper bound of the speed of all points of each body, (envs, bodies) [m/s]."""
+    linear = np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1)
+    spin = np.linalg.norm(sim.get("angular_velocity")[:, bodies], axis=-1)
+    shapes = [sim.scene.bodies[i].shape for i in bodies]
+    radius = {shape: np.linalg.norm(shape.surface()[0] - shape.center_of_mass, axis=1).max() for shape in set(shapes)}
+    return linear + spin * np.array([radius[shape] for shape in shapes])
 
 
 def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
-    """Verdict: no body's centre of mass moves faster than AT_REST now."""
-    speed = np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1).max(axis=1)
-    return below("speed", speed, AT_REST, f"speed < {AT_REST:g} m/s at the end", expected)
+    """Verdict: no point of a body moves faster than AT_REST now."""
+    speed = surface_speed(sim, bodies).max(axis=1)
+    return below("speed", speed, AT_REST, f"no point faster than {AT_REST:g} m/s at the end", expected, "m/s")
 
 
 def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
     """Verdict: all bodies are at rest now; the value is the number of resting bodies."""
-    resting = (np.linalg.norm(sim.get("linear_velocity")[:, bodies], axis=-1) < AT_REST).sum(axis=1)
-    text = f"all {len(bodies)} bodies slower than {AT_REST:g} m/s at the end"
+    resting = (surface_speed(sim, bodies) < AT_REST).sum(axis=1)
+    text = f"all {len(bodies)} bodies at rest at the end, no point faster than {AT_REST:g} m/s"
     return Verdict("resting", resting, text, resting == len(bodies), expected)
 
 

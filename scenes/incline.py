@@ -13,6 +13,9 @@ from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, below, clearance, indice
 HALF = 0.05
 PLATFORM_HALF = (1.5, 0.5, 0.1)
 GROUND = -2.0
+MARGINS = (0.002, 0.02)
+"""Relative distance of the friction from the critical one at which the outcome is certain: with the default settings,
+and with one pass, which lets the block creep by some millimetres."""
 
 
 def build(angle: float = 20.0, friction: float = 0.5, restitution: float = 1.0) -> Scene:
@@ -54,9 +57,10 @@ class InclineOutcome:
         self.start = np.array(body.position)
         slope = 2.0 * math.atan2(body.orientation[1], body.orientation[3])
         self.downhill = np.array([math.cos(slope), 0.0, -math.sin(slope)])
-        self.held = body.friction > 1.02 * math.tan(slope)
-        self.slips = body.friction < 0.98 * math.tan(slope)
-        self.chatters = body.restitution > 0.9 and slope > math.radians(5.0)
+        self.surplus = body.friction - math.tan(slope)
+        self.sharp, self.blunt = (margin * math.tan(slope) for margin in MARGINS)
+        self.steep = slope > math.radians(5.0)
+        self.chatters = body.restitution > 0.9 and self.steep
         self.lift = self.depth = None
 
     def observe(self, sim):
@@ -72,9 +76,11 @@ class InclineOutcome:
         moved = sim.get("position")[:, self.block].astype(np.float64) - self.start
         slide = moved @ self.downhill
         sound = {"default": True, "one_pass": True}
-        # Within 2 % of the critical angle both outcomes are correct.
-        stays = sound if self.held else {}
-        slips = {"default": False, "one_pass": False} if self.slips else {}
+        stays = {"default": self.surplus > self.sharp, "one_pass": self.surplus > self.blunt}
+        stays = {name: True for name, holds in stays.items() if holds}
+        slips = {"default": False, "one_pass": False} if self.surplus < -self.blunt else {}
+        if self.surplus < -self.sharp and self.steep:
+            slips["default"] = False
         chatters = {"collisions_last": False} if self.chatters else {}
         sinks = {"no_contact": False}
         return [
@@ -100,4 +106,5 @@ DEMO = Demo(
         },
         "collisions_last": {**ONE_PASS_2003, "collision_first": False},
     },
+    view=(-110.0, 24.0),
 )

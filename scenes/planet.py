@@ -13,10 +13,10 @@ from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     Demo,
+    OverlapOutcome,
     Verdict,
     contacts_verdict,
     indices,
-    overlap_verdict,
     resting_verdict,
     start_apart,
 )
@@ -29,7 +29,12 @@ STRENGTH = 100.0
 RADIUS = 0.5
 NEAREST, SPREAD = 6.5, 1.5
 KICK = 0.3
-SURFACE: dict[str, Any] = {"friction": 0.9, "restitution": 0.1, "rolling_friction": 0.15 * RADIUS}
+SURFACE: dict[str, Any] = {
+    "friction": 0.9,
+    "restitution": 0.1,
+    "rolling_friction": 0.15 * RADIUS,
+    "spinning_friction": 0.05 * RADIUS,
+}
 
 
 def build(bodies: int = 40, seed: int = 0) -> Scene:
@@ -72,18 +77,16 @@ def _shell(count, radius, rng):
     return points @ turn
 
 
-class PlanetOutcome:
+class PlanetOutcome(OverlapOutcome):
     """Whether the bodies settled on all sides of the planet."""
 
     def __init__(self, scene):
         """Find the bodies."""
+        super().__init__()
         self.bodies = indices(scene, "body_")
 
-    def observe(self, sim):
-        """Measure nothing: only the final state is judged."""
-
     def verdicts(self, sim):
-        """Octants with bodies, bodies lost, bodies at rest, contacts and overlap at the end."""
+        """Octants with bodies, bodies lost, bodies at rest, contacts at the end, overlap."""
         position = sim.get("center_of_mass")[:, self.bodies]
         distance = np.linalg.norm(position, axis=-1)
         lost = (~((distance > PLANET_RADIUS) & (distance < NEAREST + SPREAD))).sum(axis=1)
@@ -96,7 +99,7 @@ class PlanetOutcome:
             Verdict("octants", sides, "bodies in all 8 octants around the planet", sides == 8, around),
             resting_verdict(sim, self.bodies, sound),
             contacts_verdict(sim, self.bodies, sound),
-            overlap_verdict(sim, 5e-3, sound),
+            *self.overlap_verdicts(sim, 5e-3, 0.015, sound),
         ]
 
 
@@ -113,4 +116,5 @@ DEMO = Demo(
     duration=8.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 20.0),
 )

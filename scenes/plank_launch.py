@@ -70,7 +70,7 @@ class LaunchOutcome:
         text = f"plank in base < {1e3 * limit:g} mm during the launch"
         sound = {"default": True, "one_pass": True}
         verdicts = [
-            Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound),
+            Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound, "m"),
         ]
         if self.depth is not None:
             verdicts.append(below("depth", self.depth, limit, text, sound | {"off": False}))
@@ -84,4 +84,5 @@ DEMO = Demo(
     outcome=LaunchOutcome,
     duration=3.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003, "off": OFF_2003},
+    view=(-84.0, 14.0),
 )

@@ -53,7 +53,7 @@ class RagdollOutcome:
         out = np.maximum(np.abs(place[..., :2]).max(-1) - WIDTH / 2, -place[..., 2]).max(axis=1)
         return [
             below("opened", self.opened, 1e-3, "no joint open by 1 mm", {"default": True}),
-            below("outside", out, 0.0, "all bodies within the pit", {"default": True}),
+            below("outside", out, 0.0, "all bodies within the pit", {"default": True}, "m"),
         ]
 
 

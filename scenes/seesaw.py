@@ -96,8 +96,8 @@ class SeesawOutcome:
         back = tips | {"no_contact": False} if self.uneven else {}
         text = f"tips right > {TIPPED:g} degrees", f"then left > {TIPPED:g} degrees"
         return [
-            Verdict("tips", self.right, text[0], self.right > TIPPED, tips),
-            Verdict("tips_back", self.left, text[1], self.left > TIPPED, back),
+            Verdict("tips", self.right, text[0], self.right > TIPPED, tips, "degrees"),
+            Verdict("tips_back", self.left, text[1], self.left > TIPPED, back, "degrees"),
         ]
 
 
@@ -112,4 +112,5 @@ DEMO = Demo(
         "one_pass": ONE_PASS_2003,
         "no_contact": {**ONE_PASS_2003, "contact_iterations": 0},
     },
+    view=(-84.0, 14.0),
 )

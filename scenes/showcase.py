@@ -13,10 +13,10 @@ from warp_rigid.scenes.builders import assortment, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
     Demo,
+    OverlapOutcome,
     Verdict,
     contacts_verdict,
     indices,
-    overlap_verdict,
     resting_verdict,
     start_apart,
 )
@@ -26,7 +26,12 @@ PITCH = 0.6
 JITTER = 0.04
 LOWEST = 0.8
 SLAB_HALF_HEIGHT = 0.25
-SURFACE: dict[str, Any] = {"friction": 0.9, "restitution": 0.1, "rolling_friction": 0.15 * RADIUS}
+SURFACE: dict[str, Any] = {
+    "friction": 0.9,
+    "restitution": 0.1,
+    "rolling_friction": 0.15 * RADIUS,
+    "spinning_friction": 0.05 * RADIUS,
+}
 
 
 def build(bodies: int = 100, seed: int = 0) -> Scene:
@@ -63,19 +68,17 @@ def _side(bodies):
     return math.ceil((2.0 * bodies) ** (1.0 / 3.0))
 
 
-class RainOutcome:
+class RainOutcome(OverlapOutcome):
     """Whether all bodies rest on the slab and none overlaps another."""
 
     def __init__(self, scene):
         """Find the bodies."""
+        super().__init__()
         self.bodies = indices(scene, "body_")
         self.half = slab_half(len(self.bodies))
 
-    def observe(self, sim):
-        """Measure nothing: only the final state is judged."""
-
     def verdicts(self, sim):
-        """Bodies off the slab, bodies at rest, contacts and overlap at the end."""
+        """Bodies off the slab, bodies at rest, contacts at the end, overlap."""
         position = sim.get("center_of_mass")[:, self.bodies]
         # A position that is NaN counts as off the slab.
         on_slab = (np.abs(position[..., :2]).max(axis=-1) < self.half) & (position[..., 2] > 0.0)
@@ -85,7 +88,7 @@ class RainOutcome:
             Verdict("off_slab", off, "no body off the slab", off == 0, sound),
             resting_verdict(sim, self.bodies, sound),
             contacts_verdict(sim, self.bodies, sound),
-            overlap_verdict(sim, 2e-3, sound),
+            *self.overlap_verdicts(sim, 7e-4, 0.03, sound),
         ]
 
 
@@ -102,4 +105,5 @@ DEMO = Demo(
     duration=4.0,
     variants={"default": {}},
     vary=vary,
+    view=(-60.0, 28.0),
 )

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, Verdict, below, indices, overlap_verdict, start_apart
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices, start_apart
 
 EXTENT = 20.0
 VERTICES = 81
@@ -60,18 +60,20 @@ def starts(bodies: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return position, rotations.random(rng, bodies)
 
 
-class SlideOutcome:
+class SlideOutcome(OverlapOutcome):
     """Whether all bodies stay above the terrain and their energy never increases."""
 
     def __init__(self, scene):
         """Find the bodies."""
+        super().__init__()
         self.bodies = indices(scene, "body_")
         self.sunk = 0
         self.first = self.last = None
         self.gain = 0.0
 
     def observe(self, sim):
-        """Record the number of bodies below the surface and the largest increase of energy from frame to frame."""
+        """Record overlap, bodies below the surface, and the largest increase of energy from frame to frame."""
+        super().observe(sim)
         position = sim.get("center_of_mass")[:, self.bodies]
         terrain = sim.scene.bodies[0].shape
         ground = terrain.height_at(position[..., :2].reshape(-1, 2), 0.0).reshape(position.shape[:2])
@@ -86,7 +88,7 @@ class SlideOutcome:
         self.last = energy
 
     def verdicts(self, sim):
-        """Bodies below the surface, energy gained, overlap at the end."""
+        """Bodies below the surface, energy gained, overlap."""
         if self.last is None:
             return []
         sound = {"default": True}
@@ -94,8 +96,8 @@ class SlideOutcome:
         gain = np.broadcast_to(self.gain, sim.num_envs)
         return [
             Verdict("sunk", sunk, "no body below the surface or beyond its edge at any time", sunk == 0, sound),
-            below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", sound),
-            overlap_verdict(sim, 5e-3, sound),
+            below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", sound, "%"),
+            *self.overlap_verdicts(sim, 5e-3, 0.025, sound),
         ]
 
 
@@ -112,4 +114,5 @@ DEMO = Demo(
     duration=5.0,
     variants={"default": {}},
     vary=vary,
+    view=(-67.0, 34.0),
 )

@@ -17,6 +17,7 @@ class FakeSimulator:
 
     def __init__(self, scene, num_envs=1, dt=1.0 / 240.0):
         self.scene = scene
+        self.scenes, self.scene_of = (scene,), np.zeros(num_envs, int)
         self.num_envs = num_envs
         self.num_bodies = len(scene.bodies)
         self.settings = Settings(dt=dt)

@@ -28,7 +28,10 @@ def opened(scene, device, num_envs=1, settings=None):
     bodies = len(scene.bodies)
     pairs = num_envs * max(8, bodies * (bodies - 1) // 2)
     room = {"pairs": pairs, "contacts": min(36 * pairs, 100 * num_envs * bodies)}
-    with mock.patch("warp_rigid.engine.batch.usable_cores", return_value=1):
+    with (
+        mock.patch("warp_rigid.engine.batch.usable_cores", return_value=1),
+        mock.patch("warp_rigid.engine.hash_grid.CANDIDATES_PER_BODY", bodies),
+    ):
         sim = Simulator(scene, num_envs=num_envs, settings=settings, device=device, capacity=room)
     return sim, stages_of(sim)
 

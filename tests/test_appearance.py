@@ -2,19 +2,21 @@
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom
 
 from tests.fakes import FakeSimulator
-from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
+from warp_rigid import Box, Cylinder, Plane, Scene, Simulator, Sphere, export_usd
 from warp_rigid.render.appearance import (
     body_colors,
     continuous_signs,
     corner_normals,
     drawn_surfaces,
     environment_offsets,
-    environment_spacing,
     level_colors,
     speed_colors,
+    spread_of,
 )
+from warp_rigid.render.film import film_from_usd
 from warp_rigid.runs.recording import record
 from warp_rigid.scene.scene import Motion
 
@@ -107,7 +109,7 @@ def test_environments_do_not_touch():
     scene = Scene()
     scene.add_static(Box((2.0, 0.5, 0.1)))
     scene.add_body(Sphere(0.25), position=(0.0, 1.5, 1.0))
-    spacing = environment_spacing(record(FakeSimulator(scene, 2), frames=3))
+    spacing = spread_of(record(FakeSimulator(scene, 2), frames=3)).spacing()
     assert spacing[0] > 4.0 and spacing[1] > 2.25
 
 
@@ -117,9 +119,28 @@ def test_only_a_tilted_plane_shrinks():
     scene.add_static(Plane((1, 0, 1), 0.5))
     scene.add_body(Sphere(0.25))
     recording = record(FakeSimulator(scene, 2), frames=1)
-    level, tilted, ball = drawn_surfaces(recording, 2, (2.0, 3.0))
+    spread = spread_of(recording)
+    spread.spacing = lambda: np.array((2.0, 3.0))
+    level, tilted, ball = drawn_surfaces(recording, 2, spread)
     assert level is recording.surfaces[0] and ball is recording.surfaces[2]
     np.testing.assert_allclose(np.ptp(tilted.vertices, axis=0).max(), 3.0, rtol=1e-5)
     distance = tilted.vertices @ np.array([1, 0, 1]) / np.sqrt(2.0)
     np.testing.assert_allclose(distance, 0.5, atol=1e-6)
-    assert drawn_surfaces(recording, 1, (2.0, 3.0)) == list(recording.surfaces)
+    assert drawn_surfaces(recording, 1, spread) == list(recording.surfaces)
+
+
+def test_planes_reach_beyond_the_bodies(tmp_path):
+    scene = Scene()
+    scene.add_static(Plane((0, 0, 1), 0.5))
+    scene.add_body(Sphere(0.25), position=(0, -35, 2))
+    scene.add_body(Sphere(0.25), position=(0, 1, 2), linear_velocity=(0, 500, 0))
+    recording = record(Simulator(scene, device="cpu"), 12)
+    path = tmp_path / "film.usda"
+    export_usd(recording, path)
+    stage = Usd.Stage.Open(str(path))
+    (plane,) = (prim for prim in Usd.PrimRange.AllPrims(stage.GetPseudoRoot()) if prim.IsA(UsdGeom.Plane))
+    drawn = np.ptp(drawn_surfaces(recording, 1, spread_of(recording))[0].vertices[:, 1])
+    assert drawn == pytest.approx(plane.GetAttribute("width").Get(), rel=1e-5)
+    assert 2 * 100 < drawn < 1000
+    square = np.array(film_from_usd(path).meshes[0].vertices)
+    assert np.ptp(square[:, 1]) == pytest.approx(drawn, rel=1e-5)

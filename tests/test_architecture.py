@@ -10,9 +10,10 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "warp_rigid"
 
 LAYERS = (
-    ("version", "errors", "checks", "rotations"),
+    ("version", "errors", "checks", "rotations", "threads"),
     ("kernels",),
     ("files",),
+    ("kernel_cache",),
     ("scene",),
     ("engine",),
     ("scenes",),
@@ -30,7 +31,9 @@ the layers below it. The last one is the package's own __init__.py, which collec
 
 UPWARD = {
     ("diagnostics.selftest", "commands.terminal"): "prints its progress as the commands do",
+    ("files.mesh_files", "usd.metadata"): "opens meshes in USD files",
     ("files.mesh_files", "usd.opening"): "opens meshes in USD files",
+    ("render.film", "usd.metadata"): "draws a film that is a USD file",
     ("render.film", "usd.opening"): "draws a film that is a USD file",
     ("render.film", "usd.prims"): "draws a film that is a USD file",
     ("runs.runner", "usd"): "runs a scene that is a USD file",

@@ -41,6 +41,19 @@ def test_names_find_their_places():
     assert given.num_envs == 2
 
 
+def test_numbers_without_brackets_are_one_vector():
+    assert sort_assignments(["gravity=0,0,-1.62"], build).properties == {"gravity": (0, 0, -1.62)}
+    assert sort_assignments(["orientation[a]=0,0,0,1"], build).properties == {"orientation[a]": (0, 0, 0, 1)}
+    assert sort_assignments(["gravity=(0,0,-1),(0,0,-2)"], build).batched == {"gravity": [(0, 0, -1), (0, 0, -2)]}
+    for text in ("gravity=-9.81", "gravity=0,-9.81", "gravity=(0,0,-1),2", "position=0,0,0,1", "force=x"):
+        with pytest.raises(ValueError, match=f"--set {text.partition('=')[0]}: must be vectors of 3 numbers"):
+            sort_assignments([text], build)
+
+
+def test_activity_of_bodies_can_be_assigned():
+    assert sort_assignments(["active[box_9]=false"], build).properties == {"active[box_9]": False}
+
+
 def test_one_value_is_the_scenes_and_a_list_the_environments():
     assert sort_assignments(["friction=0.3"], build).scene == {"friction": 0.3}
     assert sort_assignments(["friction=0.3,0.4"], build).batched == {"friction": [0.3, 0.4]}

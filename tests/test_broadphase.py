@@ -14,13 +14,13 @@ from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
 
 @pytest.fixture(params=["all", "grid"])
 def search(request, monkeypatch):
-    """Both search kernels: trying all pairs, and the hash grid."""
+    """Both kinds of candidates: all pairs, and those of the hash grid."""
     monkeypatch.setattr(hash_grid, "TRY_ALL_UP_TO", 10_000 if request.param == "all" else 0)
     return request.param
 
 
 def mixed_scene(generator, count=120, spread=2.0):
-    """Bodies whose sizes differ by a factor of 100, between statics, kinematic bodies and a plane."""
+    """Bodies of equal mass whose sizes differ by a factor of 100, between statics, kinematic bodies and a plane."""
     scene = ground_scene()
     scene.add_static(Plane(normal=(1, 0, 0), offset=-5.0))
     scene.add_static(Box((spread, 0.1, 0.1)), position=(0, 0, 0.5))
@@ -33,6 +33,7 @@ def mixed_scene(generator, count=120, spread=2.0):
             shape[generator.integers(3)],
             position=generator.uniform(-spread, spread, 3),
             orientation=random_quaternion(generator),
+            mass=1.0,
         )
     order = generator.permutation(len(scene.bodies))
     scene.bodies[:] = [scene.bodies[k] for k in order]
@@ -53,7 +54,7 @@ def brute_force(stages):
     return {
         pair
         for pair in pairs
-        if len({body // stages.num_bodies for body in pair}) == 1 and any(dynamic[body] for body in pair)
+        if len({body // stages.model.layout.most_bodies for body in pair}) == 1 and any(dynamic[body] for body in pair)
     }
 
 
@@ -121,34 +122,40 @@ def test_order_does_not_depend_on_the_number_of_environments(device, search):
         assert own.tolist() == pair_list(single_stages).tolist()
 
 
-def test_both_searches_list_the_same_pairs(device, monkeypatch):
-    found = []
+def test_both_searches_list_the_same_pairs_in_the_same_order(device, monkeypatch):
+    listed = []
     for limit in (0, 10_000):
         monkeypatch.setattr(hash_grid, "TRY_ALL_UP_TO", limit)
         _, stages = opened(mixed_scene(np.random.default_rng(6), 60), device)
-        found.append(found_pairs(stages))
-    assert found[0] == found[1]
+        found_pairs(stages)
+        listed.append(pair_list(stages).tolist())
+    assert listed[0] == listed[1]
 
 
-def test_only_ordinary_dynamic_bodies_enter_the_grid(device, search):
+def test_ordinary_dynamic_bodies_come_first_in_the_order_of_pairs(device, search):
     scene = mixed_scene(np.random.default_rng(7))
     _, stages = opened(scene, device)
-    small = stages.model.small
-    wide = stages.model.oversized
+    small, wide, width = stages.model.size_groups[stages.model.layout.scenes[0]]
+    found_pairs(stages)
+    order, rank = stages.grid.cells.order.numpy(), stages.grid.cells.rank.numpy()
+    assert order.tolist() == [*small, *wide]
+    places = rank[pair_list(stages)]
+    assert (places[:, 0] < places[:, 1]).all() and (np.diff(pair_list(stages)[:, 0]) >= 0).all()
+    assert all(np.diff(places[places[:, 0] == first, 1]).min(initial=1) > 0 for first in rank)
     assert sorted([*small, *wide]) == list(range(len(scene.bodies)))
     assert all(scene.bodies[k].motion == Motion.DYNAMIC for k in small)
     dynamic = np.flatnonzero(moving(scene))
     extent = {k: np.linalg.norm(np.ptp(scene.bodies[k].shape.bounds, axis=0)) for k in dynamic}
     assert len(small) < len(dynamic)
     assert max(extent[k] for k in small) <= OVERSIZED * np.median(list(extent.values()))
-    assert stages.model.grid_radius >= max(extent[k] for k in small)
+    assert width >= max(extent[k] for k in small)
 
 
 def test_halted_environments_have_no_pairs(device, search):
     _, stages = opened(mixed_scene(np.random.default_rng(8), 60), device, num_envs=3)
     stages.envs.failed.assign(np.array([0, 1, 0], np.int32))
     found_pairs(stages)
-    env = pair_list(stages)[:, 0] // stages.num_bodies
+    env = pair_list(stages)[:, 0] // stages.model.layout.most_bodies
     assert set(env) == {0, 2}
 
 

@@ -1,9 +1,12 @@
 """Builders: bodies start where geometry demands, touch without overlap, and are returned by index."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from tests.scene_oracles import body_separation
+from warp_rigid.rotations import rotate
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scenes.builders import grounds, piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
@@ -65,6 +68,24 @@ def test_structures_of_boxes_touch_without_overlap(add, count):
     assert len(rows) == count and lowest > 0.0
     assert min(gaps) > -1e-12
     assert sum(abs(gap) < 1e-12 for gap in gaps) >= count - 1
+
+
+@pytest.mark.parametrize(("stones", "thickness"), [(3, 0.5), (15, 0.625)])
+def test_stones_of_an_arch_meet_in_whole_faces(stones, thickness):
+    """Neighbours share the four corners of a joint; the outer joints lie on the ground."""
+    scene = grounds.level_scene()
+    rows = stacks.add_arch(scene, stones, 5.0, thickness)
+    bodies = [scene.bodies[i] for i in rows]
+    corners = [rotate(np.array(b.orientation), b.shape.vertices) + b.position for b in bodies]
+    for one, other in itertools.pairwise(corners):
+        distance = np.linalg.norm(one[:, None] - other[None], axis=-1)
+        assert (distance.min(axis=1) < 1e-12).sum() == 4
+    for stone, side in ((corners[0], -1), (corners[-1], 1)):
+        foot = stone[np.abs(stone[:, 2]) < 1e-12]
+        assert sorted(foot[:, 0] * side) == pytest.approx([5.0 - 0.5 * thickness] * 2 + [5.0 + 0.5 * thickness] * 2)
+    assert min(corner[:, 2].min() for corner in corners) > -1e-12
+    section = np.sin(np.pi / stones) * 5.0 * thickness
+    assert bodies[0].shape.volume == pytest.approx(section)
 
 
 def test_balls_of_a_pyramid_touch_four_below():

@@ -13,7 +13,7 @@ import warp_rigid as wr
 from tests.oracles import random_pile, rotate_about, stages_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files import atomic
-from warp_rigid.kernels.collide.narrowphase import BY_CENTER
+from warp_rigid.kernels.collide.narrowphase import BY_AXIS, BY_CENTER
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.scenes.builders import meshes
@@ -94,11 +94,12 @@ def test_saving_does_not_change_the_run_and_repeats_byte_for_byte(device, tmp_pa
     assert bits(sims[0]) == bits(sims[1])
 
 
-def test_contacts_of_centres_come_back(device, tmp_path):
-    """Bodies deep in each other touch by the ball about the centre of one or the other, not by samples."""
+def test_contacts_without_samples_come_back(device, tmp_path):
+    """Bodies deep in each other touch along an axis or, unless both are convex, by the ball about a centre."""
     scene = wr.Scene(gravity=(0, 0, 0))
-    pair = wr.Capsule(0.06, 0.08), wr.Cylinder(0.1, 0.08)
-    for place, shapes in enumerate((pair, pair[::-1])):
+    thick = wr.Compound([(wr.Cylinder(0.1, 0.08), (0, 0, 0), (0, 0, 0, 1)), (wr.Sphere(0.01), (0, 0, 0), (0, 0, 0, 1))])
+    pair, convex = (wr.Capsule(0.06, 0.08), thick), 2 * (meshes.octahedron(0.1, 16),)
+    for place, shapes in enumerate((pair, pair[::-1], convex)):
         for k, shape in enumerate(shapes):
             scene.add_body(shape, position=(place + 0.03 * k, 0.01 * k, 0.02 * k))
     sim = Simulator(scene, device=device)
@@ -106,6 +107,7 @@ def test_contacts_of_centres_come_back(device, tmp_path):
     assert set(stages_of(sim).pools.history.key.numpy()[: sim.counts()["contacts"]].tolist()) == {
         BY_CENTER,
         BY_CENTER - 1,
+        BY_AXIS,
     }
     sim.save(tmp_path / "a.ckpt")
     loaded = Simulator.load(tmp_path / "a.ckpt")
@@ -238,12 +240,12 @@ def with_header(saved, path, change):
 
 def test_a_newer_version_is_told(saved, tmp_path):
     path = with_header(saved, tmp_path / "newer", lambda header: header.update(version=99))
-    assert "version must be 6, got 99" in refused(path)
+    assert "version must be 8, got 99" in refused(path)
 
 
 def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path):
     def forget(header):
-        for body in header["scene"]["bodies"]:
+        for body in header["scenes"][0]["bodies"]:
             del body["restitution"]
 
     path = with_header(saved, tmp_path / "older", forget)
@@ -258,17 +260,17 @@ def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda h: h.pop("scene"),
+        lambda h: h.pop("scenes"),
         lambda h: h.update(num_envs=10_000_000),
         lambda h: h.update(num_envs="many"),
         lambda h: h.update(seed=-1),
         lambda h: h["settings"].update(dt=-1.0),
         lambda h: h["settings"].update(more=1),
-        lambda h: h["scene"]["bodies"][0].update(shape=99),
-        lambda h: h["scene"]["bodies"][0].update(orientation=[0, 0, 0, 7]),
-        lambda h: h["scene"]["shapes"][0].update(key="0"),
-        lambda h: h["scene"]["bodies"].clear(),
-        lambda h: h["scene"].update(filtered_pairs=[[0, 99]]),
+        lambda h: h["scenes"][0]["bodies"][0].update(shape=99),
+        lambda h: h["scenes"][0]["bodies"][0].update(orientation=[0, 0, 0, 7]),
+        lambda h: h["shapes"][0].update(key="0"),
+        lambda h: h["scenes"][0]["bodies"].clear(),
+        lambda h: h["scenes"][0].update(filtered_pairs=[[0, 99]]),
         lambda h: h["used"].update(contacts=3),
         lambda h: h.update(steps=None),
         lambda h: h.update(fitted=[]),

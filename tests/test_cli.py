@@ -1,8 +1,10 @@
 """The command line: what it writes where, and its exit status."""
 
 import json
+import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +14,11 @@ from pxr import Usd
 
 import warp_rigid
 from warp_rigid import scenes
-from warp_rigid.commands import cli
+from warp_rigid.commands import cli, terminal
 from warp_rigid.commands import run as run_module
 from warp_rigid.commands.terminal import explain
 from warp_rigid.runs import runner
+from warp_rigid.scenes import incline
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -64,6 +67,15 @@ def test_all_of_stdout_is_the_object(scene_file):
     done = subprocess.run([*command, "--device", "cpu"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["scene"] == "mine"
     assert done.stderr == ""
+
+
+def test_a_program_prints_only_its_own_lines():
+    program = (
+        "import warp_rigid as wr\nscene = wr.Scene()\nscene.add_body(wr.Sphere(0.1))\n"
+        "sim = wr.Simulator(scene, device='cpu')\nsim.step(2)\nsim.penetration()\nprint(sim.num_envs)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"
 
 
 def test_run_writes_what_is_asked(capsys, scene_file, tmp_path):
@@ -115,18 +127,33 @@ def test_verdicts_name_what_is_not_as_expected(capsys):
         "labels": ["default", "off", "on"],
         "verdicts": [
             {
-                "name": "drift", "limit": "drift < 1", "values": [0.5, 2.0, 3.0],
+                "name": "drift", "limit": "drift < 1 mm", "unit": "mm", "values": [0.5e-3, 2e-3, 3e-3],
                 "passed": [True, False, False], "expected": [True, False, True],
             }
         ],
     }  # fmt: skip
     run_module._print_summary(summary)
     out = capsys.readouterr().out
-    assert "0.5 yes" in out and "2 no, as expected" in out and "3 no, NOT AS EXPECTED" in out
+    # In the unit of the condition.
+    assert "0.5 mm yes" in out and "2 mm no, as expected" in out and "3 mm no, NOT AS EXPECTED" in out
     assert "2 of 3 verdicts as expected" in out
     summary["envs"] = 100
     run_module._print_summary(summary)
-    assert "1 of 3" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "1 of 3" in out and "0.5 mm" in out and "3 mm" in out
+
+
+@pytest.mark.parametrize("expected, status", [(True, 0), (False, 6)])
+def test_an_unexpected_verdict_has_its_own_status(capsys, monkeypatch, expected, status):
+    """The block of the incline starts at rest: it has not slid, whatever the scene expects."""
+
+    class Slides(incline.InclineOutcome):
+        def verdicts(self, sim):
+            return [replace(super().verdicts(sim)[0], expected={"default": expected})]
+
+    demo = replace(scenes.get("incline"), outcome=Slides, duration=1 / 60)
+    monkeypatch.setattr("warp_rigid.runs.runner.find_scene", lambda name: demo)
+    assert run(capsys, "run", "incline")[0] == status
 
 
 def test_lists_run_side_by_side(capsys, scene_file):
@@ -180,6 +207,102 @@ def test_unwritable_place_is_one_line(capsys, scene_file, tmp_path):
     target = tmp_path / "mine.py" / "film.usdc"
     status, _, err = run(capsys, "run", scene_file, "--frames", 1, "-o", target)
     assert status == 2 and str(tmp_path / "mine.py") in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ("-o", "{blocked}/film.usdc"),
+        ("--picture", "{blocked}/last.png"),
+        ("--film", "{folder}.gif"),
+        ("--html", "{blocked}/deep/page.html"),
+        ("--checkpoint-every", "2", "--checkpoint", "{blocked}/a.ckpt"),
+        ("--picture", "{folder}/a.png", "--contact-sheet", "{folder}/a.png"),
+        ("-o", "{folder}/a.usdc", "--usd-envs", "1"),
+        ("-o", "{folder}/a.usdc", "--usd-envs", "-1"),
+        ("-o", "{folder}/a.usdc", "--usd-envs", "0,0"),
+    ],
+)
+def test_outputs_and_lists_are_checked_before_the_run(capsys, scene_file, tmp_path, monkeypatch, flags):
+    monkeypatch.setattr(runner, "execute", lambda *_, **__: pytest.fail("it ran"))
+    (tmp_path / "places.gif").mkdir()
+    places = {"blocked": scene_file, "folder": tmp_path / "places"}
+    status, out, err = run(capsys, "run", scene_file, *(flag.format(**places) for flag in flags))
+    assert status == 2 and out == "" and len(without_device(err)) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py", "places.gif"]
+
+
+@pytest.mark.parametrize("command", ["sweep", "bench"])
+def test_other_outputs_are_checked_before_the_run(capsys, scene_file, monkeypatch, command):
+    from warp_rigid.bench import measure
+    from warp_rigid.sweep import batch_run
+
+    for module, name in ((measure, "measure"), (batch_run, "_run")):
+        monkeypatch.setattr(module, name, lambda *_: pytest.fail("it ran"))
+    given = {
+        "sweep": (scene_file, "--vary", "speed=1,2", "--plot", f"{scene_file}/a.png"),
+        "bench": ("stack:2", "--json-lines", f"{scene_file}/a.jsonl"),
+    }
+    status, _, err = run(capsys, command, *given[command])
+    assert status == 2 and len(without_device(err)) == 1 and "cannot be written" in err
+
+
+def without_device(err: str) -> list[str]:
+    return [line for line in err.splitlines() if "simulating on" not in line]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("def scene():\n    return 5\n", "mine.py: scene() must return a Scene, got 5"),
+        ("def scene():\n    x = 3 +\n", "mine.py:2: SyntaxError: invalid syntax"),
+        ("import warp_rigid as wr\ndef scene():\n    return wr.Box((-1, 1, 1))\n", "mine.py:3: half_extents: must be"),
+        ("import not_there\n", "mine.py:1: ModuleNotFoundError: No module named 'not_there'"),
+        ("def scene():\n    return inner()\ndef inner():\n    return {}['a']\n", "mine.py:4: KeyError: 'a'"),
+        ("import warp_rigid as wr\ndef scene():\n    return wr.Mesh.from_file('no.obj')\n", "mine.py:3: no.obj"),
+        ("scene = 3\n", "mine.py: has no function scene()"),
+    ],
+)
+@pytest.mark.parametrize("command", ["run", "sweep", "view"])
+def test_errors_of_a_scene_file_name_the_line(capsys, scene_file, text, message, command):
+    Path(scene_file).write_text(text)
+    status, out, err = run(capsys, command, scene_file)
+    assert status == 2 and out == ""
+    lines = without_device(err)
+    assert len(lines) == 1 and message in lines[0] and "pip install" not in lines[0]
+
+
+def test_an_interrupted_run_tells_what_it_kept(capsys, scene_file, tmp_path, monkeypatch):
+    step, film, kept = runner.step_frame, tmp_path / "a.usdc", tmp_path / "a.ckpt"
+
+    def run_interrupted(*flags):
+        count = iter(range(5))
+        monkeypatch.setattr(runner, "step_frame", lambda *a: step(*a) if next(count, None) is not None else stop())
+        status, _, err = run(capsys, "run", scene_file, "--frames", 9, *flags)
+        monkeypatch.setattr(runner, "step_frame", step)
+        assert status == 130
+        return err.splitlines()[-1]
+
+    def stop():
+        raise KeyboardInterrupt
+
+    assert run_interrupted() == (
+        "interrupted: after 5 of 9 frames; nothing was kept; to be able to continue, use --checkpoint-every N"
+    )
+    assert f"kept {film} with 6 frames" in run_interrupted("-o", film)
+    assert Usd.Stage.Open(str(film)).GetEndTimeCode() == 5
+    line = run_interrupted("--checkpoint-every", 2, "--checkpoint", kept, "--json")
+    assert f"kept {kept} of frame 4; to continue: warp-rigid run" in line
+    command = shlex.split(line.partition("to continue: ")[2])
+    status, out, _ = run(capsys, *command[1:])
+    assert status == 0 and json.loads(out)["frames"] == 9
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, scene_file, monkeypatch):
+    assert "%" not in run(capsys, "run", scene_file, "--frames", 4)[2]
+    monkeypatch.setattr(terminal, "LINE_PERIOD", 0.0)
+    lines = [line for line in run(capsys, "run", scene_file, "--frames", 4)[2].splitlines() if "%" in line]
+    assert [line.partition(" after")[0] for line in lines] == ["mine: 25 %", "mine: 50 %", "mine: 75 %"]
 
 
 def test_non_finite_state_is_status_4(capsys, scene_file):
@@ -260,12 +383,16 @@ def test_inspect_tells_of_holes_and_draws_a_slice(capsys, tmp_path):
         "--slice", "z=0.2",
     )  # fmt: skip
     assert status == 0 and "open" in out.splitlines()[0]
+    told = " ".join(out.split())
+    assert "from the grid only, as the mesh has holes: walls thinner than 81.2 mm do not hold" in told
+    assert "repair the mesh or raise --sdf-resolution" in told
     assert Image.open(picture).size[0] > 400
 
 
 def test_ready_made_meshes_have_names(capsys):
     status, out, _ = run(capsys, "inspect", "tetrahedron", "--sdf-resolution", 16)
     assert status == 0 and "4 vertices, 4 triangles, watertight" in out
+    assert "from the triangles, so walls may be thinner than a cell" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(("module", "extra"), [("viser", "viewer"), ("imageio_ffmpeg", "picture"), ("PIL", "picture")])

@@ -64,8 +64,9 @@ def test_geometry_of_contacts(device):
     np.testing.assert_allclose(contacts["arm_b"], contacts["position"] - problem.center[contacts["body_b"]], atol=1e-6)
     np.testing.assert_allclose(problem.center, sim.get("center_of_mass")[0], atol=1e-6)
     reach = 0.5 * contacts["gap"][:, None] * contacts["normal"]
+    (scene,) = stages.model.layout.scenes
     for body, sign in (("body_a", 1.0), ("body_b", -1.0)):
-        off = off_surface(stages.model.scene, stages.state, contacts[body], contacts["position"] + sign * reach)
+        off = off_surface(scene, stages.state, contacts[body], contacts["position"] + sign * reach)
         assert np.abs(off).max() < 1.0
         assert np.quantile(np.abs(off), 0.9) < 0.01
 
@@ -89,7 +90,7 @@ def test_masses_seen_by_contacts(device):
         scale = np.maximum(np.trace(k, axis1=1, axis2=2), 1e-9)
         np.testing.assert_allclose(contacts[f"normal_{end}"] / scale, searched[:, 0, 0] / scale, atol=2e-5)
         np.testing.assert_allclose(contacts[f"tangent_{end}"] / scale[:, None], expected / scale[:, None], atol=2e-5)
-        fixed = ~moving(stages.model.scene)[rows]
+        fixed = ~moving(stages.model.layout.scenes[0])[rows]
         assert (contacts[f"normal_{end}"][fixed] == 0.0).all()
 
 
@@ -99,7 +100,7 @@ def test_gaps_may_close_within_the_step_and_no_faster(device):
     for steps in (60, 90, 120):
         _, stages = settling_pile(device, steps)
         contacts = contact_list(stages)
-        sizes = np.array([min(body.shape.size, 1e9) for body in stages.model.scene.bodies])
+        sizes = np.array([min(body.shape.size, 1e9) for body in stages.model.layout.scenes[0].bodies])
         size = np.minimum(sizes[contacts["body_a"]], sizes[contacts["body_b"]])
         gap = np.maximum(contacts["gap"].astype(np.float64), 0.0)
         open_gaps += (gap > TOUCHING * size).sum()

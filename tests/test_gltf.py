@@ -12,7 +12,7 @@ import warp_rigid as wr
 from tests.fakes import FakeSimulator
 from tests.oracles import rotation_matrix
 from warp_rigid.commands import cli
-from warp_rigid.render.appearance import environment_spacing
+from warp_rigid.render.appearance import spread_of
 
 FRAMES = 20
 UPRIGHT = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
@@ -69,7 +69,7 @@ def test_first_frame_is_where_another_reader_sees_it(path, recording):
     searched = sorted(tuple(mesh.bounds.round(4).ravel()) for mesh in scene.dump())
     offsets = np.array([[-0.5, 0, 0], [0.5, 0, 0]])
     wanted = []
-    offsets = offsets * environment_spacing(recording)[0]
+    offsets = offsets * spread_of(recording).spacing()[0]
     for row in range(2):
         for body in range(3):
             vertices = recording.surfaces[recording.surface[body]].vertices

@@ -218,7 +218,8 @@ def test_momentum_is_conserved_between_free_bodies(device):
         np.testing.assert_allclose(momenta(problem, problem.velocity(stages)), start, atol=1e-6 * scale.max())
         stages.solve_contacts()
         np.testing.assert_allclose(momenta(problem, problem.velocity(stages)), start, atol=1e-6 * scale.max())
-        assert problem.coulomb_residual(problem.velocity(stages), contact_list(stages)["impulse"]).max() < 1.0
+        # Ten sweeps leave 0.012 m/s of impacts at 3 m/s.
+        assert problem.coulomb_residual(problem.velocity(stages), contact_list(stages)["impulse"]).max() < 0.025
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
@@ -235,7 +236,7 @@ def test_collisions_gain_no_energy(device, restitution):
         sim.set("angular_velocity", generator.normal(scale=5.0, size=(sim.num_bodies, 3)))
         statics = np.flatnonzero(~moving(scene))
         for name in ("position", "linear_velocity", "angular_velocity"):
-            sim.set(name, 0.0, bodies=statics)
+            sim.set(name, (0.0, 0.0, 0.0), bodies=statics)
         find_contacts(stages)
         stages.build_graph()
         problem = ContactProblem(stages)

@@ -24,7 +24,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Mesh, Sphere
-from warp_rigid.scenes.builders import meshes, stacks
+from warp_rigid.scenes.builders import assortment, meshes, stacks
 
 
 def touch(device, lower, upper, settings=None, **pose):
@@ -432,3 +432,22 @@ def test_edges_deep_across_each_other_part(device, name):
     assert sim.penetration()[0] > 0.02
     sim.step(40)
     assert sim.penetration()[0] < 1e-4
+
+
+def test_an_edge_that_reaches_beyond_a_grid_touches_where_it_crosses_it(device):
+    """A box's edge crosses an edge of a prism of twelve sides, and ends outside the prism's grid.
+
+    There the distance is a bound, whose slope does not show that the edge has come nearer.
+    """
+    scene = Scene(gravity=(0, 0, 0))
+    turn = (0.851126, 0.52427, -0.017348, 0.020599)
+    scene.add_body(Box((0.28867513,) * 3), position=(2.67181, -0.04052, 0.31312), orientation=turn)
+    prism = assortment.convex_solid("cylinder", 0.4)
+    turn = (0.634959, 0.127029, -0.633907, -0.42291)
+    scene.add_body(prism, position=(2.580618, 0.572243, 0.265115), orientation=turn)
+    sim, stages = opened(scene, device)
+    find_contacts(stages)
+    # by separating axes they overlap by 10.6 mm; the grid rounds the prism's edges
+    assert contact_list(stages)["gap"].min() == pytest.approx(-0.0106, abs=1e-3)
+    sim.step(60)
+    assert sim.penetration()[0] < 1e-3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.geometry_oracles import cube
-from tests.oracles import rotate_about
+from tests.oracles import contact_list, find_contacts, opened, rotate_about
 from tests.test_narrowphase import touch
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
@@ -59,7 +59,7 @@ def test_a_ball_near_a_polyhedron_touches_only_if_it_does(device):
         direction /= np.linalg.norm(direction)
         place = mesh.support(direction[None])[0] * direction
         center = place + generator.uniform(-0.05, 0.25) * direction
-        gap = mesh.exact_signed_distance(center[None])[0][0] - 0.15
+        gap = mesh.signed_distance(center[None])[0][0] - 0.15
         found = touch(device, mesh, Sphere(0.15), position=center)
         if gap > 1e-3:
             assert len(found["gap"]) == 0, gap
@@ -115,3 +115,22 @@ def test_a_coarse_ring_that_lies_against_a_pole_touches_it(device, height):
     found = touch(device, Cylinder(0.5, 6.0), ring, position=(apart, 0, height - 6.0), orientation=turn)
     assert found["gap"].min() == pytest.approx(-depth, abs=0.012)  # a tenth of a cell of the ring's grid
     assert abs(found["normal"][found["gap"].argmin(), 0]) > 0.99
+
+
+def test_a_tilted_ring_touches_a_pole_on_both_sides(device):
+    """A piece of the pole's axis has one contact, at one side of the ring; the other side is 6 cm deep in the pole.
+
+    It enters between two of its vertices.
+    """
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_static(Cylinder(0.5, 6.0))
+    turn = (-0.53631961, 0.74741411, -0.18381445, -0.34633178)
+    ring = scene.add_body(meshes.torus(2.4, 0.45), position=(2.4175062, 1.284006, -3.229459), orientation=turn)
+    sim, stages = opened(scene, device)
+    depth = sim.penetration()[0]
+    assert depth > 0.06
+    find_contacts(stages)
+    assert contact_list(stages)["gap"].min() == pytest.approx(-depth, rel=0.01)
+    sim.step(60)
+    assert sim.penetration()[0] < 1e-3
+    assert np.abs(sim.get("position")[0, ring] - scene.bodies[ring].position).max() < 0.2

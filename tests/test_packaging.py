@@ -14,6 +14,7 @@ HEAVY = [
     "viser",
     "pandas",
     "trimesh",
+    "manifold3d",
     "typer",
     "rich",
     "PIL",

@@ -1,16 +1,20 @@
 """Pictures against projections worked out by hand, and the same from memory and from USD."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from scipy.ndimage import binary_erosion
 
 from tests.fakes import FakeSimulator
-from warp_rigid import Box, Plane, Scene, Simulator, Sphere
+from warp_rigid import Box, Heightfield, Mesh, Plane, Scene, Simulator, Sphere
 from warp_rigid.render.appearance import level_colors, speed_colors
+from warp_rigid.render.camera import AFTERMATH, CameraPath, event_end, fit_camera, points_to_see
 from warp_rigid.render.film import colored, film_from_recording, film_from_usd
-from warp_rigid.render.images import fit_camera, points_to_see, save_contact_sheet, save_film, save_picture
-from warp_rigid.render.raycast import RayCaster, on_screen
+from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
+from warp_rigid.render.raycast import CUT, RayCaster, on_screen
 from warp_rigid.runs.recording import record
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.grounds import level_scene
@@ -78,6 +82,7 @@ def test_shadow_lies_where_the_light_is_hidden():
     camera = camera_of(film)
     camera.grid = 1e6  # no lines
     camera.haze = 1e6
+    camera.lamp_radius = 0.0  # sharp shadows
     picture = RayCaster(film, camera).draw(0, 160, 120).astype(float) / 255.0
     eye, direction, light = np.array(camera.eye), rays(camera, 160, 120), np.array(camera.light)
     with np.errstate(divide="ignore"):
@@ -102,6 +107,96 @@ def test_side_toward_the_light_is_brighter(ball_picture):
     upper = rows < np.percentile(rows, 25)
     lower = rows > np.percentile(rows, 75)
     assert brightness[upper].mean() > 1.3 * brightness[lower].mean()
+
+
+def test_ground_reaches_the_horizon():
+    """Below a body that is 50 m from the origin there is ground, up to the horizon."""
+    scene = Scene()
+    scene.add_static(Plane())
+    scene.add_body(Sphere(RADIUS), position=(50.0, -40.0, 2.0))
+    film = film_of(scene)
+    camera = fit_camera(points_to_see(film, [0]), 4 / 3, 120, (-67.0, 3.0))
+    camera.grid = 1e6
+    camera.haze = 1e6
+    picture = RayCaster(film, camera).draw(0, 160, 120) / 255.0
+    height = rays(camera, 160, 120)[..., 2]
+    plain = ~is_colourful(picture)
+    # The sky is blue; the ground is not, except in the shadow of the ball.
+    ground = picture[..., 0] > picture[..., 2]
+    assert ground[plain & (height < -0.01)].mean() > 0.9 and ground[plain & (height > 0.01)].mean() < 0.01
+
+
+def falling_then_still(frames=120):
+    """A ball that moves for 60 frames, and then lies still."""
+    scene = Scene()
+    scene.add_static(Plane())
+    for i in range(3):
+        scene.add_body(Sphere(RADIUS), position=(i, 0, 20.0))
+    film = film_of(scene, frames)
+    position, orientation = film.position.copy(), film.orientation.copy()
+    position[60:], orientation[60:] = position[60], orientation[60]
+    return replace(film, position=position, orientation=orientation)
+
+
+def test_films_end_when_the_event_does(tmp_path):
+    film = falling_then_still(240)
+    assert event_end(film) == 60 + round(AFTERMATH * film.fps)
+    save_film(film, tmp_path / "film.gif", 80, 60)
+    assert Image.open(tmp_path / "film.gif").n_frames == (60 + round(AFTERMATH * 60)) // 3 + 1
+
+
+def test_camera_follows_and_keeps_the_bodies_in_view():
+    """Balls come together from afar: at the end the camera is much closer, and always holds them all."""
+    scene = Scene()
+    for _ in range(6):
+        scene.add_body(Sphere(RADIUS), position=(0, 0, 0))
+    film = film_of(scene, 180)
+    angle = np.arange(6) * np.pi / 3
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    size = np.linspace(40.0, 1.5, 181) + 2 * np.sin(np.arange(181))
+    film = replace(film, position=(size[:, None, None] * circle).astype(np.float32))
+    path = CameraPath([film], range(181), 160, 90)
+    eyes = np.array([np.array(path.at(frame).eye) for frame in range(181)])
+    for frame in range(181):
+        camera = path.at(frame)
+        offset = points_to_see(film, [frame]) - np.array(camera.eye)
+        for side in (np.array(camera.right), np.array(camera.up)):
+            assert np.abs(offset @ side / (side @ side) / (offset @ np.array(camera.forward))).max() < 1.0
+    assert np.linalg.norm(eyes[-1]) < 0.25 * np.linalg.norm(eyes[0])
+    # The path has no jumps, although the bodies shake.
+    steps = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
+    assert steps.max() < 3.0 * steps.mean()
+
+
+def test_camera_looks_over_hills():
+    scene = Scene()
+    i, j = np.indices((41, 41)) - 20
+    scene.add_static(Heightfield(6.0 * np.exp(-(((i) ** 2 + (j + 8) ** 2) / 20.0)), (40.0, 40.0)))
+    scene.add_body(Sphere(RADIUS), position=(0, 0, 1.0))
+    film = replace(film_of(scene, 2), view=(-90.0, 10.0))
+    camera = CameraPath([film], [0, 1, 2], 160, 90).at(0)
+    picture = RayCaster(film, camera).draw(0, 160, 90) / 255.0
+    assert is_colourful(picture).mean() > 0.02
+
+
+def test_a_hollow_body_is_cut_open_and_a_solid_one_is_not():
+    """Balls in a bowl with a high rim, and balls around a large ball."""
+    bowl = trimesh.creation.annulus(r_min=3.0, r_max=3.4, height=8.0)
+    inside = [(0, 0, -2), (1, 0, 0), (-1, 0, 1)]
+    around = [(0, 5, 0), (4, 3, 0), (-4, 3, 0), (0, -5, 0)]
+    for shape, places, shows in (
+        (Mesh(bowl.vertices, bowl.faces, sdf_resolution=16), inside, True),
+        (Sphere(4.0), around, False),
+    ):
+        scene = Scene()
+        scene.add_static(shape)
+        for place in places:
+            scene.add_body(Sphere(RADIUS), position=place)
+        film = replace(film_of(scene, 1), view=(-90.0, 5.0))
+        caster = RayCaster(film, CameraPath([film], [0], 160, 90).at(0))
+        assert (caster._instances.cut.numpy()[0] == CUT) == shows
+        if shows:
+            assert is_colourful(caster.draw(0, 160, 90) / 255.0).mean() > 0.01
 
 
 def test_camera_holds_everything_and_no_more():
@@ -205,9 +300,9 @@ def test_one_environment_alone_is_that_environment(two_envs):
 def test_contact_sheet_and_gif(two_envs, tmp_path):
     film = film_from_recording(two_envs)
     save_contact_sheet(film, tmp_path / "deep" / "sheet.png", count=3)
-    assert Image.open(tmp_path / "deep" / "sheet.png").size == (3 * 400, 2 * 300)
+    assert Image.open(tmp_path / "deep" / "sheet.png").size == (3 * 480, 2 * 270)
     save_contact_sheet(film.alone(0), tmp_path / "one.png", count=4)
-    assert Image.open(tmp_path / "one.png").size == (2 * 400, 2 * 300)
+    assert Image.open(tmp_path / "one.png").size == (2 * 480, 2 * 270)
     save_film(film.alone(0), tmp_path / "film.gif", 80, 60)
     gif = Image.open(tmp_path / "film.gif")
     # 11 frames at 60 a second, every third: 20 a second.

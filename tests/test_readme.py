@@ -13,8 +13,7 @@ import warp as wp
 
 import warp_rigid
 from warp_rigid.commands import cli
-from warp_rigid.engine import step
-from warp_rigid.engine.hash_grid import HashGrid
+from warp_rigid.engine import hash_grid, step
 from warp_rigid.engine.step import Stages
 from warp_rigid.scene import fields
 from warp_rigid.validation import suite
@@ -46,6 +45,7 @@ def test_there_is_something_to_test():
 @pytest.mark.parametrize("command", OWN_COMMANDS)
 def test_command_runs(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
     arguments = shlex.split(command)[1:]
     if arguments[0] == "run":
         arguments += ["--frames", "2", "--device", "cpu"]
@@ -68,9 +68,21 @@ def test_command_runs(command, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("program", blocks("python"))
 def test_program_runs(program, tmp_path, monkeypatch):
+    for framework in re.findall(r"^import (torch|jax|gymnasium)\b", program, flags=re.MULTILINE):
+        pytest.importorskip(framework, reason="an optional framework")
     monkeypatch.chdir(tmp_path)
     exec(compile(program, "program.py", "exec"), {})
     assert all((tmp_path / path).is_file() for path in re.findall(r'"(out/[^"]+)"', program))
+
+
+FILES = re.findall(r'```python title="(\w+\.py)"\n(.*?)```', "\n".join(p.read_text() for p in PAGES), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(("name", "text"), FILES)
+def test_scene_files_of_the_pages_run(name, text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    assert cli.main(["run", name, "--frames", "2", "--device", "cpu", "--picture", "out/a.png"]) == 0
 
 
 def test_make_targets_and_files_exist():
@@ -112,9 +124,14 @@ def test_every_stage_has_a_page_with_its_kernels():
         assert page.stem == "index" or (page.stem in stages and text.startswith(f"# {page.stem}\n"))
         for module, options in re.findall(r"^::: warp_rigid\.kernels\.\w+\.(\w+)\n((?: {4}.*\n)*)", text, flags=re.M):
             shown |= {(module, name) for name in re.findall(r"^ {8}- (\w+)$", options, flags=re.M)}
-    launching = inspect.getsource(Stages) + inspect.getsource(HashGrid)
+    launching = inspect.getsource(Stages) + inspect.getsource(hash_grid.HashGrid)
     named = set(re.findall(r"\b(\w+)\.(\w+)\b", launching))
-    launched = {(m, name) for m, name in named if isinstance(getattr(getattr(step, m, None), name, None), wp.Kernel)}
+    launched = {
+        (m, name)
+        for m, name in named
+        for source in (step, hash_grid)
+        if isinstance(getattr(getattr(source, m, None), name, None), wp.Kernel)
+    }
     assert shown == launched - MEASURES
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from benchmarks import roofline
+from benchmarks import narrowphase_work, roofline
 from tests.oracles import ground_scene, stages_of
 from warp_rigid import Simulator
 from warp_rigid.bench.cases import BenchmarkCase
@@ -93,6 +93,22 @@ def test_what_falls_needs_no_sweeps_and_what_slides_is_searched(device):
     assert (sim.get("contact_iterations") == 10).all()
 
 
+def test_the_work_of_the_narrow_phase_is_counted_while_bodies_fall(device, capsys):
+    """Towers keep their six pairs and search none; cubes that land on a plane are searched, at ten clusters a pair."""
+    narrowphase_work.main(["stack:3:2", "--device", str(device)])
+    header, _, row = capsys.readouterr().out.splitlines()
+    assert header.count("|") == row.count("|") == 12
+    standing = narrowphase_work.measure("stack:3:2", device, moments=4)
+    assert standing.touching == 6 and standing.pairs >= 6
+    assert standing.searched == standing.clusters == standing.samples == standing.distances == standing.floor == 0
+    falling = narrowphase_work.measure("pile_box:4:2", device, moments=8)
+    assert 0 < falling.touching < falling.pairs
+    assert 0 < falling.searched <= falling.pairs
+    assert 0 < falling.clusters <= 10 * falling.searched
+    assert falling.floor == pytest.approx((falling.samples + falling.distances) / 118e9)
+    assert 0.0 <= falling.overlap < 0.02 and falling.seconds > 0.0
+
+
 def test_a_table_is_written_with_every_stage_that_launches(device, tmp_path, capsys):
     page, figures = tmp_path / "page.md", tmp_path / "figures.json"
     arguments = ["stack:2:2", "--device", str(device), "--settle", "20"]
@@ -108,6 +124,16 @@ def test_a_table_is_written_with_every_stage_that_launches(device, tmp_path, cap
             assert work["read"] > 0 or (stage == "propagate_shock" and found["counts"]["unsettled"] == 0)
             assert 0.0 < found["floors"][stage][0] < found["measured"][stage]
     assert set(found["work"]) == set(found["measured"])
+
+
+def test_a_scene_in_motion_is_counted_at_its_time(device, tmp_path):
+    """A cube that starts at 0.25 m touches the floor after 0.2 s, and is searched in each step until it rests."""
+    page = tmp_path / "page.md"
+    roofline.main(["pile_box:2:2@0.3", "--device", str(device), "--write", str(page)])
+    assert "## pile_box:2 × 2, 0.3 s after the start" in page.read_text()
+    moving, rest = (roofline.measure(f"pile_box:2:2@{time}", device, steps=2).counts for time in (0.3, 3))
+    assert moving.searched > 0 and moving.samples > 0
+    assert rest.searched == rest.samples == 0
 
 
 def test_the_page_names_the_programs_figures():

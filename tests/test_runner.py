@@ -81,6 +81,7 @@ def test_summary_holds_verdicts_and_what_is_expected():
         {
             "name": "rank",
             "limit": "rank < 1",
+            "unit": "",
             "values": [0.0, 1.0],
             "passed": [True, False],
             "expected": [True, False],
@@ -135,6 +136,7 @@ def test_bodies_are_chosen_by_name_pattern_or_index():
     assert plan.sim.get("mass")[1].tolist() == [0, 3, 4]
     np.testing.assert_allclose(plan.sim.get("friction"), [[0.5, 0.1, 0.1], [0.5, 0.2, 0.2]], rtol=1e-6)
     np.testing.assert_allclose(plan.sim.get("restitution")[0], [0.9, 0, 0], rtol=1e-6)
+    assert plan_run(build, ["active[right]=false"], device="cpu").sim.get("active")[0].tolist() == [True, True, False]
     assert plan_run(build, ["position[left]=(0,0,5)"], device="cpu").sim.get("position")[0, 1].tolist() == [0, 0, 5]
     for text, message in (
         ("mass[up]=1", "selects no body; bodies are ground, left, right"),

@@ -22,7 +22,8 @@ from warp_rigid.scene.shapes.tessellation import geodesic
 from warp_rigid.scenes.builders import meshes
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-POINT, EDGE, RIM, FACE, CAP = SampleKind
+POINT, EDGE, RIM, FACE, CAP, CORNER = SampleKind
+PLACES = 4
 
 
 def prism_mesh(build):
@@ -70,9 +71,10 @@ def test_arrays_fit_together_and_clusters_hold_their_samples(name):
     assert samples.cluster_start[0] == 0 and samples.cluster_start[-1] == count
     sizes = np.diff(samples.cluster_start)
     assert clusters == len(sizes) and 1 <= sizes.min() and sizes.max() <= 32
-    first = samples.kind[samples.cluster_start[:-1]]
-    for family in ((POINT, RIM, CAP), (EDGE,), (FACE,)):
-        members = np.isin(samples.kind, family)
+    further = np.where(samples.choice > 1, CORNER, samples.kind)  # places of balls and rims on meshes, apart
+    first = further[samples.cluster_start[:-1]]
+    for family in ((POINT, RIM, CAP), (EDGE,), (FACE,), (CORNER,)):
+        members = np.isin(further, family)
         assert np.isin(first, family).sum() == -(-members.sum() // 32)
         assert (np.isin(np.repeat(first, sizes), family) == members).all()
     length = np.linalg.norm(samples.normal, axis=1)
@@ -116,10 +118,10 @@ def test_samples_lie_on_the_surface_with_outward_normals(name):
         # on curved surfaces normals are means; on the others every step outward must leave the solid
         np.testing.assert_allclose(np.linalg.norm(samples.normal, axis=1), 1.0, atol=1e-5)
     step = 1e-3 * mesh.size
-    distance, _ = mesh.exact_signed_distance(samples.point)
+    distance, _ = mesh.signed_distance(samples.point)
     assert np.abs(distance).max() < 1e-5 * mesh.size
-    outside, _ = mesh.exact_signed_distance(samples.point + step * samples.normal)
-    inside, _ = mesh.exact_signed_distance(samples.point - step * samples.normal)
+    outside, _ = mesh.signed_distance(samples.point + step * samples.normal)
+    inside, _ = mesh.signed_distance(samples.point - step * samples.normal)
     # at saddles of a skull or a brain a mean normal may graze; an opening's rim has no inside
     share = {"skull": 0.95, "brain": 0.97}.get(name, 1.0)
     assert (outside > 0.0).mean() >= share and (inside < 0.0).mean() >= share
@@ -175,11 +177,12 @@ def test_box_samples():
 
 def test_round_shapes_carry_their_radius():
     sphere = Sphere(0.4).samples()
-    assert len(sphere) == 1 and sphere.radius[0] == np.float32(0.4)
+    assert len(sphere) == PLACES and (sphere.radius == np.float32(0.4)).all()
+    assert sphere.choice.tolist() == [1, 2, 3, 4]
     assert not sphere.point.any() and not sphere.normal.any()
     assert sphere.cluster_radius[0] == pytest.approx(0.4, rel=1e-4)
     capsule = Capsule(0.2, 0.5).samples()
-    assert (capsule.kind == POINT).sum() == 2 and not capsule.normal.any()
+    assert (capsule.kind == POINT).sum() == 2 * PLACES and not capsule.normal.any()
     np.testing.assert_array_equal(capsule.radius, np.float32(0.2))
     segments = capsule.slide[capsule.kind == EDGE]
     assert 2.0 * np.abs(segments[:, 2]).sum() == pytest.approx(1.0)
@@ -190,7 +193,7 @@ def test_round_shapes_carry_their_radius():
 def test_cylinder_rims_points_and_sides(shape):
     samples = shape.samples()
     rim = samples.kind == RIM
-    assert rim.sum() == 2
+    assert rim.sum() == 2 * PLACES
     np.testing.assert_allclose(samples.radius[rim], shape.radius)
     np.testing.assert_allclose(samples.point[rim], samples.normal[rim] * shape.half_height, atol=1e-6)
     from_axis = np.linalg.norm(samples.point[:, :2], axis=1)
@@ -206,7 +209,7 @@ def test_cylinder_rims_points_and_sides(shape):
         np.testing.assert_allclose(distance + samples.radius[edge], 0.0, atol=1e-6)
     # the axis of a long one ends in balls that touch the side, not the caps
     ball = samples.kind == POINT
-    assert ball.sum() == (2 if shape.half_height > shape.radius else 0)
+    assert ball.sum() == (2 * PLACES if shape.half_height > shape.radius else 0)
     np.testing.assert_array_equal(samples.radius[ball], np.float32(shape.radius))
     assert not from_axis[ball].any()
     assert (np.abs(samples.point[ball, 2]) + 1.01 * shape.radius < shape.half_height).all()
@@ -246,13 +249,13 @@ def test_compound_drops_what_is_hidden_and_keeps_the_rest():
     swallowed = Compound([(box, (0, 0, 0), IDENTITY), (Cylinder(0.1, 0.2), (0, 0, 0), IDENTITY)])
     assert len(swallowed.samples()) == len(box.samples())
     with_ball = Compound([(box, (0, 0, 0), IDENTITY), (Sphere(0.3), (0.5, 0, 0), IDENTITY)])
-    assert (with_ball.samples().radius > 0).sum() == 1
+    assert (with_ball.samples().radius > 0).sum() == PLACES
 
 
 def test_compound_samples_turn_with_their_child():
     turn = (0.5, 0.5, 0.5, 0.5)  # x to y, y to z, z to x
     samples = Compound([(Cylinder(0.2, 0.5), (1, 2, 3), turn)]).samples()
-    rim = samples.kind == RIM
+    rim = (samples.kind == RIM) & (samples.choice == 1)
     np.testing.assert_allclose(np.sort(samples.point[rim], axis=0), [[0.5, 2, 3], [1.5, 2, 3]])
     np.testing.assert_allclose(np.abs(samples.normal[rim]), [[1, 0, 0], [1, 0, 0]], atol=1e-6)
 

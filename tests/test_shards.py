@@ -16,6 +16,7 @@ import pytest
 
 from tests.oracles import ground_scene, rotate_about
 from warp_rigid.engine import batch, cores, shard
+from warp_rigid.engine.layout import layout_of
 from warp_rigid.engine.memory import MemoryLimit
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.simulator import Simulator
@@ -352,10 +353,10 @@ def test_few_bodies_stay_together(monkeypatch):
     room = {"pairs": 100, "contacts": 301}
     cpu = type("Device", (), {"is_cuda": False})
     for envs in (1, 2, 3, 7, 100):
-        ranges = batch.plan(boxes_apart(), envs, room, cpu)
+        ranges = batch.plan(layout_of(boxes_apart(), envs), room, cpu)
         assert [some.first for some in ranges] == [0, *(some.end for some in ranges[:-1])] and ranges[-1].end == envs
         assert len(ranges) == {1: 1, 2: 1, 3: 2, 7: 5, 100: 8}[envs]
         assert sum(some.sizes["pairs"] for some in ranges) == 100
         assert sum(some.sizes["contacts"] for some in ranges) == 301
     cuda = type("Device", (), {"is_cuda": True})
-    assert len(batch.plan(boxes_apart(), 1000, room, cuda)) == 1
+    assert len(batch.plan(layout_of(boxes_apart(), 1000), room, cuda)) == 1

@@ -52,7 +52,7 @@ def test_set_and_get_round_trip(device, name):
     values = np.random.default_rng(0).random(shape).astype(np.float32)
     sim.set(name, values)
     assert sim.get(name).tobytes() == values.tobytes()
-    sim.set(name, 0.25, envs=[2, 0], bodies=[3])
+    sim.set(name, np.full(READ_WRITE[name], 0.25), envs=[2, 0], bodies=[3])
     values[[2, 0], 3] = 0.25
     assert sim.get(name).tobytes() == values.tobytes()
 
@@ -68,6 +68,24 @@ def test_values_broadcast(device):
     np.testing.assert_allclose(sim.get("linear_velocity"), expected, rtol=1e-6)
     sim.set("gravity", np.array([[0, 0, -1.0], [0, 0, -2.0]]), envs=[1, 2])
     np.testing.assert_allclose(sim.get("gravity")[:, 2], [-9.81, -1, -2], rtol=1e-6)
+
+
+def test_vectors_are_vectors(device):
+    sim = Simulator(small_scene(), num_envs=3, device=device)
+    for name, value in (
+        ("gravity", -9.81),
+        ("gravity", [0, 0]),
+        ("position", 0.0),
+        ("orientation", (0, 0, 1)),
+        ("force", 2),
+    ):
+        with pytest.raises(ValueError, match=f"^{name}: must be vectors of"):
+            sim.set(name, value)
+    before = sim.get("gravity")
+    sim.set("gravity", (0, 0, -1.62), envs=[1])
+    sim.set("linear_velocity", 0)
+    np.testing.assert_allclose(sim.get("gravity"), [before[0], (0, 0, -1.62), before[2]], rtol=1e-6)
+    assert not sim.get("linear_velocity").any()
 
 
 def test_orientations_are_made_unit(device):
@@ -459,7 +477,7 @@ SCENE = small_scene()
         (lambda sim: sim.step(1.5), "count"),
         (lambda sim: sim.reset(envs=[7]), "envs"),
         (lambda sim: sim.apply_impulse((1, 0), (0, 0, 0), 2), "impulse"),
-        (lambda sim: sim.apply_impulse((1, 0, 0), (0, 0, 0), 9), "bodies"),
+        (lambda sim: sim.apply_impulse((1, 0, 0), (0, 0, 0), 9), "body"),
         (lambda sim: Simulator(SCENE, num_envs=0, device=sim.device), "num_envs"),
         (lambda sim: Simulator(SCENE, seed=-1, device=sim.device), "seed"),
         (lambda sim: Simulator(SCENE, device="cuda:99"), "device"),

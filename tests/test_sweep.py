@@ -5,10 +5,10 @@ import pytest
 
 import warp_rigid as wr
 from warp_rigid import scenes
-from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep import batch_run as batch_module
 from warp_rigid.sweep.job import resolve_scene
+from warp_rigid.sweep.structure import structure
 from warp_rigid.sweep.table import BOOKKEEPING
 
 GRAVITY = 9.81
@@ -78,14 +78,11 @@ def count_of(count):
 
 def test_reset_returns_to_each_start():
     made = [ball(height=h, mass=h) for h in (1.0, 2.0)]
-    sim = wr.Simulator(made[0], num_envs=3, device="cpu")
-    start_each(sim, made, [1, 0, 1])
+    sim = wr.Simulator([made[1], made[0], made[1]], device="cpu")
     sim.step(24)
     sim.reset()
     assert sim.get("position")[:, 1, 2].tolist() == [2, 1, 2]
     assert sim.get("mass")[:, 1].tolist() == [2, 1, 2]
-    with pytest.raises(ValueError, match="number 1 has a different structure"):
-        start_each(sim, [made[0], ball(count=2)], [0, 1, 0])
 
 
 def test_rows_do_not_depend_on_batches_shards_or_order():
@@ -101,11 +98,11 @@ def test_rows_do_not_depend_on_batches_shards_or_order():
     }
 
 
-def test_what_cannot_share_a_batch_is_split(monkeypatch):
+def test_only_time_steps_split_a_batch(monkeypatch):
     sizes = []
-    monkeypatch.setattr(batch_module, "Simulator", lambda *a, **k: sizes.append(k["num_envs"]) or wr.Simulator(*a, **k))
+    monkeypatch.setattr(batch_module, "Simulator", lambda *a, **k: sizes.append(len(a[0])) or wr.Simulator(*a, **k))
     result = quick({"count": [1, 2], "dt": [1 / 240, 1 / 120], "height": [0.5, 0.6, 0.7]}, **POSES)
-    assert sizes == [3, 3, 3, 3] and not result.failed
+    assert sizes == [6, 6] and not result.failed
     assert {(row["count"], len(row["final_position"])) for row in result.rows} == {(1, 6), (2, 9)}
     assert structure(ball(height=1.0)) == structure(ball(height=2.0, mass=3.0)) != structure(ball(count=2))
 
@@ -254,6 +251,8 @@ def test_scenes_come_in_five_forms(tmp_path):
         ({"friction": [-1.0]}, {}, "friction: must be a finite number >= 0"),
         ({"restitution": [2.0]}, {}, "restitution: must be a number from 0 to 1"),
         ({"mass[ball]": [0.0]}, {}, "must be a finite number > 0"),
+        ({"gravity": [-9.81]}, {}, "gravity: must be vectors of 3 numbers, got -9.81"),
+        ({"active[ball]": [1]}, {}, "must be True or False, got 1"),
         ({"mass[cone]": [1.0]}, {}, r"mass\[cone\]: selects no body; bodies are ground, ball"),
         ({"dt[ball]": [0.1]}, {}, "cannot select bodies"),
         ({"shock_propagation": ["on"]}, {}, "shock_propagation: must be one of"),
@@ -287,6 +286,6 @@ def test_tower_falls_where_statics_says_except_for_one_pass():
     }  # fmt: skip
     # What the scene sets besides is told in the rows, and yields to what the user says.
     assert [row["warm_starting"] for row in result.rows] == [True, False, True] * 2
-    assert [row["outcome_top_height_ok"] for row in result.rows] == [True, True, True, True, False, True]
+    assert [row["outcome_moved_ok"] for row in result.rows] == [True, True, True, True, False, True]
     told = wr.sweep("leaning_tower", axes, device="cpu", duration=0.01, fixed={"warm_starting": True})
     assert "warm_starting" not in told.rows[0] and told.rows[0]["contact_iterations"] == 40

@@ -10,6 +10,7 @@ from distributed import LocalCluster
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
 from warp_rigid.engine.cores import usable_cores
+from warp_rigid.sweep import execution
 from warp_rigid.sweep.cluster import cluster_of_file
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
@@ -68,3 +69,23 @@ def test_mistakes_are_named(tmp_path):
     (tmp_path / "hook.py").write_text("")
     with pytest.raises(ValueError, match="has no function cluster"):
         cluster_of_file(str(tmp_path / "hook.py"))
+
+
+def test_all_devices_are_a_worker_for_each_gpu(monkeypatch):
+    """Here two GPUs are only counted; each worker simulates on the CPU, as it finds none."""
+    given = []
+
+    def on_cluster(job, groups, batch, cluster, workers, run=execution.run_on_cluster):
+        given.append((cluster, workers, job.device))
+        return run(job, groups, batch, cluster, workers)
+
+    monkeypatch.setattr(execution, "run_on_cluster", on_cluster)
+    alone = values(quick(AXES, device="all", **OPTIONS))
+    assert not given
+    monkeypatch.setattr(execution.wp, "get_cuda_device_count", lambda: 2)
+    result = quick(AXES, device="all", observe=["peak_impulse[ball]"], series=["energy"], **OPTIONS)
+    assert given == [("local", 2, None)] and not result.failed
+    assert [{name: row[name] for name in alone[0]} for row in values(result)] == alone
+    assert set(result.series()["run"].to_pylist()) == set(range(12))
+    with pytest.raises(ValueError, match="^device: all must not be combined with cluster or workers"):
+        quick(AXES, device="all", workers=2)

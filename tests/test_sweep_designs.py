@@ -101,6 +101,13 @@ def test_draws_repeat_by_their_seed_and_differ_between_repeats():
     assert len({p["b"] for p, _ in first}) == 6
 
 
+def test_a_grid_of_a_single_draw_is_refused():
+    with pytest.raises(ValueError, match="axes: the design grid draws a once .* give the number of values"):
+        make_points({"a": Uniform(0, 1)})
+    assert len(make_points({"a": Uniform(0, 1)}, repeats=3)) == 3
+    assert len(make_points({"a": Uniform(0, 1), "b": [1, 2]})) == 2
+
+
 def test_designs_of_too_many_runs_are_refused_before_they_are_made():
     """10^12 points of a grid would fill the memory."""
     start = time.perf_counter()

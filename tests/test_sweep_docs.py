@@ -66,6 +66,14 @@ def test_friction_makes_the_heap_steeper(tmp_path):
     assert (tmp_path / "repose.png").stat().st_size > 1000
 
 
+def test_cubes_form_a_steeper_heap_than_balls(tmp_path):
+    """Columns of different solids in one batch."""
+    arguments = ["--shapes", "--grains", "12", "--duration", "3.0", "--out", str(tmp_path)]
+    result = example("angle_of_repose").main(arguments)
+    slope = {shape: result.column("slope")[result.column("shape") == shape] for shape in ("cube", "ball")}
+    assert len(set(result.column("shape"))) == 5 and slope["cube"].min() > 1.5 * slope["ball"].max()
+
+
 def test_best_drop_is_exported_alone_and_ends_as_measured(tmp_path):
     module = example("best_drop")
     result, best = module.main(["--size", "3", "--duration", "0.5", "--out", str(tmp_path)])

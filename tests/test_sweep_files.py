@@ -264,6 +264,43 @@ def test_tables_that_tell_too_little_are_not_merged(tmp_path):
             use()
 
 
+SCENE_FILE = """
+import pathlib
+import warp_rigid as wr
+
+pathlib.Path({mark!r}).touch()
+
+
+def scene(height=1.0):
+    made = wr.Scene()
+    made.add_body(wr.Sphere(0.1), position=(0, 0, height))
+    return made
+"""
+
+
+def test_a_table_read_from_a_file_runs_no_scene_file(tmp_path):
+    """The path in the metadata is data; a scene file runs only if the caller names it."""
+    mark, source = tmp_path / "was_run", tmp_path / "source.py"
+    source.write_text(SCENE_FILE.format(mark=str(mark)))
+    made = wr.sweep(source, {"height": [1.0, 2.0]}, duration=0.01, device="cpu", output=tmp_path / "t.parquet")
+    assert made.replay(made.rows[1], device="cpu").get("position")[0, 0, 2] == 2.0, "the caller named it"
+    mark.unlink()
+    back = read(tmp_path / "t.parquet")
+    with pytest.raises(ValueError, match="^scene: must be given: a file named in a table is not run"):
+        back.replay(back.rows[1], device="cpu")
+    assert not mark.exists()
+    assert back.replay(back.rows[1], source, "cpu").get("position")[0, 0, 2] == 2.0
+    assert mark.exists()
+
+
+@pytest.mark.parametrize("named", ["source.py", "source.usda", 7, ["incline"], None])
+def test_whatever_a_table_names_is_not_opened(tmp_path, named):
+    row = quick({"height": [1.0]}).rows[0]
+    write(SweepResult([row], {"axes": ["height"], "source": named}), tmp_path / "t.parquet")
+    with pytest.raises(ValueError, match="^(scene: must be given|.*: not a table of a sweep: source)"):
+        read(tmp_path / "t.parquet").replay(row)
+
+
 def test_large_tables_are_quick(tmp_path):
     """100,000 rows; the bound is generous, for machines that are busy."""
     row = quick({"height": [1.0]}).rows[0]

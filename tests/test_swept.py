@@ -7,7 +7,16 @@ import pytest
 import warp as wp
 
 from tests.geometry_oracles import cube
-from tests.oracles import ground_scene, random_pile, random_quaternion, rotate_about, stages_of
+from tests.oracles import (
+    find_contacts,
+    ground_scene,
+    opened,
+    pair_list,
+    random_pile,
+    random_quaternion,
+    rotate_about,
+    stages_of,
+)
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -248,6 +257,27 @@ def test_fast_bodies_repeat_bit_for_bit(device):
             sim.step(chunk)
         runs.append([sim.get(name).tobytes() for name in ("position", "orientation", "angular_velocity")])
     assert runs[0] == runs[1] == runs[2]
+
+
+def traced_pairs(stages):
+    """Pairs of bodies that the coming step's first round traces, as sets of indices."""
+    pairs = stages.pools.pairs
+    pairs.fast.fill_(-1)
+    find_contacts(stages)
+    stages.detect_continuous_collisions()
+    listed = pairs.fast.numpy()
+    return [frozenset(pair) for pair in pair_list(stages)[listed[listed >= 0]].tolist()]
+
+
+def test_only_bodies_that_can_meet_in_the_step_are_traced(device):
+    """Boxes fall side by side by 1.7 sizes a step: none is traced but the lowest, against the ground."""
+    scene = ground_scene()
+    for k in range(12):
+        height = 2.0 if k else 0.3
+        scene.add_body(Box((0.1, 0.1, 0.1)), position=(0.21 * k, 0, height), linear_velocity=(0, 0, -20.0))
+    _, stages = opened(scene, device, settings=Settings(dt=1 / 60))
+    assert traced_pairs(stages) == [frozenset((0, 1))]
+    assert len(pair_list(stages)) > 20
 
 
 @pytest.mark.quiet

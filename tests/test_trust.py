@@ -216,6 +216,15 @@ def broken(sim, env, body, name, value):
         ("linear_velocity", 1e30),
         ("angular_velocity", 1e30),
         ("force", np.inf),
+        ("linear_velocity", 3e38),
+        ("angular_velocity", 3e38),
+        ("position", -3e38),
+        ("orientation", np.nan),
+        ("torque", np.nan),
+        ("friction", np.nan),
+        ("restitution", np.nan),
+        ("rolling_friction", np.inf),
+        ("spinning_friction", np.nan),
     ],
 )
 def test_an_environment_gone_wrong_leaves_the_others_their_bits(device, name, value):
@@ -231,7 +240,7 @@ def test_an_environment_gone_wrong_leaves_the_others_their_bits(device, name, va
     assert bits(sim, 2) == bits(clean, 2)
     status = sim.status()
     assert status["status"][[0, 2]].tolist() == ["ok", "ok"]
-    if not np.isfinite(value):
+    if not abs(value) <= 1e15:
         assert status["status"][1] == "non-finite"
         assert status["step"][1] == 3 and status["time"][1] == pytest.approx(3 / 240)
 

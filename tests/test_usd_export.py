@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdValidation
+from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation
 
 from tests.fakes import FakeSimulator
-from warp_rigid import Box, Cylinder, Plane, Scene, Sphere
+from tests.usd_tools import validator_errors
+from warp_rigid import Box, Cylinder, Plane, Scene, Simulator, Sphere
 from warp_rigid.runs.recording import record
 from warp_rigid.usd import export_usd
 
@@ -198,3 +199,26 @@ def test_bad_arguments_are_named(recording, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError):
         export_usd(recording, tmp_path / "file" / "film.usdc")
+
+
+@pytest.mark.parametrize("profile", ["animation", "scene"])
+def test_a_renderer_finds_a_material_lights_and_a_camera_that_sees_the_bodies(tmp_path, profile):
+    scene = Scene()
+    scene.add_static(Plane())
+    for i in range(4):
+        scene.add_body(Sphere(0.2), position=(1.5 * i, 0, 1.0))
+    path = tmp_path / "film.usda"
+    export_usd(record(Simulator(scene, num_envs=2, device="cpu"), 6), path, profile=profile)
+    assert validator_errors(path) == []
+    stage = Usd.Stage.Open(str(path))
+    kinds = {prim.GetTypeName() for prim in stage.Traverse()}
+    assert {"DistantLight", "DomeLight", "Camera", "Material"} <= kinds
+    shape = next(prim for prim in stage.Traverse(Usd.TraverseInstanceProxies()) if prim.IsA(UsdGeom.Boundable))
+    material = UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial()[0]
+    surface = material.ComputeSurfaceSource()[0]
+    assert surface.GetIdAttr().Get() == "UsdPreviewSurface"
+    frustum = UsdGeom.Camera(stage.GetPrimAtPath("/World/Camera")).GetCamera(Usd.TimeCode(0)).frustum
+    for env in range(2):
+        offset = np.array(stage.GetPrimAtPath(f"/World/env_000{env}").GetAttribute("xformOp:translate").Get())
+        for i in range(4):
+            assert frustum.Intersects(Gf.Vec3d(*(offset + [1.5 * i, 0, 1.0]))), (env, i)

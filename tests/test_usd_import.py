@@ -243,8 +243,29 @@ def test_instancers_are_expanded(stage):
     np.testing.assert_allclose(scene.bodies[1].shape.half_extents, (1, 1, 1))
     np.testing.assert_allclose(np.abs(scene.bodies[1].orientation), (0, 0, 0.5**0.5, 0.5**0.5), atol=1e-6)
     np.testing.assert_allclose(scene.bodies[1].linear_velocity, (0, 0, 5), atol=1e-6)
+    assert [body.name for body in scene.bodies] == ["Many_0", "Many_1", "Many_2"]
     with pytest.raises(ValueError, match="/World/Many: protoIndices must be from 0 to 1"):
         stage(INSTANCER.format(a=a, b=b, last=2))
+
+
+def test_bodies_of_equal_prim_names_get_different_names(stage):
+    ball = rigid("Ball", "Sphere")
+    scene = stage("".join(f'def Xform "{name}" {{\n{ball}\n}}\n' for name in "ABC"))
+    assert [body.name for body in scene.bodies] == ["Ball", "Ball_1", "Ball_2"]
+
+
+@pytest.mark.parametrize("units", [{}, {"start": 12}])
+def test_an_animated_body_starts_with_its_first_pose(tmp_path, units):
+    """Its transform has time samples only; the stage starts at frame 12 or states no range."""
+    moving = "double3 xformOp:translate.timeSamples = { 10: (0, 0, 1), 14: (4, 0, 1) }\n"
+    order = 'uniform token[] xformOpOrder = ["xformOp:translate"]\nbool physics:kinematicEnabled = true'
+    path = write_stage(tmp_path / "file.usda", rigid("Belt", "Cube", moving + order))
+    if units:
+        path.write_text(path.read_text().replace("upAxis", "startTimeCode = 12\n    endTimeCode = 20\n    upAxis", 1))
+    scene = wr.import_usd(path)
+    (belt,) = scene.bodies
+    assert "animated motion is ignored" in str(scene.import_report.findings[0])
+    np.testing.assert_allclose(belt.position, (2.0 if units else 0.0, 0, 1), atol=1e-9)
 
 
 GROUP = """

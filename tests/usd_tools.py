@@ -11,6 +11,7 @@ class Resting:
 
     def __init__(self, scene, num_envs=1):
         self.scene, self.num_envs, self.time = scene, num_envs, 0.0
+        self.scenes, self.scene_of = [scene], np.zeros(num_envs, dtype=int)
 
     def get(self, name):
         if name == "gravity":

@@ -10,6 +10,12 @@ sim.step(240)
 print(sim.get("position")[:, 1])
 """
 
+import warp
+
+if warp.config.log_level == warp.LOG_INFO:
+    # Warp reports on stdout, where it would mix with what a program prints.
+    warp.config.log_level = warp.LOG_WARNING
+
 from warp_rigid import scenes
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -90,3 +96,8 @@ __all__ = [
     "sweep",
 ]
 __all__ += fields.__all__
+
+
+def __dir__() -> list[str]:
+    """The public names, without the modules that are imported on the way."""
+    return [*__all__, "__version__"]

@@ -14,9 +14,11 @@ rounds are enough, and motion along a surface is not limited. For other distance
 
 import warp as wp
 
+from warp_rigid.kernels.collide.approach import NEAR
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
-from warp_rigid.kernels.collide.narrowphase import NEAR, matters
+from warp_rigid.kernels.collide.narrowphase import matters, out_of_box
 from warp_rigid.kernels.collide.samples import gradient, slope
+from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
 from warp_rigid.kernels.enums import PartKind, Role, SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
@@ -54,6 +56,35 @@ class Course:
     shape: int
 
 
+@wp.struct
+class Passage:
+    """Relative motion of a body with samples in the frame of the body with the distance, over the whole step.
+
+    `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
+    `reach`: upper bound of the motion of points that can meet the other body.
+    `size`: the smaller size of the two bodies.
+    `rotation`: angle by which both bodies together turn in the step.
+    """
+
+    start: wp.transform
+    middle: wp.transform
+    end: wp.transform
+    reach: float
+    size: float
+    dt: float
+    rotation: float
+
+
+@wp.struct
+class Ball:
+    """A bounding sphere in the frame of the shape, and its samples; the sample -1 is the centre of the body."""
+
+    center: wp.vec3
+    radius: float
+    sample_start: int
+    sample_end: int
+
+
 @wp.func
 def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
     """The motion of a body whose velocities are scaled by `share`."""
@@ -73,9 +104,50 @@ def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motio
 def rotation_after(angular: wp.vec3, t: float):
     """Rotation by an angular velocity in a time t."""
     speed = wp.length(angular)
-    if speed == 0.0:
+    if speed == 0.0 or t == 0.0:
         return wp.quat_identity()
     return wp.quat_from_axis_angle(angular / speed, speed * t)
+
+
+@wp.func
+def relative_motion(a: Course, b: Course, dt: float):
+    """Upper bound of the relative motion of two bodies in a step [m], at the surface of the smaller one."""
+    small = a
+    if b.radius < a.radius:
+        small = b
+    v = a.linear + wp.cross(a.angular, small.center - a.center)
+    w = b.linear + wp.cross(b.angular, small.center - b.center)
+    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius)
+
+
+@wp.func
+def largest_motion(a: Course, b: Course, dt: float):
+    """`relative_motion`, with the increase by the rotation of the larger body within the step."""
+    return relative_motion(a, b, dt) * (1.0 + dt * (wp.length(a.angular) + wp.length(b.angular)))
+
+
+@wp.func
+def pose_in(own: Course, other: Course, t: float):
+    """Pose of a body's shape at time t in the frame of the other body's shape."""
+    back = wp.quat_inverse(rotation_after(other.angular, t) * other.turn)
+    turn = back * rotation_after(own.angular, t) * own.turn
+    apart = own.center - other.center + t * (own.linear - other.linear)
+    shift = wp.quat_rotate(back, apart) + other.local_center - wp.quat_rotate(turn, own.local_center)
+    return wp.transformation(shift, turn)
+
+
+@wp.func
+def passage_of(own: Course, other: Course, dt: float, size: float):
+    """The relative motion of a body in the frame of another over the step."""
+    passage = Passage()
+    passage.start = pose_in(own, other, 0.0)
+    passage.middle = pose_in(own, other, 0.5 * dt)
+    passage.end = pose_in(own, other, dt)
+    passage.reach = largest_motion(own, other, dt)
+    passage.size = size
+    passage.dt = dt
+    passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
+    return passage
 
 
 @wp.func
@@ -119,20 +191,25 @@ def trace(
     arm: wp.vec3,
     radius: float,
     allowed: float,
+    slack: float,
     tolerance: float,
     begin: float,
     end: float,
 ):
-    """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`."""
+    """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`.
+
+    With a `slack` other than zero, the distance to a mesh is that of its grid, which may be that much too large.
+    """
     other_spin = wp.length(other.angular)
     away = wp.length(own.center + arm - other.center)
     speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * wp.length(arm) + other_spin * away
     curve = wp.length_sq(own.angular) * wp.length(arm) + other_spin * (2.0 * speed + other_spin * away)
+    near = wp.where(slack > 0.0, -FAR, radius + shapes.shapes[other.shape].cell)
     t = float(begin)
     for _round in range(ROUNDS):
         x = place_at(own, other, arm, t)
-        d = signed_distance(shapes, other.shape, x)
-        left = d[3] - radius + allowed
+        d = signed_distance(shapes, other.shape, x, near)
+        left = d[3] - slack - radius + allowed
         if left < tolerance:
             return t
         if shapes.shapes[other.shape].convex == 1:
@@ -160,7 +237,7 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
     t = float(left)
     rounds = int(0)
     while rounds < 2 + EDGE_ROUNDS:
-        d = signed_distance(shapes, shape, middle + t * slide)
+        d = signed_distance(shapes, shape, middle + t * slide, -FAR)
         if d[3] < deepest[3]:
             place = t
             deepest = d
@@ -240,7 +317,7 @@ def trace_segment(
     slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
     radius = shapes.samples[s].radius
     tolerance = CLOSE_ENOUGH * size
-    at = trace(shapes, own, other, arm, radius + wp.length(slide), 0.0, tolerance, begin, end)
+    at = trace(shapes, own, other, arm, radius + wp.length(slide), 0.0, 0.0, tolerance, begin, end)
     if at >= end:
         return end
     low = place_at(own, other, arm - slide, 0.0)
@@ -255,6 +332,38 @@ def trace_segment(
 
 
 @wp.func
+def path_length(own: Course, other: Course, arm: wp.vec3, passage: Passage):
+    """Upper bound of the motion of a point at `arm` relative to the material of the other body [m]."""
+    away = own.center + arm - other.center
+    v = own.linear + wp.cross(own.angular, arm) - other.linear - wp.cross(other.angular, away)
+    return wp.min(passage.reach, passage.dt * wp.length(v) + 0.5 * passage.rotation * passage.reach)
+
+
+@wp.func
+def gap_of(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, passage: Passage):
+    """Distance of a sample from the other body at the start; FAR if the sample need not be traced.
+
+    This is so if it moves little and is not too deep at places of its path less than FAST sizes apart. Pairs that move
+    less than that in a step are not traced either.
+    """
+    gap = float(FAR)
+    place = wp.where(path < 2.0 * FAST * passage.size, 2, 0)
+    while place >= 0:
+        pose = wp.where(place == 2, passage.end, wp.where(place == 1, passage.middle, passage.start))
+        d = signed_distance(shapes, shape, wp.transform_point(pose, p), radius + shapes.shapes[shape].cell)
+        gap = d[3] - radius
+        if place == 0:
+            place = -1
+        elif gap <= -DEPTH * passage.size:
+            place = 0
+        elif place == 1 or path < FAST * passage.size:
+            return FAR
+        else:
+            place = 1
+    return gap
+
+
+@wp.func
 def trace_sample(
     shapes: Shapes,
     own: Course,
@@ -264,60 +373,104 @@ def trace_sample(
     near: float,
     begin: float,
     end: float,
-    size: float,
+    passage: Passage,
 ):
     """Time at which a sample would penetrate the other body too deep, or `end`; this cannot happen before `begin`.
 
-    A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`.
+    A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`. A sample that
+    moves little is not traced if it is clear.
     """
+    size = passage.size
     arm = wp.quat_rotate(own.turn, p - own.local_center)
-    d = signed_distance(shapes, other.shape, place_at(own, other, arm, 0.0))
-    gap = d[3] - radius
+    path = path_length(own, other, arm, passage)
+    gap = gap_of(shapes, other.shape, p, radius, path, passage)
     allowed = DEPTH * size
     earliest = float(begin)
     if gap < near:
         allowed = near - wp.min(gap, 0.0)
         earliest = 0.0
-    return trace(shapes, own, other, arm, radius, allowed, CLOSE_ENOUGH * size, earliest, end)
+    if gap + allowed > path:
+        return end
+    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * size, earliest, end)
 
 
 @wp.func
-def first_touch(shapes: Shapes, own: Course, other: Course, end: float, size: float):
-    """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`."""
+def trace_samples(shapes: Shapes, own: Course, other: Course, ball: Ball, begin: float, end: float, passage: Passage):
+    """Time at which a sample of a ball would penetrate the other body too deep, not before `begin`, or `end`."""
     earliest = float(end)
-    if own.radius > UNBOUNDED_EXTENT:
-        return earliest
-    tolerance = CLOSE_ENOUGH * size
-    begin = trace(shapes, own, other, wp.vec3(0.0, 0.0, 0.0), own.radius, 0.0, tolerance, 0.0, end)
-    if begin >= end:
-        return earliest
-    if shapes.shapes[own.shape].convex == 1:
-        earliest = trace_sample(shapes, own, other, own.local_center, 0.0, DEPTH * size, begin, earliest, size)
-    for cluster in range(shapes.shapes[own.shape].cluster_start, shapes.shapes[own.shape].cluster_end):
-        if matters(shapes.clusters[cluster].kind, own.shape, other.shape, 1, shapes):
-            arm = wp.quat_rotate(own.turn, shapes.clusters[cluster].center - own.local_center)
-            ball = shapes.clusters[cluster].radius
-            at = trace(shapes, own, other, arm, ball, 0.0, tolerance, 0.0, earliest)
-            if at < earliest:
-                for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
-                    if shapes.samples[s].kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
-                        earliest = trace_segment(shapes, own, other, s, NEAR * size, at, earliest, size)
-                    elif shapes.samples[s].kind != SampleKind.RIM:
-                        p = shapes.samples[s].point
-                        ball = shapes.samples[s].radius
-                        earliest = trace_sample(shapes, own, other, p, ball, NEAR * size, at, earliest, size)
+    for s in range(ball.sample_start, ball.sample_end):
+        p = own.local_center
+        radius = float(0.0)
+        near = DEPTH * passage.size
+        kind = int(SampleKind.POINT)
+        if s >= 0:
+            p = shapes.samples[s].point
+            radius = shapes.samples[s].radius
+            near = NEAR * passage.size
+            kind = shapes.samples[s].kind
+        if kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
+            earliest = trace_segment(shapes, own, other, s, near, begin, earliest, passage.size)
+        elif kind != SampleKind.RIM:
+            earliest = trace_sample(shapes, own, other, p, radius, near, begin, earliest, passage)
     return earliest
 
 
 @wp.func
-def is_fast(a: Course, b: Course, dt: float, size: float):
-    """Whether the relative motion of two bodies in a step is so large that they must be traced."""
+def ball_of(own: Course, cluster: int, shapes: Shapes):
+    """The bounding sphere of a cluster; for the cluster -1, that of the body. Its sample is the centre if convex."""
+    ball = Ball()
+    if cluster < 0:
+        ball.center = own.local_center
+        ball.radius = own.radius
+        ball.sample_start = -1
+        ball.sample_end = shapes.shapes[own.shape].convex - 1
+    else:
+        ball.center = shapes.clusters[cluster].center
+        ball.radius = shapes.clusters[cluster].radius
+        ball.sample_start = shapes.clusters[cluster].sample_start
+        ball.sample_end = shapes.clusters[cluster].sample_end
+    return ball
+
+
+@wp.func
+def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: float, size: float, lane: int, lanes: int):
+    """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`.
+
+    The lanes of a team share the clusters; the earliest of their times is that of the pair.
+    """
+    earliest = float(end)
+    if own.radius > UNBOUNDED_EXTENT:
+        return earliest
+    passage = passage_of(own, other, dt, size)
+    slack = GRID_ERROR * shapes.shapes[other.shape].cell
+    cluster = int(-1)
+    while cluster < shapes.shapes[own.shape].cluster_end:
+        ball = ball_of(own, cluster, shapes)
+        kind = shapes.clusters[wp.max(cluster, 0)].kind
+        near = cluster < 0 or (kind != SampleKind.CORNER and matters(kind, own.shape, other.shape, 1, shapes))
+        margin = ball.radius + passage.reach
+        at = float(earliest)
+        if near and not out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
+            arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
+            at = trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * size, 0.0, earliest)
+        if at < earliest and (cluster >= 0 or lane == 0):
+            earliest = trace_samples(shapes, own, other, ball, at, earliest, passage)
+        elif at >= end and cluster < 0:
+            return earliest
+        cluster = wp.where(cluster < 0, shapes.shapes[own.shape].cluster_start + lane, cluster + lanes)
+    return earliest
+
+
+@wp.func
+def may_touch(shapes: Shapes, a: Course, b: Course, dt: float):
+    """Whether the bounding sphere of the smaller of two bodies can reach the bounding box of the other in this step."""
     small = a
+    large = b
     if b.radius < a.radius:
         small = b
-    v = a.linear + wp.cross(a.angular, small.center - a.center)
-    w = b.linear + wp.cross(b.angular, small.center - b.center)
-    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius) > FAST * size
+        large = a
+    center = place_at(small, large, wp.vec3(0.0, 0.0, 0.0), 0.0)
+    return not out_of_box(center, small.radius + largest_motion(a, b, dt), large.shape, shapes)
 
 
 @wp.kernel
@@ -331,10 +484,10 @@ def limit_travel(dt: float, motions: Motions):
 
 
 @wp.kernel
-def limit_motion(
-    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
+def list_fast_pairs(
+    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
-    """The threads share the pairs: the fraction of the step's motion that the two bodies of a pair may make.
+    """The threads share the pairs: list those that must be traced, in any order.
 
     A stopped body may be hit by another one, so a second round repeats the pairs of all bodies that were stopped.
     """
@@ -347,18 +500,35 @@ def limit_motion(
             size = smaller_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
-            if is_fast(first, second, dt, size):
-                t = float(dt)
-                side = int(0)
-                while side < 2:
-                    t = first_touch(shapes, first, second, t, size)
-                    swapped = first
-                    first = second
-                    second = swapped
-                    side += 1
-                if t < dt:
-                    wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
-                    wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
+            if relative_motion(first, second, dt) > FAST * size and may_touch(shapes, first, second, dt):
+                pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
+
+
+@wp.kernel
+def limit_motion(
+    teams: int, lanes: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
+):
+    """The teams share the listed pairs: the fraction of the step's motion that the two bodies of a pair may make."""
+    lane = wp.tid() % lanes
+    for k in range(wp.tid() / lanes, pairs.fast_count[0], teams):
+        a = pairs.body_a[pairs.fast[k]]
+        b = pairs.body_b[pairs.fast[k]]
+        share_a = motions.time_of_impact[a]
+        share_b = motions.time_of_impact[b]
+        size = smaller_size(a, b, shapes, bodies)
+        first = course_of(a, share_a, bodies, state, motions)
+        second = course_of(b, share_b, bodies, state, motions)
+        t = float(dt)
+        side = int(0)
+        while side < 2:
+            t = first_touch(shapes, first, second, dt, t, size, lane, lanes)
+            swapped = first
+            first = second
+            second = swapped
+            side += 1
+        if t < dt:
+            wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
+            wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
 
 
 @wp.kernel

@@ -16,6 +16,14 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.kernels.collide.height_distance import heightfield_distance
+from warp_rigid.kernels.collide.triangle_distance import (
+    FARTHER,
+    GRID_ERROR,
+    INNER,
+    LIKELY_ERROR,
+    chosen_place,
+    triangle_distance,
+)
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -30,6 +38,10 @@ OPPOSING = wp.constant(-0.1)
 
 BORDER = wp.constant(0.005)
 """A sample counts as above a face up to this fraction of the smallest half-extent beyond the face's border."""
+
+
+BALL_REACH = wp.constant(1.5)
+"""Places of a ball on a mesh are looked for within this number of radii of its centre."""
 
 
 @wp.func
@@ -214,11 +226,61 @@ def grid_distance(shapes: Shapes, part: int, p: wp.vec3):
 
 
 @wp.func
-def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3):
+def mesh_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
+    """Distance to a mesh: from its grid or, where it may be below `near`, from its triangles.
+
+    More than a cell inside, the grid decides.
+    """
+    d = grid_distance(shapes, part, p)
+    cell = shapes.parts[part].grid_spacing
+    error = GRID_ERROR * cell
+    if d[3] >= near + error or d[3] < -cell or shapes.parts[part].tree_start == shapes.parts[part].tree_end:
+        return d
+    far = wp.where(d[3] > INNER * cell, FARTHER * d[3], wp.abs(d[3]))
+    within = far + error
+    if d[3] > 0.0:
+        clear = near + 0.01 * cell
+        within = wp.min(within, wp.max(clear, error))
+        d[3] = wp.max(d[3], clear)
+    likely = wp.min(far + LIKELY_ERROR * cell, within)
+    return triangle_distance(shapes, part, p, sample_normal, likely, within, d)
+
+
+@wp.func
+def has_triangles(shapes: Shapes, shape: int):
+    """Whether a shape is one mesh with exact distances."""
+    part = shapes.shapes[shape].part_start
+    alone = shapes.shapes[shape].part_end == part + 1 and shapes.parts[part].placed == 0
+    return alone and shapes.parts[part].tree_start < shapes.parts[part].tree_end
+
+
+@wp.func
+def ball_distance_to_mesh(shapes: Shapes, part: int, p: wp.vec3, radius: float, reach: float, choice: int):
+    """Distance from the centre of a ball to one of its places on a mesh; FAR if there is none.
+
+    The places are ranked within a distance that does not depend on the reach, so that a rank means the same face when
+    a contact is found and when it is built. The first place is also returned if it is farther away, or more than a cell
+    inside; the grid then decides.
+    """
+    d = grid_distance(shapes, part, p)
+    cell = shapes.parts[part].grid_spacing
+    near = BALL_REACH * radius + cell
+    error = GRID_ERROR * cell
+    if d[3] < wp.min(near, radius + reach) + error and d[3] > -cell:
+        within = wp.where(d[3] < error, error + wp.abs(d[3]), 0.0)
+        d[3] = wp.max(d[3], near + 0.01 * cell)
+        return chosen_place(shapes, part, p, wp.max(within, near), choice, d)
+    if choice > 1:
+        d[3] = FAR
+    return d
+
+
+@wp.func
+def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
     """Distance to one part, in the part's own frame."""
     kind = shapes.parts[part].kind
     if kind == PartKind.GRID:
-        return grid_distance(shapes, part, p)
+        return mesh_distance(shapes, part, p, sample_normal, near)
     # The order matters: with the height field first, the compiled code of ccd.py is 18 % longer.
     if kind != PartKind.HEIGHTFIELD:
         return analytic_distance(kind, shapes.parts[part].size, p, sample_normal)
@@ -226,17 +288,20 @@ def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3)
 
 
 @wp.func
-def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.vec3):
-    """Distance from a sample with its outward normal to a shape (the union of its parts), in the shape's frame."""
+def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
+    """Distance from a sample with its outward normal to a shape (the union of its parts), in the shape's frame.
+
+    Distances to a mesh are exact below `near`. Above, they are off by up to GRID_ERROR cells.
+    """
     nearest = wp.vec4(0.0, 0.0, 1.0, FAR)
     for part in range(shapes.shapes[shape].part_start, shapes.shapes[shape].part_end):
         d = wp.vec4(0.0, 0.0, 1.0, FAR)
         if shapes.parts[part].placed == 0:
-            d = part_distance(shapes, part, p, sample_normal)
+            d = part_distance(shapes, part, p, sample_normal, near)
         else:
             turn = shapes.parts[part].orientation
             local = wp.quat_rotate_inv(turn, p - shapes.parts[part].position)
-            d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal))
+            d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal), near)
             n = wp.quat_rotate(turn, wp.vec3(d[0], d[1], d[2]))
             d = wp.vec4(n[0], n[1], n[2], d[3])
         if d[3] < nearest[3]:
@@ -245,6 +310,13 @@ def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.v
 
 
 @wp.func
-def signed_distance(shapes: Shapes, shape: int, p: wp.vec3):
-    """Distance from a point to a shape, in the shape's frame."""
-    return contact_distance(shapes, shape, p, wp.vec3(0.0, 0.0, 0.0))
+def signed_distance(shapes: Shapes, shape: int, p: wp.vec3, near: float):
+    """Distance from a point to a shape, in the shape's frame; see `contact_distance`."""
+    return contact_distance(shapes, shape, p, wp.vec3(0.0, 0.0, 0.0), near)
+
+
+@wp.func
+def is_nearer(shapes: Shapes, shape: int, p: wp.vec3, margin: float):
+    """Whether a shape may be nearer to a point than a margin; never wrongly false."""
+    d = signed_distance(shapes, shape, p, -FAR)
+    return d[3] < margin + GRID_ERROR * shapes.shapes[shape].cell

@@ -8,9 +8,9 @@ body that lands on a corner may rotate back onto them within the step.
 
 Contacts are reduced while they are found (contact_reduction.py).
 
-Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose each
-other. The contact is then made with the inscribed sphere about the centre of mass of one body, which overlaps the other
-body only if the bodies overlap.
+Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
+each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
+made with a large ball inside one body, which overlaps the other body only if the bodies overlap.
 
 A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of a cluster. Touching samples
 are broadcast to all lanes in sample order, and each lane updates its own slots.
@@ -18,13 +18,25 @@ are broadcast to all lanes in sample order, and each lane updates its own slots.
 
 import warp as wp
 
+from warp_rigid.kernels.collide.approach import (
+    Approach,
+    Touch,
+    approach_of,
+    closing_gap,
+    contact_reach,
+    smaller_approach,
+    touch_of,
+    travel,
+)
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
-from warp_rigid.kernels.collide.distance import FAR, signed_distance
-from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
+from warp_rigid.kernels.collide.convex import is_solid
+from warp_rigid.kernels.collide.convex_pairs import border_of, check_by_axis, cut_by_axis, is_apart
+from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_nearer, signed_distance
+from warp_rigid.kernels.collide.samples import OVERLAP, Search, gradient, place_sample
 from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
-from warp_rigid.kernels.enums import PartKind, Role, SampleKind
-from warp_rigid.kernels.schema import Bodies, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.enums import PartKind, SampleKind
+from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -35,42 +47,14 @@ REUSE_TRAVEL = wp.constant(2.5e-4)
 TURNED_BACK = wp.constant(0.25)
 """Separating samples closer than this fraction of the pair's reach are kept: they may come back within the step."""
 
-NEAR = wp.constant(0.25)
-"""Reach of contacts of fast bodies, as a fraction of the smaller size."""
-
 BY_CENTER = wp.constant(-2)
 """Identity of the contact of the first body's inscribed sphere; that of the second body is one less."""
 
+BY_AXIS = wp.constant(-4)
+"""Identity of the contact of two convex bodies along the axis of their least overlap."""
 
-@wp.struct
-class Touch:
-    """A contact point in the world frame. The normal points from the pair's second body to the first.
-
-    `closing`: 1 if the gap closes within the step.
-    """
-
-    position: wp.vec3
-    normal: wp.vec3
-    gap: float
-    closing: int
-
-
-@wp.struct
-class Approach:
-    """Relative pose of the body with the samples (`own`) in the frame of the body with the distance (`other`).
-
-    `weight`: weight of a gap in the score of a sample (contact_reduction.py).
-    """
-
-    own: int
-    other: int
-    own_shape: int
-    shape: int
-    turn: wp.quat
-    shift: wp.vec3
-    reach: float
-    rise: float
-    weight: float
+MOST_KEPT = wp.constant(PAIR_SLOTS)
+"""Maximum number of contacts of a pair."""
 
 
 @wp.func
@@ -83,66 +67,17 @@ def last_pair(a: int, b: int, history: History):
 
 
 @wp.func
-def touch_of(placed: Search, side: int, other: int, state: State):
-    """The contact point in the world frame; the sample belongs to the first body on side 0, to the second on side 1."""
-    result = Touch()
-    turn = state.orientation[other]
-    n = wp.quat_rotate(turn, placed.direction)
-    middle = placed.query - 0.5 * placed.distance * placed.direction
-    result.position = wp.quat_rotate(turn, middle) + state.position[other]
-    result.normal = wp.where(side == 0, n, -n)
-    result.gap = placed.distance
-    return result
-
-
-@wp.func
-def velocity_at(body: int, x: wp.vec3, dt: float, state: State, motions: Motions):
-    """Velocity of a body's material at world point x, after accelerating for a time dt."""
-    v = state.linear_velocity[body] + dt * motions.acceleration[body]
-    w = state.angular_velocity[body] + dt * motions.spin_acceleration[body]
-    return v + wp.cross(w, x - motions.center[body])
-
-
-@wp.func
-def closing_gap(touch: Touch, a: int, b: int, dt: float, state: State, motions: Motions):
-    """The gap at the end of the step if the approach continues; at most the current gap."""
-    v = velocity_at(a, touch.position, dt, state, motions) - velocity_at(b, touch.position, dt, state, motions)
-    return touch.gap + dt * wp.min(wp.dot(v, touch.normal), 0.0)
-
-
-@wp.func
-def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motions):
-    """Upper bound of the relative motion of two surfaces in a time dt, after accelerating for a time `ahead` [m]."""
-    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
-    x = motions.center[small]
-    speed = velocity_at(a, x, ahead, state, motions) - velocity_at(b, x, ahead, state, motions)
-    spin = wp.length(state.angular_velocity[a] - state.angular_velocity[b]) * motions.radius[small]
-    return dt * (wp.length(speed) + spin)
-
-
-@wp.func
-def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
-    """Largest gap at which two surfaces can have a contact in this step [m].
-
-    It includes their relative motion in the step. Bodies that move further than their size are first moved to their
-    time of impact by continuous collision detection (ccd.py), as contact point and normal are not known from afar.
-    This does not apply to pairs with a kinematic body, whose motion is never limited.
-    """
-    way = travel(a, b, dt, dt, state, motions)
-    if way > size and motions.role[a] != Role.KINEMATIC and motions.role[b] != Role.KINEMATIC:
-        way = NEAR * size
-    return CONTACT_DISTANCE * size + way
-
-
-@wp.func
 def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     """Whether samples of a kind can contribute to a contact.
 
     Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
     sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
     shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
-    sphere.
+    sphere. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
+    segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
     """
+    if kind == SampleKind.CORNER:
+        return has_triangles(shapes, shape)
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind
@@ -154,7 +89,9 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
         return own == PartKind.SPHERE or not by_center
     if kind == SampleKind.EDGE:
         return edges == 1 and other != PartKind.PLANE and not by_center
-    return other == PartKind.SPHERE and not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
+    if other == PartKind.SPHERE:
+        return not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
+    return shapes.shapes[own_shape].convex == 0 and (other == PartKind.CAPSULE or other == PartKind.CYLINDER)
 
 
 @wp.func
@@ -166,23 +103,46 @@ def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
 
 
 @wp.func
+def segment_meets_box(middle: wp.vec3, half: wp.vec3, margin: float, shape: int, shapes: Shapes):
+    """Whether a segment comes within a margin of a shape's bounding box, by separating axes of the enlarged box."""
+    center = 0.5 * (shapes.shapes[shape].lower + shapes.shapes[shape].upper)
+    e = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower) + wp.vec3(margin, margin, margin)
+    m = middle - center
+    h = wp.vec3(wp.abs(half[0]), wp.abs(half[1]), wp.abs(half[2]))
+    if wp.abs(m[0]) > e[0] + h[0] or wp.abs(m[1]) > e[1] + h[1] or wp.abs(m[2]) > e[2] + h[2]:
+        return False
+    across = wp.cross(m, half)
+    x = wp.abs(across[0]) <= e[1] * h[2] + e[2] * h[1]
+    y = wp.abs(across[1]) <= e[0] * h[2] + e[2] * h[0]
+    return x and y and wp.abs(across[2]) <= e[0] * h[1] + e[1] * h[0]
+
+
+@wp.func
 def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
     """Whether a cluster may contain a touching sample."""
     if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
+        return 0
+    if wp.dot(approach.cut, shapes.clusters[cluster].center) - shapes.clusters[cluster].radius > approach.level:
         return 0
     center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
     margin = shapes.clusters[cluster].radius + approach.reach
     if out_of_box(center, margin, approach.shape, shapes):
         return 0
-    d = signed_distance(shapes, approach.shape, center)
-    return wp.where(d[3] < margin, 1, 0)
+    return wp.where(is_nearer(shapes, approach.shape, center, margin), 1, 0)
 
 
 @wp.func
 def sample_is_near(s: int, approach: Approach, shapes: Shapes):
-    """Whether a sample is close enough to the other shape's bounding box to touch."""
+    """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch."""
+    lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
+    if lowest - shapes.samples[s].radius > approach.level:
+        return False
     p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
-    margin = approach.reach + shapes.samples[s].radius + wp.length(shapes.samples[s].slide)
+    margin = approach.reach + shapes.samples[s].radius
+    if shapes.samples[s].kind == SampleKind.EDGE:
+        slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
+        margin += border_of(approach.own_shape, approach.shape, shapes)
+        return segment_meets_box(p, slide, margin, approach.shape, shapes)
     return not out_of_box(p, margin, approach.shape, shapes)
 
 
@@ -257,45 +217,36 @@ def try_cluster(
 
 
 @wp.func
-def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State):
-    """Relative pose of `own` in the frame of `other`."""
-    approach = Approach()
-    approach.own = own
-    approach.other = other
-    approach.own_shape = bodies.shape[own]
-    approach.shape = bodies.shape[other]
-    back = wp.quat_inverse(state.orientation[other])
-    approach.turn = back * state.orientation[own]
-    approach.shift = wp.quat_rotate(back, state.position[own] - state.position[other])
-    approach.reach = reach
-    return approach
-
-
-@wp.func
 def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """The contact of the inscribed sphere about the centre of mass of a pair's first (side 0) or second (side 1) body.
+    """The contact of the inner ball of a pair's first (side 0) or second (side 1) body.
 
-    If it penetrates the other body, the two bodies overlap. The gap is FAR if it is not known: the radius is exact only
-    for convex bodies, and outside a grid the distance is only a bound.
+    If it penetrates the other body, the two bodies overlap. That of a convex body is about its centre of mass, and any
+    overlap with a convex body counts; else its centre must be inside the other body. The gap is FAR if it is not known:
+    outside a grid the distance is only a bound.
     """
     own = wp.where(side == 0, a, b)
     other = wp.where(side == 0, b, a)
-    placed = Search()
-    placed.query = wp.quat_rotate_inv(state.orientation[other], motions.center[own] - state.position[other])
-    placed.distance = FAR
     shape = bodies.shape[own]
+    convex = shapes.shapes[shape].convex
     query = bodies.center_of_mass[own]
+    x = motions.center[own]
     radius = float(0.0)
     evaluated = int(0)
+    if convex == 0:
+        query = shapes.shapes[shape].inner_center
+        x = wp.quat_rotate(state.orientation[own], query) + state.position[own]
+    placed = Search()
+    placed.query = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
+    placed.distance = FAR
     while evaluated < 2:
-        # First the radius of the sphere, then its distance from the other body.
-        d = signed_distance(shapes, shape, query)
-        if evaluated == 1 and (d[3] < 0.0 or shapes.shapes[shape].convex == 1):
+        # First the radius of the ball, then its distance from the other body.
+        d = signed_distance(shapes, shape, query, -FAR)
+        if evaluated == 1 and (d[3] < 0.0 or (convex == 1 and shapes.shapes[shape].convex == 1)):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
-        elif evaluated == 0 and shapes.shapes[shape].convex == 1:
-            radius = -d[3]
+        elif evaluated == 0:
+            radius = wp.where(convex == 1, -d[3], shapes.shapes[shape].inner_radius)
         shape = bodies.shape[other]
         query = placed.query
         evaluated = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), evaluated + 1, 2)
@@ -321,6 +272,15 @@ def keep_center(
     if deepest == 0.0:
         return kept
     return 1
+
+
+@wp.func
+def add_contact(pair: int, key: int, kept: int, lane: int, pairs: Pairs):
+    """Append a contact to those of a pair, in place of the last one if there are too many. Returns their number."""
+    place = wp.min(kept, MOST_KEPT - 1)
+    if lane == 0:
+        pairs.kept[pair, place] = key
+    return place + 1
 
 
 @wp.func
@@ -351,6 +311,7 @@ def look_for_contacts(
         approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
         approach.rise = rise
         approach.weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
+        approach = cut_by_axis(approach, pairs.axis[pair], side, shapes)
         end = shapes.shapes[approach.own_shape].cluster_end
         for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
             near = int(0)
@@ -365,11 +326,18 @@ def look_for_contacts(
                 )
         side += 1
     sync_warp(lanes)
+    closing = wp.where(ballot(closing, lanes) == wp.uint32(0), 0, 1)
+    solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])
+    along = int(0)
+    if solid:
+        along = check_by_axis(pair, closing, lane, lanes, size, shapes, bodies, state, pairs)
+        sync_warp(lanes)
     kept = int(keep_slots(pair, size, lane, lanes, pairs))
     sync_warp(lanes)
-    if ballot(closing, lanes) == wp.uint32(0):
-        kept = 0
-    if kept == 0 or contradictory(pair, pairs):
+    kept *= closing
+    if along == 1:
+        return add_contact(pair, BY_AXIS, kept, lane, pairs)
+    if not solid and (kept == 0 or contradictory(pair, pairs)):
         kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
     return kept
 
@@ -410,15 +378,7 @@ def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pa
     pairs.searched[pair] = edges + 1
     pairs.searched_orientation[pair] = history.searched_orientation[last]
     pairs.searched_position[pair] = history.searched_position[last]
-
-
-@wp.func
-def smaller_approach(pair: int, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
-    """Relative pose of the smaller body of a pair in the frame of the larger one."""
-    a = pairs.body_a[pair]
-    b = pairs.body_b[pair]
-    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
-    return approach_of(small, a + b - small, 0.0, bodies, state)
+    pairs.axis[pair] = history.axis[last]
 
 
 @wp.kernel
@@ -457,7 +417,7 @@ def keep_contacts(
             and has_barely_moved(last, approach, dt, size, bodies, state, motions, history)
         ):
             reuse_contacts(pair, last, edges, history, pairs)
-        else:
+        elif not is_apart(pair, last, dt, size, shapes, bodies, state, motions, history, pairs):
             pairs.candidates[wp.atomic_add(pairs.candidate_count, 0, 1)] = pair
 
 

@@ -1,12 +1,26 @@
-"""Diagnostics: penetration depth of surface samples in other bodies. Not a stage of the step."""
+"""Diagnostics: penetration depth of surface samples and inner balls in other bodies. Not a stage of the step."""
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import signed_distance
+from warp_rigid.kernels.collide.distance import FAR, is_nearer, signed_distance
 from warp_rigid.kernels.collide.samples import bring_to_touch
 from warp_rigid.kernels.schema import Bodies, Pairs, Shapes, State
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@wp.func
+def inner_ball_depth(own: int, other: int, shapes: Shapes, bodies: Bodies, state: State):
+    """Overlap of the inner ball of one body with another that contains its centre [m], else 0.
+
+    Deep inside, the samples of a surface tell too little: they may be near the far side of the other body.
+    """
+    shape = bodies.shape[own]
+    x = wp.quat_rotate(state.orientation[own], shapes.shapes[shape].inner_center) + state.position[own]
+    local = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
+    d = signed_distance(shapes, bodies.shape[other], local, -FAR)
+    radius = shapes.shapes[shape].inner_radius
+    return wp.where(d[3] < 0.0 and radius > 0.0, radius - d[3], 0.0)
 
 
 @wp.func
@@ -20,8 +34,7 @@ def deepest_sample(own: int, other: int, shapes: Shapes, bodies: Bodies, state: 
     own_shape = bodies.shape[own]
     for cluster in range(shapes.shapes[own_shape].cluster_start, shapes.shapes[own_shape].cluster_end):
         c = wp.quat_rotate(turn, shapes.clusters[cluster].center) + shift
-        d = signed_distance(shapes, shape, c)
-        if d[3] < shapes.clusters[cluster].radius - deepest:
+        if is_nearer(shapes, shape, c, shapes.clusters[cluster].radius - deepest):
             for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
                 found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, 0.0, 0.0)
                 deepest = wp.max(deepest, -found.distance)
@@ -44,6 +57,8 @@ def deepest_overlap(shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, 
     side = int(0)
     while side < 2:
         own = wp.where(side == 0, a, b)
-        depth = wp.max(depth, deepest_sample(own, a + b - own, shapes, bodies, state))
+        other = a + b - own
+        depth = wp.max(depth, deepest_sample(own, other, shapes, bodies, state))
+        depth = wp.max(depth, inner_ball_depth(own, other, shapes, bodies, state))
         side += 1
     wp.atomic_max(deepest, bodies.env[a], 0, depth)

@@ -8,7 +8,14 @@ the GPU code small and fast, and its compilation short.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import BORDER, FAR, contact_distance, direction_or_up
+from warp_rigid.kernels.collide.distance import (
+    BORDER,
+    FAR,
+    ball_distance_to_mesh,
+    contact_distance,
+    direction_or_up,
+    has_triangles,
+)
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -49,6 +56,9 @@ BESIDE = wp.constant(1.0e-3)
 """Offset from the point where an edge leaves a face at which the gradient is evaluated, as a fraction of the
 half-length."""
 
+PARALLEL = wp.constant(1.0e-3)
+"""An edge whose half-length covers less than this fraction of a grid's side is not clipped to that side."""
+
 DONE = wp.constant(-1)
 
 EDGE_MIDDLE = wp.constant(0)
@@ -61,6 +71,7 @@ EDGE_FACING = wp.constant(11)
 EDGE_BEFORE = wp.constant(12)
 EDGE_AFTER = wp.constant(13)
 
+RIM_CENTER = wp.constant(0)
 RIM_LAST_TURN = wp.constant(2)
 RIM_FACING = wp.constant(3)
 
@@ -73,9 +84,13 @@ BALL_LAST = wp.constant(27)
 
 @wp.struct
 class Search:
-    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`."""
+    """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
+
+    `evaluations`: number of distances so far, for measurements.
+    """
 
     stage: int
+    evaluations: int
     query: wp.vec3
     facing: wp.vec3
     normal: wp.vec3
@@ -84,6 +99,8 @@ class Search:
     start: wp.vec3
     along: wp.vec3
     half: float
+    first: float
+    last: float
     crossing: int
     t: float
     left: float
@@ -148,8 +165,8 @@ def edge_again(search: Search):
     """Restart an edge's search with the distance to the faces that its normal opposes."""
     search.facing = search.normal
     search.crossing = 0
-    search.left = -OVERLAP * search.half
-    search.right = OVERLAP * search.half
+    search.left = search.first
+    search.right = search.last
     search.stage = EDGE_LOW
     return look_at(search, search.left)
 
@@ -315,6 +332,8 @@ def rim_next(search: Search, d: wp.vec4, radius: float, weight: float):
         search.direction = gradient(d)
         search.distance = d[3]
         return search
+    if d[3] >= FAR:
+        return nowhere(search)
     n = gradient(d)
     down = wp.dot(n, search.along) * search.along - n
     if wp.length(down) < 0.05:
@@ -384,7 +403,34 @@ def point_next(search: Search, d: wp.vec4, size: float, flat: int, thin: int):
 
 
 @wp.func
-def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: int, weight: float):
+def clip_to_grid(search: Search, shapes: Shapes, shape: int):
+    """Limit an edge's search to the grid of a shape that consists of one: outside, the distance is only a bound.
+
+    Its slope points to the grid and not to the surface, so an edge that ends there would seem to have no inner minimum.
+    """
+    part = shapes.shapes[shape].part_start
+    if shapes.parts[part].kind != PartKind.GRID or shapes.shapes[shape].part_end > part + 1:
+        return search
+    turn = shapes.parts[part].orientation
+    start = wp.quat_rotate_inv(turn, search.start - shapes.parts[part].position)
+    along = wp.quat_rotate_inv(turn, search.along)
+    for axis in range(3):
+        lower = shapes.parts[part].grid_origin[axis]
+        upper = lower + shapes.parts[part].grid_spacing * float(shapes.parts[part].grid_dims[axis] - 1)
+        if wp.abs(along[axis]) * search.half > PARALLEL * (upper - lower):
+            one = (lower - start[axis]) / along[axis]
+            other = (upper - start[axis]) / along[axis]
+            search.first = wp.max(search.first, wp.min(one, other))
+            search.last = wp.min(search.last, wp.max(one, other))
+    search.left = search.first
+    search.right = search.last
+    if search.first >= search.last:
+        return nowhere(search)
+    return search
+
+
+@wp.func
+def begin_search(shapes: Shapes, s: int, shape: int, turn: wp.quat, shift: wp.vec3, weight: float):
     """Start the search of a sample; `turn` and `shift` map its shape's frame to that of the other shape.
 
     The distance at an edge's middle is used for culling; for a convex shape, the distances at its ends are enough.
@@ -397,11 +443,15 @@ def begin_search(shapes: Shapes, s: int, turn: wp.quat, shift: wp.vec3, convex: 
         slide = wp.quat_rotate(turn, shapes.samples[s].slide)
         search.half = wp.length(slide)
         search.along = slide / search.half
-        search.left = -OVERLAP * search.half
-        search.right = OVERLAP * search.half
-        if convex == 1:
+        search.first = -OVERLAP * search.half
+        search.last = OVERLAP * search.half
+        search.left = search.first
+        search.right = search.last
+        if shapes.shapes[shape].convex == 1:
             search.stage = EDGE_LOW
             search = look_at(search, search.left)
+        elif shapes.samples[s].radius == 0.0:
+            search = clip_to_grid(search, shapes, shape)
     elif shapes.samples[s].kind == SampleKind.RIM:
         search.along = search.normal
     elif shapes.samples[s].radius > 0.0:
@@ -424,12 +474,23 @@ def bring_to_touch(
     radius = shapes.samples[s].radius
     convex = shapes.shapes[shape].convex
     size = shapes.shapes[shape].size
-    exact = wp.where(shapes.parts[shapes.shapes[shape].part_start].kind == PartKind.HEIGHTFIELD, 1, convex)
+    part = shapes.shapes[shape].part_start
+    exact = wp.where(shapes.parts[part].kind == PartKind.HEIGHTFIELD, 1, convex)
+    if shapes.parts[part].tree_start < shapes.parts[part].tree_end:
+        exact = 1
+    choice = shapes.samples[s].choice
+    corners = choice > 0 and has_triangles(shapes, shape)
+    near = radius + wp.min(reach, shapes.shapes[shape].cell)
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
-    search = begin_search(shapes, s, turn, shift, convex, weight)
+    search = begin_search(shapes, s, shape, turn, shift, weight)
     while search.stage >= 0:
-        d = contact_distance(shapes, shape, search.query, search.facing)
+        d = wp.vec4(0.0, 0.0, 1.0, FAR)
+        if corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER)):
+            d = ball_distance_to_mesh(shapes, part, search.query, radius, reach, choice)
+        else:
+            d = contact_distance(shapes, shape, search.query, search.facing, near)
+        search.evaluations += 1
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:

@@ -1,8 +1,8 @@
 """Teams of GPU lanes that process one environment, or one pair of bodies, together.
 
-The size of a team is a power of two of neighbouring lanes: a part of a warp, a whole block, or several blocks. Several
-blocks synchronize at a barrier in global memory. This requires that all of them are resident at the same time, so there
-are no more of them than multiprocessors. On the CPU a team has one lane, and loops over the team become plain loops.
+The size of a team is a power of two of neighbouring lanes: a part of a warp, or a whole block. Blocks never wait for
+each other: what concerns environments of any size is done by threads that share all bodies or constraints, in kernels
+of their own. On the CPU a team has one lane, and loops over the team become plain loops.
 """
 
 import warp as wp
@@ -10,9 +10,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 256
-"""Lanes of a CUDA block for teams larger than a warp; such a team has one or more blocks."""
-
-MOST_OF_A_BLOCK = wp.constant(BLOCK)
+"""Lanes of a CUDA block for teams larger than a warp; such a team is one block."""
 
 SMALL_BLOCK = 64
 """Lanes of a CUDA block for teams within a warp; small, so that few environments are spread over the whole GPU."""
@@ -30,25 +28,15 @@ class Team:
     env: int
     lane: int
     lanes: int
-    gate: wp.array2d[wp.uint32]
 
 
 @wp.func
-def team_of(thread: int, lanes: int, gate: wp.array2d[wp.uint32]):
-    """The team of a thread: `lanes` neighbouring threads for each environment.
-
-    In a team of several blocks, lane indices are assigned to the warps of the blocks round-robin, so that small
-    workloads are spread over all blocks.
-    """
+def team_of(thread: int, lanes: int):
+    """The team of a thread: `lanes` neighbouring threads for each environment."""
     team = Team()
     team.env = thread / lanes
     team.lane = thread % lanes
-    if lanes > MOST_OF_A_BLOCK:
-        block = team.lane / MOST_OF_A_BLOCK
-        within = team.lane % MOST_OF_A_BLOCK
-        team.lane = ((within / 32) * (lanes / MOST_OF_A_BLOCK) + block) * 32 + within % 32
     team.lanes = lanes
-    team.gate = gate
     return team
 
 
@@ -56,28 +44,12 @@ def team_of(thread: int, lanes: int, gate: wp.array2d[wp.uint32]):
 #if defined(__CUDA_ARCH__)
     if (lanes <= 32) {
         __syncwarp(lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u)));
-    } else if (lanes == blockDim.x) {
-        __syncthreads();
     } else {
-        volatile unsigned* opened = gate.data + 4 * env + 1;
-        unsigned before = threadIdx.x == 0 ? *opened : 0u;
-        __syncthreads();
-        if (threadIdx.x == 0) {
-            __threadfence();
-            if (atomicAdd(gate.data + 4 * env, 1u) + 1u == lanes / blockDim.x) {
-                gate.data[4 * env] = 0u;
-                __threadfence();
-                *opened = before + 2u;
-            } else {
-                while (*opened == before) { }
-            }
-            __threadfence();
-        }
         __syncthreads();
     }
 #endif
 """)
-def _sync_team(env: int, lanes: int, gate: wp.array2d[wp.uint32]):
+def _sync_team(lanes: int):
     """Wait for all lanes of a team; earlier writes are visible to all of them afterwards."""
     ...
 
@@ -85,7 +57,7 @@ def _sync_team(env: int, lanes: int, gate: wp.array2d[wp.uint32]):
 @wp.func
 def sync_team(team: Team):
     """Barrier for all lanes of a team; earlier writes are visible to all of them afterwards."""
-    _sync_team(team.env, team.lanes, team.gate)
+    _sync_team(team.lanes)
 
 
 @wp.func_native("""
@@ -95,28 +67,12 @@ def sync_team(team: Team):
         __syncwarp(mask);
         return __any_sync(mask, flag) ? 1 : 0;
     }
-    if (lanes == blockDim.x) { return __syncthreads_or(flag); }
-    volatile unsigned* opened = gate.data + 4 * env + 1;
-    unsigned before = threadIdx.x == 0 ? *opened : 0u;
-    int any = __syncthreads_or(flag);
-    if (threadIdx.x == 0) {
-        __threadfence();
-        unsigned arrived = atomicAdd(gate.data + 4 * env, any ? 0x10001u : 1u) + (any ? 0x10001u : 1u);
-        if ((arrived & 0xffffu) == lanes / blockDim.x) {
-            gate.data[4 * env] = 0u;
-            __threadfence();
-            *opened = ((before + 2u) & ~1u) | (arrived > 0xffffu ? 1u : 0u);
-        }
-        while ((*opened ^ before) < 2u) { }
-        any = *opened & 1u;
-        __threadfence();
-    }
-    return __syncthreads_or(threadIdx.x == 0 ? any : 0);
+    return __syncthreads_or(flag);
 #else
     return flag;
 #endif
 """)
-def _any_of_team(flag: int, env: int, lanes: int, gate: wp.array2d[wp.uint32]) -> int:
+def _any_of_team(flag: int, lanes: int) -> int:
     """Whether the flag is set for any lane of a team."""
     ...
 
@@ -124,7 +80,49 @@ def _any_of_team(flag: int, env: int, lanes: int, gate: wp.array2d[wp.uint32]) -
 @wp.func
 def any_of_team(flag: int, team: Team):
     """Whether the flag of any lane of the team is not zero; also a barrier for the team."""
-    return _any_of_team(flag, team.env, team.lanes, team.gate)
+    return _any_of_team(flag, team.lanes)
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned active = __activemask();
+    unsigned leader = __ffs(active) - 1;
+    if (__all_sync(active, index == __shfl_sync(active, index, leader))) {
+        int sum = __reduce_add_sync(active, value);
+        if ((threadIdx.x & 31u) == leader && sum != 0) { atomicAdd(counts.data + index, sum); }
+    } else if (value != 0) {
+        atomicAdd(counts.data + index, value);
+    }
+#else
+    counts.data[index] += value;
+#endif
+""")
+def add_together(counts: wp.array[int], index: int, value: int):
+    """Atomic addition; the lanes of a warp that add to the same element do so at once."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned active = __activemask();
+    unsigned lane = threadIdx.x & 31u, leader = __ffs(active) - 1;
+    int first = 0;
+    if (lane == leader) { first = atomicAdd(counts.data + index, __popc(active)); }
+    return __shfl_sync(active, first, leader) + __popc(active & ((1u << lane) - 1u));
+#else
+    return counts.data[index]++;
+#endif
+""")
+def next_place(counts: wp.array[int], index: int) -> int:
+    """Atomically increment a count, one for each lane, and return the lane's value before; the order is arbitrary."""
+    ...
+
+
+@wp.func
+def raise_to(index: int, value: float, values: wp.array[float]):
+    """Atomic maximum that does not write if the element is large enough already."""
+    if value > values[index]:
+        wp.atomic_max(values, index, value)
 
 
 @wp.func_native("""
@@ -186,4 +184,36 @@ def bits_below(bits: wp.uint32, place: int):
 """)
 def broadcast(value: float, lane: int, lanes: int) -> float:
     """The value of one lane, broadcast to the whole team. Only for teams within a warp."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
+    for (int offset = lanes / 2; offset > 0; offset /= 2) { value += __shfl_xor_sync(mask, value, offset, lanes); }
+#endif
+    return value;
+""")
+def sum_of_lanes(value: float, lanes: int) -> float:
+    """The sum over a team, the same in all lanes. Only for teams within a warp."""
+    ...
+
+
+@wp.func
+def sum_of_vectors(value: wp.vec3, lanes: int):
+    """The sum of vectors over a team, the same in all lanes. Only for teams within a warp."""
+    return wp.vec3(sum_of_lanes(value[0], lanes), sum_of_lanes(value[1], lanes), sum_of_lanes(value[2], lanes))
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
+    for (int offset = lanes / 2; offset > 0; offset /= 2) {
+        value = fmaxf(value, __shfl_xor_sync(mask, value, offset, lanes));
+    }
+#endif
+    return value;
+""")
+def max_of_lanes(value: float, lanes: int) -> float:
+    """The maximum over a team. Only for teams within a warp."""
     ...

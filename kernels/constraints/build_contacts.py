@@ -2,8 +2,10 @@
 
 import warp as wp
 
+from warp_rigid.kernels.collide.approach import Touch, approach_of, touch_of
+from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
-from warp_rigid.kernels.collide.narrowphase import BY_CENTER, Touch, approach_of, center_inside, touch_of
+from warp_rigid.kernels.collide.narrowphase import BY_AXIS, BY_CENTER, center_inside
 from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
@@ -148,8 +150,12 @@ def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contact
 
 
 @wp.func
-def touch_again(key: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
-    """Evaluate the contact point of a known sample again."""
+def touch_again(
+    key: int, a: int, b: int, axis: wp.vec3, shapes: Shapes, bodies: Bodies, state: State, motions: Motions
+):
+    """Evaluate the contact point of a known sample again; `axis`: that of the pair, if both bodies are convex."""
+    if key == BY_AXIS:
+        return touch_along(axis, a, b, shapes, bodies, state)
     if key <= BY_CENTER:
         return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
     side = key % 2
@@ -176,7 +182,6 @@ def build_contacts(
     teams: int,
     lanes: int,
     dt: float,
-    rules: wp.vec2i,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
@@ -186,16 +191,19 @@ def build_contacts(
     history: History,
     contacts: Contacts,
 ):
-    """The teams share the pairs: build contact rows from the kept samples. `rules`: combine rules of coefficients."""
+    """The teams share the pairs: build contact rows from the kept samples."""
     for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
         start = pairs.contact_start[pair]
         count = pairs.contact_start[pair + 1] - start
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
         size = smaller_size(a, b, shapes, bodies)
+        env = bodies.env[a]
+        contacts.impact[pair] = wp.vec3(0.0, 0.0, 0.0)
+        rules = wp.vec2i(envs.friction_rule[env], envs.restitution_rule[env])
         for k in range(wp.tid() % lanes, count, lanes):
             c = start + k
-            touch = touch_again(pairs.kept[pair, k], a, b, shapes, bodies, state, motions)
+            touch = touch_again(pairs.kept[pair, k], a, b, pairs.axis[pair], shapes, bodies, state, motions)
             contacts.key[c] = pairs.kept[pair, k]
             if touch.gap >= FAR:
                 touch.position = motions.center[a]
@@ -205,7 +213,7 @@ def build_contacts(
             contacts.position[c] = touch.position
             row = build_row(a, b, touch, dt, size, bodies, motions)
             write_contact(c, with_coefficients(row, a, b, rules, bodies), contacts.rows)
-            start_from_history(c, pairs.last[pair], row, envs.warm_starting[bodies.env[a]], contacts, history)
+            start_from_history(c, pairs.last[pair], row, envs.warm_starting[env], contacts, history)
 
 
 @wp.func
@@ -230,6 +238,7 @@ def store_pair(i: int, pairs: Pairs, history: History):
         history.searched[i] = pairs.searched[i]
         history.searched_orientation[i] = pairs.searched_orientation[i]
         history.searched_position[i] = pairs.searched_position[i]
+        history.axis[i] = pairs.axis[i]
     if i < history.contact_start.shape[0]:
         history.contact_start[i] = pairs.contact_start[i]
 

@@ -111,30 +111,43 @@ def solve_rolling(c: int, normal_impulse: float, row: ContactRecord, pair: BodyP
 
 
 @wp.func
+def next_impulse(old: wp.vec3, share_a: float, share_b: float, row: ContactRecord, pair: BodyPair):
+    """New impulse of a row from the old one. A share is a factor on a body's inverse mass; 0: the body is frozen."""
+    n = row.normal
+    u = row.tangent
+    v = wp.cross(n, u)
+    slip = contact_velocity(row, pair)
+    k_normal = share_a * row.normal_a + share_b * row.normal_b
+    normal = wp.max(old[0] - quotient(wp.dot(slip, n) + row.bias_velocity, k_normal), 0.0)
+    coupling = (normal - old[0]) * (share_a * row.coupling_a + share_b * row.coupling_b)
+    k = share_a * row.tangent_a + share_b * row.tangent_b
+    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + coupling
+    after = friction_impulse(wp.vec2(old[1], old[2]), sliding, k, row.friction * normal)
+    return wp.vec3(normal, after[0], after[1])
+
+
+@wp.func
+def velocity_change(gained: wp.vec3, share_a: float, share_b: float, row: ContactRecord):
+    """Bound on the change of the relative velocity at a row by an impulse [m/s]."""
+    k_normal = share_a * row.normal_a + share_b * row.normal_b
+    k = share_a * row.tangent_a + share_b * row.tangent_b
+    return k_normal * wp.abs(gained[0]) + (k[0] + k[2]) * (wp.abs(gained[1]) + wp.abs(gained[2]))
+
+
+@wp.func
 def solve_row(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
     """Solve one contact for the velocities of a pair, and record the largest velocity change [m/s].
 
     A body with a share of 0 is frozen: its mass counts as infinite, and the impulse on it is added to `frozen_impulse`.
     """
     row = read_contact(c, contacts.rows)
-    k_normal = share_a * row.normal_a + share_b * row.normal_b
-    if k_normal < 1.0e-12:
+    if share_a * row.normal_a + share_b * row.normal_b < 1.0e-12:
         return pair
-    n = row.normal
-    u = row.tangent
-    v = wp.cross(n, u)
     old = impulse_of(c, IMPULSE, contacts)
-    slip = contact_velocity(row, pair)
-    normal = wp.max(old[0] - quotient(wp.dot(slip, n) + row.bias_velocity, k_normal), 0.0)
-    gained = normal - old[0]
-    coupling = gained * (share_a * row.coupling_a + share_b * row.coupling_b)
-    k = share_a * row.tangent_a + share_b * row.tangent_b
-    before = wp.vec2(old[1], old[2])
-    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + coupling
-    after = friction_impulse(before, sliding, k, row.friction * normal)
-    impulse = gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v
+    new = next_impulse(old, share_a, share_b, row, pair)
+    impulse = world_vector(row.normal, row.tangent, new - old)
     pair = with_impulse(row.arm_a, row.arm_b, impulse, pair)
-    set_impulse(c, IMPULSE, wp.vec3(normal, after[0], after[1]), contacts)
+    set_impulse(c, IMPULSE, new, contacts)
     if share_a == 0.0:
         pair.frozen_impulse += impulse
         pair.frozen_angular_impulse += wp.cross(row.arm_a, impulse)
@@ -142,9 +155,8 @@ def solve_row(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: 
         pair.frozen_impulse -= impulse
         pair.frozen_angular_impulse -= wp.cross(row.arm_b, impulse)
     if row.rolling_friction + row.spinning_friction > 0.0:
-        pair = solve_rolling(c, normal, row, pair, contacts)
-    change = k_normal * wp.abs(gained) + (k[0] + k[2]) * (wp.abs(after[0] - old[1]) + wp.abs(after[1] - old[2]))
-    pair.change = wp.max(pair.change, change)
+        pair = solve_rolling(c, new[0], row, pair, contacts)
+    pair.change = wp.max(pair.change, velocity_change(new - old, share_a, share_b, row))
     return pair
 
 

@@ -23,12 +23,12 @@ NAME: of its member in `Rows`, and the symbol that counts its constraints in the
 ROWS: the layout of its arrays, among them `body_a` and `body_b` (with index_of="bodies");
 KEPT: names of the arrays that one step leaves for the next, such as impulses for the warm start; a reset clears them;
 `definitions(scene)`: the constraints of this kind in `scene.constraints`, a list;
-`upload(scene, num_envs, device)`: an instance of ROWS with the constraints of all environments, one environment after
-another; raises a ValueError where a constraint does not fit the scene;
-`build(stages, constraints, first)`: launch a kernel of this module that writes the rows of a step, and for each
+`upload(scene, device)`: an instance of ROWS with the constraints of one environment, which the model copies to all
+environments of the scene; raises a ValueError where a constraint does not fit the scene;
+`build(stages, constraints, offset)`: launch a kernel of this module that writes the rows of a step, and for each
 constraint its slot in `constraints` (`set_constraint` in constraints/records.py). `stages` is the Stages of the step,
-with the arrays as `stages.model.constraint_rows[NAME]`; `first` is how many constraints of the kinds before it an
-environment has.
+with the arrays of all environments as `stages.model.constraint_rows[NAME]` and the number of their rows as
+`stages.model.layout.sizes[NAME]`; `offset[env] + row` is the index of a row's constraint in `slot_of_other`.
 """
 
 

@@ -12,8 +12,8 @@ with many bodies on it, are solved serially.
 import warp as wp
 
 from warp_rigid.kernels.common.team import any_of_team, lowest_bit, sync_team, team_of
-from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import Motion
+from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import COLORS, Bodies, Constraints, Environments, Graph, Order, OrderRecord
 
 wp.set_module_options({"enable_backward": False})
@@ -84,16 +84,18 @@ def take_color(k: int, begin: int, bodies: Bodies, constraints: Constraints, gra
 
 @wp.kernel
 def color_constraints(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """One team per environment: assign each active constraint a colour that no other one of its dynamic bodies has."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    """One team per environment: assign each swept constraint a colour that no other one of its dynamic bodies has."""
+    team = team_of(wp.tid(), lanes)
     env = team.env
+    if graph.swept[env] == 0:
+        return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]
     begin = constraints.start[env]
     end = constraints.start[env + 1]
     if graph.unchanged[env] == 1:
         for k in range(begin + team.lane, end, lanes):
-            if is_active(k, constraints):
+            if is_swept(k, constraints, graph):
                 graph.color[k] = graph.color_before[constraints.last[k]]
         return
     for b in range(first + team.lane, last, lanes):
@@ -105,18 +107,18 @@ def color_constraints(lanes: int, envs: Environments, bodies: Bodies, constraint
     while left == 1:
         sync_team(team)
         for k in range(begin + team.lane, end, lanes):
-            if is_active(k, constraints) and graph.color[k] == UNCOLORED:
+            if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
                 place_bid(k, begin, bodies, constraints, graph)
         sync_team(team)
         for k in range(begin + team.lane, end, lanes):
-            if is_active(k, constraints) and graph.color[k] == UNCOLORED:
+            if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
                 take_color(k, begin, bodies, constraints, graph)
         sync_team(team)
         for b in range(first + team.lane, last, lanes):
             graph.bid[b] = NO_BID
         left = int(0)
         for k in range(begin + team.lane, end, lanes):
-            if is_active(k, constraints) and graph.color[k] == UNCOLORED:
+            if is_swept(k, constraints, graph) and graph.color[k] == UNCOLORED:
                 left = 1
         left = any_of_team(left, team)
 
@@ -156,14 +158,20 @@ def write_in_order(k: int, env: int, constraints: Constraints, graph: Graph, ord
 
 @wp.kernel
 def group_constraints(lanes: int, envs: Environments, constraints: Constraints, graph: Graph, order: Order):
-    """One team per environment: sort the active constraints by colour, and find the highest level.
+    """One team per environment: sort the constraints that are solved in sweeps by colour, and find the highest level.
 
     Within a colour the order is arbitrary, except for constraints that are solved serially.
     """
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
     begin = constraints.start[env]
     end = constraints.start[env + 1]
+    if graph.swept[env] == 0:
+        if team.lane == 0:
+            order.color_start[env, 0] = begin
+            order.color_count[env] = 0
+            graph.level_count[env] = 0
+        return
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], lanes):
         graph.support_count[b] = 0
     for color in range(team.lane, MOST_COLORS, lanes):
@@ -173,7 +181,7 @@ def group_constraints(lanes: int, envs: Environments, constraints: Constraints, 
     sync_team(team)
     in_turn = int(0)
     for k in range(begin + team.lane, end, lanes):
-        if is_active(k, constraints):
+        if is_swept(k, constraints, graph):
             wp.atomic_add(graph.tally, env, graph.color[k], 1)
             in_turn |= wp.where(graph.color[k] == SERIAL, 1, 0)
             upper = wp.max(graph.level[constraints.body_a[k]], graph.level[constraints.body_b[k]])
@@ -183,9 +191,9 @@ def group_constraints(lanes: int, envs: Environments, constraints: Constraints, 
         add_colors(env, begin, graph, order)
     sync_team(team)
     for k in range(begin + team.lane, end, lanes):
-        if is_active(k, constraints) and graph.color[k] != SERIAL:
+        if is_swept(k, constraints, graph) and graph.color[k] != SERIAL:
             write_in_order(k, env, constraints, graph, order)
     if in_turn == 1 and team.lane == 0:
         for k in range(begin, end):
-            if is_active(k, constraints) and graph.color[k] == SERIAL:
+            if is_swept(k, constraints, graph) and graph.color[k] == SERIAL:
                 write_in_order(k, env, constraints, graph, order)

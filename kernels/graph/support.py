@@ -1,4 +1,4 @@
-"""Contact graph: supports, levels with cycles collapsed, depths, and islands.
+"""Contact graph: supports, levels with cycles collapsed, and depths.
 
 Body j supports body p if p, moved by its own acceleration alone, presses against j at a contact. If p has no
 acceleration, its velocity decides. The 2003 method (section 8.1) adds the velocity of p to the test. The acceleration
@@ -12,16 +12,17 @@ assigned a level like a single body. The depth of a body is the length of the sh
 It determines how many sweeps are needed to transmit load to the ground.
 
 In a pile at rest, the contacts and supports are the same in every step. Levels, depths, islands and colours depend on
-nothing else, so they are kept.
+nothing else, so they are kept. Levels and depths are only needed for shock propagation: the constraints of islands that
+are solved in rounds (islands.py) have no edges in the graph of supports.
 """
 
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies
-from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import Team, add_together, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.constraints.rows import Rows, direction_and_approach
-from warp_rigid.kernels.enums import Motion
+from warp_rigid.kernels.enums import IslandSolver, Motion
 from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Motions
 
 wp.set_module_options({"enable_backward": False})
@@ -73,42 +74,58 @@ def is_unchanged(k: int, env: int, supports: int, constraints: Constraints, grap
 
 
 @wp.kernel
-def find_support(
-    lanes: int, envs: Environments, bodies: Bodies, motions: Motions, rows: Rows, constraints: Constraints, graph: Graph
-):
-    """One team per environment: the supports of each constraint, and whether the graph is unchanged."""
-    team = team_of(wp.tid(), lanes, graph.gate)
-    env = team.env
-    if team.lane == 0:
-        graph.active[env] = 0
-        graph.sweeps[env] = 0
-        graph.residual[env] = 0.0
-        graph.shock_sweeps[env] = 0
-        graph.push_out_sweeps[env] = 0
-    sync_team(team)
-    count = int(0)
-    changed = int(0)
-    for k in range(constraints.start[env] + team.lane, constraints.start[env + 1], lanes):
+def start_graph(graph: Graph):
+    """One thread per environment: reset what the kernels of this stage sum up, and the statistics of the solver."""
+    env = wp.tid()
+    graph.active[env] = 0
+    graph.altered[env] = 0
+    graph.swept[env] = 0
+    graph.sweeps[env] = 0
+    graph.residual[env] = 0.0
+    graph.shock_sweeps[env] = 0
+    graph.push_out_sweeps[env] = 0
+    graph.rounds[env] = 0
+    graph.push_out_rounds[env] = 0
+
+
+@wp.kernel
+def find_support(threads: int, bodies: Bodies, motions: Motions, rows: Rows, constraints: Constraints, graph: Graph):
+    """The threads share the constraints: the supports of each, and whether any differs from those of the last step."""
+    for k in range(wp.tid(), constraints.start[constraints.start.shape[0] - 1], threads):
         supports = int(0)
         if is_active(k, constraints):
-            pair = load_bodies(constraints.body_a[k], constraints.body_b[k], 0.0, 0.0, motions)
+            a = constraints.body_a[k]
+            env = bodies.env[a]
+            pair = load_bodies(a, constraints.body_b[k], 0.0, 0.0, motions)
             supports = supports_of(k, pair, bodies, motions, constraints, rows)
-            count += 1
+            add_together(graph.active, env, 1)
             if not is_unchanged(k, env, supports, constraints, graph):
-                changed = 1
+                graph.altered[env] = 1
         graph.supports[k] = supports
-    wp.atomic_add(graph.active, env, count)
-    changed = any_of_team(changed, team)
-    if team.lane == 0:
-        active = graph.active[env] + 1
-        graph.unchanged[env] = wp.where(changed == 0 and graph.active_before[env] == active, 1, 0)
-        graph.active_before[env] = active
+
+
+@wp.kernel
+def compare_graph(graph: Graph):
+    """One thread per environment: whether the graph is the same as in the last step."""
+    env = wp.tid()
+    active = graph.active[env] + 1
+    graph.unchanged[env] = wp.where(graph.altered[env] == 0 and graph.active_before[env] == active, 1, 0)
+    graph.active_before[env] = active
+
+
+@wp.func
+def is_swept(k: int, constraints: Constraints, graph: Graph):
+    """Whether a constraint has rows in this step and is solved in sweeps."""
+    solver = wp.max(graph.solver[constraints.body_a[k]], graph.solver[constraints.body_b[k]])
+    return is_active(k, constraints) and solver != IslandSolver.ROUNDS
 
 
 @wp.func
 def upper_of(edge: int, constraints: Constraints, graph: Graph):
     """The supported body of an edge, -1 if there is none. Each constraint has two edges, one for each direction."""
     k = edge / 2
+    if not is_swept(k, constraints, graph):
+        return -1
     if edge % 2 == 0:
         return wp.where((graph.supports[k] & A_ON_B) != 0, constraints.body_a[k], -1)
     return wp.where((graph.supports[k] & B_ON_A) != 0, constraints.body_b[k], -1)
@@ -244,35 +261,6 @@ def find_levels(team: Team, envs: Environments, bodies: Bodies, constraints: Con
 
 
 @wp.func
-def find_islands(team: Team, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """Islands of dynamic bodies connected by constraints, labelled by their lowest body."""
-    env = team.env
-    first = envs.first_body[env]
-    last = envs.first_body[env + 1]
-    for b in range(first + team.lane, last, team.lanes):
-        graph.island[b] = b
-    changed = int(1)
-    while changed == 1:
-        sync_team(team)
-        changed = int(0)
-        for k in range(constraints.start[env] + team.lane, constraints.start[env + 1], team.lanes):
-            a = constraints.body_a[k]
-            b = constraints.body_b[k]
-            if is_active(k, constraints) and bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
-                lowest = wp.min(graph.island[a], graph.island[b])
-                if graph.island[a] != graph.island[b]:
-                    changed = 1
-                    wp.atomic_min(graph.island, graph.island[a], lowest)
-                    wp.atomic_min(graph.island, graph.island[b], lowest)
-                    wp.atomic_min(graph.island, a, lowest)
-                    wp.atomic_min(graph.island, b, lowest)
-        sync_team(team)
-        for b in range(first + team.lane, last, team.lanes):
-            graph.island[b] = graph.island[graph.island[b]]
-        changed = any_of_team(changed, team)
-
-
-@wp.func
 def find_depths(team: Team, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
     """Length of the shortest path of supports from each body to the ground, and the maximum.
 
@@ -304,10 +292,9 @@ def find_depths(team: Team, envs: Environments, bodies: Bodies, constraints: Con
 
 @wp.kernel
 def find_structure(lanes: int, envs: Environments, bodies: Bodies, constraints: Constraints, graph: Graph):
-    """One team per environment: levels, depths and islands, where the graph has changed."""
-    team = team_of(wp.tid(), lanes, graph.gate)
-    if graph.unchanged[team.env] == 1:
+    """One team per environment: levels and depths, where the graph has changed and shock propagation needs them."""
+    team = team_of(wp.tid(), lanes)
+    if graph.unchanged[team.env] == 1 or graph.swept[team.env] == 0:
         return
     find_levels(team, envs, bodies, constraints, graph)
     find_depths(team, envs, bodies, constraints, graph)
-    find_islands(team, envs, bodies, constraints, graph)

@@ -8,8 +8,8 @@ the mode is checked, and changed where velocity and impulse do not lie on the pi
 import warp as wp
 
 from warp_rigid.kernels.enums import JointNumber
+from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.poses import free_row
-from warp_rigid.kernels.schema import Joints
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

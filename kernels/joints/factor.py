@@ -8,6 +8,7 @@ row takes no impulse.
 
 import warp as wp
 
+from warp_rigid.kernels.joints.arrays import Joints, mat63d, mat66d, vec6d
 from warp_rigid.kernels.joints.coordinate import drive_slope, is_held
 from warp_rigid.kernels.joints.joint_rows import (
     has_coordinate,
@@ -15,7 +16,7 @@ from warp_rigid.kernels.joints.joint_rows import (
     present_rows,
 )
 from warp_rigid.kernels.joints.poses import free_row
-from warp_rigid.kernels.schema import Joints, Motions, mat63d, mat66d, vec6d
+from warp_rigid.kernels.schema import Motions
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

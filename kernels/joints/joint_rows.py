@@ -8,8 +8,9 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, inverse_inertia_of, inverse_mass_of, load_velocity
 from warp_rigid.kernels.enums import Coordinate, Role
+from warp_rigid.kernels.joints.arrays import Joints, mat33d, mat63d, vec6d
 from warp_rigid.kernels.joints.poses import Ends, axis_of, ends_of, free_row
-from warp_rigid.kernels.schema import Bodies, Joints, Motions, mat33d, mat63d, vec6d
+from warp_rigid.kernels.schema import Bodies, Motions
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

@@ -6,6 +6,8 @@ from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
+from warp_rigid.kernels.graph.islands import join
+from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.factor import factorize
 from warp_rigid.kernels.joints.mechanism import (
     is_awake,
@@ -15,7 +17,7 @@ from warp_rigid.kernels.joints.mechanism import (
     start_mechanism,
 )
 from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
-from warp_rigid.kernels.schema import Bodies, Environments, Graph, Joints, Motions, Order, SleepState, State
+from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, SleepState, State
 from warp_rigid.kernels.solve.gauss_seidel import (
     find_shock_ineffective,
     report_sweeps,
@@ -28,6 +30,12 @@ from warp_rigid.kernels.solve.line_search import accepted_share, searched
 from warp_rigid.kernels.solve.schedule import CONVERGED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+AFTER_PASSES = wp.constant(2)
+"""Value of `after_shock` right after the passes of shock propagation, which leave the joints out."""
+
+FORGOTTEN = wp.constant(0)
+"""Value of `Graph.active_before` with which the next step computes islands, levels and colours again."""
 
 
 @wp.kernel
@@ -42,37 +50,23 @@ def start_joints(dt: float, bodies: Bodies, state: State, motions: Motions, join
 
 
 @wp.kernel
-def join_islands(lanes: int, envs: Environments, bodies: Bodies, graph: Graph, joints: Joints):
-    """One team per environment: islands that joints connect become one."""
-    team = team_of(wp.tid(), lanes, graph.gate)
-    env = team.env
-    changed = int(1)
-    while changed == 1:
-        sync_team(team)
-        changed = int(0)
-        for j in range(joints.first_joint[env] + team.lane, joints.first_joint[env + 1], lanes):
-            a = joints.body_a[j]
-            b = joints.body_b[j]
-            dynamic = bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC
-            if joints.broken[j] == 0 and dynamic and graph.island[a] != graph.island[b]:
-                changed = 1
-                lowest = wp.min(graph.island[a], graph.island[b])
-                wp.atomic_min(graph.island, graph.island[a], lowest)
-                wp.atomic_min(graph.island, graph.island[b], lowest)
-                wp.atomic_min(graph.island, a, lowest)
-                wp.atomic_min(graph.island, b, lowest)
-        sync_team(team)
-        for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], lanes):
-            graph.island[b] = graph.island[graph.island[b]]
-        changed = any_of_team(changed, team)
+def join_joined_islands(bodies: Bodies, joints: Joints, graph: Graph):
+    """One thread per joint: the islands of its bodies become one, which is solved in sweeps."""
+    j = wp.tid()
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    if joints.broken[j] == 1:
+        return
+    graph.tied[a] = 1
+    graph.tied[b] = 1
+    if bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
+        join(a, b, graph.island)
 
 
-@wp.kernel
-def begin_joints(dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One thread per mechanism, before the sweeps: first solution with the forces of the step."""
-    m = wp.tid()
-    if is_awake(m, motions, joints):
-        settle_mechanism(m, 1, dt, bodies, state, motions, joints)
+@wp.func
+def is_propagated(env: int, envs: Environments, graph: Graph):
+    """Whether the passes of shock propagation are executed in an environment."""
+    return graph.converged[env] == 0 and envs.shock_propagation[env] != ShockMode.OFF
 
 
 @wp.func
@@ -81,7 +75,7 @@ def solve_joints(team: Team, dt: float, motions: Motions, joints: Joints):
     change = float(0.0)
     for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
         if is_awake(m, motions, joints):
-            change = wp.max(change, solve_mechanism(m, dt, motions, joints))
+            change = wp.max(change, solve_mechanism(m, dt, False, motions, joints))
     sync_team(team)
     return change
 
@@ -92,21 +86,25 @@ def sweep_with_joints(
     dt: float,
     lanes: int,
     envs: Environments,
-    state: State,
     order: Order,
     graph: Graph,
     motions: Motions,
     rows: Rows,
     joints: Joints,
 ):
-    """One team per environment: as `sweep_constraints`, with a direct solution of each mechanism after each sweep."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    """One team per environment: as `sweep_constraints`, with a direct solution of each mechanism after each sweep.
+
+    After the passes of shock propagation, it is the direct solution alone.
+    """
+    team = team_of(wp.tid(), lanes)
     env = team.env
     spare = int(0)
     if after_shock == 0:
-        find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, state, graph)
+        find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
         spare = spare_sweeps(env, envs, graph)
-    left = sweeps_of(env, after_shock, envs, graph)
+    left = wp.where(is_propagated(env, envs, graph), 1, 0)
+    if after_shock != AFTER_PASSES:
+        left = sweeps_of(env, after_shock, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
     unsolved = int(1)
     calm = int(0)
@@ -114,8 +112,9 @@ def sweep_with_joints(
     residual = float(0.0)
     while left > 0:
         change = float(0.0)
-        for level in range(layered, layered * graph.level_count[env] + 1):
-            change = wp.max(change, sweep(level, team, order, graph, motions, rows))
+        if after_shock != AFTER_PASSES:
+            for level in range(layered, layered * graph.level_count[env] + 1):
+                change = wp.max(change, sweep(level, team, order, graph, motions, rows))
         change = wp.max(change, solve_joints(team, dt, motions, joints))
         done += 1
         residual = change
@@ -127,32 +126,24 @@ def sweep_with_joints(
             spare = 0
     if after_shock == 0:
         graph.converged[env] = wp.max(1 - unsolved, calm)
-    report_sweeps(done, residual, after_shock, team, envs, graph)
+    if after_shock != AFTER_PASSES:
+        report_sweeps(done, residual, after_shock, team, envs, graph)
 
 
 @wp.kernel
 def store_joint_start(lanes: int, envs: Environments, graph: Graph, joints: Joints):
     """One team per environment: store the impulses of joints before shock propagation."""
-    team = team_of(wp.tid(), lanes, graph.gate)
-    if graph.converged[team.env] == 1 or envs.shock_propagation[team.env] == ShockMode.OFF:
+    team = team_of(wp.tid(), lanes)
+    if not is_propagated(team.env, envs, graph):
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
         joints.start[j] = joints.total[j]
 
 
 @wp.kernel
-def rejoin(dt: float, lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
-    """One team per environment: solve the mechanisms after the passes of shock propagation, which leave them out."""
-    team = team_of(wp.tid(), lanes, graph.gate)
-    if graph.converged[team.env] == 1 or envs.shock_propagation[team.env] == ShockMode.OFF:
-        return
-    solve_joints(team, dt, motions, joints)
-
-
-@wp.kernel
 def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
     """One team per environment: apply the step length of the line search to the impulses of joints."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     if not searched(team.env, envs, graph):
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
@@ -162,13 +153,18 @@ def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions,
 
 
 @wp.kernel
-def settle_joints(dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One thread per mechanism, after the push-out: its motion obeys the joints, which hold at the predicted poses."""
+def settle_joints(after_push: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One thread per mechanism: the joints hold at the predicted poses.
+
+    Before the sweeps, this is the first solution with the forces of the step. After the push-out (`after_push`), its
+    motion obeys the joints, too.
+    """
     m = wp.tid()
     if not is_awake(m, motions, joints):
         return
-    project(m, PUSH, motions, joints)
-    settle_mechanism(m, 0, dt, bodies, state, motions, joints)
+    if after_push == 1:
+        project(m, PUSH, motions, joints)
+    settle_mechanism(m, 1 - after_push, dt, bodies, state, motions, joints)
 
 
 @wp.kernel
@@ -187,7 +183,7 @@ def share_time_of_impact(motions: Motions, joints: Joints):
 
 
 @wp.kernel
-def end_joints(dt: float, envs: Environments, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+def end_joints(dt: float, envs: Environments, bodies: Bodies, motions: Motions, joints: Joints, graph: Graph):
     """One thread per joint, after the position update: its coordinate and impulse, and whether it breaks."""
     j = wp.tid()
     a = joints.body_a[j]
@@ -207,6 +203,7 @@ def end_joints(dt: float, envs: Environments, bodies: Bodies, state: State, moti
     torque = float(wp.length(angular)) / dt
     if force > joints.numbers[j, JointNumber.BREAK_FORCE] or torque > joints.numbers[j, JointNumber.BREAK_TORQUE]:
         joints.broken[j] = 1
+        graph.active_before[bodies.env[a]] = FORGOTTEN
 
 
 @wp.kernel

@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import VELOCITY
 from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
     IDLE,
     drive_slope,
@@ -31,7 +32,7 @@ from warp_rigid.kernels.joints.joint_rows import (
     store_masses,
 )
 from warp_rigid.kernels.joints.poses import ends_of, errors_of, free_row, predict_pose, take_pose
-from warp_rigid.kernels.schema import Bodies, Joints, Motions, State, vec6d
+from warp_rigid.kernels.schema import Bodies, Motions, State
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -194,17 +195,25 @@ def update_modes(m: int, dt: float, motions: Motions, joints: Joints):
 
 
 @wp.func
-def solve_mechanism(m: int, dt: float, motions: Motions, joints: Joints):
-    """Solve all joints of a mechanism for the velocities. Returns the largest residual [m/s], 0 below FINE."""
+def solve_mechanism(m: int, dt: float, is_stale: bool, motions: Motions, joints: Joints):
+    """Solve all joints of a mechanism for the velocities. Returns the largest residual [m/s], 0 below FINE.
+
+    `is_stale`: whether the factors are not those of the present modes.
+    """
     change = float(0.0)
     left = int(MOST_CHANGES)
-    while left > 0:
-        change = wp.max(change, solve_once(m, dt, motions, joints))
-        left -= 1
-        if update_modes(m, dt, motions, joints):
+    stale = is_stale
+    while left > 0 or stale:
+        if stale:
             factorize(m, dt, motions, joints)
-        else:
-            left = 0
+            stale = False
+        if left > 0:
+            change = wp.max(change, solve_once(m, dt, motions, joints))
+            left -= 1
+            if update_modes(m, dt, motions, joints):
+                stale = True
+            else:
+                left = 0
     return wp.where(change > FINE, change, 0.0)
 
 
@@ -228,10 +237,10 @@ def settle_mechanism(m: int, first: int, dt: float, bodies: Bodies, state: State
     k = int(0)
     while k < MOST_PREDICTIONS:
         predict_mechanism(m, dt, bodies, state, motions, joints)
+        is_stale = bool(False)
         if first + k == 1:
-            if choose_modes(m, dt, motions, joints):
-                factorize(m, dt, motions, joints)
-        change = solve_mechanism(m, dt, motions, joints)
+            is_stale = choose_modes(m, dt, motions, joints)
+        change = solve_mechanism(m, dt, is_stale, motions, joints)
         k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
 
 

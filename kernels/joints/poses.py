@@ -4,7 +4,8 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY, load_velocity
 from warp_rigid.kernels.enums import Coordinate, Motion, Role
-from warp_rigid.kernels.schema import Bodies, Joints, Motions, State, vec6d
+from warp_rigid.kernels.joints.arrays import Joints, vec6d
+from warp_rigid.kernels.schema import Bodies, Motions, State
 from warp_rigid.kernels.update.integrate import mat33d, precise, rotate_by, turn_freely
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

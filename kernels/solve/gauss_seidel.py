@@ -9,8 +9,9 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import load_bodies, store_bodies
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows, apply_row, solve_row
-from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord, State
+from warp_rigid.kernels.enums import IslandSolver, ShockMode
+from warp_rigid.kernels.graph.islands import PATIENCE
+from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import CONVERGED, entry_at, first_of_color, stride_of_color
 
 wp.set_module_options({"enable_backward": False})
@@ -21,13 +22,9 @@ DEEP = wp.constant(40.0)
 COARSEST = wp.constant(25.0)
 """Maximum factor on CONVERGED for shallower islands."""
 
-INEFFECTIVE_STEPS = wp.constant(8)
-"""Number of consecutive ineffective steps after which shock propagation counts as ineffective for an island."""
-
 SWEEPS_PER_DEPTH = wp.constant(2)
-"""Additional sweeps per depth of the contact graph where shock propagation is ineffective, since load is then
-transmitted by sweeps alone. Without them, a heap of thousands of bodies never comes to rest: its bodies sink into each
-other as fast as the push-out separates them."""
+"""Additional sweeps per depth of the contact graph where shock propagation is ineffective and rounds are not possible,
+since load is then transmitted by sweeps alone."""
 
 
 @wp.func
@@ -54,7 +51,7 @@ def solve_constraint(entry: OrderRecord, motions: Motions, rows: Rows):
 @wp.kernel
 def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
     """One team per environment: apply the initial impulses of the rows."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
     if envs.warm_starting[env] == 0:
         return
@@ -84,11 +81,12 @@ def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, 
 
 
 @wp.func
-def find_shock_ineffective(first: int, last: int, team: Team, state: State, graph: Graph):
-    """Record whether shock propagation is ineffective for any island of an environment."""
+def find_shock_ineffective(first: int, last: int, team: Team, graph: Graph):
+    """Record whether shock propagation is ineffective for any island that is solved in sweeps."""
     found = int(0)
     for b in range(first + team.lane, last, team.lanes):
-        found |= wp.where(state.shock_ineffective_steps[b] >= INEFFECTIVE_STEPS, 1, 0)
+        if graph.solver[b] != IslandSolver.ROUNDS and graph.ineffective_steps[b] >= PATIENCE:
+            found = 1
     found = any_of_team(found, team)
     if team.lane == 0:
         graph.shock_ineffective[team.env] = found
@@ -137,7 +135,6 @@ def sweep_constraints(
     graph: Graph,
     motions: Motions,
     rows: Rows,
-    state: State,
 ):
     """One team per environment: half of the contact iterations, before or after the two passes of shock propagation.
 
@@ -146,11 +143,15 @@ def sweep_constraints(
     propagation is then skipped. It is also skipped for heaps that the first half has nearly solved: there the second
     half follows immediately.
     """
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
+    if order.color_count[env] == 0:
+        if team.lane == 0:
+            graph.converged[env] = 1
+        return
     spare = int(0)
     if after_shock == 0:
-        find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, state, graph)
+        find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
         spare = spare_sweeps(env, envs, graph)
     left = sweeps_of(env, after_shock, envs, graph)
     layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)

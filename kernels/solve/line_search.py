@@ -15,9 +15,9 @@ from warp_rigid.kernels.common.solver_body import START, load_bodies, store_velo
 from warp_rigid.kernels.common.team import sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows, blend_row, energy_terms, store_start
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord, State
+from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
-from warp_rigid.kernels.solve.shock import island_of, next_ineffective_steps
+from warp_rigid.kernels.solve.shock import island_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,7 +34,6 @@ def searched(env: int, envs: Environments, graph: Graph):
 
 @wp.kernel
 def store_before_shock(
-    state: State,
     lanes: int,
     envs: Environments,
     order: Order,
@@ -43,7 +42,7 @@ def store_before_shock(
     rows: Rows,
 ):
     """One team per environment: store the velocities and impulses before the passes."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
     if graph.converged[env] == 1 or envs.shock_propagation[env] == ShockMode.OFF:
         return
@@ -51,7 +50,6 @@ def store_before_shock(
     last = envs.first_body[env + 1]
     for b in range(first + team.lane, last, lanes):
         store_velocity(b, START, motions.solver_bodies[b].linear, motions.solver_bodies[b].angular, motions)
-        graph.ineffective_steps[b] = state.shock_ineffective_steps[b]
     for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
         entry = entry_at(k, order)
         for row in range(entry.begin, entry.end):
@@ -90,7 +88,7 @@ def sum_energy(
 
     Summands are added as integer multiples of 2^-40 times the island's largest summand.
     """
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
     if not searched(env, envs, graph):
         return
@@ -141,30 +139,14 @@ def accepted_share(island: int, graph: Graph):
 
 
 @wp.kernel
-def accept(
-    repetition: int,
-    lanes: int,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    rows: Rows,
-    state: State,
-):
-    """One team per environment: apply the accepted step length, and record if the first repetition was effective."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
+    """One team per environment: apply the accepted step length of each island."""
+    team = team_of(wp.tid(), lanes)
     env = team.env
     if not searched(env, envs, graph):
         return
-    first = envs.first_body[env]
-    last = envs.first_body[env + 1]
-    for b in range(first + team.lane, last, lanes):
-        island = graph.island[b]
-        t = accepted_share(island, graph)
-        if repetition == 0:
-            state.shock_ineffective_steps[b] = next_ineffective_steps(
-                graph.ineffective_steps[island], graph.max_velocity_change[island], t
-            )
+    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], lanes):
+        t = accepted_share(graph.island[b], graph)
         solver_body = motions.solver_bodies[b]
         motions.solver_bodies[b].linear = solver_body.start_linear + t * (solver_body.linear - solver_body.start_linear)
         motions.solver_bodies[b].angular = solver_body.start_angular + t * (

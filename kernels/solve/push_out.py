@@ -150,8 +150,12 @@ def find_overlaps(
     rows: Rows,
 ):
     """One team per environment: the separation speed that each contact requires, and whether any is not 0."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
+    if graph.swept[env] == 0:
+        if team.lane == 0:
+            graph.overlapping[env] = 0
+        return
     begin = pairs.contact_start[pairs.start[envs.first_body[env]]]
     end = pairs.contact_start[pairs.start[envs.first_body[env + 1]]]
     found = int(0)
@@ -198,7 +202,7 @@ def push_apart(
     As in shock propagation, all levels are iterated together. Bodies caught between two frozen bodies are separated by
     further sweeps without freezing. If shock propagation is off, no body is frozen at all.
     """
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
     if graph.overlapping[env] == 0:
         return

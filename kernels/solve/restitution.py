@@ -85,8 +85,11 @@ def set_targets(begin: int, end: int, pair: BodyPair, relative_pull: wp.vec3, dt
 
 
 @wp.func
-def collide_contact(c: int, pair: BodyPair, contacts: Contacts):
-    """Update one contact: bring the normal velocity to its target, and the slip to zero within the friction cone."""
+def collide_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
+    """Update one contact: bring the normal velocity to its target, and the slip to zero within the friction cone.
+
+    The shares are factors on the inverse masses of the bodies.
+    """
     stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     target = stored[3]
     if target <= NO_IMPACT:
@@ -97,11 +100,11 @@ def collide_contact(c: int, pair: BodyPair, contacts: Contacts):
     v = wp.cross(n, u)
     old = first_three(stored)
     slip = contact_velocity(row, pair)
-    k_normal = row.normal_a + row.normal_b
+    k_normal = share_a * row.normal_a + share_b * row.normal_b
     normal = wp.max(old[0] + quotient(target - wp.dot(slip, n), k_normal), 0.0)
     gained = normal - old[0]
-    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (row.coupling_a + row.coupling_b)
-    k = row.tangent_a + row.tangent_b
+    sliding = wp.vec2(wp.dot(slip, u), wp.dot(slip, v)) + gained * (share_a * row.coupling_a + share_b * row.coupling_b)
+    k = share_a * row.tangent_a + share_b * row.tangent_b
     before = wp.vec2(old[1], old[2])
     after = friction_impulse(before, sliding, k, row.friction * normal)
     pair = with_impulse(row.arm_a, row.arm_b, gained * n + (after[0] - old[1]) * u + (after[1] - old[2]) * v, pair)
@@ -134,6 +137,40 @@ def energy_neutral_share(begin: int, end: int, before: BodyPair, after: BodyPair
 
 
 @wp.func
+def note_impact(begin: int, end: int, keep: float, contacts: Contacts):
+    """Add the impulse of an impact, of which the share `keep` was applied, to those of its pair in this step."""
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for c in range(begin, end):
+        stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+        if stored[3] > NO_IMPACT:
+            row = read_contact(c, contacts.rows)
+            total += world_vector(row.normal, row.tangent, first_three(stored))
+    pair = contacts.pair[begin]
+    contacts.impact[pair] = contacts.impact[pair] + keep * total
+
+
+@wp.func
+def after_impact(
+    begin: int, end: int, share_a: float, share_b: float, lag: wp.vec3, before: BodyPair, contacts: Contacts
+):
+    """The bodies after the impacts of all contacts of a pair, whose targets are set; see `energy_neutral_share`."""
+    after = before
+    left = int(INNER_ITERATIONS)
+    while left > 0:
+        after.change = 0.0
+        for c in range(begin, end):
+            after = collide_contact(c, share_a, share_b, after, contacts)
+        left = wp.where(after.change > CONVERGED, left - 1, 0)
+    keep = energy_neutral_share(begin, end, before, after, lag, contacts)
+    note_impact(begin, end, keep, contacts)
+    after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
+    after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
+    after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
+    after.angular_b = before.angular_b + keep * (after.angular_b - before.angular_b)
+    return after
+
+
+@wp.func
 def solve_impact(
     k: int,
     turn: int,
@@ -150,26 +187,14 @@ def solve_impact(
     if entry.kind != KIND or is_done(entry, graph):
         return 0
     order.entries[k].visited = solved
-    begin = entry.begin
-    end = entry.end
     a = entry.body_a
     b = entry.body_b
     before = load_bodies(a, b, 1.0, 1.0, motions)
     relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
-    if set_targets(begin, end, before, relative_pull, dt, rows.contacts) == 0:
+    if set_targets(entry.begin, entry.end, before, relative_pull, dt, rows.contacts) == 0:
         return 0
-    after = before
-    left = int(INNER_ITERATIONS)
-    while left > 0:
-        after.change = 0.0
-        for c in range(begin, end):
-            after = collide_contact(c, after, rows.contacts)
-        left = wp.where(after.change > CONVERGED, left - 1, 0)
-    keep = energy_neutral_share(begin, end, before, after, 0.5 * dt * relative_pull, rows.contacts)
-    after.linear_a = before.linear_a + keep * (after.linear_a - before.linear_a)
-    after.angular_a = before.angular_a + keep * (after.angular_a - before.angular_a)
-    after.linear_b = before.linear_b + keep * (after.linear_b - before.linear_b)
-    after.angular_b = before.angular_b + keep * (after.angular_b - before.angular_b)
+    lag = 0.5 * dt * relative_pull
+    after = after_impact(entry.begin, entry.end, 1.0, 1.0, lag, before, rows.contacts)
     store_bodies(a, b, after, motions)
     order.entries[k].visited = turn - 1
     note_change(a, turn, motions, graph)
@@ -188,8 +213,10 @@ def solve_impacts(
     rows: Rows,
 ):
     """One team per environment: sweeps of pairwise impacts until there are none, at most `collision_iterations`."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
+    if order.color_count[env] == 0:
+        return
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
     forget_visits(envs.first_body[env], envs.first_body[env + 1], team, order, graph)

@@ -12,8 +12,8 @@ iterated together, colour by colour, until nothing changes. The levels then conv
 sweeps, instead of about twenty sweeps for each level, and the work of the whole scene is shared by the lanes of a team.
 
 The result is only a search direction; `line_search` computes the step length. In a heap, whose bodies lean on each
-other in all directions, the step length is nearly zero. An island with a step length below one tenth in eight
-consecutive steps therefore skips shock propagation, and tries it again in every eighth step.
+other in all directions, the step length is nearly zero. Islands with a step length below one tenth are therefore solved
+in rounds (rounds.py); shock propagation is tried again in some later steps (islands.py).
 """
 
 import warp as wp
@@ -30,9 +30,8 @@ from warp_rigid.kernels.common.solver_body import (
 )
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows, solve_row
-from warp_rigid.kernels.enums import ShockMode
+from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
-from warp_rigid.kernels.solve.gauss_seidel import INEFFECTIVE_STEPS
 from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
     end_of_entries,
@@ -61,12 +60,6 @@ SHARED_ITERATIONS = wp.constant(2)
 """The same for a body with several supports. With one, the tower of beams collapses; with eight, the first pair takes
 the whole load, and a pyramid of 20 rows is deformed by 1 mm."""
 
-USEFUL = wp.constant(0.1)
-"""Step length from which shock propagation counts as effective for an island."""
-
-NO_WAY = wp.constant(1.0e-3)
-"""Velocity change below which effectiveness is not judged, as the island is at rest [m/s]."""
-
 SKIPPED = wp.constant(2**30)
 """Turn of a constraint that is not visited: later than all others."""
 
@@ -78,27 +71,11 @@ def island_of(entry: OrderRecord, motions: Motions, graph: Graph):
 
 
 @wp.func
-def skips_shock(ineffective_steps: int):
-    """Whether an island skips shock propagation in this step, from its number of ineffective steps."""
-    return ineffective_steps > INEFFECTIVE_STEPS
-
-
-@wp.func
-def next_ineffective_steps(ineffective_steps: int, way: float, share: float):
-    """Ineffective steps after this one, from the step length `share` and the largest velocity change `way` [m/s]."""
-    if skips_shock(ineffective_steps):
-        return wp.where(ineffective_steps < 2 * INEFFECTIVE_STEPS - 1, ineffective_steps + 1, INEFFECTIVE_STEPS)
-    if way < NO_WAY:
-        return wp.where(ineffective_steps == INEFFECTIVE_STEPS, ineffective_steps + 1, ineffective_steps)
-    return wp.where(share < USEFUL, ineffective_steps + 1, 0)
-
-
-@wp.func
 def skip_ineffective_islands(team: Team, order: Order, graph: Graph, motions: Motions):
     """Skip the constraints of islands without shock propagation. Returns 1 if any constraint of the lane remains."""
     remains = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
-        if skips_shock(graph.ineffective_steps[island_of(entry_at(k, order), motions, graph)]):
+        if graph.solver[island_of(entry_at(k, order), motions, graph)] == IslandSolver.SWEEPS:
             order.entries[k].visited = SKIPPED
         else:
             remains = 1
@@ -228,7 +205,7 @@ def propagate(
     rows: Rows,
 ):
     """One team per environment: the upward pass and, with two_pass, the downward pass."""
-    team = team_of(wp.tid(), lanes, graph.gate)
+    team = team_of(wp.tid(), lanes)
     env = team.env
     mode = envs.shock_propagation[env]
     if mode == ShockMode.OFF or repetition >= envs.shock_iterations[env] or graph.converged[env] == 1:

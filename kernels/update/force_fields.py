@@ -33,13 +33,25 @@ def point_acceleration(fields: FieldForces, f: int, x: wp.vec3):
 
 
 @wp.func
-def field_acceleration(fields: FieldForces, field_count: int, x: wp.vec3):
-    """Acceleration at x by all force fields [m/s^2]."""
+def drag_acceleration(fields: FieldForces, f: int, v: wp.vec3, dt: float):
+    """Parameters: drag, velocity. The mean over a step of dt of an exponential approach, for any size of the drag."""
+    drag = fields.parameters[f, 0]
+    rate = drag
+    if drag * dt > 1.0e-4:
+        rate = (1.0 - wp.exp(-drag * dt)) / dt
+    return rate * (vector_parameter(fields, f, 1) - v)
+
+
+@wp.func
+def field_acceleration(fields: FieldForces, env: int, x: wp.vec3, v: wp.vec3, dt: float):
+    """Acceleration by all force fields of an environment of a body at x with velocity v [m/s^2]."""
     a = wp.vec3(0.0, 0.0, 0.0)
-    for f in range(field_count):
+    for f in range(fields.start[env], fields.start[env + 1]):
         kind = fields.kind[f]
         if kind == FieldKind.UNIFORM:
             a += uniform_acceleration(fields, f, x)
         elif kind == FieldKind.POINT:
             a += point_acceleration(fields, f, x)
+        elif kind == FieldKind.DRAG:
+            a += drag_acceleration(fields, f, v, dt)
     return a

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.enums import Motion, Role
+from warp_rigid.kernels.enums import Motion, OutOfBounds, Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, State
 from warp_rigid.kernels.update.predict import is_finite
 
@@ -14,6 +14,12 @@ MOST_PARTS = wp.constant(1024)
 
 ENERGY_TOLERANCE = wp.constant(wp.float64(1.0e-3))
 """Relative change of energy allowed in the rotation of a step."""
+
+ENERGY_ROUNDING = wp.constant(wp.float64(1.0e-12))
+"""Relative error of the energy that is not corrected."""
+LARGEST_CORRECTION = wp.constant(wp.float64(1.0e-2))
+"""Largest turn that corrects the energy of a step [rad]."""
+NEWTON_STEPS = wp.constant(3)
 
 mat33d = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
 
@@ -74,6 +80,30 @@ def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float6
 
 
 @wp.func
+def with_energy(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, energy: wp.float64):
+    """Orientation turned a little, so that an angular momentum has a given rotational energy (twice the energy).
+
+    The momentum p in the body's frame moves on a sphere, on which the energy p . w with w = I^-1 p changes fastest
+    along p x w (Newton's method). Without this, the energy of a fast spin drifts in one direction (Hairer, Lubich and
+    Wanner, Geometric Numerical Integration, section IV.4: projection keeps the order of a scheme). In a steady spin
+    the energy cannot be changed, and a larger turn than LARGEST_CORRECTION is not a correction.
+    """
+    q = turn
+    for _ in range(NEWTON_STEPS):
+        p = wp.quat_rotate_inv(q, momentum)
+        w = inverse * p
+        axis = wp.cross(p, w)
+        slope = wp.length(axis)
+        missing = energy - wp.dot(p, w)
+        if wp.abs(missing) <= ENERGY_ROUNDING * energy or wp.abs(missing) > LARGEST_CORRECTION * slope:
+            return q
+        # Turning the body by -angle turns p by angle in the body's frame; p . w changes by 2 slope times the angle.
+        angle = wp.float64(0.5) * missing / slope
+        q = rotate_by(q, wp.quat_rotate(q, (-angle / slope) * axis))
+    return q
+
+
+@wp.func
 def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64):
     """Orientation and angular velocity after a torque-free time dt.
 
@@ -90,7 +120,8 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
         after = free_turn(turn, momentum, inverse, dt, parts)
         spin_after = spin_of(after, momentum, inverse)
         if wp.abs(wp.dot(momentum, spin_after) - energy) <= ENERGY_TOLERANCE * energy:
-            return after, spin_after
+            after = with_energy(after, momentum, inverse, energy)
+            return after, spin_of(after, momentum, inverse)
         parts *= 4
     return rotate_by(turn, dt * spin), spin
 
@@ -120,24 +151,18 @@ def is_inside(x: wp.vec3, lower: wp.vec3, upper: wp.vec3):
 
 
 @wp.kernel
-def keep_inside(
-    lower: wp.vec3,
-    upper: wp.vec3,
-    remove: int,
-    bodies: Bodies,
-    motions: Motions,
-    state: State,
-    envs: Environments,
-):
-    """One thread per body: record it if its centre of mass has left the bounds, and switch it off if `remove` is 1."""
+def keep_inside(bodies: Bodies, motions: Motions, state: State, envs: Environments):
+    """One thread per body: record it if its centre of mass has left the bounds, and switch it off if so required."""
     b = wp.tid()
     env = bodies.env[b]
+    if envs.out_of_bounds[env] == OutOfBounds.UNBOUNDED:
+        return
     if bodies.motion[b] == Motion.STATIC or motions.role[b] == Role.ABSENT:
         return
     center = state.position[b] + wp.quat_rotate(state.orientation[b], bodies.center_of_mass[b])
-    if not is_inside(center, lower, upper):
+    if not is_inside(center, envs.lower[env], envs.upper[env]):
         wp.atomic_max(envs.strayed, env, envs.first_body[env + 1] - b)
-        if remove == 1:
+        if envs.out_of_bounds[env] == OutOfBounds.REMOVE:
             state.active[b] = 0
 
 

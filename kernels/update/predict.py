@@ -20,6 +20,9 @@ wp.set_module_options({"enable_backward": False})
 CONTACT_DISTANCE = wp.constant(5.0e-4)
 """Samples closer than this fraction of the smaller body's size count as touching."""
 
+LARGEST_COMPONENT = wp.constant(1.0e15)
+"""Positions [m] and velocities [m/s, rad/s] from which products overflow in single precision; NaN is not below it."""
+
 UNBOUNDED_EXTENT = wp.constant(1.0e9)
 """Half-extent from which a shape counts as unbounded [m]."""
 
@@ -54,19 +57,24 @@ def role_of(b: int, bodies: Bodies, state: State, sleep_state: SleepState):
 
 @wp.func
 def is_finite(v: wp.vec3):
-    """Whether all components are finite numbers."""
-    return wp.isfinite(v[0]) and wp.isfinite(v[1]) and wp.isfinite(v[2])
+    """Whether all components are numbers whose squares and products are finite."""
+    return wp.abs(v[0]) < LARGEST_COMPONENT and wp.abs(v[1]) < LARGEST_COMPONENT and wp.abs(v[2]) < LARGEST_COMPONENT
 
 
 @wp.func
-def body_is_finite(b: int, state: State):
-    """Whether a body's velocity and position are finite."""
-    return is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b]) and is_finite(state.position[b])
+def body_is_finite(b: int, bodies: Bodies, state: State, acceleration: wp.vec3, spin_acceleration: wp.vec3):
+    """Whether a body's state, its accelerations and its coefficients are finite."""
+    moves = is_finite(state.linear_velocity[b]) and is_finite(state.angular_velocity[b])
+    turn = state.orientation[b]
+    placed = is_finite(state.position[b]) and is_finite(wp.vec3(turn[0], turn[1], turn[2])) and wp.isfinite(turn[3])
+    pushed = is_finite(acceleration) and is_finite(spin_acceleration)
+    dissipation = bodies.friction[b] + bodies.rolling_friction[b] + bodies.spinning_friction[b]
+    return moves and placed and pushed and wp.isfinite(dissipation + bodies.restitution[b])
 
 
 @wp.kernel
 def derive_motion(
-    field_count: int,
+    dt: float,
     bodies: Bodies,
     state: State,
     sleep_state: SleepState,
@@ -77,9 +85,9 @@ def derive_motion(
     """Role, centre of mass, world inertia and external accelerations of each body."""
     b = wp.tid()
     motions.role[b] = role_of(b, bodies, state, sleep_state)
-    motions.is_finite[b] = wp.where(body_is_finite(b, state), 1, 0)
+    env = bodies.env[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        envs.moving[bodies.env[b]] = envs.step[bodies.env[b]] + 1
+        envs.moving[env] = envs.step[env] + 1
     turn = state.orientation[b]
     center = state.position[b] + wp.quat_rotate(turn, bodies.center_of_mass[b])
     motions.center[b] = center
@@ -94,9 +102,11 @@ def derive_motion(
     motions.solver_bodies[b] = solver_body
     acceleration = wp.vec3(0.0, 0.0, 0.0)
     if bodies.motion[b] == Motion.DYNAMIC:
-        acceleration = envs.gravity[bodies.env[b]] + field_acceleration(fields, field_count, center)
+        acceleration = envs.gravity[env] + field_acceleration(fields, env, center, state.linear_velocity[b], dt)
     motions.acceleration[b] = acceleration + bodies.inverse_mass[b] * state.force[b]
-    motions.spin_acceleration[b] = inverse * state.torque[b]
+    spin_acceleration = inverse * state.torque[b]
+    motions.spin_acceleration[b] = spin_acceleration
+    motions.is_finite[b] = wp.where(body_is_finite(b, bodies, state, motions.acceleration[b], spin_acceleration), 1, 0)
 
 
 @wp.kernel

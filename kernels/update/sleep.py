@@ -259,6 +259,7 @@ def count_history(threads: int, history: History, motions: Motions, pairs: Pairs
             pairs.searched[pair] = history.searched[row]
             pairs.searched_orientation[pair] = history.searched_orientation[row]
             pairs.searched_position[pair] = history.searched_position[row]
+            pairs.axis[pair] = history.axis[row]
 
 
 @wp.func

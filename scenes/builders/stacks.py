@@ -8,10 +8,15 @@ import numpy as np
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scene.shapes.base import Shape
+from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders.bodies import add_bodies
 
 CUBE = Box((0.1, 0.1, 0.1))
 """Cube of 0.2 m, which has a mass of 8 kg at the default density."""
+BRICK = (0.0585, 0.0117, 0.0039)
+"""Half of the length, width and thickness of a Kapla brick [m], 15 : 3 : 1."""
+BRICK_GAP = 0.0003
+"""Half of the smallest distance between bricks of the same layer of a tower [m]."""
 
 
 def column(
@@ -87,6 +92,25 @@ def leaning_tower_falls(x: Sequence[float] | np.ndarray, half: float) -> bool:
     return any(x[k:].mean() > edge[k] + 1e-9 for k in range(len(x)))
 
 
+def pyramid(rows: int, half: float = 0.1) -> np.ndarray:
+    """Positions of rows of cubes in the plane y = 0, each with one cube less than the row below, lowest first [m].
+
+    Args:
+        rows: number of rows, which is also the number of cubes in the lowest one.
+        half: half of a cube's width [m].
+
+    Returns:
+        (rows (rows + 1) / 2, 3), row by row from the ground up.
+    """
+    width = 2 * half
+    positions = [
+        (width * (k - 0.5 * (rows - row - 1)), 0, half * (2 * row + 1))
+        for row in range(rows)
+        for k in range(rows - row)
+    ]
+    return np.array(positions, np.float64).reshape(-1, 3)
+
+
 def add_pyramid(scene: Scene, rows: int, half: float = 0.1, **coefficients: Any) -> list[int]:
     """Add rows of cubes in the plane y = 0, each with one cube less than the row below.
 
@@ -99,13 +123,97 @@ def add_pyramid(scene: Scene, rows: int, half: float = 0.1, **coefficients: Any)
     Returns:
         Indices of the cubes, row by row from the ground up.
     """
-    width = 2 * half
-    positions = [
-        (width * (k - 0.5 * (rows - row - 1)), 0, half * (2 * row + 1))
-        for row in range(rows)
-        for k in range(rows - row)
+    return add_bodies(scene, Box((half,) * 3), pyramid(rows, half), **coefficients)
+
+
+def brick_tower(count: int, sectors: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of flat bricks that form a round, hollow tower, lowest first.
+
+    A storey has two layers. In the lower one, bricks point outwards, one in each sector. In the upper one, two rings of
+    bricks bridge the gaps between them, at their inner and at their outer ends. Every brick rests on two others or on
+    the ground, so that a tower with an unfinished storey stands too.
+
+    Args:
+        count: number of bricks, 3 * sectors in a storey.
+        sectors: bricks in a ring, at least 36: with fewer the outer ring is not supported well.
+
+    Returns:
+        Positions (count, 3) [m] and orientations (count, 4), (x, y, z, w).
+    """
+    length, width, thickness = BRICK
+    angle = 2.0 * np.pi / sectors
+    inner = (length + BRICK_GAP) / np.tan(0.5 * angle)
+    k = np.arange(count)
+    storey, place = np.divmod(k, 3 * sectors)
+    ring, sector = np.divmod(place, sectors)
+    bridge = ring > 0
+    radius = inner + np.choose(ring, (length, width, 2.0 * length - width))
+    about = angle * (sector + 0.5 * bridge)
+    height = thickness * (4 * storey + 2 * bridge + 1)
+    half = 0.5 * (about + 0.5 * np.pi * bridge)
+    flat = np.zeros(count)
+    position = np.stack([radius * np.cos(about), radius * np.sin(about), height], axis=1)
+    return position, np.stack([flat, flat, np.sin(half), np.cos(half)], axis=1)
+
+
+def add_brick_tower(scene: Scene, count: int, sectors: int = 60, **coefficients: Any) -> list[int]:
+    """Add flat bricks that form a round, hollow tower; see `brick_tower`.
+
+    Args:
+        scene: the scene.
+        count: number of bricks.
+        sectors: bricks in a ring.
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the bricks, lowest first.
+    """
+    return add_bodies(scene, Box(BRICK), *brick_tower(count, sectors), **coefficients)
+
+
+def voussoir(stones: int, radius: float, thickness: float, depth: float, sdf_resolution: int = 64) -> Mesh:
+    """A stone of a semicircular arch, about the centre of its middle radius; z points outwards, x along the arch.
+
+    Args:
+        stones: number of stones in the arch.
+        radius: mean radius of the arch [m].
+        thickness: of the arch, radially [m].
+        depth: along the axis of the arch [m].
+        sdf_resolution: as in `Mesh`.
+    """
+    half = 0.5 * np.pi / stones
+    corners = [
+        (along * r * np.sin(half), across * 0.5 * depth, r * np.cos(half) - radius)
+        for r in (radius - 0.5 * thickness, radius + 0.5 * thickness)
+        for across in (-1, 1)
+        for along in (-1, 1)
     ]
-    return add_bodies(scene, Box((half,) * 3), positions, **coefficients)
+    faces = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3)]
+    faces += [(0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
+    return Mesh(np.array(corners), np.array(faces), sdf_resolution)
+
+
+def add_arch(
+    scene: Scene, stones: int, radius: float, thickness: float, depth: float = 1.0, **coefficients: Any
+) -> list[int]:
+    """Add a semicircular arch of equal stones that stands on the plane z = 0, about the y axis.
+
+    Args:
+        scene: the scene.
+        stones: number of stones.
+        radius: mean radius [m].
+        thickness: radial thickness [m].
+        depth: along y [m].
+        **coefficients: as in `add_bodies`.
+
+    Returns:
+        Indices of the stones, from -x to +x.
+    """
+    angle = np.pi * ((np.arange(stones) + 0.5) / stones - 0.5)
+    flat = np.zeros(stones)
+    positions = radius * np.stack([np.sin(angle), flat, np.cos(angle)], axis=1)
+    orientations = np.stack([flat, np.sin(0.5 * angle), flat, np.cos(0.5 * angle)], axis=1)
+    return add_bodies(scene, voussoir(stones, radius, thickness, depth), positions, orientations, **coefficients)
 
 
 def add_ball_pyramid(scene: Scene, base: int, radius: float, **coefficients: Any) -> list[int]:

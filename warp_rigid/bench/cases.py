@@ -7,9 +7,12 @@ from functools import partial
 
 import numpy as np
 
+from warp_rigid import scenes
+from warp_rigid.bench.scene_case import SceneCase
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scenes import rings_on_poles
 from warp_rigid.scenes.builders import grounds, meshes, piles, stacks
@@ -25,6 +28,8 @@ FIRST_SEED = 1000
 """The start of environment e of a pile is drawn from seed FIRST_SEED + e."""
 MARGIN = 0.05
 """A body has escaped if it is this far outside its bin [m]."""
+PYRAMID_HALF, PYRAMID_FRICTION, PYRAMID_DENSITY = 0.5, 0.6, 100.0
+"""Half of the width of a cube of the pyramid [m], friction and density, as in Box3D's benchmark large_pyramid."""
 
 Starts = tuple[np.ndarray, np.ndarray]
 """Positions (bodies, 3) [m] and orientations (bodies, 4) of the dynamic bodies."""
@@ -36,16 +41,17 @@ class BenchmarkScene:
 
     Attributes:
         build: function(bodies) -> Scene; the start is that of environment 0.
-        half_width: function(bodies) -> distance from the z axis along x or y beyond which a body has escaped [m].
+        half_width: function(bodies) -> horizontal distance beyond which a body has escaped [m]: along x or y from the
+            z axis, or from its place at rest where that is known.
         starts: function(bodies, env) -> starts of an environment; None if all environments start alike.
-        rest_heights: function(bodies) -> (bodies,) heights of the bodies at rest [m]; None where they are not known.
+        rest: function(bodies) -> (bodies, 3) positions of the bodies at rest [m]; None where they are not known.
         max_bodies: largest number of bodies.
     """
 
     build: Callable[[int], Scene]
     half_width: Callable[[int], float]
     starts: Callable[[int, int], Starts] | None = None
-    rest_heights: Callable[[int], np.ndarray] | None = None
+    rest: Callable[[int], np.ndarray] | None = None
     max_bodies: int = piles.MOST_BODIES
 
 
@@ -82,29 +88,35 @@ class BenchmarkCase:
             position: (envs, bodies, 3) of the dynamic bodies [m].
         """
         scene = SCENES[self.name]
-        if scene.rest_heights is not None:
-            inside = np.abs(self.drift(position)) < scene.half_width(self.bodies)
+        if scene.rest is not None:
+            inside = self.drift(position) < scene.half_width(self.bodies)
         else:
             inside = np.abs(position[..., :2]).max(axis=-1) < scene.half_width(self.bodies)
             inside &= position[..., 2] > -MARGIN
         return int((~inside).sum())
 
     def drift(self, position: np.ndarray) -> np.ndarray:
-        """Horizontal distance of the bodies from the z axis, (envs, bodies) [m]."""
-        return np.linalg.norm(position[..., :2], axis=-1)
+        """Horizontal distance of the bodies from the places at rest, which must be known, (envs, bodies) [m]."""
+        return np.linalg.norm(self._displacement(position)[..., :2], axis=-1)
 
     def height_error(self, position: np.ndarray) -> np.ndarray | None:
         """Height of the bodies above their height at rest, (envs, bodies) [m]; None where that is not known."""
-        rest_heights = SCENES[self.name].rest_heights
-        return None if rest_heights is None else position[..., 2] - rest_heights(self.bodies)
+        return None if SCENES[self.name].rest is None else self._displacement(position)[..., 2]
+
+    def _displacement(self, position: np.ndarray) -> np.ndarray:
+        rest = SCENES[self.name].rest
+        assert rest is not None
+        return position - rest(self.bodies)
 
 
-def find_case(text: str) -> BenchmarkCase:
-    """Parse a case such as "stack:10".
+def find_case(text: str) -> BenchmarkCase | SceneCase:
+    """Parse a case such as "stack:10", or the name or .py file of a scene.
 
     Raises:
         ValueError: There is no such scene, or the number of bodies is missing or out of range.
     """
+    if text.endswith(".py") or text in scenes.names():
+        return SceneCase(text)
     name, _, count = text.partition(":")
     one_of("SCENE", name, tuple(SCENES))
     if not count.isdigit():
@@ -120,6 +132,25 @@ def moving(scene: Scene) -> list[int]:
 def _stack(bodies: int) -> Scene:
     scene = grounds.level_scene(friction=FRICTION)
     stacks.add_stack(scene, bodies, bottom=0.0, gap=GAP, density=DENSITY, friction=FRICTION)
+    return scene
+
+
+def _pyramid(cubes: int) -> Scene:
+    scene = grounds.level_scene(friction=PYRAMID_FRICTION)
+    cube = Box((PYRAMID_HALF,) * 3)
+    add_bodies(scene, cube, _pyramid_rest(cubes), density=PYRAMID_DENSITY, friction=PYRAMID_FRICTION)
+    return scene
+
+
+def _pyramid_rest(cubes: int) -> np.ndarray:
+    """The lowest cubes of the smallest pyramid that has enough of them."""
+    rows = math.ceil((math.sqrt(8.0 * cubes + 1.0) - 1.0) / 2.0)
+    return stacks.pyramid(rows, PYRAMID_HALF)[:cubes]
+
+
+def _brick_tower(bricks: int) -> Scene:
+    scene = grounds.level_scene(friction=FRICTION)
+    stacks.add_brick_tower(scene, bricks, density=DENSITY, friction=FRICTION)
     return scene
 
 
@@ -147,7 +178,7 @@ SCENES: dict[str, BenchmarkScene] = {
     "stack": BenchmarkScene(
         _stack,
         half_width=lambda cubes: 0.5 * EDGE,
-        rest_heights=lambda cubes: EDGE * (np.arange(cubes) + 0.5),
+        rest=stacks.column,
     ),
     "pile_box": _pile_of(lambda: stacks.CUBE),
     "pile_torus": _pile_of(meshes.torus),
@@ -157,6 +188,10 @@ SCENES: dict[str, BenchmarkScene] = {
         half_width=lambda rings: rings_on_poles.LOST * rings_on_poles.CYLINDER_A_SIDE * _poles_a_side(rings),
         starts=lambda rings, env: rings_on_poles.starts(rings, _poles_a_side(rings), env),
         max_bodies=2000,
+    ),
+    "pyramid": BenchmarkScene(_pyramid, half_width=lambda cubes: PYRAMID_HALF, rest=_pyramid_rest),
+    "kapla": BenchmarkScene(
+        _brick_tower, half_width=lambda bricks: stacks.BRICK[1], rest=lambda bricks: stacks.brick_tower(bricks)[0]
     ),
 }
 """Scenes by name."""

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from warp_rigid.bench.measure import OURS
+from warp_rigid.files.atomic import atomic_file
 
 MARKERS = "oxsd^v"
 """Markers of the engines, this one first."""
@@ -21,7 +22,8 @@ def save_chart(rows: Sequence[dict[str, Any]], path: str) -> None:
     left, right = chart.subplots(1, 2)
     _draw_throughput(left, rows)
     _draw_stages(right, own)
-    chart.savefig(path, dpi=120)
+    with atomic_file(path) as temporary:
+        chart.savefig(temporary, dpi=120)
 
 
 def _draw_throughput(axes: Any, rows: Sequence[dict[str, Any]]) -> None:

@@ -52,16 +52,33 @@ def measure(case: BenchmarkCase, conditions: Conditions, device: Any) -> tuple[d
     Returns:
         Figures, ready for JSON, and the simulator at the end of the timed frames.
     """
+    sim, build_seconds = prepare(case, conditions, device)
+    advance(sim, conditions.substeps * conditions.settle)
+    taken = advance(sim, conditions.substeps * conditions.frames)
+    return figures(case, conditions, sim, *taken, build_seconds), sim
+
+
+def prepare(case: BenchmarkCase, conditions: Conditions, device: Any) -> tuple[Simulator, float]:
+    """A simulator of a case at its start, and the time that it took to build [s]."""
     begin = time.perf_counter()
     settings = Settings(dt=1.0 / (FPS * conditions.substeps), sleeping=conditions.sleeping)
     sim = Simulator(case.build(), conditions.envs, settings, device=device)
     case.scatter(sim)
     wp.synchronize_device(sim.device)
-    build_seconds = time.perf_counter() - begin
-    _advance(sim, conditions.substeps * conditions.settle)
-    seconds, processor_seconds = _advance(sim, conditions.substeps * conditions.frames)
+    return sim, time.perf_counter() - begin
+
+
+def figures(
+    case: BenchmarkCase,
+    conditions: Conditions,
+    sim: Simulator,
+    seconds: float,
+    processor_seconds: float,
+    build_seconds: float,
+) -> dict[str, Any]:
+    """Figures of timed frames at whose end the simulator is, ready for JSON."""
     rows = moving(sim.scene)
-    figures = {
+    return {
         "engine": OURS,
         "scene": case.name,
         "bodies": case.bodies,
@@ -79,7 +96,6 @@ def measure(case: BenchmarkCase, conditions: Conditions, device: Any) -> tuple[d
         "failed_envs": int((sim.status()["status"] != "ok").sum()),
         "stage_seconds": stage_times(sim, STAGE_STEPS),
     }
-    return figures, sim
 
 
 def rates(case: BenchmarkCase, conditions: Conditions, seconds: float, processor_seconds: float) -> dict[str, float]:
@@ -177,7 +193,7 @@ def _conditions(row: dict[str, Any]) -> tuple:
     return tuple(row[name] for name in ("scene", "bodies", "envs", "substeps", "settle", "frames"))
 
 
-def _advance(sim: Simulator, steps: int) -> tuple[float, float]:
+def advance(sim: Simulator, steps: int) -> tuple[float, float]:
     """Wall-clock and processor time that steps take [s]."""
     start, begin = time.process_time(), time.perf_counter()
     sim.step(steps)

@@ -6,6 +6,7 @@ speed; quality is measured here, with the same measures for all engines.
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -24,10 +25,12 @@ from warp_rigid.scene.shapes import Box, Cylinder, Mesh
 from warp_rigid.scene.shapes.distance_grid import cache_folder
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
-NAMES = ("newton", "mujoco_warp", "mujoco", "rapier", "pybullet")
+NAMES = ("newton_steel", "newton_xpbd", "mujoco_warp", "mujoco", "rapier", "pybullet")
 NOT_INSTALLED = 3
 """Exit status of a program whose engine is missing."""
 TIMEOUT = 3600.0
+OVERFLOW = re.compile(r"buffer overflow|overflowed|overflow - |dropped|insert failures|buffer is full", re.IGNORECASE)
+"""A line with this, printed by an engine, means that a buffer was too small and contacts are missing."""
 
 
 def choose_peers(names: str | None, pythons: list[str] | None) -> dict[str, str]:
@@ -80,6 +83,9 @@ def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions
             lines = done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"]
             missing = done.returncode == NOT_INSTALLED
             return _fault(name, case, conditions, "not installed" if missing else lines[-1][:200])
+        for line in (done.stdout + done.stderr).splitlines():
+            if OVERFLOW.search(line):
+                return _fault(name, case, conditions, f"contacts are missing: {line.strip()[:160]}")
         with np.load(result) as found:
             return _read_result(case, conditions, sim, {key: found[key] for key in found.files})
 

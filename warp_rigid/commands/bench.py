@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from warp_rigid.bench.cases import STANDARD, find_case
-from warp_rigid.commands.terminal import check_outputs, console, note, progress
+from warp_rigid.commands.terminal import check_outputs, check_writable, console, note, progress
 from warp_rigid.engine.simulator import choose_device
 
 
@@ -19,20 +19,27 @@ def bench_command(
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Scenes with their number of bodies: stack, pile_box, pile_torus, pile_bunny, rings. "
+            help="Scenes with their number of bodies: stack, pile_box, pile_torus, pile_bunny, rings, pyramid, kapla. "
             f"[{', '.join(STANDARD)}]"
         ),
     ] = None,
     envs: Annotated[str, typer.Option(help="Numbers of environments, such as 1024,4096.")] = "1",
     substeps: Annotated[str, typer.Option(help="Numbers of steps per frame of 1/60 s, such as 1,4.")] = "4",
-    frames: Annotated[int, typer.Option(help="Number of timed frames.")] = 60,
-    settle: Annotated[int, typer.Option(help="Number of untimed frames before them.")] = 120,
+    frames: Annotated[int | None, typer.Option(help="Number of timed frames. [60]")] = None,
+    settle: Annotated[int | None, typer.Option(help="Number of untimed frames before them. [120]")] = None,
+    phases: Annotated[
+        bool, typer.Option("--phases", help="Time the first second, the second second, and a second at rest.")
+    ] = False,
+    until: Annotated[
+        float | None, typer.Option(help="With --phases: time at which the last second begins at the latest [s]. [10]")
+    ] = None,
     sleeping: Annotated[bool, typer.Option("--sleeping", help="Enable sleeping.")] = False,
     device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
     json_lines: Annotated[str | None, typer.Option(help="Append one JSON line per run to this file.")] = None,
     output: Annotated[str | None, typer.Option("-o", "--output", help="Plot of all runs, .png.")] = None,
     peers: Annotated[
-        str | None, typer.Option(help="Engines to compare with: newton, mujoco_warp, mujoco, rapier, pybullet.")
+        str | None,
+        typer.Option(help="Engines to compare with: newton_steel, newton_xpbd, mujoco_warp, mujoco, rapier, pybullet."),
     ] = None,
     peer_python: Annotated[
         list[str] | None, typer.Option(help="Python interpreter of an engine, as name=path; repeatable.")
@@ -45,41 +52,56 @@ def bench_command(
     Sleeping is off by default. The settling frames are not timed. Other engines simulate the same initial states for
     the same number of frames, and the penetration of their final states is measured with the same code. On the CPU
     this engine uses all cores and the others one; ratios there compare processor time summed over cores.
+
+    With --phases each scene runs from its start until it rests: moving bodies cost more than resting ones.
     """
     from warp_rigid.bench import measure
     from warp_rigid.bench import peers as other
 
     cases = [find_case(text) for text in scenes or STANDARD]
     sizes, steps = _numbers("--envs", envs), _numbers("--substeps", substeps)
-    for name, value, least in (("--frames", frames, 1), ("--settle", settle, 0)):
-        if value < least:
-            raise ValueError(f"{name}: must be >= {least}, got {value}")
+    _check_times(frames, settle, until, phases, peers is not None or output is not None)
     chosen = other.choose_peers(peers, peer_python)
     check_outputs(None, {output: (".png",)} if output else {})
+    if json_lines:
+        check_writable(json_lines)
     found = choose_device(device)
     machine = measure.surroundings(found)
     rows: list[dict[str, Any]] = []
     started = {str(case): _start_up(str(case), str(found)) for case in cases} if cold else {}
     runs = [
-        (case, measure.Conditions(size, substep, settle, frames, sleeping))
+        (case, measure.Conditions(size, substep, 120 if settle is None else settle, frames or 60, sleeping))
         for case, substep, size in itertools.product(cases, steps, sizes)
     ]
     with progress("bench", len(runs) * (1 + len(chosen))) as advance:
         for case, conditions in runs:
-            done = [{**machine, **row} for row in _engines(case, conditions, found, chosen)]
-            measure.compare(done)
+            if phases:
+                done = [{**machine, **row} for row in _phases(case, conditions, found, until)]
+            else:
+                done = [{**machine, **row} for row in _engines(case, conditions, found, chosen)]
+                measure.compare(done)
             _append(done, json_lines)
             rows += done
-            if advance:
-                advance(len(rows))
+            advance(len(rows))
     if output:
         _draw(rows, output)
     files = [path for path in (json_lines, output) if path]
     if as_json:
         print(json.dumps({"rows": rows, "start_up": started, "files": files}))
         return 0
-    _print(rows, started, files)
+    _print(rows, started, files, phases)
     return 0
+
+
+def _check_times(frames: int | None, settle: int | None, until: float | None, phases: bool, others: bool) -> None:
+    """Check the options for times; `others` are options that cannot be combined with --phases."""
+    for name, value, least in (("--frames", frames, 1), ("--settle", settle, 0), ("--until", until, 2)):
+        if value is not None and not least <= value <= 1e6:
+            raise ValueError(f"{name}: must be from {least} to 1000000, got {value:g}")
+    if phases and (others or frames is not None or settle is not None):
+        raise ValueError("--phases: cannot be combined with --frames, --settle, --peers and --output")
+    if until is not None and not phases:
+        raise ValueError("--until: needs --phases")
 
 
 def _numbers(name: str, text: str) -> list[int]:
@@ -109,6 +131,12 @@ def _engines(case: Any, conditions: Any, device: Any, chosen: dict[str, str]) ->
         yield row
 
 
+def _phases(case: Any, conditions: Any, device: Any, until: float | None) -> list[dict[str, Any]]:
+    from warp_rigid.bench.phases import UNTIL, measure_phases
+
+    return measure_phases(case, conditions, device, UNTIL if until is None else until)
+
+
 def _append(rows: list[dict[str, Any]], json_lines: str | None) -> None:
     """Append the rows immediately, so that an interrupted benchmark keeps its measurements."""
     if json_lines:
@@ -124,24 +152,39 @@ def _draw(rows: list[dict[str, Any]], output: str) -> None:
     save_chart(rows, output)
 
 
-def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]) -> None:
+ENGINES = (
+    ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used", "overlap")
+    + ("error", "lost", "m/s", "ratio"),
+    "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
+    "buffer; overlap: maximum penetration [mm]; error: maximum error of stack height [mm]; lost: escaped bodies; "
+    "ratio: speed of warp_rigid over that engine",
+)
+"""Columns of the table of engines, and their explanation."""
+PHASES = (
+    ("scene", "envs", "steps", "phase", "frames/s", "per core", "contacts", "used", "overlap", "at end", "median")
+    + ("error", "lost", "m/s"),
+    "frames/s: all environments; per core: per second of processor time; used: largest used share of a buffer; "
+    "overlap: maximum penetration during the phase and at its end, and the median over environments at its end [mm]; "
+    "error: maximum error of stack height [mm]; lost: escaped bodies",
+)
+"""The same of the table of phases."""
+
+
+def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str], phases: bool) -> None:
     out = console()
-    names = ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used")
+    names, explanation = PHASES if phases else ENGINES
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in (*names, "overlap", "error", "lost", "m/s", "ratio"):
-        table.add_column(name, no_wrap=True, justify="left" if name in ("scene", "engine") else "right")
+    for name in names:
+        table.add_column(name, no_wrap=True, justify="left" if name in ("scene", "engine", "phase") else "right")
     for row in rows:
         if "fault" not in row:
-            table.add_row(*(escape(cell) for cell in _cells(row)))
+            cells = _cells(row)
+            table.add_row(*(escape(cells[name]) for name in names))
     out.print(table, highlight=False)
-    out.print(
-        "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
-        "buffer; overlap: maximum penetration [mm]; error: maximum error of stack height [mm]; lost: escaped bodies; "
-        "ratio: speed of warp_rigid over that engine",
-        style="dim",
-        markup=False,
-        highlight=False,
-    )
+    out.print(explanation, style="dim", markup=False, highlight=False)
+    for row in rows:
+        if "rest" in row:
+            out.print(_rest(row), highlight=False, markup=False)
     for row in rows:
         if "stage_seconds" in row:
             out.print(_stages(row), highlight=False, markup=False)
@@ -154,25 +197,41 @@ def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]
         out.print(f"wrote {path}", highlight=False, markup=False)
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
+def _cells(row: dict[str, Any]) -> dict[str, str]:
+    """Cells of a row by the name of their column."""
     judged = row["quality"]
     used = max(row.get(name, 0.0) for name in ("pair_capacity_used", "contact_capacity_used"))
-    return [
-        f"{row['scene']}:{row['bodies']}",
-        str(row["envs"]),
-        str(row["substeps"]),
-        row["engine"],
-        _short(row["env_frames_per_second"]),
-        "" if "cuda" in row["device"] else _short(row["env_frames_per_processor_second"]),
-        _short(row["body_steps_per_second"]),
-        str(row.get("contacts", "")),
-        f"{used:.0%}" if used else "",
-        _millimetres(judged["deepest_overlap"]),
-        _millimetres(judged.get("height_error")),
-        str(judged["escaped"]),
-        "" if judged["max_speed"] is None else f"{judged['max_speed']:.0e}",
-        f"{row['ratio']:.3g}" if "ratio" in row else "",
-    ]
+    return {
+        "scene": f"{row['scene']}:{row['bodies']}",
+        "envs": str(row["envs"]),
+        "steps": str(row["substeps"]),
+        "engine": row["engine"],
+        "phase": row.get("phase", ""),
+        "frames/s": _short(row["env_frames_per_second"]),
+        "per core": "" if "cuda" in row["device"] else _short(row["env_frames_per_processor_second"]),
+        "body steps/s": _short(row["body_steps_per_second"]),
+        "contacts": str(row.get("contacts", "")),
+        "used": f"{used:.0%}" if used else "",
+        "overlap": _millimetres(judged.get("deepest_overlap_during", judged["deepest_overlap"])),
+        "at end": _millimetres(judged["deepest_overlap"]),
+        "median": _millimetres(judged["median_overlap"]),
+        "error": _millimetres(judged.get("height_error")),
+        "lost": str(judged["escaped"]),
+        "m/s": "" if judged["max_speed"] is None else f"{judged['max_speed']:.0e}",
+        "ratio": f"{row['ratio']:.3g}" if "ratio" in row else "",
+    }
+
+
+def _rest(row: dict[str, Any]) -> str:
+    """When a scene came to rest."""
+    rest, name = row["rest"], _title(row)
+    if rest["rest_time"] is None:
+        half = rest["median_rest_time"]
+        some = f", half of them after {half:.1f} s" if half is not None else ""
+        return f"{name}: {rest['resting_envs']} of {row['envs']} environments at rest at the end{some}"
+    when = f"{rest['rest_time']:.1f} s after the start, simulated in {rest['rest_seconds']:.3g} s"
+    half = "" if row["envs"] == 1 else f"; half of the environments after {rest['median_rest_time']:.1f} s"
+    return f"{name}: at rest {when}{half}"
 
 
 def _short(number: float) -> str:
@@ -191,5 +250,9 @@ def _stages(row: dict[str, Any]) -> str:
     total = sum(row["stage_seconds"].values())
     largest = sorted(row["stage_seconds"].items(), key=lambda item: -item[1])
     parts = ", ".join(f"{name} {seconds / total:.0%}" for name, seconds in largest if seconds >= 0.02 * total)
-    case = f"{row['scene']}:{row['bodies']} × {row['envs']}, {row['substeps']} steps"
-    return f"{case}, {row['levels']} levels: {1e6 * total:.4g} µs/step: {parts}"
+    phase = f", {row['phase']}" if "phase" in row else ""
+    return f"{_title(row)}{phase}, {row['levels']} levels: {1e6 * total:.4g} µs/step: {parts}"
+
+
+def _title(row: dict[str, Any]) -> str:
+    return f"{row['scene']}:{row['bodies']} × {row['envs']}, {row['substeps']} steps"

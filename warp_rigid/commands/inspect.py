@@ -56,6 +56,7 @@ def _print_mesh(name: str, figures: dict[str, Any]) -> None:
         "mesh": f"{name}: {figures['vertices']} vertices, {figures['triangles']} triangles, "
         f"{'watertight' if figures['watertight'] else 'open'}",
         "repairs": "; ".join(figures["repairs"]) or "none",
+        "contacts": _contacts(figures),
         "size": f"{triple(*size)} m",
         "volume": f"{figures['volume']:.5g} m^3",
         "center of mass": "({:.4g}, {:.4g}, {:.4g}) m".format(*figures["center_of_mass"]),
@@ -70,3 +71,13 @@ def _print_mesh(name: str, figures: dict[str, Any]) -> None:
     for label, text in rows.items():
         table.add_row(label, text)
     console().print(table, highlight=False)
+
+
+def _contacts(figures: dict[str, Any]) -> str:
+    """Where contacts take distances from, and what to do about thin walls."""
+    if not figures["fault"]:
+        return "from the triangles, so walls may be thinner than a cell"
+    return (
+        f"from the grid only, as {figures['fault']}: walls thinner than {1e3 * figures['thinnest_wall']:.3g} mm do not "
+        "hold; repair the mesh or raise --sdf-resolution"
+    )

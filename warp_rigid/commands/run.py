@@ -1,6 +1,8 @@
 """`warp-rigid run`: simulate a scene, evaluate its outcome and write animations and images."""
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,14 +10,23 @@ import typer
 from rich.table import Table
 
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.commands.terminal import check_outputs, console, note, progress
+from warp_rigid.commands.terminal import (
+    check_outputs,
+    check_writable,
+    console,
+    continued,
+    note,
+    progress,
+    told_if_interrupted,
+)
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
+from warp_rigid.scenes.demo import shown_value
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
-CAPACITY, NON_FINITE = 3, 4
+CAPACITY, NON_FINITE, UNEXPECTED = 3, 4, 6
 MAX_RECORDED = 16
 """Default maximum number of recorded environments."""
 MAX_COLUMNS = 8
@@ -23,6 +34,7 @@ MAX_COLUMNS = 8
 
 
 def run_command(
+    context: typer.Context,
     scene: Annotated[str, typer.Argument(help="Built-in scene, USD file, or .py file with a function scene().")],
     envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
     frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None,
@@ -67,7 +79,13 @@ def run_command(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
-    """Simulate a scene, evaluate its outcome, and write animations and images."""
+    """Simulate a scene, evaluate its outcome, and write animations and images.
+
+    Exit status 6: a verdict is not as expected.
+    """
+    written = [path for path in (output, picture, film, contact_sheet, html) if path]
+    if len(set(written)) < len(written):
+        raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
     pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
     check_outputs(output, {path: endings for path, endings in pictures.items() if path})
     one_of("--color", color, COLORINGS)
@@ -89,30 +107,34 @@ def run_command(
     )
     if checkpoint_every is not None:
         whole_in("--checkpoint-every", checkpoint_every, 1, 10**9)
+        check_writable(checkpoint or f"{plan.demo.name}.ckpt")
     checkpoints = Checkpoints(Path(checkpoint or f"{plan.demo.name}.ckpt"), checkpoint_every, resume)
     if resume and not checkpoints.path.exists():
         note(f"{checkpoints.path}: no checkpoint found, starting from the beginning")
-    written = [path for path in (output, picture, film, contact_sheet, html) if path]
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
     _print_import_report(plan.scene.import_report)
     # A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
-    if output and to_usd and checkpoint_every is None and not resume:
-        result = _execute_to_usd(plan, output, chosen, usd)
-    else:
-        with progress(plan.demo.name, plan.frames) as advance:
-            result = runner.execute(
-                plan, chosen, advance, checkpoints, velocities=color == "speed", contacts=usd_contacts
-            )
-        if output:
-            _export(result.recording, output, usd)
+    streamed = output if to_usd and checkpoint_every is None and not resume else None
+    done = _FramesDone(plan.frames)
+    with told_if_interrupted(lambda: done.kept(streamed, checkpoints, context)):
+        if streamed:
+            result = _execute_to_usd(plan, streamed, chosen, usd, done)
+        else:
+            with progress(plan.demo.name, plan.frames) as advance:
+                result = runner.execute(
+                    plan, chosen, done.then(advance), checkpoints, velocities=color == "speed", contacts=usd_contacts
+                )
+    if output and not streamed:
+        _export(result.recording, output, usd)
     if picture or film or contact_sheet or html:
-        _draw(_film(result.recording, output if to_usd else None, color), picture, film, contact_sheet, html)
+        drawn = replace(_film(result.recording, output if to_usd else None, color), view=plan.demo.view)
+        _draw(drawn, picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary)
-    return _status(summary["failed"])
+    return _status(summary["failed"]) or (0 if all(_judged(summary["verdicts"])) else UNEXPECTED)
 
 
 def _memory_limit(text: str | None) -> int | float | None:
@@ -125,18 +147,48 @@ def _memory_limit(text: str | None) -> int | float | None:
         raise ValueError(f"--memory-limit: must be bytes or a fraction such as 0.5, got {text}") from None
 
 
-def _execute_to_usd(plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions) -> runner.Result:
+class _FramesDone:
+    """Counts the finished frames, for the message after an interruption."""
+
+    def __init__(self, total: int):
+        self._done, self._total = 0, total
+
+    def then(self, advance: Callable[[int], None]) -> Callable[[int], None]:
+        """A function for runner.execute that counts the frame and calls another function."""
+
+        def on_frame(done: int) -> None:
+            self._done = done
+            advance(done)
+
+        return on_frame
+
+    def kept(self, streamed: str | None, checkpoints: Checkpoints, context: typer.Context) -> str:
+        """What an interrupted run has kept, and how to continue it."""
+        text = f"after {self._done} of {self._total} frames; "
+        every = checkpoints.every
+        if every is not None and self._done >= every:
+            frame = self._done - self._done % every
+            return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(context)}"
+        if streamed:
+            return (
+                text + f"kept {streamed} with {self._done + 1} frames; to be able to continue, use --checkpoint-every N"
+            )
+        return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
+
+
+def _execute_to_usd(
+    plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions, done: _FramesDone
+) -> runner.Result:
     """Run and stream each frame to the file, so that memory stays constant and an interrupted run keeps its frames."""
     labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
     with UsdStream(plan.sim, path, plan.fps, envs, labels, **vars(options)) as stream:
         with progress(plan.demo.name, plan.frames) as advance:
 
-            def on_frame(done: int) -> None:
+            def capture(frame: int) -> None:
                 stream.capture(plan.sim)
-                if advance is not None:
-                    advance(done)
+                advance(frame)
 
-            return runner.execute(plan, [], on_frame)
+            return runner.execute(plan, [], done.then(capture))
 
 
 def _print_import_report(report: ImportReport | None) -> None:
@@ -153,9 +205,12 @@ def _recorded_envs(text: str | None, num_envs: int) -> list[int] | None:
         note(f"recording the first {MAX_RECORDED} environments; use --usd-envs to choose others")
         return list(range(MAX_RECORDED))
     try:
-        return [int(part) for part in text.split(",")]
+        chosen = [int(part) for part in text.split(",")]
     except ValueError:
         raise ValueError(f"--usd-envs: must be numbers such as 0,5,7 or all, got {text}") from None
+    if not all(0 <= env < num_envs for env in chosen) or len(set(chosen)) < len(chosen):
+        raise ValueError(f"--usd-envs: must be different numbers from 0 to {num_envs - 1}, got {text}")
+    return chosen
 
 
 def _export(recording, path: str, options: UsdOptions) -> None:
@@ -235,33 +290,38 @@ def _verdict_table(summary: dict[str, Any]) -> Table:
     for verdict in summary["verdicts"]:
         rows = list(zip(verdict["values"], verdict["passed"], verdict["expected"], strict=True))
         if few:
-            cells = [_cell(*row) for row in rows]
+            cells = [_cell(*row, verdict["unit"]) for row in rows]
         else:
             passed = sum(verdict["passed"])
             color = "green" if passed == len(rows) else "red"
             cells = [f"[{color}]{passed} of {len(rows)}[/]"]
-            cells += [f"{pick(verdict['values']):.3g}" for pick in (min, max)]
+            cells += [shown_value(pick(verdict["values"]), verdict["unit"]) for pick in (min, max)]
         table.add_row(verdict["name"], verdict["limit"], *cells)
     return table
 
 
-def _cell(value: float, passed: bool, expected: bool | None) -> str:
-    answer = "yes" if passed else "no"
+def _cell(value: float, passed: bool, expected: bool | None, unit: str) -> str:
+    answer, shown = "yes" if passed else "no", shown_value(value, unit)
     if expected is None:
-        return f"{value:.3g} {answer}"
+        return f"{shown} {answer}"
     if passed == expected:
-        return f"{value:.3g} [green]{answer}{'' if passed else ', as expected'}[/]"
-    return f"{value:.3g} [red]{answer}, NOT AS EXPECTED[/]"
+        return f"{shown} [green]{answer}{'' if passed else ', as expected'}[/]"
+    return f"{shown} [red]{answer}, NOT AS EXPECTED[/]"
 
 
-def _conclusion(verdicts: list[dict[str, Any]]) -> str:
-    """Summarise how many verdicts are as expected."""
-    judged = [
+def _judged(verdicts: list[dict[str, Any]]) -> list[bool]:
+    """Whether each verdict with an expectation is as expected."""
+    return [
         passed == expected
         for verdict in verdicts
         for passed, expected in zip(verdict["passed"], verdict["expected"], strict=True)
         if expected is not None
     ]
+
+
+def _conclusion(verdicts: list[dict[str, Any]]) -> str:
+    """Summarise how many verdicts are as expected."""
+    judged = _judged(verdicts)
     if not judged:
         return "no verdict is expected with changed settings or a shortened run"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"

@@ -1,12 +1,13 @@
 """`warp-rigid sweep`: simulate a scene over a range of parameters and tabulate the metrics."""
 
 import json
+import re
 import time
 from typing import Annotated, Any
 
 import typer
 
-from warp_rigid.commands.terminal import console, note, progress
+from warp_rigid.commands.terminal import check_writable, console, continued, note, progress, told_if_interrupted
 
 FAILED_RUNS = 5
 
@@ -28,6 +29,16 @@ def sweep_command(
     metrics: Annotated[
         str | None, typer.Option(help="Metric names, outcome, or .py files with functions of the simulator: A,B,my.py.")
     ] = None,
+    observe: Annotated[
+        str | None,
+        typer.Option(
+            help="Observers, read at every sample: peak_impulse, first_contact[BODY], .. or .py files: A,B,my.py."
+        ),
+    ] = None,
+    series: Annotated[
+        str | None,
+        typer.Option(help="Observers whose time series are kept in the folder TABLE.series: A,B[BODY]."),
+    ] = None,
     design: Annotated[str, typer.Option(help="Design: grid, zip, random or lhs.")] = "grid",
     samples: Annotated[int | None, typer.Option(help="Number of points of the designs random and lhs.")] = None,
     repeats: Annotated[int, typer.Option(help="Runs per point, with consecutive seeds.")] = 1,
@@ -35,7 +46,9 @@ def sweep_command(
     duration: Annotated[float | None, typer.Option(help="Simulated seconds. Default: duration of the scene.")] = None,
     fps: Annotated[float, typer.Option(help="State samples per simulated second.")] = 4.0,
     batch: Annotated[str, typer.Option(help="Maximum number of environments per batch, or auto.")] = "auto",
-    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Device, such as cpu or cuda:0, or all for every GPU of this machine.")
+    ] = None,
     output: Annotated[str | None, typer.Option("-o", "--output", help="Table, .parquet.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Keep the finished rows of an existing table.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing table.")] = False,
@@ -64,9 +77,21 @@ def sweep_command(
     measured = check_metrics(metrics.split(",") if metrics else None)
     if plot:
         check_plot(plot, plot_kind)
+        check_writable(plot)
         _check_columns(plot_x, plot_y, axes, measured)
     start = time.perf_counter()
-    with progress(scene, 1) as advance:
+    finished = [0, 0]
+
+    def on_progress(done: int, total: int) -> None:
+        finished[:] = done, total
+        advance(done, total)
+
+    def kept() -> str:
+        if output is None:
+            return "nothing was kept; to be able to continue, use -o FILE.parquet"
+        return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(context)}"
+
+    with told_if_interrupted(kept), progress(scene, 1) as advance:
         result = sweep(
             scene,
             axes,
@@ -84,10 +109,12 @@ def sweep_command(
             resume=resume,
             overwrite=overwrite,
             trajectories=trajectories,
+            observe=split_names(observe),
+            series=split_names(series),
             shard=_shard(shard),
             cluster=_cluster(cluster),
             workers=workers,
-            on_progress=advance and (lambda done, total: advance(done / total)),
+            on_progress=on_progress,
             command=context.obj,
         )
     seconds = time.perf_counter() - start
@@ -143,9 +170,10 @@ def _by_name(pairs: Any, flag: str) -> dict[str, Any]:
 
 def _fixed(texts: Any) -> dict[str, Any]:
     """Values shared by all runs, by name."""
-    from warp_rigid.runs.assignments import parse_assignment
+    from warp_rigid.runs.assignments import join_vector, parse_assignment
 
     given = _by_name(map(parse_assignment, texts), "--set")
+    given = {name: join_vector(name, values) for name, values in given.items()}
     for name, values in given.items():
         if len(values) > 1:
             raise ValueError(f"--set {name}: takes one value; use --vary for several")
@@ -154,6 +182,11 @@ def _fixed(texts: Any) -> dict[str, Any]:
 
 def _batch(text: str) -> int | str:
     return int(text) if text.isdigit() else text
+
+
+def split_names(text: str | None) -> list[str] | None:
+    """Split at commas outside brackets."""
+    return re.findall(r"[^,\[]+(?:\[[^\]]*\])?", text) if text else None
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:

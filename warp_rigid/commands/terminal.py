@@ -1,13 +1,17 @@
 """Helpers shared by the commands: console, progress bar, messages and one-line errors."""
 
 import contextlib
+import errno
 import importlib
 import logging
 import os
+import shlex
 import sys
 import tempfile
+import time
 import warnings
 from pathlib import Path
+from typing import Any
 
 import warp as wp
 from rich.console import Console
@@ -35,6 +39,8 @@ _EXTRAS = {
 }
 """The extra that installs an optional module."""
 
+LINE_PERIOD = 10.0
+"""Time between lines of progress if stderr is not a terminal [s]."""
 PLAIN_WIDTH = 120
 """Width of tables if the output is not a terminal [characters]."""
 
@@ -45,33 +51,86 @@ def console(stderr: bool = False) -> Console:
     return found if found.is_terminal else Console(stderr=stderr, width=PLAIN_WIDTH)
 
 
+@contextlib.contextmanager
+def told_if_interrupted(describe):
+    """Print the text that `describe` returns if Ctrl-C interrupts the block."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        note(f"interrupted: {describe()}")
+        raise
+
+
+def continued(context: Any, flag: str = "--resume") -> str:
+    """The command line of a Typer context with a flag, as text for the shell."""
+    given = context.obj or []
+    return shlex.join([*given, *(() if flag in given else (flag,))])
+
+
 def note(text: str) -> None:
     """Print a line on stderr."""
     print(text, file=sys.stderr)
 
 
+def check_writable(path: Any) -> None:
+    """Check that a file can be written, without writing it: its folder exists, or can be made.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    folder = path.parent
+    while not folder.exists():
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, f"cannot be written: {folder}: {error.strerror}", str(path)) from None
+
+
 def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> None:
-    """Check output suffixes and optional modules before the simulation runs."""
+    """Check output suffixes, optional modules and that the files can be written, before the simulation runs."""
     if output and not output.endswith((".usdc", ".usda", ".usdz", ".usd", ".glb")):
         raise ValueError(f"-o: must end in .usdc, .usda, .usdz, .usd or .glb, got {output}")
     for path, endings in pictures.items():
         if not path.endswith(endings):
             raise ValueError(f"{path}: must end in {' or '.join(endings)}")
     for path in (output, *pictures) if output else pictures:
+        check_writable(path)
         for module in _LIBRARIES.get(Path(path).suffix, ()):
             importlib.import_module(module)
 
 
 @contextlib.contextmanager
 def progress(name: str, total: int):
-    """Show a progress bar on stderr; yields a function (done, total) that updates it, None without a terminal."""
+    """Show the progress on stderr: a bar, or a line every LINE_PERIOD seconds if stderr is not a terminal.
+
+    Yields a function (done, total) that updates it.
+    """
     terminal = console(stderr=True)
     if not terminal.is_terminal:
-        yield None
+        yield _progress_lines(name, total)
         return
     with Progress(console=terminal, transient=True) as bar:
         task = bar.add_task(name, total=total)
         yield lambda done, total=total: bar.update(task, completed=done, total=total)
+
+
+def _progress_lines(name: str, total: int):
+    start = last = time.monotonic()
+
+    def show(done, total=total):
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= LINE_PERIOD and done < total:
+            last = now
+            left = (now - start) * (total - done) / done if done else float("inf")
+            note(f"{name}: {100.0 * done / total:.0f} % after {now - start:.0f} s, about {left:.0f} s left")
+
+    return show
 
 
 def start_warp() -> None:

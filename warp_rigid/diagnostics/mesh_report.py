@@ -7,6 +7,8 @@ import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.scene.shapes import Mesh
+from warp_rigid.scene.shapes.distance_grid import interpolate
+from warp_rigid.scene.shapes.mesh import CELLS_OF_A_WALL
 from warp_rigid.scene.shapes.sampling import SampleKind
 
 __all__ = ["inspect_mesh", "parse_slice", "save_slice"]
@@ -37,12 +39,14 @@ def inspect_mesh(mesh: Mesh) -> dict[str, Any]:
         "triangles": len(mesh.faces),
         "watertight": bool(mesh.watertight),
         "repairs": list(mesh.repairs),
+        "fault": mesh.fault,
+        "thinnest_wall": CELLS_OF_A_WALL * grid.spacing if mesh.fault else 0.0,
         "lower": [float(x) for x in lower],
         "upper": [float(x) for x in upper],
         "volume": float(mesh.volume),
         "center_of_mass": [float(x) for x in mesh.center_of_mass],
         "principal_inertia": [float(x) for x in np.linalg.eigvalsh(mesh.inertia)],
-        "samples": {k.name.lower(): int((kind == k).sum()) for k in SampleKind},
+        "samples": {k.name.lower(): int((kind == k).sum()) for k in SampleKind if k != SampleKind.CORNER},
         "grid": list(grid.values.shape),
         "cell": float(grid.spacing),
         "grid_seconds": seconds,
@@ -128,4 +132,4 @@ def _distances_near_surface(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     weights = rng.dirichlet((1.0, 1.0, 1.0), size=PROBES)
     reach = 2.0 * mesh.grid.spacing / np.sqrt(3.0)
     points = np.einsum("ni,nij->nj", weights, corners) + rng.uniform(-reach, reach, (PROBES, 3))
-    return mesh.signed_distance(points)[0], mesh.exact_signed_distance(points)[0]
+    return interpolate(mesh.grid, points)[0], mesh.signed_distance(points)[0]

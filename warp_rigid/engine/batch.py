@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from warp_rigid.engine.cores import spread, usable_cores
+from warp_rigid.engine.hash_grid import grid_sizes
+from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.engine.memory import MemoryLimit, pool_bytes
-from warp_rigid.engine.model import Model, other_constraints
-from warp_rigid.engine.pools import LARGEST, NAMES, Pools
+from warp_rigid.engine.model import Model
+from warp_rigid.engine.pools import LARGEST, NAMES, POOLS, sizes_for
 from warp_rigid.engine.shard import Shard
 from warp_rigid.errors import CapacityError
-from warp_rigid.scene.scene import Motion, Scene
 
 log = logging.getLogger("warp_rigid")
 
@@ -49,18 +50,24 @@ class Tally(NamedTuple):
     fitted: int = 0
 
 
-def plan(scene: Scene, num_envs: int, capacity: dict[str, int], device: Any) -> list[Range]:
-    """Ranges of about equally many environments, and their share of the capacity; one range on a GPU."""
+def plan(layout: Layout, capacity: dict[str, int], device: Any) -> list[Range]:
+    """Ranges of environments with about equally many dynamic bodies, and their capacity; one range on a GPU."""
     cores = 1 if device.is_cuda else usable_cores()
-    dynamic = sum(body.motion == Motion.DYNAMIC for body in scene.bodies)
-    worth = num_envs * dynamic // LEAST_BODIES
-    count = 1 if cores == 1 else max(1, min(cores * SHARDS_A_CORE, worth, num_envs))
+    weight = exclusive_sums(np.maximum(layout.dynamic_per_env, 1))
+    worth = int(layout.dynamic_per_env.sum()) // LEAST_BODIES
+    count = 1 if cores == 1 else max(1, min(cores * SHARDS_A_CORE, worth, layout.num_envs))
+    total = int(weight[-1])
+    ends = [int(np.searchsorted(weight, total * k // count, side="right")) - 1 for k in range(1, count)]
+    bounds = sorted({0, *ends, layout.num_envs})
+    others = layout.others_before()
 
     def sizes(first: int, end: int) -> dict[str, int]:
-        part = {name: max(1, all_ * end // num_envs - all_ * first // num_envs) for name, all_ in capacity.items()}
-        return Pools.sizes_for(end - first, len(scene.bodies), other_constraints(scene), **part)
+        low, high = int(weight[first]), int(weight[end])
+        part = {name: max(1, all_ * high // total - all_ * low // total) for name, all_ in capacity.items()}
+        own = {symbol: last - begin for symbol, (begin, last) in layout.ranges(first, end).items()}
+        own |= grid_sizes(layout.bodies_per_env[first:end])
+        return sizes_for(int(others[end] - others[first]), part["pairs"], part["contacts"], own)
 
-    bounds = [num_envs * k // count for k in range(count + 1)]
     return [Range(first, end, sizes(first, end)) for first, end in zip(bounds, bounds[1:], strict=False)]
 
 
@@ -211,13 +218,15 @@ class Shards:
     def _count(self, steps: int) -> Tally:
         """Sizes that the last steps required, compared with the capacity."""
         wanted = np.array([shard.pools.wanted.numpy()[:steps] for shard in self._shards], np.int64)
-        too_much = wanted > np.array([[[shard.pools.sizes[name] for name in NAMES]] for shard in self._shards])
+        too_much = wanted > np.array([[[shard.pools.sizes[name] for name in POOLS]] for shard in self._shards])
         void, short = steps, []
         if too_much.any():
             void, short = self._shortage(wanted, too_much)
-        known = wanted[:, : void + 1].sum(axis=0)
+        known = wanted[:, : void + 1, : len(NAMES)].sum(axis=0)
         if void < steps and too_much[:, void, 0].any():
             known[void, 1] = 0
+        if void < steps and too_much[:, void, 2].any():
+            known[void] = 0
         over = np.argwhere(known > [self.capacity[name] if self.capacity else LARGEST for name in NAMES])
         if len(over) == 0:
             return Tally(known.max(axis=0), short)
@@ -227,7 +236,8 @@ class Shards:
     def _shortage(self, wanted: np.ndarray, too_much: np.ndarray) -> tuple[int, list[tuple[Shard, dict[str, int]]]]:
         """The first step invalid in any shard, and the sizes required by each shard in its first invalid step.
 
-        A step in which a pool was too small is invalid, as are all later steps. Its number of pairs is still known.
+        A step in which a pool was too small is invalid, as are all later steps. Its number of pairs is still known,
+        unless the candidates were too many.
         """
         short = []
         void = too_much.shape[1]
@@ -235,13 +245,13 @@ class Shards:
             if much.any():
                 first = int(much.any(axis=1).argmax())
                 void = min(void, first)
-                short.append((shard, {NAMES[k]: int(rows[first, k]) for k in np.flatnonzero(much[first])}))
+                short.append((shard, {POOLS[k]: int(rows[first, k]) for k in np.flatnonzero(much[first])}))
         return void, short
 
     def _grow(self, short: list[tuple[Shard, dict[str, int]]]) -> None:
         """Enlarge pools that were too small; their shards' steps are undone."""
         larger = [(shard, shard.pools.larger_sizes(wanted)) for shard, wanted in short]
-        names = [name for name in NAMES if any(name in wanted for _, wanted in short)]
+        names = [name for name in POOLS if any(name in wanted for _, wanted in short)]
         growth = ", ".join(
             f"{name} {now} -> {now + sum(sizes[name] - shard.pools.sizes[name] for shard, sizes in larger)}"
             for name, now in ((name, sum(shard.pools.sizes[name] for shard in self._shards)) for name in names)

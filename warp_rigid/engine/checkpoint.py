@@ -1,12 +1,12 @@
 """Checkpoints: a simulator in one file, from which it goes on to the same bits.
 
-The file holds the scene with its meshes and their distance grids, all parameters and settings of every environment,
+The file holds the scenes with their meshes and their distance grids, all parameters and settings of every environment,
 the state, and the contacts of the last step with their impulses; of the pools, only what is in use. It does not tell
 how many cores shared the environments: any machine goes on from it.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.engine import joints, quantities
+from warp_rigid.engine.layout import MOST_ENVIRONMENTS
 from warp_rigid.engine.pools import LARGEST, NAMES
 from warp_rigid.engine.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
 from warp_rigid.engine.shard import Shard
@@ -22,16 +23,21 @@ from warp_rigid.engine.world import World
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide.narrowphase import BY_CENTER
+from warp_rigid.kernels.collide.narrowphase import BY_AXIS
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.version import __version__
 
 KIND = "checkpoint"
-VERSION = 6  # raise whenever older files could no longer be read
+VERSION = 8  # raise whenever older files could no longer be read
 
-FROM_SCENE = ("env", "shape", "motion", "oversized", "center_of_mass", "filtered_start", "filtered")
-"""Arrays of bodies that follow from the scene."""
+FROM_SCENE = ("env", "shape", "motion", "center_of_mass", "filtered_start", "filtered")
+"""Arrays of bodies that follow from the scenes."""
+
+RULES = ("first_body", "friction_rule", "restitution_rule", "out_of_bounds", "lower", "upper")
+"""Arrays of environments that follow from the scenes."""
+
+SCENE_OF = "scene_of"
 
 log = logging.getLogger("warp_rigid")
 
@@ -45,13 +51,14 @@ def save(world: World, path: Any, more: dict[str, Any] | None = None, arrays: di
         more: plain data to keep beside it, in the header under "more".
         arrays: arrays to keep beside it; their names begin with "more_".
     """
-    scene, shapes = scene_to_data(world.scene)
+    scenes, shapes = scenes_to_data(world.layout.scenes)
+    shapes[SCENE_OF] = world.layout.scene_of.astype(np.int32)
     used = {name: quantities.counts(world)[name] for name in NAMES}
     header = {
         "warp_rigid": __version__,
         "warp": wp.__version__,
         "device": str(world.device),
-        "scene": scene,
+        **scenes,
         "num_envs": world.num_envs,
         "settings": asdict(world.settings),
         "seed": world.seed,
@@ -81,7 +88,8 @@ def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
         if device is None:
             device = header["device"] if isinstance(header["device"], str) else "cpu"
         made = make(**arguments, device=device)
-        restore(made._world, header, arrays)
+        with made.in_use():
+            restore(made._world, header, arrays)
         return made
     except archive.UNREADABLE as error:
         if str(error).startswith(("device:", "memory")):
@@ -89,8 +97,8 @@ def load(path: Any, device: Any, make: Callable[..., Any]) -> Any:
         raise archive.unusable(path, KIND, error) from None
 
 
-def restore(world: World, header: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
-    """Bring a simulator of the same scene and as many environments to where a checkpoint was written.
+def restore(world: World, header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+    """Bring a simulator of the same environments to where a checkpoint was written.
 
     Raises:
         ValueError, TypeError, KeyError: header or arrays do not fit.
@@ -110,14 +118,17 @@ def restore(world: World, header: dict[str, Any], arrays: dict[str, np.ndarray])
     world.record()
 
 
-def _arguments(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """The Simulator's arguments, after a look whether the arrays are as large as they would make it."""
-    scene = scene_from_data(header["scene"], arrays)
-    envs = whole_in("num_envs", header["num_envs"], 1, 10_000_000)
-    shaped(arrays, "State.position", np.float32, (envs * len(scene.bodies), 3))
+    scenes = scenes_from_data(header, arrays)
+    envs = whole_in("num_envs", header["num_envs"], 1, MOST_ENVIRONMENTS)
+    scene_of = shaped(arrays, SCENE_OF, np.int32, (envs,))
+    _within(SCENE_OF, scene_of, 0, len(scenes) - 1)
+    bodies = int(np.array([len(scene.bodies) for scene in scenes])[scene_of].sum())
+    shaped(arrays, "State.position", np.float32, (bodies, 3))
     return {
-        "scene": scene,
-        "num_envs": envs,
+        "scene": scenes[0] if len(scenes) == 1 else [scenes[index] for index in scene_of],
+        "num_envs": envs if len(scenes) == 1 else 1,
         "settings": Settings(**header["settings"]),
         "seed": header["seed"],
         "on_overflow": header["on_overflow"],
@@ -133,10 +144,11 @@ def _whole(world: World) -> dict[str, wp.array]:
         (schema.Bodies, world.model.bodies, [n for n in declare.field_names(schema.Bodies) if n not in FROM_SCENE]),
         (schema.State, world.state, declare.field_names(schema.State)),
         (schema.SleepState, world.sleep_state, [n for n in declare.field_names(schema.SleepState) if n != "island"]),
-        (schema.Environments, world.envs, [n for n in declare.field_names(schema.Environments) if n != "first_body"]),
+        (schema.Environments, world.envs, [n for n in declare.field_names(schema.Environments) if n not in RULES]),
+        (schema.FieldForces, world.model.fields, ["parameters"]),
     ]
-    if world.scene.joints:
-        owners.append((schema.Joints, world.model.constraint_rows[joints.NAME], [*joints.KEPT, "numbers"]))
+    if world.layout.sizes[joints.NAME]:
+        owners.append((joints.ROWS, world.model.constraint_rows[joints.NAME], [*joints.KEPT, "numbers"]))
     return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
 
 
@@ -180,12 +192,12 @@ def _counted_by(field: declare.Field) -> str:
 
 def _newer_coefficients(header: dict[str, Any]) -> set[str]:
     """Arrays of the coefficients that were declared after the file was written: they keep their defaults."""
-    known = {name for body in header["scene"]["bodies"] for name in body}
+    known = {name for scene in header["scenes"] for body in scene["bodies"] for name in body}
     return {f"Bodies.{name}" for name in COEFFICIENTS if name not in known}
 
 
 def _checked(
-    name: str, own: np.ndarray, arrays: dict[str, np.ndarray], used: dict[str, int], world: World
+    name: str, own: np.ndarray, arrays: Mapping[str, np.ndarray], used: dict[str, int], world: World
 ) -> np.ndarray:
     """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
     struct, _, last = name.partition(".")
@@ -204,13 +216,13 @@ def _checked(
     if last == "broken" and struct == "Joints":
         _within(name, rows, 0, 1)
     if last == "key":
-        _within(name, rows, BY_CENTER - 1, 2 * world.model.shapes.samples.shape[0] - 1)
+        _within(name, rows, BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
     return rows
 
 
 def _check_neighbours(world: World, rows: dict[str, np.ndarray]) -> None:
     """Pairs and sleeping islands are of bodies of one environment."""
-    env = np.arange(world.num_envs * world.num_bodies) // world.num_bodies
+    env = world.layout.env_of_row
     env_of_pair = np.repeat(env, np.diff(rows["History.pair_start"]))
     for name, bodies, envs in (
         ("History.body_b", rows["History.body_b"], env_of_pair),
@@ -220,7 +232,7 @@ def _check_neighbours(world: World, rows: dict[str, np.ndarray]) -> None:
             env[rows["SleepState.asleep"] == 1],
         ),
     ):
-        if (bodies // world.num_bodies != envs).any():
+        if (bodies < 0).any() or (bodies >= len(env)).any() or (env[bodies] != envs).any():
             raise ValueError(f"{name} must be bodies of the same environment")
 
 

@@ -1,66 +1,111 @@
-"""The hash grid of the broad phase: its bodies, and sorting them into buckets."""
+"""The candidate pairs of the broad phase: their arrays, and the launches that keep them up to date."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from warp_rigid.engine.model import Model
+from warp_rigid.engine.layout import exclusive_sums
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide import broadphase
+from warp_rigid.kernels.collide import candidates
+
+if TYPE_CHECKING:
+    from warp_rigid.engine.model import Model
 
 TRY_ALL_UP_TO = 256
-"""Up to this number of small bodies per environment, testing all pairs is faster than the grid."""
+"""Up to this number of bodies per environment, testing all pairs is faster than keeping candidates."""
 
 BUCKETS_PER_BODY = 2
-"""Minimum number of buckets for each small body, so that cells seldom share a bucket."""
+"""Minimum number of buckets for each body, so that cells seldom share a bucket."""
+
+CANDIDATES_PER_BODY = 24
+"""Initial capacity of the list of each body; the longest list of a heap of boxes has about as many."""
+
+ORDINARY_WIDTH = 1.3
+"""Cell width at the level of ordinary bodies, divided by their diameter, so that most fat boxes at rest fit in."""
+
+LANES = 32
+"""GPU lanes that test the candidates of a body of a large environment."""
+
+
+def grid_sizes(bodies_per_env: np.ndarray) -> dict[str, int]:
+    """Symbols of the data layout and their values; all are 0 where all pairs are tested in every environment.
+
+    Args:
+        bodies_per_env: (envs,) number of bodies of each environment.
+    """
+    buckets, bodies = int(_buckets(bodies_per_env).sum()), int(bodies_per_env.sum())
+    if buckets == 0:
+        return {"boxed": 0, "buckets": 0, "candidates": 0}
+    return {"boxed": bodies, "buckets": buckets, "candidates": bodies * CANDIDATES_PER_BODY}
 
 
 class HashGrid:
-    """Lists of small and oversized bodies, and buckets of the small bodies if an environment has many.
+    """The order of the bodies of each environment and, if one has many, their candidate pairs.
 
     Args:
-        model: the scene on the device.
+        model: the scenes on the device.
+        sizes: symbols of the data layout and their values, with those of `grid_sizes`.
         device: the Warp device.
 
     Attributes:
-        buckets: number of buckets of each environment, a power of two; 0 if all pairs are tested.
+        buckets: number of buckets of all environments; 0 if all pairs are tested in each of them.
+        room: capacity of the list of each body.
+        lanes: GPU lanes that test the candidates of a body.
         cells: the device arrays.
     """
 
-    def __init__(self, model: Model, device: Any) -> None:
-        """Allocate the arrays."""
-        self.device, self.width, self.num_envs = device, model.grid_radius, model.num_envs
-        small, oversized = len(model.small), len(model.oversized)
-        self.count = self.num_envs * small
-        self.buckets = 1 << math.ceil(math.log2(BUCKETS_PER_BODY * small)) if small > TRY_ALL_UP_TO else 0
-        sizes = {
-            "envs": self.num_envs,
-            "small": self.count,
-            "oversized": self.num_envs * oversized,
-            "points": self.count if self.buckets else 0,
-            "buckets": self.num_envs * self.buckets,
-        }
+    def __init__(self, model: "Model", sizes: dict[str, int], device: Any) -> None:
+        """Allocate the arrays; all candidates are computed in the first step."""
+        layout = model.layout
+        self.device, self.count, self.buckets = device, sizes["bodies"], sizes["buckets"]
+        self.room = sizes["candidates"] // sizes["bodies"]
+        self.lanes = LANES if self.buckets and device.is_cuda else 1
         self.cells: Any = declare.allocate(schema.Cells, sizes, device)
-        envs = np.arange(self.num_envs + 1, dtype=np.int32)
-        self.cells.small_start.assign(small * envs)
-        self.cells.oversized_start.assign(oversized * envs)
-        if small:
-            self.cells.small.assign(np.tile(model.small, self.num_envs))
-            self.cells.small_env.assign(np.repeat(envs[:-1], small))
-        if oversized:
-            self.cells.oversized.assign(np.tile(model.oversized, self.num_envs))
+        self._model = model
+        groups = [model.size_groups[scene] for scene in layout.scenes]
+        orders = [np.concatenate([group.small, group.oversized]).astype(np.int32) for group in groups]
+        source = layout.copies([len(order) for order in orders])
+        self.cells.order.assign(np.concatenate(orders)[source])
+        self.cells.rank.assign(np.concatenate([np.argsort(order).astype(np.int32) for order in orders])[source])
+        finest = np.array([ORDINARY_WIDTH * group.width / (1 << candidates.FINER_LEVELS) for group in groups])
+        self.cells.width.assign(finest[layout.scene_of].astype(np.float32))
+        self.cells.first_bucket.assign(exclusive_sums(_buckets(layout.bodies_per_env)).astype(np.int32))
+        self.cells.listed.fill_(int(candidates.ALL_LATER))
+        self.cells.lower.fill_(math.inf)
 
-    def fill(self, envs: Any, motions: Any) -> None:
-        """Sort the small bodies into buckets, if there are buckets; bodies in the same bucket keep their order."""
+    def update(self, dt: float, envs: Any, motions: Any, which: int, turn: wp.array, wanted: wp.array) -> None:
+        """Compute the candidates of the environments in which a body has left its fat box.
+
+        Args:
+            dt: time step [s], for the motion ahead.
+            envs: the environments.
+            motions: with the swept boxes of this step.
+            which: column of `wanted` for the capacity.
+            turn: see Pools.
+            wanted: see Pools.
+        """
         if not self.buckets:
             return
-        cells, device = self.cells, self.device
-        cells.reach.zero_()
-        inputs = [self.buckets, self.width, envs, motions]
-        wp.launch(broadphase.choose_buckets, dim=self.count, inputs=inputs, outputs=[cells], device=device)
-        end_bit = (self.num_envs * self.buckets).bit_length()
-        wp.utils.radix_sort_pairs(cells.key, cells.member, self.count, end_bit=end_bit)
-        inputs = [self.count]
-        wp.launch(broadphase.find_bucket_starts, dim=self.count + 1, inputs=inputs, outputs=[cells], device=device)
+        cells, bodies = self.cells, self._model.bodies
+        for array in (cells.stale, cells.levels, cells.dynamic_levels):
+            array.zero_()
+        inputs = [dt, self._model.shapes, bodies, motions]
+        self._per_body(candidates.find_stale, [bodies, envs, motions])
+        self._per_body(candidates.enlarge_boxes, inputs)
+        wp.utils.array_scan(cells.bucket_count, cells.bucket_start, inclusive=False)
+        self._per_body(candidates.fill_buckets, [bodies])
+        self._per_body(candidates.search_cells, [self.room, bodies])
+        self._per_body(candidates.finish_lists, [which, self.room, bodies, turn], [wanted])
+
+    def _per_body(self, kernel: Any, inputs: list, more: Sequence = ()) -> None:
+        outputs = [self.cells, *more]
+        wp.launch(kernel, dim=self.count, inputs=inputs, outputs=outputs, device=self.device)
+
+
+def _buckets(bodies_per_env: np.ndarray) -> np.ndarray:
+    """Number of buckets of each environment, a power of two; 0 where all pairs are tested."""
+    least = np.ceil(np.log2(BUCKETS_PER_BODY * bodies_per_env)).astype(np.int64)
+    return np.where(bodies_per_env > TRY_ALL_UP_TO, 1 << least, 0)

@@ -1,23 +1,28 @@
 """Joints on the device: their arrays, and the launches of their kernels in a step."""
 
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine import loading
 from warp_rigid.engine.mechanisms import Mechanisms, find_mechanisms
-from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels import declare
 from warp_rigid.kernels.common import team
 from warp_rigid.kernels.enums import JointNumber
-from warp_rigid.kernels.joints import joint_stages as stages
+from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.scene.joints.joint import Drive, JointEntry
 from warp_rigid.scene.scene import Motion, Scene
 
 NAME = "joints"
-ROWS = schema.Joints
+ROWS = Joints
 KEPT = ("broken", "position", "impulse", "angular_impulse")
 """Arrays that one step leaves for the next; a reset clears them."""
+
+FROM_BODIES = "joined"
+"""The symbol of the bodies that joints may join: all bodies if any environment has joints."""
 
 
 def definitions(scene: Scene) -> list[JointEntry]:
@@ -31,12 +36,11 @@ def mechanisms_of(scene: Scene) -> Mechanisms:
     return find_mechanisms(ends, tuple(body.motion == Motion.DYNAMIC for body in scene.bodies))
 
 
-def sizes(scene: Scene) -> dict[str, int]:
-    """How long the arrays of an environment are."""
+def counts(scene: Scene) -> dict[str, int]:
+    """Rows of an environment, by the symbol that counts them, but for FROM_BODIES."""
     found = mechanisms_of(scene)
     return {
         "joints": len(scene.joints),
-        "joined": len(scene.bodies) if scene.joints else 0,
         "mechanisms": len(found.members),
         "members": sum(len(bodies) for bodies in found.members),
         "blocks": len(found.row),
@@ -62,34 +66,59 @@ def numbers_of(entry: JointEntry) -> list[float]:
     return [values[number] for number in JointNumber]
 
 
-def upload(scene: Scene, num_envs: int, device: Any) -> Any:
-    """The arrays of all environments."""
-    one = sizes(scene)
-    joints = declare.allocate(schema.Joints, {"envs": num_envs, **{k: num_envs * n for k, n in one.items()}}, device)
-    if not scene.joints:
-        return joints
-    for name, values in _attributes(scene).items():
-        getattr(joints, name).assign(np.tile(values, (num_envs,) + (1,) * (values.ndim - 1)))
-    counted = {"bodies": len(scene.bodies), **one}
+def upload(layout: Any, device: Any) -> Any:
+    """The arrays of all environments.
+
+    Args:
+        layout: the engine.layout.Layout of the environments.
+        device: the Warp device.
+    """
+    arrays = declare.allocate(Joints, layout.sizes, device)
+    if not layout.sizes["joints"]:
+        return arrays
     fields = declare.LAYOUTS["Joints"]
-    for name, rows in _indices(scene).items():
-        array = getattr(joints, name)
-        array.assign(_repeated(rows, num_envs, counted[fields[name].index_of], fields[name].shape.endswith("+ 1")))
-    return joints
+    parts = [{**_attributes(scene), **_indices(scene)} for scene in layout.scenes]
+    for name in parts[0]:
+        values = _of_environments(layout, [part[name] for part in parts], fields[name])
+        if len(values):
+            getattr(arrays, name).assign(values)
+    return arrays
+
+
+def _of_environments(layout: Any, parts: Sequence[np.ndarray], field: declare.Field) -> np.ndarray:
+    """Rows of each scene copied to its environments; indices count from the first row of the environment.
+
+    An array with one row more than its symbol counts holds sums, and ends with their total.
+    """
+    symbol, _, is_sum = field.shape.split(",")[0].partition(" + ")
+    parts = [rows[:-1] for rows in parts] if is_sum else parts
+    lengths = [len(rows) for rows in parts]
+    values = np.concatenate(parts)[layout.copies(lengths)]
+    if not field.index_of:
+        return values
+    first = np.repeat(layout.starts[field.index_of][:-1], np.array(lengths)[layout.scene_of])
+    values = values + np.where(values >= 0, first, 0)
+    if is_sum:
+        values = np.append(values, layout.sizes[field.index_of])
+    return values.astype(np.int32)
 
 
 def _attributes(scene: Scene) -> dict[str, np.ndarray]:
     """What the joints of one environment consist of."""
     entries = scene.joints
+
+    def vectors(values: list, length: int) -> np.ndarray:
+        return np.array(values, np.float32).reshape(-1, length)
+
     return {
         "to_world": np.array([entry.body_b is None for entry in entries], np.int32),
         "locked": np.array([entry.joint.locked for entry in entries], np.int32),
         "coordinate": np.array([int(entry.joint.coordinate) for entry in entries], np.int32),
-        "anchor_a": np.array([entry.frame_a.position for entry in entries], np.float32),
-        "anchor_b": np.array([entry.frame_b.position for entry in entries], np.float32),
-        "turn_a": np.array([entry.frame_a.orientation for entry in entries], np.float32),
-        "turn_b": np.array([entry.frame_b.orientation for entry in entries], np.float32),
-        "numbers": np.array([numbers_of(entry) for entry in entries], np.float32),
+        "anchor_a": vectors([entry.frame_a.position for entry in entries], 3),
+        "anchor_b": vectors([entry.frame_b.position for entry in entries], 3),
+        "turn_a": vectors([entry.frame_a.orientation for entry in entries], 4),
+        "turn_b": vectors([entry.frame_b.orientation for entry in entries], 4),
+        "numbers": vectors([numbers_of(entry) for entry in entries], len(JointNumber)),
     }
 
 
@@ -119,16 +148,8 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
     return {name: np.array(values, np.int32) for name, values in lists.items()}
 
 
-def _repeated(rows: np.ndarray, num_envs: int, step: int, sums: bool) -> np.ndarray:
-    """One environment's indices for all; they increase by `step` per environment, except where they are negative."""
-    own = rows[:-1] if sums else rows
-    repeated = own + np.where(own >= 0, 1, 0) * step * np.arange(num_envs, dtype=np.int32)[:, None]
-    flat = np.append(repeated.reshape(-1), num_envs * step) if sums else repeated.reshape(-1)
-    return flat.astype(np.int32) if len(flat) else np.full(1, -1, np.int32)
-
-
 class JointStages:
-    """The launches of the kernels of joints; none in a scene without joints.
+    """The launches of the kernels of joints; none where no scene has joints, and their module is not imported either.
 
     Args:
         of_step: the Stages of the step.
@@ -139,82 +160,86 @@ class JointStages:
         self._step = of_step
         model = of_step.model
         self.arrays = model.constraint_rows[NAME]
-        self.present = bool(model.scene.joints)
-        one = sizes(model.scene)
-        self._joints, self._mechanisms = (of_step.num_envs * one[name] for name in ("joints", "mechanisms"))
+        sizes = model.layout.sizes
+        self._joints, self._mechanisms = sizes["joints"], sizes["mechanisms"]
+        self.present = self._joints > 0
+        self.kernels: Any = import_module(loading.JOINTS) if self.present else None
+
+    def join_islands(self) -> None:
+        """Joints make one island of those of their bodies."""
+        step = self._step
+        if self.present:
+            inputs = [step.model.bodies, self.arrays]
+            self._launch(self.kernels.join_joined_islands, self._joints, inputs, [step.pools.graph])
 
     def start(self) -> None:
-        """Rows and factors of the step, and islands."""
+        """Rows and factors of the step."""
         step = self._step
         if self.present:
             inputs = [step.dt, step.model.bodies, step.state]
-            self._per_mechanism(stages.start_joints, inputs, [step.motions, self.arrays])
-            lanes = step.teams.graph
-            self._per_team(lanes, stages.join_islands, [step.model.bodies, step.pools.graph, self.arrays])
+            self._per_mechanism(self.kernels.start_joints, inputs, [step.motions, self.arrays])
 
     def sweep(self, after_shock: int) -> None:
         """Sweeps over the contacts, with a direct solution of the mechanisms after each."""
         step = self._step
-        before = [after_shock, step.dt]
         if after_shock == 0:
-            inputs = [step.dt, step.model.bodies, step.state]
-            self._per_mechanism(stages.begin_joints, inputs, [step.motions, self.arrays])
-        inputs = [step.state, step.pools.order, step.pools.graph, step.motions]
-        self._per_team(step.teams.color, stages.sweep_with_joints, [*inputs, step.constraint_rows, self.arrays], before)
+            self.settle(after_push=0)
+        inputs = [step.pools.order, step.pools.graph, step.motions]
+        inputs = [*inputs, step.constraint_rows, self.arrays]
+        self._per_team(self.kernels.sweep_with_joints, inputs, [after_shock, step.dt])
 
     def before_shock(self) -> None:
         """Store the impulses."""
         if self.present:
-            self._per_team(self._step.teams.color, stages.store_joint_start, [self._step.pools.graph, self.arrays])
+            self._per_team(self.kernels.store_joint_start, [self._step.pools.graph, self.arrays])
 
     def after_passes(self) -> None:
         """Solve the mechanisms after the passes of shock propagation."""
-        step = self._step
         if self.present:
-            self._per_team(step.teams.color, stages.rejoin, [step.pools.graph, step.motions, self.arrays], [step.dt])
+            self.sweep(self.kernels.AFTER_PASSES)
 
     def after_line_search(self) -> None:
         """Apply the step length."""
         step = self._step
         if self.present:
-            self._per_team(step.teams.color, stages.blend_joints, [step.pools.graph, step.motions, self.arrays])
+            self._per_team(self.kernels.blend_joints, [step.pools.graph, step.motions, self.arrays])
 
-    def settle(self) -> None:
-        """Solve the mechanisms for the pose that the step ends with."""
+    def settle(self, after_push: int) -> None:
+        """Solve the mechanisms for the pose that the step ends with, before the sweeps or after the push-out."""
         step = self._step
         if self.present:
-            inputs = [step.dt, step.model.bodies, step.state]
-            self._per_mechanism(stages.settle_joints, inputs, [step.motions, self.arrays])
+            inputs = [after_push, step.dt, step.model.bodies, step.state]
+            self._per_mechanism(self.kernels.settle_joints, inputs, [step.motions, self.arrays])
 
     def limit_motion(self) -> None:
         """Stop the bodies of a mechanism together."""
         if self.present:
-            self._per_mechanism(stages.share_time_of_impact, [], [self._step.motions, self.arrays])
+            self._per_mechanism(self.kernels.share_time_of_impact, [], [self._step.motions, self.arrays])
 
     def end(self) -> None:
         """Coordinates, forces and breaking, after the position update."""
         step = self._step
         if self.present:
-            inputs = [step.dt, step.envs, step.model.bodies, step.state, step.motions]
-            self._launch(stages.end_joints, self._joints, inputs, [self.arrays])
-            self._per_mechanism(stages.note_coordinates, [step.state], [self.arrays])
+            inputs = [step.dt, step.envs, step.model.bodies, step.motions]
+            self._launch(self.kernels.end_joints, self._joints, inputs, [self.arrays, step.pools.graph])
+            self._per_mechanism(self.kernels.note_coordinates, [step.state], [self.arrays])
 
     def support(self) -> None:
         """Sleeping: islands that hang from the world are supported."""
         step = self._step
         if self.present:
             inputs = [step.model.bodies, step.motions, step.pools.graph, self.arrays]
-            self._launch(stages.support_joined, self._joints, inputs, [step.sleep_state])
+            self._launch(self.kernels.support_joined, self._joints, inputs, [step.sleep_state])
 
     def _per_mechanism(self, kernel: Any, inputs: Sequence, outputs: Sequence) -> None:
         self._launch(kernel, self._mechanisms, inputs, outputs)
 
-    def _per_team(self, lanes: int, kernel: Any, inputs: Sequence, before: Sequence = ()) -> None:
-        step, dim, block = self._step, self._step.num_envs * lanes, team.block_of(lanes)
-        inputs = [*before, lanes, step.envs, *inputs]
-        wp.launch(kernel, dim=dim, inputs=inputs, block_dim=block, device=step.device)
+    def _per_team(self, kernel: Any, inputs: Sequence, before: Sequence = ()) -> None:
+        step = self._step
+        inputs = [*before, step.lanes, step.envs, *inputs]
+        self._launch(kernel, step.num_envs * step.lanes, inputs, [])
 
     def _launch(self, kernel: Any, dim: int, inputs: Sequence, outputs: Sequence) -> None:
-        block = team.block_of(self._step.teams.color)
+        block = team.block_of(self._step.lanes)
         inputs, outputs = [*inputs], [*outputs]
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self._step.device)

@@ -2,21 +2,33 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from importlib import import_module
 from typing import Any
 
-import warp as wp
-
 from warp_rigid.engine.cores import usable_cores
-from warp_rigid.kernels.collide import bake, broadphase, ccd, narrowphase, overlap
+from warp_rigid.kernel_cache import load_module
+from warp_rigid.kernels.collide import bake, broadphase, candidates, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
-from warp_rigid.kernels.graph import coloring, support
-from warp_rigid.kernels.joints import joint_stages
-from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
+from warp_rigid.kernels.graph import coloring, islands, support
+from warp_rigid.kernels.solve import (
+    effectiveness,
+    gauss_seidel,
+    impact_rounds,
+    line_search,
+    push_out,
+    push_rounds,
+    restitution,
+    rounds,
+    shock,
+)
+from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
+
+ROUND_MODULES = (rounds, push_rounds)
+"""Modules whose rounds are launched in small blocks."""
 
 STEP = (
     narrowphase,
@@ -24,6 +36,10 @@ STEP = (
     *TEAM_MODULES,
     integrate,
     predict,
+    islands,
+    *ROUND_MODULES,
+    effectiveness,
+    impact_rounds,
     broadphase,
     build_contacts,
     records,
@@ -32,10 +48,19 @@ STEP = (
 )
 """Kernel modules that every step requires; the slowest to compile come first."""
 
-GRIDS, OVERLAP, SLEEP, GROUND, JOINT = (bake,), (overlap,), (sleep,), (ground_motion,), (joint_stages,)
-"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground and joints."""
+GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
+CANDIDATES, WATCH = (candidates,), (watch,)
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground, large environments and watches."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *JOINT)
+JOINTS = "warp_rigid.kernels.joints.joint_stages"
+"""Kernel module for joints, which process an environment with a team, too. It is imported only where there are joints,
+as this takes a tenth as long as the import of the package."""
+
+
+def everything() -> tuple[Any, ...]:
+    """All kernel modules; the slowest to compile come first."""
+    others = (*OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+    return (import_module(JOINTS), narrowphase, ccd, *others)
 
 
 def load_kernels(
@@ -55,11 +80,17 @@ def load_kernels(
         lanes: sizes of the teams that will process environments.
         on_module: called after each module with the number of loaded modules and the total.
     """
-    teams = sorted({team.block_of(size) for size in lanes}) if device.is_cuda else [1]
-    others = [team.BLOCK if device.is_cuda else 1]
-    jobs = [(module, block) for module in modules for block in (teams if module in (*TEAM_MODULES, *JOINT) else others)]
+
+    def blocks_of(module: Any) -> list[int]:
+        if not device.is_cuda:
+            return [1]
+        if module in TEAM_MODULES or module.__name__ == JOINTS:
+            return sorted({team.block_of(size) for size in lanes})
+        return [team.BLOCK, team.SMALL_BLOCK] if module in ROUND_MODULES else [team.BLOCK]
+
+    jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:
-        loaded = [pool.submit(wp.force_load, device, [wp.get_module(module.__name__)], block) for module, block in jobs]
+        loaded = [pool.submit(load_module, device, module.__name__, block) for module, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):
             done.result()
             if on_module is not None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 
 class Mechanisms(NamedTuple):
-    """Structure of the equations of all mechanisms of one environment, in the terms of schema.Joints.
+    """Structure of the equations of all mechanisms of one environment, in the terms of kernels/joints/arrays.py.
 
     Attributes:
         sequence: joints in the order of elimination, mechanism by mechanism.

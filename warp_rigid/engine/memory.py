@@ -7,17 +7,19 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.checks import number_in, whole_in
-from warp_rigid.engine.model import KINDS, body_sizes
+from warp_rigid.engine.layout import KINDS, Layout
+from warp_rigid.engine.shape_pool import distinct_shapes
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
-from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes.triangle_tree import tree_bytes
 
 LARGEST_LIMIT = 2**50
 
 
 def pool_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all arrays sized with the pools: lists, contacts, the history twice, graph, orders."""
+    """Bytes of all arrays sized with the pools: candidates, lists, contacts, history and rounds twice, graph, order."""
     structs = (
+        schema.Cells,
         schema.Constraints,
         schema.Pairs,
         schema.Contacts,
@@ -25,28 +27,41 @@ def pool_bytes(sizes: dict[str, int]) -> int:
         schema.History,
         schema.Graph,
         schema.Order,
-        schema.Order,
+        schema.Rounds,
+        schema.Rounds,
     )
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 
-def body_bytes(scene: Scene, num_envs: int) -> int:
+def body_bytes(sizes: dict[str, int]) -> int:
     """Bytes of all arrays sized with bodies, environments or constraints besides contacts, and of their copies."""
-    sizes = {"envs": num_envs, **body_sizes(scene, num_envs)}
     structs = [schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments]
     structs += [struct for kind in KINDS for struct in [kind.ROWS] * 2]
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 
-def shape_bytes(scene: Scene) -> int:
-    """Bytes of the distance grids and samples of all distinct shapes, without computing the grids."""
-    shapes = {body.shape.key: body.shape for body in scene.bodies}.values()
-    records = sum(
-        _record_bytes(schema.SampleRecord) * len(shape.samples().kind)
-        + _record_bytes(schema.ClusterRecord) * len(shape.samples().cluster_radius)
-        for shape in shapes
-    )
-    return records + sum(4 * shape.grid_nodes for shape in shapes)
+def shape_bytes(layout: Layout) -> int:
+    """Bytes of the distance grids, triangles and samples of all distinct shapes, without computing the grids."""
+    return sum(bytes_by_shape(layout).values())
+
+
+def bytes_by_shape(layout: Layout, known: dict[str, int] | None = None) -> dict[str, int]:
+    """Bytes of the grids, triangles and samples of each distinct shape and its copies, by the key of the shape.
+
+    Args:
+        layout: the environments.
+        known: bytes of single shapes by their keys, to which those of new ones are added.
+    """
+    known = {} if known is None else known
+    sample, cluster = _record_bytes(schema.SampleRecord), _record_bytes(schema.ClusterRecord)
+    found = {}
+    for shape, copies in distinct_shapes(layout):
+        if shape.key not in known:
+            samples = shape.samples()
+            records = sample * len(samples.kind) + cluster * len(samples.cluster_radius)
+            known[shape.key] = records + 4 * shape.grid_nodes + tree_bytes(shape.tree_triangles)
+        found[shape.key] = copies * known[shape.key]
+    return found
 
 
 def _record_bytes(record: Any) -> int:

@@ -1,132 +1,153 @@
-"""The model: a Scene as device arrays, with the pool of shapes and the bodies of all environments."""
+"""The model: scenes as device arrays, with the pool of shapes and the bodies of all environments."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
-from warp_rigid.checks import shown
 from warp_rigid.engine import joints
-from warp_rigid.engine.moving_ground import build_surfaces, with_copies
+from warp_rigid.engine.layout import KINDS, Layout, concatenated, exclusive_sums
+from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
+from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
+from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.fields import ForceField
 from warp_rigid.scene.scene import COMBINE_RULES, Body, Motion, Scene
-from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
-from warp_rigid.scene.shapes.heightfield import moves
-
-KINDS = (*OTHER_KINDS, joints)
-"""Everything besides contacts that connects bodies: modules with NAME, ROWS, KEPT, `definitions` and `upload`."""
-
-UNBOUNDED = 2.0e9
-"""Used for the infinite extents of planes [m]; products with it do not overflow in float32."""
+from warp_rigid.scene.shapes import Shape
 
 OVERSIZED = 4.0
-"""A dynamic body more than this many times larger than the median is not in the hash grid."""
+"""A dynamic body more than this many times larger than the median is not of ordinary size."""
+
+
+class SizeGroups(NamedTuple):
+    """Bodies of a scene by size, for the broad phase.
+
+    Attributes:
+        small: (n,) dynamic bodies of ordinary size.
+        oversized: (n,) the other bodies.
+        width: cell width of the hash grid at the level of ordinary bodies [m].
+    """
+
+    small: np.ndarray
+    oversized: np.ndarray
+    width: float
 
 
 @dataclass(frozen=True)
 class Model:
-    """A scene on the device; constant except for the parameters that users set.
+    """The scenes on the device; constant except for the parameters that users set.
 
     Attributes:
-        scene: the scene.
-        num_envs: number of environments.
+        layout: the scene of each environment.
         shapes: pool of shapes.
         surfaces: vertices of moving ground.
-        surface_vertices: number of these vertices.
+        vertex_start: (envs + 1,) first of these vertices of each environment.
         surface_node: their first grid node in the pool.
         bodies: bodies of all environments.
-        fields: force fields.
-        field_count: number of force fields.
-        combine_rules: combine rules of friction and restitution.
-        small: (n,) bodies of an environment in the hash grid.
-        oversized: (n,) the other bodies.
-        grid_radius: cell width of the hash grid [m].
+        fields: force fields of all environments.
+        size_groups: for each scene, its bodies by size.
         constraint_rows: arrays of the joints and of the kinds of constraints other than contacts, by name.
+        constraint_offsets: for each of these kinds, (envs,) what to add to a row's number for its index among the
+            constraints of its environment other than contacts.
     """
 
-    scene: Scene
-    num_envs: int
+    layout: Layout
     shapes: Any
     surfaces: Any
-    surface_vertices: int
+    vertex_start: np.ndarray
     surface_node: int
     bodies: Any
     fields: Any
-    field_count: int
-    combine_rules: wp.vec2i
-    small: np.ndarray
-    oversized: np.ndarray
-    grid_radius: float
+    size_groups: dict[Scene, SizeGroups]
     constraint_rows: dict[str, Any]
+    constraint_offsets: dict[str, Any]
+
+    @property
+    def surface_vertices(self) -> int:
+        """Number of vertices of moving ground."""
+        return int(self.vertex_start[-1] - self.vertex_start[0])
 
     def part(self, first: int, end: int) -> "Model":
         """The model of the environments `first` to `end - 1`, over the same arrays."""
-        vertices = self.surface_vertices // self.num_envs
+        ranges = self.layout.ranges(first, end)
+        vertices = (int(self.vertex_start[first]), int(self.vertex_start[end]))
+        layout = self.layout.part(first, end)
         return replace(
             self,
-            num_envs=end - first,
-            bodies=declare.part(self.bodies, env_ranges(self.scene, first, end)),
-            surfaces=declare.part(self.surfaces, {"vertices": (first * vertices, end * vertices), "envs": (first, end)})
-            if vertices
+            layout=layout,
+            bodies=declare.part(self.bodies, ranges),
+            fields=declare.part(self.fields, ranges),
+            surfaces=declare.part(self.surfaces, {"vertices": vertices, "envs": (first, end)})
+            if vertices[1] > vertices[0]
             else self.surfaces,
-            surface_vertices=(end - first) * vertices,
-            surface_node=self.surface_node + first * vertices,
-            constraint_rows={
-                kind.NAME: declare.part(self.constraint_rows[kind.NAME], env_ranges(self.scene, first, end))
-                for kind in KINDS
-            },
+            vertex_start=self.vertex_start[first : end + 1],
+            surface_node=self.surface_node + vertices[0] - int(self.vertex_start[0]),
+            constraint_rows={kind.NAME: declare.part(self.constraint_rows[kind.NAME], ranges) for kind in KINDS},
+            constraint_offsets=_constraint_offsets(layout, self.bodies.env.device),
         )
 
 
-def build_model(scene: Scene, num_envs: int, device: Any) -> Model:
-    """Upload a scene for `num_envs` environments."""
-    shapes, shape_of_body = _unique_shapes(scene.bodies)
-    pooled, place, step = with_copies(shapes, num_envs)
-    pool, surfaces, surface_vertices = _pool_shapes(pooled, _exact_reach(scene.bodies), num_envs, device)
-    small, oversized, grid_radius = _split_by_size(scene.bodies)
+def build_model(layout: Layout, device: Any) -> Model:
+    """Upload the scenes of all environments."""
+    pool = build_pool(layout, device)
+    groups = {scene: _split_by_size(scene.bodies) for scene in layout.scenes}
     return Model(
-        scene=scene,
-        num_envs=num_envs,
-        shapes=pool,
-        surfaces=surfaces,
-        surface_vertices=surface_vertices,
-        surface_node=pool.grid_value.shape[0] - surface_vertices,
-        bodies=_upload_bodies(scene, place[shape_of_body], step[shape_of_body], oversized, num_envs, device),
-        fields=_upload_fields(scene.force_fields, device),
-        field_count=len(scene.force_fields),
-        combine_rules=wp.vec2i(
-            COMBINE_RULES.index(scene.friction_combine), COMBINE_RULES.index(scene.restitution_combine)
-        ),
-        small=np.array(small, np.int32),
-        oversized=np.array(oversized, np.int32),
-        grid_radius=grid_radius,
-        constraint_rows={kind.NAME: kind.upload(scene, num_envs, device) for kind in KINDS},
+        layout=layout,
+        shapes=pool.arrays,
+        surfaces=build_surfaces(pool.moving, pool.sample_start, device),
+        vertex_start=pool.vertex_start,
+        surface_node=pool.arrays.grid_value.shape[0] - int(pool.vertex_start[-1]),
+        bodies=_upload_bodies(layout, pool, device),
+        fields=_upload_fields(layout, device),
+        size_groups=groups,
+        constraint_rows={
+            **{kind.NAME: _upload_constraints(kind, layout, device) for kind in OTHER_KINDS},
+            joints.NAME: joints.upload(layout, device),
+        },
+        constraint_offsets=_constraint_offsets(layout, device),
     )
 
 
-def initial_state(scene: Scene, num_envs: int, device: Any) -> Any:
+def initial_state(layout: Layout, device: Any) -> Any:
     """The initial state of every environment."""
-    state = declare.allocate(schema.State, {"bodies": num_envs * len(scene.bodies)}, device)
+    state = declare.allocate(schema.State, layout.sizes, device)
     for name in ("position", "orientation", "linear_velocity", "angular_velocity"):
-        rows = np.array([getattr(body, name) for body in scene.bodies], np.float32)
-        getattr(state, name).assign(np.tile(rows, (num_envs, 1)))
-    state.active.assign(np.tile(np.array([body.active for body in scene.bodies], np.int32), num_envs))
+        getattr(state, name).assign(_column(layout, name, np.float32))
+    state.active.assign(_column(layout, "active", np.int32))
     return state
 
 
-def initial_environments(scene: Scene, settings: Settings, num_envs: int, device: Any) -> Any:
-    """Gravity and settings of every environment."""
-    envs = declare.allocate(schema.Environments, {"envs": num_envs}, device)
-    envs.first_body.assign(len(scene.bodies) * np.arange(num_envs + 1, dtype=np.int32))
-    envs.gravity.assign(np.tile(np.array(scene.gravity, np.float32), (num_envs, 1)))
+def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any:
+    """Rules, gravity and settings of every environment."""
+    envs = declare.allocate(schema.Environments, layout.sizes, device)
+    envs.first_body.assign(layout.first_body.astype(np.int32))
+    bounds = [scene.bounds or ((0.0,) * 3,) * 2 for scene in layout.scenes]
+    of_scene: dict[str, Any] = {
+        "gravity": np.array([scene.gravity for scene in layout.scenes], np.float32),
+        "friction_rule": [COMBINE_RULES.index(scene.friction_combine) for scene in layout.scenes],
+        "restitution_rule": [COMBINE_RULES.index(scene.restitution_combine) for scene in layout.scenes],
+        "out_of_bounds": [_out_of_bounds(scene) for scene in layout.scenes],
+        "lower": np.array([lower for lower, _ in bounds], np.float32),
+        "upper": np.array([upper for _, upper in bounds], np.float32),
+    }
+    for name, rows in of_scene.items():
+        values = np.asarray(rows)[layout.scene_of]
+        getattr(envs, name).assign(values if values.dtype == np.float32 else values.astype(np.int32))
     for name in PER_ENVIRONMENT:
         getattr(envs, name).fill_(check_setting(name, getattr(settings, name)))
     return envs
+
+
+def _out_of_bounds(scene: Scene) -> OutOfBounds:
+    return OutOfBounds.UNBOUNDED if scene.bounds is None else OutOfBounds[scene.out_of_bounds.upper()]
+
+
+def _column(layout: Layout, name: str, kind: Any) -> np.ndarray:
+    """An attribute of all bodies, (bodies, ...)."""
+    return np.array([getattr(body, name) for body in layout.scene_bodies], kind)[layout.source]
 
 
 def mass_arrays(shape: Shape, mass: np.ndarray) -> dict[str, np.ndarray]:
@@ -141,62 +162,20 @@ def mass_arrays(shape: Shape, mass: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def _unique_shapes(bodies: list[Body]) -> tuple[list[Shape], list[int]]:
-    """Distinct shapes, and the index of each body's shape."""
-    index: dict[str, int] = {}
-    shapes: list[Shape] = []
-    of_body = []
-    for body in bodies:
-        if body.shape.key not in index:
-            index[body.shape.key] = len(shapes)
-            shapes.append(body.shape)
-        of_body.append(index[body.shape.key])
-    return shapes, of_body
-
-
-def _split_by_size(bodies: list[Body]) -> tuple[list[int], list[int], float]:
-    """Bodies in the hash grid, oversized bodies, and the cell width of the grid [m]."""
+def _split_by_size(bodies: list[Body]) -> SizeGroups:
+    """Dynamic bodies of ordinary size, the other bodies, and the cell width of the grid for the former."""
     reach = np.array([0.5 * np.linalg.norm(_extent(body.shape)) for body in bodies])
     dynamic = np.array([body.motion == Motion.DYNAMIC for body in bodies], bool)
     typical = float(np.median(reach[dynamic])) if dynamic.any() else 1.0
     small = dynamic & (reach <= OVERSIZED * typical)
-    return (
-        [int(i) for i in np.flatnonzero(small)],
-        [int(i) for i in np.flatnonzero(~small)],
-        2.0 * float(reach[small].max()) if small.any() else 1.0,
-    )
+    width = 2.0 * float(reach[small].max()) if small.any() else 1.0
+    return SizeGroups(np.flatnonzero(small).astype(np.int32), np.flatnonzero(~small).astype(np.int32), width)
 
 
 def _extent(shape: Shape) -> np.ndarray:
     """Side lengths of the shape's bounding box [m]."""
     lower, upper = shape.bounds
     return np.clip(upper, -UNBOUNDED, UNBOUNDED) - np.clip(lower, -UNBOUNDED, UNBOUNDED)
-
-
-def body_sizes(scene: Scene, num_envs: int) -> dict[str, int]:
-    """How long the arrays of Bodies are, and those of the kinds of constraints besides contacts."""
-    one = {"bodies": len(scene.bodies), "filtered": 2 * len(scene.filtered_pairs)}
-    one |= {kind.NAME: len(kind.definitions(scene)) for kind in OTHER_KINDS} | joints.sizes(scene)
-    return {symbol: num_envs * size for symbol, size in one.items()}
-
-
-def other_constraints(scene: Scene) -> int:
-    """Constraints of other kinds than contact in a scene.
-
-    Raises:
-        ValueError: a constraint of the scene is of no known kind.
-    """
-    known = [definition for kind in OTHER_KINDS for definition in kind.definitions(scene)]
-    for index, constraint in enumerate(scene.constraints):
-        if not any(constraint is definition for definition in known):
-            raise ValueError(f"scene.constraints: number {index} is of no known kind, got {shown(constraint)}")
-    return len(known)
-
-
-def env_ranges(scene: Scene, first: int, end: int) -> dict[str, tuple[int, int]]:
-    """Rows of the environments from `first` to before `end`, by the symbol that counts them."""
-    sizes = {"envs": 1, **body_sizes(scene, 1)}
-    return {symbol: (first * size, end * size) for symbol, size in sizes.items()}
 
 
 def _filtered(scene: Scene) -> list[list[int]]:
@@ -208,135 +187,85 @@ def _filtered(scene: Scene) -> list[list[int]]:
     return others
 
 
-def _upload_fields(force_fields: list[ForceField], device: Any) -> Any:
-    """Write the kinds and parameters of the force fields."""
-    rows = [field.row() for field in force_fields]
-    width = max((len(row) for row in rows), default=0)
-    fields = declare.allocate(schema.FieldForces, {"fields": len(rows), "field_parameters": width}, device)
-    if rows:
-        fields.kind.assign(np.array([int(field.kind) for field in force_fields], np.int32))
-        fields.parameters.assign(np.array([np.pad(row, (0, width - len(row))) for row in rows]))
-    return fields
-
-
-def _upload_bodies(
-    scene: Scene, shape_of_body: np.ndarray, step: np.ndarray, oversized: list[int], num_envs: int, device: Any
-) -> Any:
-    """Repeat one environment's rows for all; the index of each body's shape increases by `step` per environment."""
-    bodies = scene.bodies
-    filtered = _filtered(scene)
-    rows = declare.allocate(schema.Bodies, body_sizes(scene, num_envs), device)
-    rows.env.assign(np.repeat(np.arange(num_envs, dtype=np.int32), len(bodies)))
-    rows.filtered_start.assign(_starts(num_envs * [len(others) for others in filtered]))
-    if scene.filtered_pairs:
-        rows.filtered.assign(np.tile(np.concatenate(filtered).astype(np.int32), num_envs))
-    host: dict[str, np.ndarray] = {
-        "motion": np.array([int(body.motion) for body in bodies], np.int32),
-        "oversized": np.isin(np.arange(len(bodies)), oversized).astype(np.int32),
-        "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
-    }
-    for name in COEFFICIENTS:
-        host[name] = np.array([getattr(body, name) for body in bodies], np.float32)
-    shapes = {"mass": (), "inverse_mass": (), "inertia": (3, 3), "inverse_inertia": (3, 3)}
-    for name, tail in shapes.items():
-        host[name] = np.zeros((len(bodies), *tail), np.float32)
-    for i, body in enumerate(bodies):
-        if body.motion == Motion.DYNAMIC:
-            for name, value in mass_arrays(body.shape, np.array([body.mass])).items():
-                host[name][i] = value[0]
-    for name, value in host.items():
-        getattr(rows, name).assign(np.tile(value, (num_envs,) + (1,) * (value.ndim - 1)))
-    rows.shape.assign((shape_of_body + np.arange(num_envs)[:, None] * step).reshape(-1).astype(np.int32))
-    return rows
-
-
 def _center_of_mass(body: Body) -> np.ndarray:
     """Centre of mass in the shape's frame; zero for static bodies, which may be unbounded."""
     return np.zeros(3) if body.motion == Motion.STATIC else body.shape.center_of_mass
 
 
-def _exact_reach(bodies: list[Body]) -> float:
-    """Reach within which distances to height fields must be exact [m]: sample radius and half-length, plus a margin."""
-    shapes = {body.shape for body in bodies if body.motion == Motion.DYNAMIC}
-    reach = 0.0 if shapes else UNBOUNDED
-    for shape in shapes:
-        samples = shape.samples()
-        spans = np.linalg.norm(samples.slide, axis=1) + samples.radius
-        reach = max(reach, float(spans.max(initial=0.0)) + 0.1 * shape.size)
-    return reach
+def _upload_fields(layout: Layout, device: Any) -> Any:
+    """Write the kinds and parameters of the force fields."""
+    found, lengths = concatenated(lambda scene: scene.force_fields, layout.scenes)
+    rows = [field.row() for field in found]
+    width = max((len(row) for row in rows), default=0)
+    fields = declare.allocate(schema.FieldForces, {**layout.sizes, "field_parameters": width}, device)
+    fields.start.assign(layout.starts["fields"].astype(np.int32))
+    if layout.sizes["fields"]:
+        source = layout.copies(lengths)
+        fields.kind.assign(np.array([int(field.kind) for field in found], np.int32)[source])
+        fields.parameters.assign(np.array([np.pad(row, (0, width - len(row))) for row in rows])[source])
+    return fields
 
 
-def _pool_shapes(shapes: list[Shape], exact_reach: float, num_envs: int, device: Any) -> tuple[Any, Any, int]:
-    """Concatenate parts, grids, clusters and samples of all shapes, and the vertices of moving height fields."""
-    parts = [shape.parts() for shape in shapes]
-    samples = [shape.samples() for shape in shapes]
-    flat = [part for group in parts for part in group]
-    grids = [np.ravel(part.grid.values) if part.grid else np.zeros(0, np.float32) for part in flat]
-    pool = schema.Shapes()
-    pool.shapes = wp.array(_shape_rows(shapes, parts, samples), dtype=schema.ShapeRecord, device=device)
-    pool.parts = wp.array(_part_rows(flat, grids, exact_reach), dtype=schema.PartRecord, device=device)
-    pool.clusters = wp.array(_cluster_rows(samples), dtype=schema.ClusterRecord, device=device)
-    pool.samples = wp.array(_sample_rows(samples), dtype=schema.SampleRecord, device=device)
-    pool.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
-    return pool, *build_surfaces(shapes, _starts([len(s.kind) for s in samples]), num_envs, device)
-
-
-def _shape_rows(shapes: list[Shape], parts: list, samples: list) -> np.ndarray:
-    """One record per shape."""
-    rows = np.zeros(len(shapes), schema.ShapeRecord.numpy_dtype())
-    part_start = _starts([len(group) for group in parts])
-    cluster_start = _starts([len(s.cluster_radius) for s in samples])
-    rows["part_start"], rows["part_end"] = part_start[:-1], part_start[1:]
-    rows["convex"] = [len(group) == 1 and group[0].kind not in (PartKind.GRID, PartKind.HEIGHTFIELD) for group in parts]
-    rows["cluster_start"], rows["cluster_end"] = cluster_start[:-1], cluster_start[1:]
-    rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]
-    rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
-    rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]
-    rows["rise"] = [shape.top_speed if moves(shape) else 0.0 for shape in shapes]
+def _upload_bodies(layout: Layout, pool: Pool, device: Any) -> Any:
+    """Write the properties of all bodies, those of each scene for all its environments."""
+    bodies, source = layout.scene_bodies, layout.source
+    rows = declare.allocate(schema.Bodies, layout.sizes, device)
+    rows.env.assign(layout.env_of_row.astype(np.int32))
+    others, lengths = concatenated(_filtered, layout.scenes)
+    if layout.sizes["filtered"]:
+        flat, per_scene = concatenated(lambda scene: sum(_filtered(scene), []), layout.scenes)
+        rows.filtered.assign(np.array(flat, np.int32)[layout.copies(per_scene)])
+    per_body = np.array([len(some) for some in others])[layout.copies(lengths)]
+    rows.filtered_start.assign(exclusive_sums(per_body).astype(np.int32))
+    host: dict[str, np.ndarray] = {
+        "motion": np.array([int(body.motion) for body in bodies], np.int32),
+        "center_of_mass": np.array([_center_of_mass(body) for body in bodies], np.float32),
+    }
+    for name in COEFFICIENTS:
+        host[name] = np.array([getattr(body, name) for body in bodies], np.float32)
+    for name, value in {**host, **_masses(bodies)}.items():
+        getattr(rows, name).assign(value[source])
+    rows.shape.assign(pool.shape_of_row)
     return rows
 
 
-def _part_rows(parts: list, grids: list[np.ndarray], exact_reach: float) -> np.ndarray:
-    """One record per part."""
-    rows = np.zeros(len(parts), schema.PartRecord.numpy_dtype())
-    for row, part in zip(rows, parts, strict=True):
-        row["kind"] = int(part.kind)
-        row["placed"] = part.position != (0, 0, 0) or part.orientation != (0, 0, 0, 1)
-        row["position"], row["orientation"] = part.position, part.orientation
-        row["size"] = (*part.size[:3], exact_reach) if part.kind == PartKind.HEIGHTFIELD else part.size
-        if part.grid:
-            row["grid_dims"] = part.grid.values.shape
-            row["grid_origin"], row["grid_spacing"] = part.grid.origin, part.grid.spacing
-    rows["grid_start"] = _starts([grid.size for grid in grids])[:-1]
+def _masses(bodies: list[Body]) -> dict[str, np.ndarray]:
+    """Masses, inertia tensors and their inverses of bodies; zero unless dynamic."""
+    shapes = {"mass": (), "inverse_mass": (), "inertia": (3, 3), "inverse_inertia": (3, 3)}
+    host = {name: np.zeros((len(bodies), *tail), np.float32) for name, tail in shapes.items()}
+    of_shape: dict[str, list[int]] = {}
+    for index, body in enumerate(bodies):
+        if body.motion == Motion.DYNAMIC:
+            of_shape.setdefault(body.shape.key, []).append(index)
+    for own in of_shape.values():
+        mass = np.array([bodies[index].mass for index in own])
+        for name, value in mass_arrays(bodies[own[0]].shape, mass).items():
+            host[name][own] = value
+    return host
+
+
+def _upload_constraints(kind: Any, layout: Layout, device: Any) -> Any:
+    """The arrays of a kind of constraints: those of each scene, copied to its environments."""
+    rows = declare.allocate(kind.ROWS, layout.sizes, device)
+    if not layout.sizes[kind.NAME]:
+        return rows
+    parts = [kind.upload(scene, "cpu") for scene in layout.scenes]
+    lengths = [len(kind.definitions(scene)) for scene in layout.scenes]
+    source = layout.copies(lengths)
+    first_body = np.repeat(layout.first_body[:-1], np.diff(layout.starts[kind.NAME]))
+    for name, field in declare.LAYOUTS[kind.ROWS.key].items():
+        values = [getattr(part, name).numpy()[:length] for part, length in zip(parts, lengths, strict=True)]
+        column = np.concatenate(values)[source]
+        getattr(rows, name).assign((column + first_body).astype(np.int32) if field.index_of == "bodies" else column)
     return rows
 
 
-def _cluster_rows(samples: list) -> np.ndarray:
-    """One record per cluster."""
-    first_sample = _starts([len(s.kind) for s in samples])
-    rows = np.zeros(sum(len(s.cluster_radius) for s in samples), schema.ClusterRecord.numpy_dtype())
-    if len(rows):
-        rows["center"] = np.concatenate([s.cluster_center for s in samples])
-        rows["radius"] = np.concatenate([s.cluster_radius for s in samples])
-        kind = np.concatenate([s.kind[s.cluster_start[:-1]] for s in samples])
-        rows["kind"] = np.where(np.isin(kind, (SampleKind.RIM, SampleKind.CAP)), SampleKind.POINT, kind)
-        rows["sample_start"] = np.concatenate(
-            [s.cluster_start[:-1] + f for s, f in zip(samples, first_sample, strict=False)]
-        )
-        rows["sample_end"] = np.concatenate(
-            [s.cluster_start[1:] + f for s, f in zip(samples, first_sample, strict=False)]
-        )
-    return rows
-
-
-def _sample_rows(samples: list) -> np.ndarray:
-    """One record per sample."""
-    rows = np.zeros(sum(len(s.kind) for s in samples), schema.SampleRecord.numpy_dtype())
-    for name in ("point", "normal", "slide", "radius", "kind"):
-        rows[name] = np.concatenate([getattr(s, name) for s in samples])
-    return rows
-
-
-def _starts(counts: list[int]) -> np.ndarray:
-    """Exclusive sums of counts, with the total at the end."""
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+def _constraint_offsets(layout: Layout, device: Any) -> dict[str, Any]:
+    """See Model.constraint_offsets."""
+    found = {}
+    before = np.zeros(layout.num_envs, np.int64)
+    for kind in OTHER_KINDS:
+        start = layout.starts[kind.NAME]
+        found[kind.NAME] = wp.array((before - start[:-1]).astype(np.int32), dtype=int, device=device)
+        before += np.diff(start)
+    return found

@@ -5,52 +5,34 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.kernels import declare, schema
-from warp_rigid.scene.shapes.base import Shape
-from warp_rigid.scene.shapes.heightfield import Heightfield, moves
+from warp_rigid.scene.shapes.heightfield import Heightfield
 
 FIELDS = ("sample", "around", "per_x", "per_y", "height", "amplitude", "phase", "frequency")
 
 
-def with_copies(shapes: list[Shape], num_envs: int) -> tuple[list[Shape], np.ndarray, np.ndarray]:
-    """Shapes in the order of the pool: first the shared ones, then a copy of the moving ones for each environment.
-
-    Returns:
-        The pool's shapes; the index of each of `shapes` (its first copy) in the pool, (n,); and the index increment
-        from one environment's copy to the next, (n,): the number of moving shapes, or 0.
-    """
-    moving = np.array([moves(shape) for shape in shapes], dtype=np.int32)
-    alike = [shape for shape in shapes if not moves(shape)]
-    copied = [shape for shape in shapes if moves(shape)]
-    place = np.where(moving, len(alike) + np.cumsum(moving), np.cumsum(1 - moving)) - 1
-    return alike + copied * num_envs, place.astype(np.int32), moving * len(copied)
-
-
-def build_surfaces(pooled: list[Shape], sample_start: np.ndarray, num_envs: int, device: Any) -> tuple[Any, int]:
+def build_surfaces(moving: list, sample_start: np.ndarray, device: Any) -> Any:
     """The vertices of all moving fields, in the order of their nodes in the pool of grids.
 
     Args:
-        pooled: as from `with_copies`.
-        sample_start: (shapes + 1,) first sample of each pooled shape.
-        num_envs: number of environments, each with its own copy of the fields.
+        moving: index in the pool and Entry of each copy of a moving field (shape_pool.py).
+        sample_start: (shapes + 1,) first sample of each shape of the pool.
         device: a Warp device.
 
     Returns:
-        The Surfaces, and the number of vertices.
+        The Surfaces.
     """
     columns: dict[str, list[np.ndarray]] = {name: [] for name in FIELDS}
-    count = 0
-    for index, shape in enumerate(pooled):
-        if not moves(shape):
-            continue
-        for name, values in _vertices(shape, int(sample_start[index])).items():
+    envs: list[np.ndarray] = []
+    for index, entry in moving:
+        for name, values in _vertices(entry.shape, int(sample_start[index])).items():
             columns[name].append(values)
-        count += shape.heights.size
-    surfaces = declare.allocate(schema.Surfaces, {"vertices": count}, device)
-    if count:
-        surfaces.env.assign(np.repeat(np.arange(num_envs, dtype=np.int32), count // num_envs))
+        envs.append(np.full(entry.shape.heights.size, entry.env, np.int32))
+    surfaces = declare.allocate(schema.Surfaces, {"vertices": sum(map(len, envs))}, device)
+    if moving:
+        surfaces.env.assign(np.concatenate(envs))
         for name, parts in columns.items():
             getattr(surfaces, name).assign(np.concatenate(parts))
-    return surfaces, count
+    return surfaces
 
 
 def _vertices(field: Heightfield, first_sample: int) -> dict[str, np.ndarray]:

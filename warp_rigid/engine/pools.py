@@ -6,10 +6,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine.layout import Layout
 from warp_rigid.kernels import declare, schema
 
 NAMES = ("pairs", "contacts")
-"""Names of the pools, in the order of `wanted` on the device."""
+"""Names of the pools whose capacity users can give."""
+
+POOLS = (*NAMES, "candidates")
+"""Names of all pools, in the order of `wanted` on the device."""
 
 LARGEST = 2**30
 """Maximum capacity of a pool, as the two ends of each pair are counted in 32 bits."""
@@ -26,17 +30,21 @@ class Pools:
     """Arrays sized by the number of pairs and contacts, and the sizes that the last steps required.
 
     Attributes:
+        layout: the environments.
         sizes: symbols of the data layout and their values.
         pairs: candidate pairs.
         contacts: contact rows.
         history: contacts of the last step.
         constraints: all constraints of the step.
         graph: contact graph.
-        order: active constraints by colour.
+        order: constraints that are solved in sweeps, by colour.
+        rounds: pairs of heaps, which are solved in rounds.
+        selected: pairs of heaps with an impact, then those with an overlap.
         turn: (1,) row of `wanted` for the current step.
-        wanted: (CHUNK, 2) required number of pairs and contacts of each step.
+        wanted: (CHUNK, 3) required number of pairs, contacts and candidates of each step.
     """
 
+    layout: Layout
     sizes: dict[str, int]
     pairs: Any
     contacts: Any
@@ -44,28 +52,18 @@ class Pools:
     constraints: Any
     graph: Any
     order: Any
+    rounds: Any
+    selected: Any
     turn: wp.array
     wanted: wp.array
 
-    @staticmethod
-    def sizes_for(num_envs: int, num_bodies: int, others: int, pairs: int, contacts: int) -> dict[str, int]:
-        """Symbols of the data layout and their values; bodies and other constraints are given per environment."""
-        return {
-            "envs": num_envs,
-            "bodies": num_envs * num_bodies,
-            "others": num_envs * others,
-            "pairs": pairs,
-            "contacts": contacts,
-            "constraints": pairs + num_envs * others,
-        }
-
     @classmethod
-    def allocate(cls, sizes: dict[str, int], device: Any) -> "Pools":
-        """Allocate empty pools of these sizes."""
-        envs = sizes["envs"]
+    def allocate(cls, layout: Layout, sizes: dict[str, int], device: Any) -> "Pools":
+        """Allocate empty pools of these sizes (see `sizes_for`)."""
         constraints = declare.allocate(schema.Constraints, sizes, device)
-        constraints.other_start.assign(sizes["others"] // envs * np.arange(envs + 1, dtype=np.int32))
+        constraints.other_start.assign(layout.others_before())
         return cls(
+            layout=layout,
             sizes=sizes,
             pairs=declare.allocate(schema.Pairs, sizes, device),
             contacts=declare.allocate(schema.Contacts, sizes, device),
@@ -73,8 +71,10 @@ class Pools:
             constraints=constraints,
             graph=declare.allocate(schema.Graph, sizes, device),
             order=declare.allocate(schema.Order, sizes, device),
+            rounds=declare.allocate(schema.Rounds, sizes, device),
+            selected=declare.allocate(schema.Rounds, sizes, device),
             turn=wp.zeros(1, dtype=int, device=device),
-            wanted=wp.zeros((CHUNK, 2), dtype=int, device=device),
+            wanted=wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device),
         )
 
     @property
@@ -98,8 +98,8 @@ class Pools:
         else:
             listed = int(self.pairs.start.numpy()[-1])
             body, count = self.pairs.body_a.numpy()[:listed], self.pairs.contact_count.numpy()[:listed]
-        envs = self.sizes["envs"]
-        return np.bincount(body // (self.sizes["bodies"] // envs), weights=count, minlength=envs).astype(np.int64)
+        env = self.layout.env_of_row[body]
+        return np.bincount(env, weights=count, minlength=self.layout.num_envs).astype(np.int64)
 
     def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
         """Sizes enlarged to the required numbers of entries, times HEADROOM."""
@@ -109,7 +109,7 @@ class Pools:
 
     def grown(self, sizes: dict[str, int]) -> "Pools":
         """Larger pools with the same history."""
-        pools = Pools.allocate(sizes, self.wanted.device)
+        pools = Pools.allocate(self.layout, sizes, self.wanted.device)
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, schema.History)
         for name, array in self.levels.items():
@@ -117,10 +117,21 @@ class Pools:
         return pools
 
 
-def expected_capacity(num_envs: int, dynamic: int) -> tuple[int, int]:
-    """Initial pairs and contacts: six pairs per dynamic body in all environments, six contacts per pair."""
-    pairs = min(num_envs * max(8, 6 * dynamic), LARGEST)
-    return pairs, min(6 * pairs, LARGEST)
+def sizes_for(others: int, pairs: int, contacts: int, layout: dict[str, int]) -> dict[str, int]:
+    """Symbols of the data layout and their values.
+
+    Args:
+        others: constraints of other kinds than contact, in all environments.
+        pairs: capacity for pairs.
+        contacts: capacity for contacts.
+        layout: sizes of the layout, with those of `grid_sizes`.
+    """
+    return {**layout, "others": others, "pairs": pairs, "contacts": contacts, "constraints": pairs + others}
+
+
+def expected_pairs(dynamic: np.ndarray) -> np.ndarray:
+    """Initial capacity for pairs of environments with a number of dynamic bodies: six pairs each."""
+    return np.maximum(8, 6 * dynamic)
 
 
 def copy_arrays(source: Any, target: Any, struct: Any) -> None:

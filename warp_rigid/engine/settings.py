@@ -10,6 +10,8 @@ from warp_rigid.kernels.enums import ShockMode
 
 SHOCK_MODES = tuple(mode.name.lower() for mode in ShockMode)
 MOST_ITERATIONS = 10_000
+SHORTEST = 1e-9
+"""Shortest time step [s]; the squares of shorter ones are lost in single precision."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Refuse values out of range, each in one line."""
-        object.__setattr__(self, "dt", number_in("dt", self.dt, high=1.0, above=0.0))
+        object.__setattr__(self, "dt", number_in("dt", self.dt, SHORTEST, 1.0))
         for name in PER_ENVIRONMENT:
             check_setting(name, getattr(self, name))
 

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.loading import OVERLAP, load_kernels
-from warp_rigid.engine.model import KINDS, Model, env_ranges
+from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels import declare, schema
+from warp_rigid.threads import exclusive
 
 WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
 """Status of an environment that a step records; it is undone with the step and cleared by a reset."""
@@ -36,13 +38,19 @@ class Shard:
     Attributes:
         first: as given.
         end: as given.
+        num_envs: number of its environments.
+        layout: its environments.
+        first_body: row of its first body in the arrays of all environments.
+        end_body: one past the row of its last body.
         pools: pairs, contacts and graph.
         stages: the recorded step.
+        watches: what its steps record for observers, None for nothing.
         recorded: arguments of the last `record`, None before it.
         seconds: duration of the last `advance` [s].
     """
 
     stages: Stages
+    watches: Any = None
     recorded: tuple[float, int, bool] | None = None
     seconds = 0.0
 
@@ -51,9 +59,11 @@ class Shard:
     ) -> None:
         """Allocate the arrays; `record` must be called next."""
         self.first, self.end = first, end
-        self.num_envs, self.num_bodies = end - first, len(model.scene.bodies)
+        ranges = model.layout.ranges(first, end)
+        self.num_envs = end - first
+        self.first_body, self.end_body = ranges["bodies"]
         self._model = model.part(first, end)
-        ranges = env_ranges(model.scene, first, end)
+        self.layout = self._model.layout
         self._state = declare.part(state, ranges)
         self._sleep_state = declare.part(sleep_state, ranges)
         self._envs = declare.part(envs, ranges)
@@ -62,17 +72,7 @@ class Shard:
         self._saved_sleep_state = declare.allocate(schema.SleepState, sizes, self._device)
         self._saved_envs = [(array, wp.clone(array)) for array in (getattr(self._envs, name) for name in WATCHED)]
         self._saved_in: int | None = None
-        self.pools = Pools.allocate(sizes, self._device)
-
-    @property
-    def first_body(self) -> int:
-        """Row of its first body in the arrays of all environments."""
-        return self.first * self.num_bodies
-
-    @property
-    def end_body(self) -> int:
-        """One past the row of its last body."""
-        return self.end * self.num_bodies
+        self.pools = Pools.allocate(self.layout, sizes, self._device)
 
     def record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools | None = None) -> None:
         """Record the step again, with other pools if they are given; the other arguments are those of Stages.
@@ -80,8 +80,12 @@ class Shard:
         Only one shard at a time can record, while no other one is stepping. If an exception is raised, the shard is
         unchanged.
         """
-        pools = pools or self.pools
-        stages = Stages(self._model, self._state, self._sleep_state, self._envs, pools, dt, repetitions, sleeping)
+        with exclusive():
+            self._record(dt, repetitions, sleeping, pools or self.pools)
+
+    def _record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools) -> None:
+        arrays = (self._model, self._state, self._sleep_state, self._envs, pools)
+        stages = Stages(*arrays, dt, repetitions, sleeping, self.watches)
         kept = self._kept_arrays(pools, sleeping)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
             for array, saved in kept:
@@ -90,6 +94,12 @@ class Shard:
         self.pools, self.stages, self._kept, self._keeping = pools, stages, kept, capture.graph
         self._measuring: Any = None
         self.recorded = (dt, repetitions, sleeping)
+
+    def watch(self, watches: Any) -> None:
+        """Record watches of all environments, an instance of schema.Watches, from now on."""
+        assert self.recorded is not None
+        self.watches = declare.part(watches, {"envs": (self.first, self.end)})
+        self.record(*self.recorded)
 
     def advance(self, steps: int, attempt: int) -> None:
         """Execute steps that can be undone, at most CHUNK of them."""
@@ -121,12 +131,16 @@ class Shard:
     def record_measuring(self) -> None:
         """Record the kernels of `deepest_overlap`, unless recorded already; one shard at a time, as for `record`."""
         if self._measuring is None:
-            load_kernels(self._device, OVERLAP)
-            self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
-            with wp.ScopedCapture(self._device, force_module_load=False) as capture:
-                self.pools.begin()
-                self.stages.deepest_overlap(self._deepest)
-            self._measuring = capture.graph
+            with exclusive():
+                self._record_measuring()
+
+    def _record_measuring(self) -> None:
+        load_kernels(self._device, OVERLAP)
+        self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
+        with wp.ScopedCapture(self._device, force_module_load=False) as capture:
+            self.pools.begin()
+            self.stages.deepest_overlap(self._deepest)
+        self._measuring = capture.graph
 
     def deepest_overlap(self) -> np.ndarray:
         """Deepest overlap in each of its environments, (envs,) [m]; see Simulator.penetration."""
@@ -139,6 +153,9 @@ class Shard:
         structs += [(schema.SleepState, self._sleep_state, self._saved_sleep_state)] if sleeping else []
         structs += [(schema.History, pools.history, declare.allocate(schema.History, pools.sizes, self._device))]
         both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in declare.field_names(struct)]
+        if self.watches is not None:
+            kept = [getattr(self.watches, name) for name in declare.field_names(schema.Watches)]
+            both += [(array, wp.clone(array)) for array in kept]
         both += [
             (array, wp.clone(array))
             for kind in KINDS

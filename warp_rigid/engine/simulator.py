@@ -1,29 +1,56 @@
-"""Simulator: many environments of one scene that are stepped together on one device."""
+"""Simulator: many environments of one or several scenes that are stepped together on one device."""
 
+import functools
 import logging
-from collections.abc import Mapping
-from typing import Any
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import checkpoint, quantities
+from warp_rigid.engine import checkpoint, quantities, spawning, watching
+from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
 from warp_rigid.scene.scene import Scene
+from warp_rigid.threads import exclusive, on_stream
 
 log = logging.getLogger("warp_rigid")
 
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def guarded(
+    method: Callable[Concatenate["Simulator", Given], Result],
+) -> Callable[Concatenate["Simulator", Given], Result]:
+    """Let one thread at a time use a simulator, and none while another one records a step."""
+
+    @functools.wraps(method)
+    def run(self: "Simulator", *arguments: Given.args, **named: Given.kwargs) -> Result:
+        with self.in_use():
+            return method(self, *arguments, **named)
+
+    return run
+
 
 class Simulator:
-    """`num_envs` environments of one scene, each with its own state, parameters and settings.
+    """Environments of one or several scenes, each with its own state, parameters and settings.
+
+    The scenes may differ in everything that a Scene states: shapes, number of bodies, masses, force fields, filtered
+    pairs, bounds, rules. The result of an environment does not depend on the others, to the bit.
+
+    Simulators can be used from several threads. On a CPU their steps run at the same time, on a GPU one after another.
+    A simulator works on the stream that was current when it was made.
 
     Args:
-        scene: the scene.
-        num_envs: number of environments.
+        scene: the scene, or a list of scenes.
+        num_envs: number of environments of each scene. With n scenes, environment e has scene e modulo n.
         settings: initial settings of all environments; `set` changes them per environment.
         device: a Warp device or its name. None selects the first CUDA device, or else the CPU, and logs which. On a CPU
             the environments are distributed over all cores that the process may use.
@@ -38,9 +65,13 @@ class Simulator:
         capacity: initial capacity for "pairs" and "contacts" of all environments; None estimates both.
 
     Attributes:
-        scene: as given.
+        scenes: copies of the distinct scenes given; later changes of either do not affect the simulation.
+        scene_of: (envs,) index into `scenes` for each environment.
         num_envs: number of environments.
-        num_bodies: number of bodies in each environment, in the order of the scene.
+        num_bodies: number of bodies of the largest environment; bodies are in the order of the scene.
+        first_body: (envs + 1,) row of the first body of each environment in the arrays of `array`; the last entry is
+            the number of all bodies.
+        exists: (envs, bodies) whether an environment has a body of that index.
         settings: as given.
         device: the Warp device.
         seed: as given.
@@ -54,7 +85,7 @@ class Simulator:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | Sequence[Scene],
         num_envs: int = 1,
         settings: Settings | None = None,
         device: Any = None,
@@ -64,21 +95,42 @@ class Simulator:
         memory_limit: int | float | None = None,
         capacity: Mapping[str, int] | None = None,
     ) -> None:
-        """Upload the scene and compile the step."""
-        self._world = World(
-            scene,
-            num_envs,
-            settings or Settings(),
-            choose_device(device),
-            seed,
-            on_overflow,
-            on_nonfinite,
-            memory_limit,
-            capacity or {},
-        )
-        self.scene, self.settings, self.device = scene, self._world.settings, self._world.device
-        self.num_envs, self.num_bodies = self._world.num_envs, self._world.num_bodies
+        """Upload the scenes and compile the step."""
+        layout, chosen = layout_of(scene, num_envs), choose_device(device)
+        self._lock = threading.RLock()
+        self._stream = wp.get_stream(chosen) if chosen.is_cuda else None
+        with exclusive():
+            self._world = World(
+                layout,
+                settings or Settings(),
+                chosen,
+                seed,
+                on_overflow,
+                on_nonfinite,
+                memory_limit,
+                capacity or {},
+            )
+        self.scenes, self.scene_of = layout.scenes, layout.scene_of
+        self.settings, self.device = self._world.settings, self._world.device
+        self.num_envs, self.num_bodies = layout.num_envs, layout.most_bodies
+        self.first_body, self.exists = layout.first_body, layout.rows != LACKING
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
+
+    def __repr__(self) -> str:
+        """Show the size, the device and the time."""
+        size = f"{self.num_envs} environments of {self.num_bodies} bodies"
+        return f"Simulator({size} on {self.device}, dt {self.settings.dt:.6g} s, at {self.time:.6g} s)"
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of all environments.
+
+        Raises:
+            ValueError: the environments have several scenes; see `scenes` and `scene_of`.
+        """
+        if len(self.scenes) > 1:
+            raise ValueError(f"scene: the environments have {len(self.scenes)} scenes; see scenes and scene_of")
+        return self.scenes[0]
 
     @property
     def time(self) -> float:
@@ -90,6 +142,13 @@ class Simulator:
         """Device memory that the simulator occupies [bytes]."""
         return self._world.shards.memory
 
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Context in which this thread alone uses the simulator, and none records a step."""
+        with self._lock, on_stream(self.device, self._stream):
+            yield
+
+    @guarded
     def step(self, count: int = 1) -> None:
         """Advance all environments by `count` steps of dt.
 
@@ -105,14 +164,18 @@ class Simulator:
             if self.on_nonfinite == "raise":
                 self._raise_if_nonfinite()
 
+    @guarded
     def get(self, name: str) -> np.ndarray:
         """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings.
+
+        Bodies that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
 
         Quantities of joints are (envs, joints, ...): "joint_position", "joint_velocity", "joint_force" (force [N] and
         torque [N m] on the first body in the last step, 6 numbers), "joint_broken" and what `set` changes.
         """
         return quantities.read(self._world, name)
 
+    @guarded
     def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
@@ -124,26 +187,71 @@ class Simulator:
             name: the quantity.
             value: number, array, mode name, or list of mode names.
             envs: indices of the environments; None for all.
-            bodies: indices of the bodies; None for all.
-            joints: indices of the joints, for quantities of joints; None for all.
+            bodies: indices or names of the bodies, which all these environments must have; None for all bodies, where
+                the values of bodies that an environment lacks are not read.
+            joints: indices or names of the joints, for quantities of joints; None for all, as for the bodies.
 
         Raises:
-            ValueError: unknown name, wrong shape, or a value out of range.
+            ValueError: unknown name, wrong shape, a value out of range, or a body or joint that an environment lacks.
         """
         quantities.write(self._world, name, value, envs, bodies, joints)
 
     def array(self, name: str) -> wp.array:
-        """Return the device array of a state or body quantity, (envs * bodies, ...), without a copy."""
+        """Return the device array of a state or body quantity, (bodies of all environments, ...), without a copy.
+
+        The bodies of environment e are rows `first_body[e]` to `first_body[e + 1] - 1`.
+        """
         return quantities.live_array(self._world, name)
 
+    @guarded
     def reset(self, envs: Any = None) -> None:
-        """Reset environments to the initial state of the scene, bit for bit; parameters and settings are kept.
+        """Reset environments to the initial state of their scene, bit for bit; parameters and settings are kept.
 
         Args:
             envs: indices of the environments; None for all, which also resets the time.
         """
         quantities.reset(self._world, envs)
 
+    @guarded
+    def spawn(
+        self,
+        pool: str,
+        position: Any,
+        orientation: Any = (0.0, 0.0, 0.0, 1.0),
+        linear_velocity: Any = (0.0, 0.0, 0.0),
+        angular_velocity: Any = (0.0, 0.0, 0.0),
+        envs: Any = None,
+    ) -> np.ndarray:
+        """Activate a body of a pool (see `Scene.add_pool`) in each environment, with a new state and no history.
+
+        Args:
+            pool: name of the pool.
+            position: (3,) or (envs, 3) position of the body [m].
+            orientation: (4,) or (envs, 4) quaternion (x, y, z, w).
+            linear_velocity: (3,) or (envs, 3) velocity of the centre of mass [m/s].
+            angular_velocity: (3,) or (envs, 3) in the world frame [rad/s].
+            envs: indices of the environments; None for all.
+
+        Returns:
+            (envs,) index of the body in each of these environments; -1 where all bodies of the pool are active.
+
+        Raises:
+            ValueError: there is no such pool, or a value has the wrong shape or is not finite.
+        """
+        names = ("position", "orientation", "linear_velocity", "angular_velocity")
+        values = (position, orientation, linear_velocity, angular_velocity)
+        return spawning.spawn(self._world, pool, dict(zip(names, values, strict=True)), envs)
+
+    @guarded
+    def despawn(self, bodies: Any, envs: Any = None) -> None:
+        """Switch bodies off, by index or name; bodies of a pool can then be spawned again.
+
+        Raises:
+            ValueError: an environment has no such body.
+        """
+        spawning.despawn(self._world, bodies, envs)
+
+    @guarded
     def save(self, path: Any) -> None:
         """Write a checkpoint, a file from which `load` continues bit for bit.
 
@@ -170,10 +278,15 @@ class Simulator:
         """
         return checkpoint.load(path, device, Simulator)
 
-    def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
-        """Apply an impulse [N s] to a body at a world point [m], immediately; the body and its island wake up."""
+    @guarded
+    def apply_impulse(self, impulse: Any, point: Any, body: int | str, envs: Any = None) -> None:
+        """Apply an impulse [N s] to a body at a world point [m], immediately; the body and its island wake up.
+
+        The body is given by its index or name.
+        """
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 
+    @guarded
     def contacts(self) -> np.ndarray:
         """Return the contacts of the last step as records: env, body_a, body_b, position, normal, depth, impulse.
 
@@ -181,36 +294,74 @@ class Simulator:
         """
         return quantities.contact_records(self._world)
 
+    @guarded
     def penetration(self) -> np.ndarray:
-        """Return the current deepest overlap of each environment over all surface samples, (envs,) [m]."""
+        """Return the current deepest overlap of each environment, (envs,) [m].
+
+        It is the depth of the deepest surface sample in another body. If another body contains the centre of the
+        largest ball inside a body, it is at least the distance by which that ball must move.
+        """
         return self._world.shards.deepest_overlap()
 
+    @guarded
     def status(self) -> np.ndarray:
         """Return records (envs,): the status, and the step, time [s] and body at which it began (-1 if ok).
 
-            device: None selects the device on which it was saved. Results on another kind of device differ by rounding.
-        left `Scene.bounds`).
+        The status is "ok", "non-finite" (the environment is halted) or "out of bounds" (a body left `Scene.bounds`).
         """
         return quantities.status_records(self._world)
 
+    @guarded
+    def watch(self, watched: Sequence[Any]) -> None:
+        """Record from now on, in every step, what happens to chosen bodies; see `watched`.
+
+        Args:
+            watched: for each watch None for all bodies of an environment, a body, or a pair of bodies, by index or
+                name. It replaces earlier watches. An environment that lacks a body records nothing for that watch.
+
+        Raises:
+            ValueError: no environment has a body of that index or name.
+        """
+        watching.watch(self._world, watched)
+
+    @guarded
+    def watched(self) -> dict[str, np.ndarray]:
+        """Return what the watches have recorded since `watch` or the last reset: arrays (envs, watches) by name.
+
+        The impulse of a pair of bodies in a step is the magnitude of the sum of the impulses at its contacts, those of
+        impacts included. Watches are not stored in checkpoints.
+
+        - "peak_impulse": largest impulse of a pair in a step [N s].
+        - "summed_impulse": sum of the impulses over pairs and steps [N s].
+        - "first_contact": end of the first step with a contact [s]; NaN if there was none.
+        - "impacts": number of steps with a contact after a step without.
+        - "rest_time": end of the last step in which one of the bodies was faster than 0.05 m/s [s]; 0 if none was.
+        - "largest_overlap": largest overlap at a contact at the start of a step [m].
+        """
+        return watching.watched(self._world)
+
+    @guarded
     def counts(self) -> dict[str, int]:
         """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use."""
         return quantities.counts(self._world)
 
+    @guarded
     def stats(self) -> dict[str, np.ndarray]:
         """Return what the solver did in the last step: arrays (envs,) by name.
 
         - "pairs", "contacts": numbers of pairs and contacts.
         - "islands": number of groups of dynamic bodies that contacts and other constraints connect. Of these,
-          "islands_shock" were solved with shock propagation and "islands_sweeps" by sweeps alone, because shock
-          propagation is off, was not needed, or has been ineffective for the island. "islands_asleep" sleep.
-        - "sweeps": sweeps over the constraints; "shock_sweeps", "push_out_sweeps": sweeps of shock propagation and of
-          the push-out.
-        - "residual": largest change of a velocity by a constraint row in the last sweep [m/s].
+          "islands_shock" were solved with shock propagation, "islands_sweeps" by sweeps alone, because shock
+          propagation is off or was not needed, and "islands_rounds" in rounds, because they are heaps, for which shock
+          propagation is ineffective. "islands_asleep" sleep.
+        - "sweeps", "rounds": sweeps over the constraints, and rounds over the pairs of heaps. "shock_sweeps",
+          "push_out_sweeps", "push_out_rounds": those of shock propagation and of the push-out.
+        - "residual": largest change of a velocity by a constraint row in the last sweep or round [m/s].
         - "pair_capacity_used", "contact_capacity_used": used fraction of the pool to which the environment belongs.
         """
         return quantities.solver_stats(self._world)
 
+    @guarded
     def swept_boxes(self) -> np.ndarray:
         """Return the boxes of the last broad phase, (envs, bodies, 2, 3): lower and upper corners [m].
 
@@ -221,8 +372,8 @@ class Simulator:
 
     @property
     def grid_cell(self) -> float:
-        """Cell width of the hash grid [m]; environments of few bodies test all pairs instead."""
-        return self._world.model.grid_radius
+        """Cell width of the hash grid of the first scene [m]; environments of few bodies test all pairs instead."""
+        return self._world.model.size_groups[self.scenes[0]].width
 
     def _raise_if_nonfinite(self) -> None:
         failed = np.flatnonzero(self._world.envs.failed.numpy())

@@ -2,27 +2,46 @@
 
 import functools
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any
 
+import numpy as np
 import warp as wp
 
+from warp_rigid.engine import loading
 from warp_rigid.engine.hash_grid import HashGrid
-from warp_rigid.engine.joints import NAME as JOINTS
 from warp_rigid.engine.joints import JointStages
-from warp_rigid.engine.loading import GROUND, JOINT, SLEEP, load_kernels
+from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import BUILD_LANES, SEARCH_LANES, most_lanes, team_sizes
+from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, TRACE_LANES, most_lanes, team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
-from warp_rigid.kernels.graph import coloring, support
-from warp_rigid.kernels.solve import gauss_seidel, line_search, push_out, restitution, shock
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep
+from warp_rigid.kernels.enums import IslandSolver
+from warp_rigid.kernels.graph import coloring, islands, support
+from warp_rigid.kernels.solve import (
+    effectiveness,
+    gauss_seidel,
+    impact_rounds,
+    line_search,
+    push_out,
+    push_rounds,
+    restitution,
+    rounds,
+    shock,
+)
+from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
 
-PAIRS, CONTACTS = 0, 1
+PAIRS, CONTACTS, CANDIDATES = 0, 1, 2
+
+ROUNDS_OF_A_GROUP = 6
+"""Rounds between two decisions on whether more follow."""
+
+AT_REST = 0.05
+"""Speed below which a body counts as resting [m/s]."""
 
 STAGES: list[str] = []
 """Names of the stages of a step, in order of definition."""
@@ -51,7 +70,7 @@ class Stages:
     """The stages of a step over one set of arrays; a change of the pools requires a new object.
 
     Args:
-        model: the scene on the device.
+        model: the scenes on the device.
         state: state of the bodies.
         sleep_state: sleep state of the bodies.
         envs: settings and status of the environments.
@@ -59,6 +78,7 @@ class Stages:
         dt: time step [s].
         repetitions: largest number of shock iterations in any environment.
         sleeping: whether sleeping is enabled in any environment.
+        watches: what is recorded in every step; None for nothing.
     """
 
     def __init__(
@@ -71,28 +91,34 @@ class Stages:
         dt: float,
         repetitions: int,
         sleeping: bool,
+        watches: Any = None,
     ) -> None:
         """Record the step; `load_kernels` must have been called for `STEP`."""
         self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
-        self.dt, self.repetitions, self.sleeping = dt, repetitions, sleeping
+        self.dt, self.repetitions, self.sleeping, self.watches = dt, repetitions, sleeping, watches
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
         device: Any = pools.wanted.device
         self.device = device
-        self.num_envs = model.num_envs
-        self.num_bodies = len(model.scene.bodies)
-        self.rows = self.num_envs * self.num_bodies
-        self.teams = team_sizes(self.device, self.num_envs, self.num_bodies)
+        self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
+        self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
+        self.lanes = team_lanes(self.device, self.num_envs, model.layout.most_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
-        self.grid = HashGrid(model, device)
+        self.grid = HashGrid(model, pools.sizes, device)
         self.constraint_rows = Rows()
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
         self.joints = JointStages(self)
-        load_kernels(device, JOINT if self.joints.present else (), self.teams)
-        load_kernels(device, [*(SLEEP if sleeping else ()), *(GROUND if model.surface_vertices else ())])
+        optional = (
+            (loading.SLEEP, sleeping),
+            (loading.GROUND, model.surface_vertices > 0),
+            (loading.CANDIDATES, self.grid.buckets > 0),
+            (loading.WATCH, watches),
+            ((self.joints.kernels,), self.joints.present),
+        )
+        loading.load_kernels(device, [module for modules, used in optional if used for module in modules], [self.lanes])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -119,6 +145,8 @@ class Stages:
         self.push_out()
         self.detect_continuous_collisions()
         self.integrate_positions()
+        if self.watches:
+            self.record_watches()
         if self.sleeping:
             self.update_sleep()
         self.store_history()
@@ -162,7 +190,7 @@ class Stages:
         self._per_body(
             predict.derive_motion,
             [
-                self.model.field_count,
+                dt,
                 self.model.bodies,
                 self.state,
                 self.sleep_state,
@@ -183,7 +211,7 @@ class Stages:
     def find_pairs(self) -> None:
         """Broad phase: count the pairs with overlapping boxes, sum the counts, and write the pairs."""
         pairs = self.pools.pairs
-        self.grid.fill(self.envs, self.motions)
+        self.grid.update(self.dt, self.envs, self.motions, CANDIDATES, self.pools.turn, self.pools.wanted)
         self._search_pairs(write=0)
         self._sum(pairs.count, pairs.start, PAIRS, pairs.body_a.shape[0])
         self._search_pairs(write=1)
@@ -200,7 +228,7 @@ class Stages:
             self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
-        inputs = [self.dt, self.model.combine_rules, *bodies_of_pair, pairs, self.pools.history]
+        inputs = [self.dt, *bodies_of_pair, pairs, self.pools.history]
         self._share_pairs(build_contacts.build_contacts, BUILD_LANES, inputs, [contacts])
         self._list_constraints()
 
@@ -213,23 +241,29 @@ class Stages:
     def wake_disturbed_islands(self) -> None:
         """Wake the islands of the bodies marked as disturbed, and those in contact with them."""
         self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
-        for kind in OTHER_KINDS:
-            self._wake_constrained(kind.NAME, len(kind.definitions(self.model.scene)))
-        self._wake_constrained(JOINTS, len(self.model.scene.joints))
+        for kind in KINDS:
+            self._wake_constrained(kind)
         self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
 
     @stage
     def build_graph(self) -> None:
-        """Contact graph: supports, levels, islands, and colouring for the solving order."""
+        """Contact graph: supports, islands and how each is solved, levels, and colouring for the solving order."""
         bodies, constraints, graph = self.model.bodies, self.pools.constraints, self.pools.graph
-        lanes = self.teams.graph
-        own = [lanes, self.envs, bodies]
-        found = [self.motions, self.constraint_rows, constraints]
-        self._per_team(lanes, support.find_support, [*own, *found], [graph])
-        self._per_team(lanes, support.find_structure, [*own, constraints], [graph])
-        self._per_team(lanes, coloring.color_constraints, [*own, constraints], [graph])
-        inputs = [lanes, self.envs, constraints]
-        self._per_team(lanes, coloring.group_constraints, inputs, [graph, self.pools.order])
+        self._per_env(support.start_graph, [], [graph])
+        found = [bodies, self.motions, self.constraint_rows, constraints]
+        self._per_constraint(support.find_support, found, [graph])
+        self._per_env(support.compare_graph, [], [graph])
+        self._per_body(islands.start_islands, [bodies], [graph])
+        self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
+        self.joints.join_islands()
+        self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
+        self._per_body(islands.choose_solver, [bodies, self.envs], [graph])
+        self._list_heaps()
+        own = [self.lanes, self.envs, bodies, constraints]
+        self._per_team(support.find_structure, own, [graph])
+        self._per_team(coloring.color_constraints, own, [graph])
+        inputs = [self.lanes, self.envs, constraints]
+        self._per_team(coloring.group_constraints, inputs, [graph, self.pools.order])
         self.joints.start()
 
     @stage
@@ -245,70 +279,134 @@ class Stages:
     def solve_impacts(self) -> None:
         """Restitution: solve impacts."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
+        self.solve_impacts_of_heaps()
+
+    def solve_impacts_of_heaps(self) -> None:
+        """Rounds of impacts, as many as the setting allows, until there are none."""
+        pools, hit = self.pools, self.pools.selected
+        changed = [self.motions, pools.contacts]
+
+        def find(done: int) -> None:
+            self._shared(rounds.open_rounds, self.rows, [done], [], [hit])
+            inputs = [self.envs, pools.rounds, hit]
+            self._shared(impact_rounds.find_impacts, pools.sizes["constraints"], [self.dt], inputs, changed)
+
+        def solve() -> None:
+            self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], changed, [self.dt])
+            self._shared(impact_rounds.finish_impacts, self.rows, [], [hit], [self.motions])
+            find(done=1)
+
+        find(done=0)
+        wp.capture_while(hit.again, solve)
 
     @stage
     def solve_contacts(self) -> None:
-        """Contact solver: warm start, sweeps, shock propagation, sweeps."""
+        """Contact solver: warm start, sweeps, shock propagation, sweeps; rounds for heaps."""
         self._color_by_color(gauss_seidel.warm_start)
         self.sweep_constraints(after_shock=0)
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
+        self.solve_heaps()
+        found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
+        self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
     def sweep_constraints(self, after_shock: int) -> None:
-        """Gauss-Seidel sweeps over all constraints, with direct solutions of the mechanisms of joints between them."""
+        """Gauss-Seidel sweeps over all constraints of islands that are not heaps, with their joints."""
         if self.joints.present:
             self.joints.sweep(after_shock)
-            return
-        self._color_by_color(gauss_seidel.sweep_constraints, [after_shock], [self.state])
+        else:
+            self._color_by_color(gauss_seidel.sweep_constraints, [after_shock])
 
     @stage
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from increasing the energy."""
-        self._color_by_color(line_search.store_before_shock, [self.state])
+        self._color_by_color(line_search.store_before_shock)
         self.joints.before_shock()
         self._color_by_color(shock.propagate, [repetition])
         self.joints.after_passes()
         self._color_by_color(line_search.sum_energy)
-        self._color_by_color(line_search.accept, [repetition], [self.state])
+        self._color_by_color(line_search.accept)
         self.joints.after_line_search()
+
+    def solve_heaps(self) -> None:
+        """Rounds: solve all pairs of heaps at once, until nothing changes."""
+        pools, solved = self.pools, self.pools.rounds
+        changed = [self.motions, pools.contacts]
+        self._per_round_pair(rounds.start_rounds, solved, [], changed)
+        self._repeat_rounds(rounds.solve_round, solved, [*changed, pools.graph])
+        self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph])
+        self._shared(rounds.finish_bodies, self.rows, [], [solved], [self.motions])
 
     @stage
     def push_out(self) -> None:
         """Push-out: separate remaining overlaps without adding velocity."""
         model, pools = self.model, self.pools
         self._per_team(
-            self.teams.color,
             push_out.find_overlaps,
-            [self.dt, self.teams.color, model.shapes, model.bodies, self.envs, pools.pairs],
+            [self.dt, self.lanes, model.shapes, model.bodies, self.envs, pools.pairs],
             [self.motions, pools.graph, self.constraint_rows],
         )
         self._color_by_color(push_out.push_apart)
-        self.joints.settle()
+        self.push_heaps()
+        self.joints.settle(after_push=1)
+
+    def push_heaps(self) -> None:
+        """Push-out of heaps, in rounds."""
+        model, pools, pushed = self.model, self.pools, self.pools.selected
+        self._shared(rounds.open_rounds, self.rows, [0], [], [pushed])
+        inputs = [model.shapes, model.bodies, pools.pairs, self.motions, pools.contacts, pools.rounds]
+        self._shared(push_rounds.find_overlaps_in_heaps, pools.sizes["constraints"], [self.dt], inputs, [pushed])
+        self._shared(push_rounds.share_masses, pools.sizes["constraints"], [], [], [pushed])
+        changed = [self.motions, pools.contacts]
+        self._repeat_rounds(push_rounds.push_round, pushed, changed)
+        self._per_round_pair(push_rounds.finish_push, pushed, [], [*changed, pools.graph])
+        self._shared(push_rounds.store_push, self.rows, [], [pushed], [self.motions])
+
+    def _list_heaps(self) -> None:
+        """List the pairs that are solved in rounds."""
+        pools = self.pools
+        self._shared(rounds.open_rounds, self.rows, [0], [], [pools.rounds])
+        found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
+        self._per_constraint(rounds.list_heaps, found, [pools.rounds])
+
+    def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
+        """Launch rounds in groups, until no environment needs another one."""
+        lanes = ROUND_LANES if self.device.is_cuda else 1
+        threads = min(self.pools.sizes["constraints"] * lanes, most_lanes(self.device)) if self.device.is_cuda else 1
+
+        def group() -> None:
+            for place in range(1, ROUNDS_OF_A_GROUP + 1):
+                inputs = [place, threads, lanes, some]
+                wp.launch(
+                    kernel,
+                    dim=threads,
+                    inputs=inputs,
+                    outputs=changed,
+                    block_dim=team.SMALL_BLOCK if self.device.is_cuda else 1,
+                    device=self.device,
+                )
+            wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
+
+        wp.capture_while(some.again, group)
 
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
-        self._limit_motion(ccd.limit_motion, [0])
+        self._limit_motion(again=0)
         self._per_body(ccd.commit_time_of_impact, [], [self.motions])
-        self._limit_motion(ccd.limit_motion, [1])
+        self._limit_motion(again=1)
         self.joints.limit_motion()
 
     @stage
     def integrate_positions(self) -> None:
         """Position update, with checks for non-finite states before it and for bodies out of bounds after it."""
-        scene, bodies = self.model.scene, self.model.bodies
+        bodies = self.model.bodies
         self._per_body(integrate.find_non_finite, [bodies, self.motions], [self.envs])
         self._per_body(integrate.integrate_positions, [self.dt, bodies, self.motions, self.envs], [self.state])
-        if scene.bounds is not None:
-            lower, upper = (wp.vec3(corner) for corner in scene.bounds)
-            remove = int(scene.out_of_bounds == "remove")
-            self._per_body(
-                integrate.keep_inside,
-                [lower, upper, remove, bodies, self.motions],
-                [self.state, self.envs],
-            )
+        if self.bounded:
+            self._per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
         self._per_env(integrate.close_step, [], [self.envs])
         self.joints.end()
 
@@ -325,6 +423,15 @@ class Stages:
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
         self.joints.support()
         self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
+
+    @stage
+    def record_watches(self) -> None:
+        """Watches: record contact impulses, contacts, overlaps and motion of the watched bodies."""
+        model, pools = self.model, self.pools
+        inputs = [self.envs, model.bodies, pools.pairs, pools.contacts]
+        self._shared(watch.watch_pairs, pools.sizes["pairs"], [], inputs, [self.watches])
+        self._per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
+        self._per_env(watch.close_watches, [self.envs], [self.watches])
 
     @stage
     def store_history(self) -> None:
@@ -350,6 +457,24 @@ class Stages:
             self._shared(build_contacts.store_impulses, self.pools.sizes["contacts"], [], [contacts, pairs], [history])
         wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
 
+    def levels(self) -> np.ndarray:
+        """Level of each body in the contact graph of the last step, (bodies,).
+
+        The step needs no levels of heaps, so they are found here, in arrays of their own.
+        """
+        graph = self.pools.graph
+        if not (graph.solver.numpy() == IslandSolver.ROUNDS).any():
+            return graph.level.numpy()
+        found = declare.allocate(schema.Graph, self.pools.sizes, self.device)
+        found.supports = graph.supports
+        found.swept.fill_(1)
+        self._per_team(
+            support.find_structure,
+            [self.lanes, self.envs, self.model.bodies, self.pools.constraints],
+            [found],
+        )
+        return np.where(self.sleep_state.asleep.numpy() == 1, graph.level.numpy(), found.level.numpy())
+
     def deepest_overlap(self, deepest: Any) -> None:
         """Find the deepest overlap of each environment in the current state: an array (envs, 1) of floats [m].
 
@@ -365,31 +490,43 @@ class Stages:
             [deepest],
         )
 
-    def _color_by_color(self, kernel: Any, before: Sequence = (), after: Sequence = ()) -> None:
+    def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
         """Launch a solver kernel that processes the constraints colour by colour."""
-        pools, lanes = self.pools, self.teams.color
-        inputs = [*before, lanes, self.envs, pools.order]
-        self._per_team(lanes, kernel, inputs, [pools.graph, self.motions, self.constraint_rows, *after])
+        pools = self.pools
+        inputs = [*before, self.lanes, self.envs, pools.order]
+        self._per_team(kernel, inputs, [pools.graph, self.motions, self.constraint_rows])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.rows, inputs=inputs, outputs=outputs, device=self.device)
+
+    def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose threads share all constraints."""
+        self._shared(kernel, self.pools.sizes["constraints"], [], inputs, outputs)
+
+    def _per_round_pair(self, kernel: Any, some: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:
+        """Launch a kernel whose threads share the pairs that are solved in rounds."""
+        self._shared(kernel, self.pools.sizes["constraints"], [*before], [*inputs, some], outputs)
 
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
         dim = self.pools.pairs.body_a.shape[0]
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose teams share the pairs; on a GPU, a team has the given number of lanes."""
-        teams = min(self.pools.sizes["pairs"], most_lanes(self.device) // lanes) if self.device.is_cuda else 1
+        """Launch a kernel whose teams share the pairs."""
+        self._share(kernel, self.pools.sizes["pairs"], lanes, [], inputs, outputs)
+
+    def _share(self, kernel: Any, size: int, lanes: int, before: list, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose teams share `size` rows; on a GPU, a team has the given number of lanes."""
+        teams = min(size, most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
-        inputs = [teams, lanes, *inputs]
+        inputs = [*before, teams, lanes, *inputs]
         wp.launch(kernel, dim=teams * lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _per_team(self, lanes: int, kernel: Any, inputs: list, outputs: Sequence) -> None:
-        dim, block = self.num_envs * lanes, team.block_of(lanes)
+    def _per_team(self, kernel: Any, inputs: list, outputs: Sequence) -> None:
+        dim, block = self.num_envs * self.lanes, team.block_of(self.lanes)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
@@ -410,10 +547,12 @@ class Stages:
             device=self.device,
         )
 
-    def _limit_motion(self, kernel: Any, before: list) -> None:
-        """One round of continuous collision detection over the pairs."""
-        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state, self.pools.pairs]
-        self._shared(kernel, self.pools.sizes["pairs"], before, inputs, [self.motions])
+    def _limit_motion(self, again: int) -> None:
+        """One round of continuous collision detection: over all pairs, or again over those of stopped bodies."""
+        pairs, inputs = self.pools.pairs, [self.dt, self.model.shapes, self.model.bodies, self.state]
+        pairs.fast_count.zero_()
+        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [again], [*inputs, self.motions], [pairs])
+        self._share_pairs(ccd.limit_motion, TRACE_LANES, [*inputs, pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
@@ -427,12 +566,9 @@ class Stages:
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
-        model = self.model
-        kernel, own = broadphase.pairs_by_trying_all, []
-        if self.grid.buckets:
-            kernel, own = broadphase.pairs_by_grid, [self.grid.buckets, model.grid_radius]
-        common = [self.grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
-        self._shared(kernel, self.rows, [write], [*own, *common], [self.pools.pairs])
+        model, grid = self.model, self.grid
+        inputs = [grid.room, grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
+        self._share(broadphase.list_pairs_of_bodies, self.rows, grid.lanes, [write], inputs, [self.pools.pairs])
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
@@ -444,14 +580,12 @@ class Stages:
         pairs, constraints = self.pools.pairs, self.pools.constraints
         count = max(self.pools.sizes["pairs"], self.num_envs + 1)
         self._shared(records.list_pairs, count, [], [self.envs, self.model.bodies, pairs], [constraints])
-        first = 0
         for kind in OTHER_KINDS:
-            kind.build(self, constraints, first)
-            first += len(kind.definitions(self.model.scene))
+            kind.build(self, constraints, self.model.constraint_offsets[kind.NAME])
 
-    def _wake_constrained(self, name: str, count: int) -> None:
-        """Name the islands that wake because of joints, or of constraints of a kind; `count`: in an environment."""
-        rows = self.model.constraint_rows[name]
+    def _wake_constrained(self, kind: ModuleType) -> None:
+        """Name the islands that wake because of joints, or of constraints of another kind."""
+        rows = self.model.constraint_rows[kind.NAME]
+        count = self.model.layout.sizes[kind.NAME]
         inputs = [rows.body_a, rows.body_b, self.motions]
-        dim = self.num_envs * count
-        wp.launch(sleep.wake_constrained, dim=dim, inputs=inputs, outputs=[self.sleep_state], device=self.device)
+        wp.launch(sleep.wake_constrained, dim=count, inputs=inputs, outputs=[self.sleep_state], device=self.device)

@@ -1,4 +1,4 @@
-"""World: what a simulator consists of, its scene, settings and device arrays."""
+"""World: what a simulator consists of, its scenes, settings and device arrays."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,25 +6,25 @@ from typing import Any
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.engine import pools
 from warp_rigid.engine.batch import Shards, plan
+from warp_rigid.engine.layout import Layout
 from warp_rigid.engine.loading import GRIDS, STEP, load_kernels
 from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_bytes
 from warp_rigid.engine.model import build_model, initial_environments, initial_state
+from warp_rigid.engine.precision import check_precision
 from warp_rigid.engine.settings import Settings
-from warp_rigid.engine.teams import team_sizes
+from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
-from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Compound, Mesh
 
 
 class World:
-    """The scene, the settings and the device arrays of a simulator; `quantities` and `checkpoint` work on it.
+    """The scenes, the settings and the device arrays of a simulator; `quantities` and `checkpoint` work on it.
 
-    The arguments are those of `Simulator`, which describes them.
+    The arguments are those of `Simulator`, which describes them, but for the layout of its scenes.
 
     Attributes:
-        scene: as given.
+        layout: the scene of each environment.
         num_envs: environments.
-        num_bodies: bodies in each, in the scene's order.
         settings: of all environments at first.
         device: the Warp device.
         seed: as given.
@@ -37,12 +37,12 @@ class World:
         sleep_state: which bodies sleep.
         envs: settings and status of the environments.
         shards: ranges of environments with their pools and recorded steps.
+        watches: what the steps record for observers, None for nothing.
     """
 
     def __init__(
         self,
-        scene: Scene,
-        num_envs: int,
+        layout: Layout,
         settings: Settings,
         device: Any,
         seed: int,
@@ -51,28 +51,29 @@ class World:
         memory_limit: int | float | None,
         capacity: Mapping[str, int],
     ) -> None:
-        """Check the arguments, upload the scene and compile the step."""
-        if not scene.bodies:
-            raise ValueError("scene.bodies: must hold at least one body")
-        self.scene, self.settings, self.device = scene, settings, device
-        self.num_envs = whole_in("num_envs", num_envs, 1, 10_000_000)
-        self.num_bodies = len(scene.bodies)
+        """Check the scenes and the arguments, upload the scenes and compile the step."""
+        for scene in layout.scenes:
+            check_precision(scene)
+        self.layout, self.settings, self.device = layout, settings, device
+        self.num_envs = layout.num_envs
         self.seed = whole_in("seed", seed, 0, 2**63 - 1)
         self.on_overflow = one_of("on_overflow", on_overflow, ("grow", "raise"))
         self.on_nonfinite = one_of("on_nonfinite", on_nonfinite, ("quarantine", "raise"))
         self.memory_limit = MemoryLimit(device, memory_limit)
-        sizes = initial_capacity(scene, self.num_envs, capacity)
-        ranges = plan(scene, self.num_envs, sizes, device)
-        other_bytes = body_bytes(scene, self.num_envs) + shape_bytes(scene)
+        sizes = initial_capacity(layout, capacity)
+        ranges = plan(layout, sizes, device)
+        other_bytes = body_bytes(layout.sizes) + shape_bytes(layout)
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
-        self.memory_limit.check(0, needed, f"simulating {num_envs} environment(s)")
-        baking = any(isinstance(body.shape, Mesh | Compound) for body in scene.bodies)
-        load_kernels(device, [*STEP, *(GRIDS if baking else ())], team_sizes(device, num_envs, self.num_bodies))
-        self.model = build_model(scene, num_envs, device)
-        self.state = initial_state(scene, num_envs, device)
-        self.start = initial_state(scene, num_envs, device)
-        self.sleep_state = declare.allocate(schema.SleepState, {"bodies": num_envs * self.num_bodies}, device)
-        self.envs: Any = initial_environments(scene, settings, num_envs, device)
+        self.memory_limit.check(0, needed, f"simulating {self.num_envs} environment(s)")
+        baking = any(isinstance(body.shape, Mesh | Compound) for body in layout.scene_bodies)
+        lanes = team_lanes(device, self.num_envs, layout.most_bodies)
+        load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes])
+        self.model = build_model(layout, device)
+        self.state = initial_state(layout, device)
+        self.start = initial_state(layout, device)
+        self.sleep_state = declare.allocate(schema.SleepState, layout.sizes, device)
+        self.watches: Any = None
+        self.envs: Any = initial_environments(layout, settings, device)
         arrays = (self.model, self.state, self.sleep_state, self.envs)
         limits = sizes if on_overflow == "raise" else None
         self.shards = Shards(ranges, *arrays, limits, self.memory_limit, other_bytes)
@@ -84,11 +85,11 @@ class World:
         self.shards.record(self.settings.dt, repetitions, bool(self.envs.sleeping.numpy().any()))
 
 
-def initial_capacity(scene: Scene, num_envs: int, given: Mapping[str, int]) -> dict[str, int]:
+def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]:
     """Capacity for pairs and contacts at the start: as given, else six pairs a dynamic body and six contacts a pair."""
     for name in given:
         one_of("capacity", name, pools.NAMES)
-    estimate, _ = pools.expected_capacity(num_envs, sum(body.mass > 0.0 for body in scene.bodies))
-    pairs = whole_in("capacity pairs", given.get("pairs", estimate), 1, pools.LARGEST)
+    estimate = int(pools.expected_pairs(layout.dynamic_per_env).sum())
+    pairs = whole_in("capacity pairs", given.get("pairs", min(estimate, pools.LARGEST)), 1, pools.LARGEST)
     contacts = whole_in("capacity contacts", given.get("contacts", min(6 * pairs, pools.LARGEST)), 1, pools.LARGEST)
     return {"pairs": pairs, "contacts": contacts}

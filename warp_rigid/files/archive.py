@@ -1,15 +1,19 @@
 """Archives of arrays and one JSON header, written atomically and validated when read.
 
 An archive is a .npz file: a zip archive of .npy members. Reading never executes code: members with Python objects are
-rejected, and so are members whose declared size does not match their content.
+rejected, and so are members whose declared size does not match their content. Only the members that are asked for are
+read, after a check of their shape.
 """
 
+import contextlib
+import copy
 import json
 import math
 import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,8 +23,10 @@ from warp_rigid.files.atomic import atomic_file
 HEADER = "header"
 """Member that holds the JSON text, as bytes."""
 
-MAX_BYTES = 2**36
-"""Maximum uncompressed size [bytes]."""
+LEAST_BYTES, MOST_EXPANSION = 2**29, 100
+"""The arrays of a file may take 512 MiB [bytes], and this many times the size of the file in addition."""
+CHUNK = 2**20
+"""Bytes read at once."""
 
 READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
@@ -53,26 +59,23 @@ def save(
         write(stream, **{HEADER: np.frombuffer(text, np.uint8)}, **arrays)
 
 
-def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Read the header and the arrays of a file written by `save`.
+def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], "Members"]:
+    """Read the header of a file written by `save`, and return it with the arrays, each of which is read on first use.
 
     Raises:
         FileNotFoundError: The file does not exist.
         ValueError: The file is of another kind or version, truncated or damaged.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > MAX_BYTES:
-                raise ValueError(f"must be at most {MAX_BYTES} bytes")
-            if f"{HEADER}.npy" not in archive.namelist():
-                raise ValueError("another kind of file")
-            header = json.loads(_read(archive, f"{HEADER}.npy").tobytes())
-            if not isinstance(header, dict) or header.get("kind") != kind:
-                raise ValueError("another kind of file")
-            if header.get("version") != version:
-                raise ValueError(f"version must be {version}, got {header.get('version')!r}")
-            names = [name for name in archive.namelist() if name != f"{HEADER}.npy"]
-            return header, {name.removesuffix(".npy"): _read(archive, name) for name in names}
+        arrays = Members(path)
+        if HEADER not in arrays:
+            raise ValueError("another kind of file")
+        header = json.loads(arrays[HEADER].tobytes())
+        if not isinstance(header, dict) or header.get("kind") != kind:
+            raise ValueError("another kind of file")
+        if header.get("version") != version:
+            raise ValueError(f"version must be {version}, got {header.get('version')!r}")
+        return header, arrays
     except OSError as error:
         if error.filename is not None:
             raise
@@ -81,42 +84,102 @@ def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], dict[str, 
         raise unusable(path, kind, error) from None
 
 
+class Members(Mapping[str, np.ndarray]):
+    """The arrays of an archive by name. An array is read when it is asked for; other members are never read.
+
+    Args:
+        path: the file, which stays open as long as this object exists.
+    """
+
+    def __init__(self, path: Any) -> None:
+        """Read the directory of the archive."""
+        self._archive, self._prefix = zipfile.ZipFile(path), ""
+        self._left = [LEAST_BYTES + MOST_EXPANSION * sum(m.compress_size for m in self._archive.infolist())]
+
+    def below(self, prefix: str) -> "Members":
+        """The arrays whose names start with a prefix, without it."""
+        found = copy.copy(self)
+        found._prefix = self._prefix + prefix
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the arrays."""
+        names = (name.removesuffix(".npy") for name in self._archive.namelist())
+        return (name.removeprefix(self._prefix) for name in names if name.startswith(self._prefix))
+
+    def __len__(self) -> int:
+        """Number of arrays."""
+        return sum(1 for _ in self)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is an array of this name."""
+        return f"{self._prefix}{name}.npy" in self._archive.NameToInfo
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Read an array."""
+        with self._opened(name) as (stream, dtype, shape, fortran):
+            size = math.prod(shape) * dtype.itemsize
+            self._left[0] -= size
+            if self._left[0] < 0:
+                raise ValueError(f"{name} is too large for the size of the file")
+            content = _read(stream, size)
+        if len(content) != size:
+            raise ValueError(f"{name} is truncated")
+        array = np.frombuffer(content, dtype) if size else np.zeros(math.prod(shape), dtype)
+        return array.reshape(shape, order="F" if fortran else "C")
+
+    def declared(self, name: str) -> tuple[np.dtype, tuple[int, ...]]:
+        """Type and shape of an array, without reading its values."""
+        with self._opened(name) as (_, dtype, shape, _):
+            return dtype, shape
+
+    @contextlib.contextmanager
+    def _opened(self, name: str) -> Iterator[tuple[Any, np.dtype, tuple[int, ...], bool]]:
+        """The stream of a member after its description, and its type, shape and order."""
+        try:
+            member = self._archive.getinfo(f"{self._prefix}{name}.npy")
+            with self._archive.open(member) as stream:
+                reader = READERS.get(np.lib.format.read_magic(stream))
+                if reader is None:
+                    raise ValueError(f"{name} is of an unknown format")
+                shape, fortran, dtype = reader(stream)
+                if dtype.kind not in "biufU":
+                    raise ValueError(f"{name} must hold numbers or text, got {dtype}")
+                if math.prod(shape) * dtype.itemsize != member.file_size - stream.tell():
+                    raise ValueError(f"{name} does not have its declared size")
+                yield stream, dtype, shape, fortran
+        except OSError as error:
+            raise ValueError(f"{name}: {error}") from None  # an offset beyond the end of the file
+
+
 def unusable(path: Any, kind: str, error: Exception) -> ValueError:
     """The error for an invalid file, of one line."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
     return ValueError(f"{path}: not a {kind} of warp_rigid, or damaged: {reason}")
 
 
-def shaped(arrays: dict[str, np.ndarray], name: str, dtype: Any, shape: tuple[int | None, ...]) -> np.ndarray:
-    """Return one array of a file and check its type and shape (None: any length).
+def shaped(arrays: Mapping[str, np.ndarray], name: str, dtype: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Return one array of a file after a check of its type and shape (None: any length).
 
     Raises:
         ValueError: The array is missing, or has another type or shape.
     """
-    array = arrays.get(name)
-    if array is None:
+    if name not in arrays:
         raise ValueError(f"{name} is missing")
-    fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
-    if array.dtype != np.dtype(dtype) or not fits:
-        raise ValueError(f"{name} must be {np.dtype(dtype)} shaped {shape}, got {array.dtype} shaped {array.shape}")
-    return array
+    found: Any = arrays[name] if not isinstance(arrays, Members) else None
+    kind, extent = arrays.declared(name) if isinstance(arrays, Members) else (found.dtype, found.shape)
+    fits = len(extent) == len(shape) and all(n is None or n == m for n, m in zip(shape, extent, strict=True))
+    if kind != np.dtype(dtype) or not fits:
+        raise ValueError(f"{name} must be {np.dtype(dtype)} shaped {shape}, got {kind} shaped {extent}")
+    return arrays[name]
 
 
-def _read(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Read one member and check its type and size."""
-    member = archive.getinfo(name)
-    with archive.open(member) as stream:
-        reader = READERS.get(np.lib.format.read_magic(stream))
-        if reader is None:
-            raise ValueError(f"{name} is of an unknown format")
-        shape, fortran, dtype = reader(stream)
-        if dtype.kind not in "biufU":
-            raise ValueError(f"{name} must hold numbers or text, got {dtype}")
-        size = math.prod(shape) * dtype.itemsize
-        if size != member.file_size - stream.tell():
-            raise ValueError(f"{name} does not have its declared size")
-        content = stream.read(size)
-    if len(content) != size:
-        raise ValueError(f"{name} is truncated")
-    array = np.frombuffer(content, dtype) if size else np.zeros(math.prod(shape), dtype)
-    return array.reshape(shape, order="F" if fortran else "C")
+def _read(stream: Any, size: int) -> bytearray:
+    """At most `size` bytes of a stream; the memory grows with what is there, not with what is declared."""
+    content = bytearray()
+    while len(content) < size:
+        part = stream.read(min(size - len(content), CHUNK))
+        if not part:
+            break
+        content += part
+    return content

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,22 +14,24 @@ __all__ = ["atomic_file"]
 def atomic_file(path: Any) -> Iterator[Path]:
     """Yield a temporary path to write to, which replaces `path` atomically at the end.
 
-    The temporary file is in the same folder and has the same suffix. If writing fails or is interrupted, the old file
-    is unchanged. Missing folders are created.
+    The temporary file is in the same folder and has the same suffix. Its name is random and it is created exclusively,
+    so that writers of one path do not interfere and no link that lies there is followed. If writing fails or is
+    interrupted, the old file is unchanged. Missing folders are created.
 
     Raises:
         OSError: The file cannot be written; the error names `path`.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem[:100]}.{secrets.token_hex(8)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise OSError(error.errno, error.strerror or str(error), str(path)) from None
+        raise OSError(error.errno, error.strerror or str(error).removeprefix(f"{temporary}: "), str(path)) from None
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()

@@ -32,8 +32,8 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     try:
         vertices, faces = _load_usd(path) if suffix in USD_SUFFIXES else _load_trimesh(path)
     except Exception as error:  # the exceptions of the parsers are not documented
-        reason = str(error).strip().splitlines()
-        raise ValueError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
+        reason = (str(error).strip() or repr(error)).splitlines()[0]
+        raise ValueError(reason if reason.startswith(f"{path}: ") else f"{path}: cannot be read: {reason}") from None
     if not len(faces):
         raise ValueError(f"{path}: holds no triangles")
     return scale * vertices, faces
@@ -52,6 +52,7 @@ def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
     from pxr import Usd, UsdGeom
 
+    from warp_rigid.usd.metadata import is_y_up, meters_per_unit
     from warp_rigid.usd.opening import open_stage
 
     stage = open_stage(path)
@@ -69,8 +70,8 @@ def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
         count += len(points)
     joined = np.concatenate(vertices)
     if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
-        joined = joined * UsdGeom.GetStageMetersPerUnit(stage)
-    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
+        joined = joined * meters_per_unit(stage)
+    if is_y_up(stage):
         joined = _turn_z_up(joined)
     return joined, np.concatenate(faces)
 

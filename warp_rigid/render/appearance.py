@@ -11,6 +11,7 @@ import numpy as np
 from warp_rigid.rotations import rotate
 from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
 from warp_rigid.scene.scene import Motion
+from warp_rigid.scene.shapes.plane import DRAWN_HALF_WIDTH
 
 __all__ = [
     "COLORINGS",
@@ -23,10 +24,10 @@ __all__ = [
     "drawn_surfaces",
     "environment_colors",
     "environment_offsets",
-    "environment_spacing",
     "frame_colors",
     "level_colors",
     "speed_colors",
+    "spread_of",
 ]
 
 # sRGB colours. Neighbours in the list differ in hue and lightness, so that consecutive bodies are distinguishable
@@ -52,6 +53,8 @@ TOP_SPEED = 2.0
 CREASE_ANGLE = math.radians(40.0)
 ROW_LENGTH = 5
 """Maximum number of environments in a single row; more are arranged in a square grid."""
+PLANE_ROOM = 4.0
+"""Width of a drawn plane, relative to the distance of the bodies from its middle."""
 SPACING = 1.35
 """Distance between environments, relative to their width."""
 
@@ -226,6 +229,7 @@ class Spread:
         """Start with the bounds of the first frame."""
         self._moving = is_moving(recording.motion)
         self._lower, self._upper = np.full(3, np.inf), np.full(3, -np.inf)
+        self._reach = 0.0
         for index, surface in enumerate(recording.surfaces):
             bodies = np.flatnonzero(recording.surface == index)
             if len(surface.vertices) == 0 or (surface.endless and not self._moving[bodies].any()):
@@ -236,6 +240,9 @@ class Spread:
     def add(self, position: np.ndarray) -> None:
         """Add the positions of a frame, (envs, bodies, 3) [m]."""
         if self._moving.any():
+            sideways = np.abs(position[:, self._moving, :2]).max(axis=-1)
+            finite = sideways[np.isfinite(sideways)]
+            self._reach = max(self._reach, float(np.percentile(finite, 98.0)) if finite.size else 0.0)
             self._include(np.percentile(position[:, self._moving].reshape(-1, 3), (5.0, 95.0), axis=0))
 
     def spacing(self) -> np.ndarray:
@@ -243,18 +250,30 @@ class Spread:
         extent = (self._upper - self._lower)[:2]
         return np.where(np.isfinite(extent), np.maximum(SPACING * extent, 1e-3), 1.0)
 
+    def corners(self, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner of the box around all environments at these translations [m]."""
+        if not (np.isfinite(self._lower).all() and np.isfinite(self._upper).all()):
+            return offsets.min(axis=0) - 1.0, offsets.max(axis=0) + 1.0
+        return self._lower + offsets.min(axis=0), self._upper + offsets.max(axis=0)
+
+    def plane_width(self) -> float:
+        """Width with which a level plane is drawn, so that the bodies stay on it [m]."""
+        extent = np.abs([self._lower[:2], self._upper[:2]])
+        first = float(extent.max()) if np.isfinite(extent).all() else 0.0
+        return max(2.0 * DRAWN_HALF_WIDTH, PLANE_ROOM * max(first, self._reach))
+
     def _include(self, points: np.ndarray) -> None:
         finite = points[np.isfinite(points).all(axis=-1)]
         self._lower = np.minimum(self._lower, finite.min(axis=0, initial=np.inf))
         self._upper = np.maximum(self._upper, finite.max(axis=0, initial=-np.inf))
 
 
-def environment_spacing(recording: Recording) -> np.ndarray:
-    """Distances between neighbouring environments along x and y for a whole recording, (2,) [m]."""
+def spread_of(recording: Recording) -> Spread:
+    """Extent of an environment over a whole recording."""
     spread = Spread(recording)
     for position in recording.position:
         spread.add(position)
-    return spread.spacing()
+    return spread
 
 
 def environment_offsets(count: int, spacing) -> np.ndarray:
@@ -267,16 +286,22 @@ def environment_offsets(count: int, spacing) -> np.ndarray:
     return np.stack([x, y, np.zeros(count)], axis=1)
 
 
-def drawn_surfaces(recording: Recording, count: int, spacing) -> list[DrawnSurface]:
+def drawn_surfaces(recording: Recording, count: int, spread: Spread) -> list[DrawnSurface]:
     """The surfaces as drawn with `count` environments.
 
-    Horizontal planes may overlap, since they coincide. A tilted plane is reduced to the extent of its environment.
+    Planes have the width of the scene. Horizontal planes may overlap, since they coincide; of several environments, a
+    tilted plane is reduced to the extent of its environment.
     """
     surfaces = list(recording.surfaces)
     for index, surface in enumerate(surfaces):
-        if surface.endless and count > 1 and _is_tilted(recording, index):
+        if surface.endless and len(surface.faces) == 2:
             center = surface.vertices.mean(axis=0)
-            scale = min(1.0, float(np.max(spacing)) / np.ptp(surface.vertices, axis=0).max())
+            width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
+            scale = spread.plane_width() / width
+            if count > 1 and _is_tilted(recording, index):
+                scale = min(1.0, float(np.max(spread.spacing())) / width)
+            if scale == 1.0:
+                continue
             vertices = (center + scale * (surface.vertices - center)).astype(np.float32)
             surfaces[index] = DrawnSurface(vertices, surface.faces, endless=True)
     return surfaces

@@ -5,23 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_rigid.checks import number_in, one_of
+from warp_rigid.checks import one_of
 from warp_rigid.render.appearance import (
     COLORINGS,
     body_colors,
     corner_normals,
     drawn_surfaces,
     environment_offsets,
-    environment_spacing,
     frame_colors,
+    spread_of,
 )
 from warp_rigid.runs.recording import DrawnSurface, Recording
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
-
-
-MAX_FRAMES = 100_000
-"""Maximum number of frames read from a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +56,7 @@ class Film:
         env: (instances,) index of the environment.
         offset: (envs, 3) translation of the environments [m].
         labels: one label per environment; may be empty.
+        view: azimuth and elevation from which pictures are taken [degree]; the azimuth counts from x toward y.
     """
 
     meshes: tuple[DrawnMesh, ...]
@@ -71,6 +68,7 @@ class Film:
     env: np.ndarray
     offset: np.ndarray
     labels: tuple[str, ...]
+    view: tuple[float, float] = (-67.0, 22.0)
 
     @property
     def num_frames(self) -> int:
@@ -109,9 +107,9 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
         ValueError: One of the environments was not recorded.
     """
     rows = recording.rows(envs)
-    spacing = environment_spacing(recording)
-    surfaces = drawn_surfaces(recording, len(rows), spacing)
-    offsets = environment_offsets(len(rows), spacing).astype(np.float32)
+    spread = spread_of(recording)
+    surfaces = drawn_surfaces(recording, len(rows), spread)
+    offsets = environment_offsets(len(rows), spread.spacing()).astype(np.float32)
     frames, count = len(recording.time), len(rows) * len(recording.surface)
     return Film(
         meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
@@ -165,14 +163,13 @@ def film_from_usd(path) -> Film:
         raise FileNotFoundError(f"{path}: no such file")
     stage = open_stage(path)
     with convert_errors(path):
-        try:
-            return _film_of_stage(stage)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+        return _film_of_stage(stage)
 
 
 def _film_of_stage(stage) -> Film:
     from pxr import UsdGeom
+
+    from warp_rigid.usd.metadata import time_codes
 
     root = stage.GetDefaultPrim()
     envs = [prim for prim in root.GetChildren() if prim.IsA(UsdGeom.Xform)] if root else []
@@ -185,9 +182,8 @@ def _film_of_stage(stage) -> Film:
     if not groups:
         raise ValueError("must have an environment with bodies, as written by export_usd")
 
-    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    number_in("endTimeCode", last, number_in("startTimeCode", first), first + MAX_FRAMES)
-    frames = np.arange(first, last + 1)
+    codes = time_codes(stage)
+    frames = np.arange(codes.first, codes.last + 1)
     offset = np.array([_translation(prim) for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
     for index, group in groups:
@@ -221,7 +217,10 @@ def _read_instancer(prim, frames):
     from pxr import UsdGeom
 
     instancer = UsdGeom.PointInstancer(prim)
-    mesh = UsdGeom.Mesh(prim.GetStage().GetPrimAtPath(instancer.GetPrototypesRel().GetTargets()[0]))
+    targets = instancer.GetPrototypesRel().GetTargets()
+    mesh = UsdGeom.Mesh(prim.GetStage().GetPrimAtPath(targets[0])) if targets else None
+    if not mesh:
+        raise ValueError(f"{prim.GetPath()}: must have a mesh as its prototype")
     points = mesh.GetPointsAttr()
     vertices = np.array(points.Get(), dtype=np.float32)
     moving = tuple(_read(points, frames)) if points.ValueMightBeTimeVarying() else ()

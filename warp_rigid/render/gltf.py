@@ -12,7 +12,7 @@ from warp_rigid.render.appearance import (
     corner_normals,
     drawn_surfaces,
     environment_offsets,
-    environment_spacing,
+    spread_of,
 )
 from warp_rigid.runs.recording import DrawnSurface, Recording
 
@@ -47,13 +47,13 @@ def export_gltf(recording: Recording, path, envs=None) -> None:
     import pygltflib
 
     file = _Assembly(pygltflib)
-    spacing = environment_spacing(recording)
-    surfaces = drawn_surfaces(recording, len(rows), spacing)
+    spread = spread_of(recording)
+    surfaces = drawn_surfaces(recording, len(rows), spread)
     colors = body_colors(recording.motion)
     world = file.node(name="World", rotation=Z_UP_TO_Y_UP)
     orientation = continuous_signs(recording.orientation)
     time = file.numbers((recording.time - recording.time[0]).astype(np.float32), "SCALAR", bounds=True)
-    for row, offset in zip(rows.tolist(), environment_offsets(len(rows), spacing).tolist(), strict=True):
+    for row, offset in zip(rows.tolist(), environment_offsets(len(rows), spread.spacing()).tolist(), strict=True):
         env = file.node(world, name=recording.labels[row] or f"env_{recording.envs[row]:04d}", translation=offset)
         for body, name in enumerate(recording.names):
             places, turns = recording.position[:, row, body], orientation[:, row, body]

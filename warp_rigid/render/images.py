@@ -5,24 +5,20 @@ import itertools
 import math
 
 import numpy as np
-import warp as wp
 
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.render.appearance import bound_corners
+from warp_rigid.render.camera import CameraPath, event_end
 from warp_rigid.render.film import Film
-from warp_rigid.render.raycast import Camera, RayCaster
-from warp_rigid.rotations import rotate
+from warp_rigid.render.raycast import RayCaster
 
-__all__ = ["fit_camera", "points_to_see", "save_contact_sheet", "save_film", "save_picture"]
+__all__ = ["save_contact_sheet", "save_film", "save_picture"]
 
-TOWARD_EYE = (0.42, -1.0, 0.48)
-TOWARD_LIGHT = (-0.2, -0.75, 1.15)
-FIELD_OF_VIEW = math.radians(32.0)
-"""Vertical field of view of the camera [rad]."""
-MARGIN = 1.12
-"""Ratio of the field of view to the extent of the visible points."""
-CAMERA_FRAMES = 24
-"""Number of evenly spaced frames considered by the camera fit."""
+PICTURE_SIZE = (1280, 720)
+"""Default width and height of pictures and MP4 films, all panels together [pixel]."""
+GIF_SIZE = (640, 360)
+SHEET_SIZE = (480, 270)
+"""Width and height of a picture in a contact sheet [pixel]."""
+
 MAX_PANELS = 9
 """Maximum number of environments drawn in separate panels; more are drawn together in one view."""
 PANEL_ROW = 3
@@ -30,26 +26,30 @@ PANEL_ROW = 3
 GIF_RATE = 20.0
 """Frames per second of a GIF; common viewers slow down higher rates."""
 GIF_FRAMES = 200
+COLORFUL = 40
+"""Difference between the largest and the smallest channel from which on a pixel counts as saturated, of 255."""
 MP4_RATE = 30.0
 """Maximum frames per second of an MP4 file."""
 
 
-def save_picture(film: Film, path, frame: int = -1, width: int = 640, height: int = 480) -> None:
+def save_picture(film: Film, path, frame: int = -1, width: int | None = None, height: int | None = None) -> None:
     """Render one frame to a .png file, with a panel per environment if there are few.
 
     Args:
         film: the film.
         path: output file; missing folders are created.
         frame: frame index; -1 is the last.
-        width: width of a panel [pixel].
-        height: height of a panel [pixel].
+        width: width of a panel [pixel]; None for 1280 pixels in all.
+        height: height of a panel [pixel]; None for 9/16 of its width.
 
     Raises:
         ValueError: The frame does not exist.
         ModuleNotFoundError: Pillow is not installed.
     """
+    width, height = _panel_size(film, PICTURE_SIZE, width, height)
     if not -film.num_frames <= frame < film.num_frames:
         raise ValueError(f"frame: must be from 0 to {film.num_frames - 1}, or -1, got {frame}")
+    frame %= film.num_frames
     studio = _Studio(film, [frame], width, height)
     _save(_arranged(studio.draw(frame)), path, format="PNG")
 
@@ -67,8 +67,9 @@ def save_contact_sheet(film: Film, path, count: int = 8) -> None:
     Raises:
         ModuleNotFoundError: Pillow is not installed.
     """
-    studio = _Studio(film, None, 400, 300)
-    frames = np.unique(np.linspace(0, film.num_frames - 1, count).round().astype(int))
+    last = event_end(film)
+    studio = _Studio(film, range(last + 1), *SHEET_SIZE)
+    frames = np.unique(np.linspace(0, last, count).round().astype(int))
     rows = [[] for _ in range(studio.num_panels)]
     for frame in frames:
         for row, image in zip(rows, studio.draw(frame), strict=True):
@@ -78,33 +79,52 @@ def save_contact_sheet(film: Film, path, count: int = 8) -> None:
     _save(_tiled(sum(rows, []), columns), path, format="PNG")
 
 
-def save_film(film: Film, path, width: int = 480, height: int = 360) -> None:
-    """Render the film in real time to an animated .gif or an .mp4 file.
+def save_film(film: Film, path, width: int | None = None, height: int | None = None) -> None:
+    """Render the film in real time to an animated .gif or an .mp4 file. It ends soon after the bodies are at rest.
 
     Args:
         film: the film.
         path: output file; the suffix selects the format; missing folders are created.
-        width: width of a panel [pixel].
-        height: height of a panel [pixel].
+        width: width of a panel [pixel]; None for 1280 pixels in all, or 640 for .gif.
+        height: height of a panel [pixel]; None for 9/16 of its width.
 
     Raises:
         ModuleNotFoundError: Pillow, or for .mp4 imageio-ffmpeg, is not installed.
     """
+    save, size = (_save_mp4, PICTURE_SIZE) if str(path).endswith(".mp4") else (_save_gif, GIF_SIZE)
     with atomic_file(path) as temporary:
-        (_save_mp4 if str(path).endswith(".mp4") else _save_gif)(film, temporary, width, height)
+        save(film, temporary, *_panel_size(film, size, width, height))
 
 
 def _save_gif(film: Film, path, width: int, height: int) -> None:
     from PIL import Image
 
-    stride = max(round(film.fps / GIF_RATE), math.ceil(film.num_frames / GIF_FRAMES), 1)
+    stride = max(round(film.fps / GIF_RATE), math.ceil((event_end(film) + 1) / GIF_FRAMES), 1)
     images = list(_frames(film, stride, width, height))
     # A common palette without dithering avoids flicker and compresses constant regions.
-    strip = Image.fromarray(np.concatenate([np.asarray(i)[::4, ::4] for i in images[::4]]))
-    palette = strip.quantize(255)
+    palette = shared_palette(images[::4], 255)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     duration = round(1000.0 * stride / film.fps)
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
+
+
+def shared_palette(images: list, colors: int):
+    """A palette for some Pillow images, as an image of Pillow's.
+
+    Half of it is for the saturated pixels, which are few: grounds and skies would take nearly all of it.
+    """
+    from PIL import Image
+
+    pixels = np.concatenate([np.asarray(image)[::2, ::2].reshape(-1, 3) for image in images])
+    colorful = np.ptp(pixels.astype(int), axis=1) > COLORFUL
+    palettes = []
+    for chosen, count in ((pixels[~colorful], colors - colors // 2), (pixels[colorful], colors // 2)):
+        if len(chosen):
+            strip = Image.fromarray(chosen[None]).quantize(count, Image.Quantize.MEDIANCUT)
+            palettes += (strip.getpalette() or [])[: 3 * count]
+    made = Image.new("P", (1, 1))
+    made.putpalette(palettes)
+    return made
 
 
 def _save_mp4(film: Film, path, width: int, height: int) -> None:
@@ -126,15 +146,16 @@ def _save_mp4(film: Film, path, width: int, height: int) -> None:
         written, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
     except RuntimeError:
         written = 0
-    wanted = len(range(0, film.num_frames, stride))
+    wanted = len(range(0, event_end(film) + 1, stride))
     if written != wanted:
         raise OSError(errno.EIO, f"only {written} of {wanted} frames could be written; is the disk full?")
 
 
 def _frames(film: Film, stride: int, width: int, height: int):
-    """Every `stride`-th frame of a film, as Pillow images."""
-    studio = _Studio(film, None, width, height)
-    for frame in range(0, film.num_frames, stride):
+    """Every `stride`-th frame of a film until its event is over, as Pillow images."""
+    frames = range(0, event_end(film) + 1, stride)
+    studio = _Studio(film, frames, width, height)
+    for frame in frames:
         yield _arranged(studio.draw(frame))
 
 
@@ -143,19 +164,16 @@ class _Studio:
 
     Args:
         film: the film.
-        frames: indices of the frames that the camera fit considers; None uses the whole film.
+        frames: indices of the frames that will be drawn.
         width: width of a panel [pixel].
         height: height of a panel [pixel].
     """
 
     def __init__(self, film: Film, frames, width: int, height: int):
-        several = 1 < len(film.labels) <= MAX_PANELS
+        several = _num_panels(film) > 1
         films = [film.alone(env) for env in range(len(film.labels))] if several else [film]
-        if frames is None:
-            frames = np.unique(np.linspace(0, film.num_frames - 1, CAMERA_FRAMES).astype(int))
-        points = np.concatenate([points_to_see(panel, frames) for panel in films])
-        camera = fit_camera(points, width / height, height)
-        self._casters = [RayCaster(panel, camera) for panel in films]
+        self._path = CameraPath(films, frames, width, height)
+        self._casters = [RayCaster(panel, self._path.mean) for panel in films]
         self._labels = film.labels if several else ("",)
         self._size = width, height
 
@@ -168,79 +186,12 @@ class _Studio:
         from PIL import Image
 
         width, height = self._size
+        camera = self._path.at(frame)
         images = []
         for caster, label in zip(self._casters, self._labels, strict=True):
-            images.append(Image.fromarray(caster.draw(frame, width, height)))
+            images.append(Image.fromarray(caster.draw(frame, width, height, camera)))
             _write(images[-1], label, (width / 2, height - 10), "ms")
         return images
-
-
-def fit_camera(points: np.ndarray, aspect: float, height: int) -> Camera:
-    """The closest camera that has all points in view.
-
-    Args:
-        points: (n, 3) [m].
-        aspect: width of the image over its height.
-        height: height of the image [pixel].
-    """
-    back = _unit(TOWARD_EYE)
-    right = _unit(np.cross(-back, (0.0, 0.0, 1.0)))
-    up = np.cross(back, right)
-    tall = math.tan(FIELD_OF_VIEW / 2.0)
-    wide = tall * aspect
-
-    # Each point bounds the positions of the eye from which it is in view; the closest position that satisfies all
-    # bounds is centred between the extreme ones.
-    along, across, above = points @ back, points @ right, points @ up
-    center_across, distance_across = _middle(across, along, wide / MARGIN)
-    center_above, distance_above = _middle(above, along, tall / MARGIN)
-    distance = max(distance_across, distance_above)
-    eye = center_across * right + center_above * up + distance * back
-
-    camera = Camera()
-    camera.eye, camera.forward = wp.vec3(*eye), wp.vec3(*-back)
-    camera.right, camera.up = wp.vec3(*(wide * right)), wp.vec3(*(tall * up))
-    camera.light = wp.vec3(*_unit(TOWARD_LIGHT))
-    reach = distance - float(np.median(along))
-    camera.grid = _round_length(reach / 12.0)
-    camera.haze = 1.5 * reach
-    camera.pixel = 2.0 * tall / height
-    return camera
-
-
-def _middle(side: np.ndarray, along: np.ndarray, slope: float) -> tuple[float, float]:
-    """Position of the eye, sideways and backward, from which all |side| <= slope * depth."""
-    highest, lowest = np.max(side + slope * along), np.max(-side + slope * along)
-    return float(highest - lowest) / 2.0, float(highest + lowest) / 2.0 / slope
-
-
-def points_to_see(film: Film, frames) -> np.ndarray:
-    """Bounding box corners of moving bodies and of fixed bodies of similar size, (points, 3) [m].
-
-    Args:
-        film: the film.
-        frames: indices of the frames to consider.
-    """
-    corners = np.stack([bound_corners(mesh.vertices) for mesh in film.meshes])[film.mesh]
-    flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
-    moving = film.moving & ~flat
-    if not moving.any():
-        moving = ~flat if not flat.all() else np.ones_like(flat)
-
-    def placed(chosen, frame):
-        rotated = rotate(film.orientation[frame][chosen, None], corners[chosen])
-        return rotated + film.position[frame][chosen, None]
-
-    points = np.concatenate([placed(moving, frame) for frame in frames])
-    # Outliers that fly away are ignored.
-    middle = np.median(points.reshape(-1, 3), axis=0)
-    away = np.linalg.norm(points.mean(axis=1) - middle, axis=1)
-    points = points[away <= 2.5 * np.percentile(away, 75.0) + 1e-9]
-    size = np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0))
-
-    still = placed(~moving & ~flat, frames[0])
-    small = np.linalg.norm(np.ptp(still, axis=1), axis=1) < 2.5 * size
-    return np.concatenate([points.reshape(-1, 3), still[small].reshape(-1, 3)])
 
 
 def _write(image, text: str, place: tuple[float, float], anchor: str) -> None:
@@ -252,10 +203,25 @@ def _write(image, text: str, place: tuple[float, float], anchor: str) -> None:
     pen.text(place, text, fill="#20242a", font=font, anchor=anchor, stroke_width=2, stroke_fill="#f4f4f2")
 
 
+def _num_panels(film: Film) -> int:
+    """Number of panels of a frame: one per environment if there are few, else one for all."""
+    return len(film.labels) if len(film.labels) <= MAX_PANELS else 1
+
+
+def _columns(panels: int) -> int:
+    """Number of panels side by side."""
+    return panels if panels <= PANEL_ROW else math.ceil(math.sqrt(panels))
+
+
+def _panel_size(film: Film, whole: tuple[int, int], width: int | None, height: int | None) -> tuple[int, int]:
+    """Width and height of a panel, by default such that all panels together are as wide as `whole`."""
+    width = width or whole[0] // _columns(max(1, _num_panels(film)))
+    return width, height or round(width * whole[1] / whole[0])
+
+
 def _arranged(panels: list):
     """Combine the panels of a frame to one image."""
-    count = len(panels)
-    return _tiled(panels, count if count <= PANEL_ROW else math.ceil(math.sqrt(count)))
+    return _tiled(panels, _columns(len(panels)))
 
 
 def _tiled(images: list, columns: int):
@@ -274,14 +240,3 @@ def _tiled(images: list, columns: int):
 def _save(image, path, **options) -> None:
     with atomic_file(path) as temporary:
         image.save(temporary, **options)
-
-
-def _round_length(length: float) -> float:
-    """Round down to a length of the series 1, 2, 5, 10, 20, ..."""
-    power = 10.0 ** math.floor(math.log10(length))
-    return power * max(step for step in (1.0, 2.0, 5.0) if step <= length / power * (1.0 + 1e-9))
-
-
-def _unit(vector) -> np.ndarray:
-    vector = np.asarray(vector, dtype=np.float64)
-    return vector / np.linalg.norm(vector)

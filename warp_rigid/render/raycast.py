@@ -1,34 +1,56 @@
 """Ray caster on the CPU, for rendering mesh instances without a display.
 
 Every mesh has its own bounding volume hierarchy, built once per film; each frame builds a hierarchy over the instances.
-Each pixel casts a primary ray and a shadow ray.
+A pixel casts a primary ray, and from its surface RAYS rays toward a lamp of some width and as many for the ambient
+occlusion. The directions differ between the pixels of a tile of TILE x TILE; their results are averaged over a window
+of that size on the same surface, so that a flat region has no noise. Edges are drawn again with more rays.
 """
+
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warp_rigid.engine.cores import spread, usable_cores
+from warp_rigid.kernel_cache import load_module
 from warp_rigid.render.appearance import bound_corners, corner_normals
 from warp_rigid.render.film import Film
-from warp_rigid.rotations import rotate
+from warp_rigid.rotations import inverse, rotate
+from warp_rigid.scene.shapes.tessellation import geodesic
+from warp_rigid.threads import exclusive
 
 wp.set_module_options({"enable_backward": False})
 
 __all__ = ["Camera", "RayCaster"]
 
 FAR = wp.constant(1.0e6)
-HORIZON_COLOR = wp.constant(wp.vec3(0.72, 0.76, 0.80))
-ZENITH_COLOR = wp.constant(wp.vec3(0.42, 0.55, 0.72))
-GROUND_GLOW = wp.constant(wp.vec3(0.24, 0.23, 0.22))
-SKY_GLOW = wp.constant(wp.vec3(0.40, 0.44, 0.50))
-GLASS_TINT = wp.constant(0.18)  # opacity of transparent walls
-LIGHT_COLOR = wp.constant(wp.vec3(0.86, 0.82, 0.76))
+HORIZON_COLOR = wp.constant(wp.vec3(0.76, 0.80, 0.84))
+ZENITH_COLOR = wp.constant(wp.vec3(0.30, 0.46, 0.68))
+GROUND_GLOW = wp.constant(wp.vec3(0.25, 0.235, 0.22))
+SKY_GLOW = wp.constant(wp.vec3(0.38, 0.43, 0.50))
+LAMP_COLOR = wp.constant(wp.vec3(1.02, 0.94, 0.81))
+SECTION_SHADE = wp.constant(0.8)  # brightness of the inside of a solid that is cut open
+LAMP_RADIUS = 0.05
+"""Radius of the lamp that casts shadows, at unit distance [rad]."""
+
+TILE = 4
+"""Side of the squares of pixels whose secondary rays complement each other [pixel]."""
+RAYS, RAYS_AT_EDGES = 2, 6
+"""Numbers of rays toward the lamp, and toward the sky, of each primary ray."""
+GOLDEN_X = wp.constant(0.7548776662466927)  # the R2 sequence, a low-discrepancy sequence in the plane
+GOLDEN_Y = wp.constant(0.5698402909980532)
 
 WALL_THICKNESS = 0.3
 """Maximum ratio of the thickness of a wall to its height and width."""
 HIDDEN_PART = 0.1
-"""A wall that hides more than this fraction of the moving bodies of an environment is drawn as glass."""
-EDGE_CONTRAST = 0.1
+"""A wall that hides more than this fraction of the moving bodies of an environment is left out."""
+HIDDEN_INSIDE = 0.3
+"""A hollow body that at some time hides more than this fraction of the moving bodies inside it is cut open."""
+HIDDEN_TIMES = 24
+"""Number of frames that are considered for that."""
+WHOLE, REMOVED, CUT = 0, 1, 2
+"""How a fixed body is drawn: whole, not at all, or without the half on the side of the camera."""
+EDGE_CONTRAST = 0.08
 """Minimum sRGB difference between neighbouring pixels for antialiasing."""
 EDGE_RAYS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
 """Offsets of the antialiasing rays from the pixel centre: a rotated square [pixel]."""
@@ -36,7 +58,7 @@ EDGE_RAYS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
 
 @wp.struct
 class Camera:
-    """A camera and a light.
+    """A camera and a lamp.
 
     `right` and `up` extend from the centre of the image to its borders, at unit distance from the eye.
     """
@@ -46,6 +68,8 @@ class Camera:
     right: wp.vec3
     up: wp.vec3
     light: wp.vec3
+    lamp_radius: float  # of the lamp at unit distance; 0 casts sharp shadows
+    shade_reach: float  # distance over which surfaces occlude the sky [m]; 0 for no ambient occlusion
     grid: float  # distance between grid lines on flat grounds [m]
     haze: float  # distance at which grounds start to fade [m]
     pixel: float  # width of a pixel at unit distance from the eye
@@ -59,12 +83,16 @@ class InstanceArrays:
     mesh: wp.array[wp.uint64]
     first_face: wp.array[int]
     flat: wp.array[wp.bool]
-    glass: wp.array[wp.bool]
+    cut: wp.array[int]
     position: wp.array[wp.vec3]
     orientation: wp.array[wp.quat]
     color: wp.array[wp.vec3]
     normals: wp.array2d[wp.vec3]
-    panes: int  # number of glass instances
+    section_point: wp.vec3  # of the plane that cuts bodies open
+    section_normal: wp.vec3  # toward the camera
+    plane: wp.array[int]  # instances that are infinite planes, drawn from their front
+    plane_normal: wp.array[wp.vec3]
+    plane_offset: wp.array[float]
 
 
 @wp.struct
@@ -74,55 +102,103 @@ class Hit:
     instance: int
     face: int
     distance: float
-    u: float
-    v: float
+    normal: wp.vec3
+
+
+@wp.struct
+class Surfaces:
+    """What the rays through some image points have met."""
+
+    instance: wp.array[int]
+    point: wp.array[wp.vec3]
+    normal: wp.array[wp.vec3]
+    color: wp.array[wp.vec3]
+    haze: wp.array[float]
+    sun: wp.array[float]  # visible part of the lamp
+    sky: wp.array[float]  # visible part of the sky
 
 
 @wp.func
-def nearest(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3, glass: wp.bool) -> Hit:
-    """Nearest hit of a ray, either with glass or with opaque instances."""
+def ray_range(instances: InstanceArrays, i: int, origin: wp.vec3, direction: wp.vec3) -> wp.vec2:
+    """Distances between which a ray can meet an instance: all, or the part behind the section plane."""
+    if instances.cut[i] != CUT:
+        return wp.vec2(0.0, FAR)
+    above = wp.dot(origin - instances.section_point, instances.section_normal)
+    slope = wp.dot(direction, instances.section_normal)
+    crossing = FAR
+    if wp.abs(slope) > 1.0e-9:
+        crossing = -above / slope
+    if above > 0.0:  # before the plane: it begins where the ray goes behind it
+        return wp.vec2(wp.where(crossing > 0.0, crossing, FAR), FAR)
+    return wp.vec2(0.0, wp.where(crossing > 0.0, crossing, FAR))
+
+
+@wp.func
+def smooth_normal(instances: InstanceArrays, i: int, face: int, u: float, v: float) -> wp.vec3:
+    """Normal at a point of a triangle, in the world."""
+    row = instances.first_face[i] + face
+    local = u * instances.normals[row, 0] + v * instances.normals[row, 1] + (1.0 - u - v) * instances.normals[row, 2]
+    return wp.normalize(wp.quat_rotate(instances.orientation[i], local))
+
+
+@wp.func
+def nearest(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3) -> Hit:
+    """Nearest hit of a ray with the instances and the infinite planes."""
     hit = Hit()
     hit.instance = -1
     hit.distance = FAR
+    for k in range(instances.plane.shape[0]):
+        slope = wp.dot(direction, instances.plane_normal[k])
+        if slope < 0.0:
+            t = (instances.plane_offset[k] - wp.dot(origin, instances.plane_normal[k])) / slope
+            if t > 0.0 and t < hit.distance:
+                hit.instance = instances.plane[k]
+                hit.distance = t
+                hit.normal = instances.plane_normal[k]
     candidates = wp.bvh_query_ray(instances.tree, origin, direction)
     i = int(0)
     while wp.bvh_query_next(candidates, i, hit.distance):
-        if instances.glass[i] != glass:
+        if instances.cut[i] == REMOVED:
             continue
+        limits = ray_range(instances, i, origin, direction)
         inverse = wp.quat_inverse(instances.orientation[i])
-        local_origin = wp.quat_rotate(inverse, origin - instances.position[i])
-        local_direction = wp.quat_rotate(inverse, direction)
-        query = wp.mesh_query_ray(instances.mesh[i], local_origin, local_direction, hit.distance)
+        start = wp.quat_rotate(inverse, origin + limits[0] * direction - instances.position[i])
+        local = wp.quat_rotate(inverse, direction)
+        farthest = wp.min(hit.distance, limits[1]) - limits[0]
+        if farthest <= 0.0:
+            continue
+        query = wp.mesh_query_ray(instances.mesh[i], start, local, farthest)
         if query.result:
             hit.instance = i
-            hit.face = query.face
-            hit.distance = query.t
-            hit.u = query.u
-            hit.v = query.v
+            hit.distance = limits[0] + query.t
+            hit.normal = smooth_normal(instances, i, query.face, query.u, query.v)
     return hit
 
 
 @wp.func
-def lit(instances: InstanceArrays, point: wp.vec3, light: wp.vec3) -> float:
-    """1 if the light is visible from a point, 0 in shadow; glass casts no shadow."""
-    candidates = wp.bvh_query_ray(instances.tree, point, light)
+def blocked(instances: InstanceArrays, origin: wp.vec3, direction: wp.vec3, reach: float) -> float:
+    """1 if anything is within `reach` along a ray, else 0. Planes bound half spaces, which cannot be in the way."""
+    candidates = wp.bvh_query_ray(instances.tree, origin, direction)
     i = int(0)
-    while wp.bvh_query_next(candidates, i):
-        if instances.glass[i]:
+    while wp.bvh_query_next(candidates, i, reach):
+        if instances.cut[i] == REMOVED:
+            continue
+        limits = ray_range(instances, i, origin, direction)
+        length = wp.min(reach, limits[1]) - limits[0]
+        if length <= 0.0:
             continue
         inverse = wp.quat_inverse(instances.orientation[i])
-        local_point = wp.quat_rotate(inverse, point - instances.position[i])
-        local_light = wp.quat_rotate(inverse, light)
-        if wp.mesh_query_ray_anyhit(instances.mesh[i], local_point, local_light, FAR):
-            return 0.0
-    return 1.0
+        start = wp.quat_rotate(inverse, origin + limits[0] * direction - instances.position[i])
+        if wp.mesh_query_ray_anyhit(instances.mesh[i], start, wp.quat_rotate(inverse, direction), length):
+            return 1.0
+    return 0.0
 
 
 @wp.func
 def line_coverage(coordinate: float, spacing: float, footprint: float) -> float:
     """Fraction of a pixel covered by a grid line; `footprint` is the pixel width on the ground."""
     offset = wp.abs(coordinate / spacing - wp.round(coordinate / spacing)) * spacing
-    width = 0.008 * spacing + footprint
+    width = 0.006 * spacing + footprint
     return wp.clamp((width - offset) / footprint, 0.0, 1.0) * wp.min(width / spacing * 8.0, 1.0)
 
 
@@ -137,91 +213,164 @@ def grid_shade(point: wp.vec3, normal: wp.vec3, spacing: float, footprint: float
         b = point[2]
     fade = wp.clamp(1.0 - 4.0 * footprint / spacing, 0.0, 1.0)
     lines = wp.max(line_coverage(a, spacing, footprint), line_coverage(b, spacing, footprint))
-    return 1.0 - 0.35 * fade * lines
+    return 1.0 - 0.25 * fade * lines
 
 
 @wp.func
-def sky(direction: wp.vec3) -> wp.vec3:
+def sky_color(direction: wp.vec3) -> wp.vec3:
     """Background colour."""
-    return wp.lerp(HORIZON_COLOR, ZENITH_COLOR, wp.clamp(direction[2], 0.0, 1.0))
+    return wp.lerp(HORIZON_COLOR, ZENITH_COLOR, wp.sqrt(wp.clamp(direction[2], 0.0, 1.0)))
 
 
 @wp.func
-def surface_color(instances: InstanceArrays, camera: Camera, hit: Hit, direction: wp.vec3) -> wp.vec3:
-    """Colour of a hit, shaded."""
+def any_tangent(normal: wp.vec3) -> wp.vec3:
+    """A unit vector perpendicular to a unit vector."""
+    helper = wp.vec3(1.0, 0.0, 0.0)
+    if wp.abs(normal[0]) > 0.7:
+        helper = wp.vec3(0.0, 1.0, 0.0)
+    return wp.normalize(wp.cross(normal, helper))
+
+
+@wp.func
+def fraction(value: float) -> float:
+    """Fractional part."""
+    return value - wp.floor(value)
+
+
+@wp.func
+def disc_point(index: int) -> wp.vec2:
+    """Point number `index` of evenly distributed points in the unit disc."""
+    radius = wp.sqrt(fraction(0.5 + float(index) * GOLDEN_X))
+    angle = 2.0 * wp.pi * fraction(0.5 + float(index) * GOLDEN_Y)
+    return radius * wp.vec2(wp.cos(angle), wp.sin(angle))
+
+
+@wp.func
+def visible_lamp(instances: InstanceArrays, camera: Camera, point: wp.vec3, first: int, rays: int) -> float:
+    """Visible part of the lamp, from `rays` rays of the sequence."""
+    right = any_tangent(camera.light)
+    up = wp.cross(camera.light, right)
+    dark = float(0.0)
+    for k in range(rays):
+        at = camera.lamp_radius * disc_point(first + k)
+        dark += blocked(instances, point, wp.normalize(camera.light + at[0] * right + at[1] * up), FAR)
+    return 1.0 - dark / float(rays)
+
+
+@wp.func
+def visible_sky(
+    instances: InstanceArrays, camera: Camera, point: wp.vec3, normal: wp.vec3, first: int, rays: int
+) -> float:
+    """Part of the sky that is not occluded nearby, weighted by the cosine, from `rays` rays of the sequence."""
+    if camera.shade_reach <= 0.0:
+        return 1.0
+    right = any_tangent(normal)
+    up = wp.cross(normal, right)
+    dark = float(0.0)
+    for k in range(rays):
+        at = disc_point(first + k)
+        height = wp.sqrt(wp.max(0.0, 1.0 - wp.dot(at, at)))
+        dark += blocked(instances, point, at[0] * right + at[1] * up + height * normal, camera.shade_reach)
+    return 1.0 - dark / float(rays)
+
+
+@wp.func
+def lit_color(camera: Camera, color: wp.vec3, normal: wp.vec3, sun: float, sky: float) -> wp.vec3:
+    """Light that a surface sends back, from the lamp and the sky."""
+    ambient = wp.lerp(GROUND_GLOW, SKY_GLOW, 0.5 + 0.5 * normal[2]) * (0.22 + 0.78 * sky)
+    direct = wp.max(wp.dot(normal, camera.light), 0.0) * sun * LAMP_COLOR
+    return wp.cw_mul(color, ambient + direct)
+
+
+@wp.kernel
+def trace(
+    first: int,
+    camera: Camera,
+    instances: InstanceArrays,
+    at: wp.array[wp.vec2],
+    seed: wp.array[int],
+    rays: int,
+    seen: Surfaces,
+):
+    """One primary ray per thread, through the image point `at` (-1 to 1, right and up), with its shadow rays."""
+    ray = first + wp.tid()
+    direction = wp.normalize(camera.forward + at[ray][0] * camera.right + at[ray][1] * camera.up)
+    hit = nearest(instances, camera.eye, direction)
     i = hit.instance
-    face = instances.first_face[i] + hit.face
-    smooth = (
-        hit.u * instances.normals[face, 0]
-        + hit.v * instances.normals[face, 1]
-        + (1.0 - hit.u - hit.v) * instances.normals[face, 2]
-    )
-    normal = wp.normalize(wp.quat_rotate(instances.orientation[i], smooth))
+    seen.instance[ray] = i
+    if i < 0:
+        seen.color[ray] = sky_color(direction)
+        return
+    normal = hit.normal
     slope = wp.dot(normal, direction)
+    color = instances.color[i]
     if slope > 0.0:
         normal = -normal
+        if instances.cut[i] == CUT:
+            color = SECTION_SHADE * color
     point = camera.eye + hit.distance * direction
-    color = instances.color[i]
+    haze = float(0.0)
     if instances.flat[i]:
-        footprint = hit.distance * camera.pixel / wp.max(wp.abs(slope), 0.05)
+        footprint = hit.distance * camera.pixel / wp.max(wp.abs(slope), 0.02)
         color = color * grid_shade(point, normal, camera.grid, footprint)
-    facing = wp.dot(normal, camera.light)
-    if facing > 0.0:
-        facing = facing * lit(instances, point + 1.0e-4 * hit.distance * normal, camera.light)
-    ambient = wp.lerp(GROUND_GLOW, SKY_GLOW, 0.5 + 0.5 * normal[2])
-    light = ambient + wp.max(facing, 0.0) * LIGHT_COLOR
-    shaded = wp.cw_mul(color, light)
-    if instances.flat[i]:
-        haze = wp.clamp(hit.distance / camera.haze - 1.0, 0.0, 1.0)
-        shaded = wp.lerp(shaded, HORIZON_COLOR, haze)
-    return shaded
+        haze = 1.0 - wp.exp(-wp.max(hit.distance / camera.haze - 1.0, 0.0))
+    start = point + 2.0e-4 * hit.distance * normal
+    sun = float(0.0)
+    if wp.dot(normal, camera.light) > 0.0:
+        sun = visible_lamp(instances, camera, start, rays * seed[ray], rays)
+    seen.point[ray] = point
+    seen.normal[ray] = normal
+    seen.color[ray] = color
+    seen.haze[ray] = haze
+    seen.sun[ray] = sun
+    seen.sky[ray] = visible_sky(instances, camera, start, normal, rays * seed[ray], rays)
 
 
-@wp.func
-def seen_color(instances: InstanceArrays, camera: Camera, direction: wp.vec3) -> wp.vec3:
-    """Colour seen along a ray."""
-    hit = nearest(instances, camera.eye, direction, False)
-    color = sky(direction)
-    if hit.instance >= 0:
-        color = surface_color(instances, camera, hit, direction)
-    if instances.panes == 0:
-        return color
-    pane = nearest(instances, camera.eye, direction, True)
-    if pane.instance >= 0 and pane.distance < hit.distance:
-        color = wp.lerp(color, surface_color(instances, camera, pane, direction), GLASS_TINT)
-    return color
+@wp.kernel
+def compose(first: int, width: int, radius: int, camera: Camera, seen: Surfaces, color: wp.array[wp.vec3]):
+    """Colour of each ray; the visible parts of lamp and sky are averaged over neighbours on the same surface.
+
+    The window is 2 radius wide, so that with radius TILE / 2 it holds every direction once; 0 averages nothing.
+    """
+    ray = first + wp.tid()
+    i = seen.instance[ray]
+    if i < 0:
+        color[ray] = seen.color[ray]
+        return
+    sun, sky, count = float(0.0), float(0.0), float(0.0)
+    x, y = ray % width, ray // width
+    reach = 12.0 * camera.pixel * wp.length(seen.point[ray] - camera.eye)
+    for v in range(wp.max(0, y - radius), wp.min(seen.instance.shape[0] // width, y + radius)):
+        for u in range(wp.max(0, x - radius), wp.min(width, x + radius)):
+            other = v * width + u
+            if seen.instance[other] == i and wp.dot(seen.normal[other], seen.normal[ray]) > 0.95:
+                if wp.abs(wp.dot(seen.point[other] - seen.point[ray], seen.normal[ray])) < reach:
+                    sun += seen.sun[other]
+                    sky += seen.sky[other]
+                    count += 1.0
+    if count == 0.0 or camera.lamp_radius <= 0.0:
+        sun = 1.0 * seen.sun[ray]
+        sky = 1.0 * seen.sky[ray]
+        count = 1.0
+    lit = lit_color(camera, seen.color[ray], seen.normal[ray], sun / count, sky / count)
+    color[ray] = wp.lerp(lit, HORIZON_COLOR, seen.haze[ray])
 
 
 @wp.kernel
 def find_hidden(
     eye: wp.vec3,
     instances: InstanceArrays,
-    wall: wp.array[int],
+    fixed: wp.array[int],
     target: wp.array[wp.vec3],
     hidden: wp.array2d[wp.bool],
 ):
-    """Whether a wall lies between the eye and a target."""
+    """Whether a fixed body lies between the eye and a target."""
     k, t = wp.tid()
-    i = wall[k]
+    i = fixed[k]
     inverse = wp.quat_inverse(instances.orientation[i])
     start = wp.quat_rotate(inverse, eye - instances.position[i])
     way = wp.quat_rotate(inverse, target[t] - eye)
     hidden[k, t] = wp.mesh_query_ray_anyhit(instances.mesh[i], start, way, 1.0)
-
-
-@wp.kernel
-def cast_rays(
-    first: int,
-    camera: Camera,
-    instances: InstanceArrays,
-    point: wp.array[wp.vec2],
-    color: wp.array[wp.vec3],
-):
-    """One ray per thread, through the image point `point` (-1 to 1, right and up)."""
-    ray = first + wp.tid()
-    at = point[ray]
-    direction = wp.normalize(camera.forward + at[0] * camera.right + at[1] * camera.up)
-    color[ray] = seen_color(instances, camera, direction)
 
 
 class RayCaster:
@@ -229,64 +378,102 @@ class RayCaster:
 
     Args:
         film: the film.
-        camera: the camera. Walls that hide moving bodies from it are drawn as glass.
+        camera: the camera. Fixed bodies that hide moving bodies from it are cut away: walls are left out, hollow bodies
+            are cut open.
     """
 
     def __init__(self, film: Film, camera: Camera):
         """Build the data shared by all frames."""
+        with exclusive():  # it changes the default device of all threads
+            self._upload(film, camera)
+
+    def _upload(self, film: Film, camera: Camera) -> None:
+        load_module(wp.get_device("cpu"), __name__, 1)
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
         corners = np.stack([bound_corners(np.concatenate([m.vertices, *m.frames])) for m in film.meshes])
         self._corners = corners[film.mesh]
+        flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
+        waving = np.array([len(mesh.frames) > 0 for mesh in film.meshes])[film.mesh]
+        faces = np.array([len(mesh.faces) for mesh in film.meshes])
+        self._first_face = np.cumsum(faces) - faces
         with wp.ScopedDevice("cpu"):
             self._meshes = [
                 wp.Mesh(wp.array(m.vertices, dtype=wp.vec3), wp.array(m.faces.reshape(-1))) for m in film.meshes
             ]
-            faces = np.array([len(mesh.faces) for mesh in film.meshes])
-            first_face = (np.cumsum(faces) - faces)[film.mesh]
             ids = np.array([mesh.id for mesh in self._meshes], dtype=np.uint64)[film.mesh]
-            flat = np.array([mesh.flat for mesh in film.meshes])[film.mesh]
             self._instances = InstanceArrays()
             self._instances.mesh = wp.array(ids)
-            self._instances.first_face = wp.array(first_face, dtype=int)
+            self._instances.first_face = wp.array(self._first_face[film.mesh], dtype=int)
             self._instances.flat = wp.array(flat)
             normals = np.concatenate([mesh.normals for mesh in film.meshes])
             self._instances.normals = wp.array(normals, dtype=wp.vec3)
-            self._first_face = np.cumsum(faces) - faces
-            waving = np.array([len(mesh.frames) > 0 for mesh in film.meshes])[film.mesh]
-            glass = self._hiding_walls(~film.moving & ~flat & ~waving)
-            self._instances.glass = wp.array(glass)
-            self._instances.panes = int(glass.sum())
+            self._instances.cut = wp.zeros(len(flat), dtype=int)
+            self._add_planes(endless_planes(film))
+            self._cut_away(~film.moving & ~flat & ~waving)
 
-    def draw(self, frame: int, width: int, height: int) -> np.ndarray:
-        """Render one frame, (height, width, 3) uint8 (sRGB)."""
+    def draw(self, frame: int, width: int, height: int, camera: Any = None) -> np.ndarray:
+        """Render one frame, (height, width, 3) uint8 (sRGB), with the camera of the film or another one."""
+        with exclusive():
+            return self._draw(frame, width, height, camera or self._camera)
+
+    def _draw(self, frame: int, width: int, height: int, camera: Any) -> np.ndarray:
         self._place_instances(frame)
         x = (2.0 * np.arange(width) + 1.0) / width - 1.0
         y = 1.0 - (2.0 * np.arange(height) + 1.0) / height
         centers = np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1)
-        picture = self._cast(centers.reshape(-1, 2)).reshape(height, width, 3)
+        rows, columns = np.indices((height, width))
+        seeds = rows % TILE * TILE + columns % TILE
+        picture = self._cast(camera, centers.reshape(-1, 2), seeds.reshape(-1), width, TILE // 2)
+        picture = picture.reshape(height, width, 3)
         screen = on_screen(picture)
         edges = _edges(screen)
         turns = np.array(EDGE_RAYS) * (2.0 / width, 2.0 / height)
-        finer = self._cast((centers[edges][:, None] + turns).reshape(-1, 2))
-        screen[edges] = on_screen(finer.reshape(-1, len(EDGE_RAYS), 3).mean(axis=1))
+        finer = (centers[edges][:, None] + turns).reshape(-1, 2)
+        own = (seeds[edges][:, None] + TILE * np.arange(len(EDGE_RAYS))).reshape(-1) % TILE**2
+        colors = self._cast(camera, finer, own, len(EDGE_RAYS), 0)
+        screen[edges] = on_screen(colors.reshape(-1, len(EDGE_RAYS), 3).mean(axis=1))
         return np.round(255.0 * screen).astype(np.uint8)
 
-    def _hiding_walls(self, fixed: np.ndarray) -> np.ndarray:
-        """(instances,) True for walls that hide more than HIDDEN_PART of the moving bodies."""
-        size = np.sort(np.ptp(self._corners, axis=1), axis=1)
-        walls = np.flatnonzero(fixed & (size[:, 0] < WALL_THICKNESS * size[:, 1]))
-        targets = self._film.position[:: max(1, self._film.num_frames // 8), self._film.moving]
-        glass = np.zeros(len(fixed), dtype=bool)
-        if len(walls) and targets.size:
+    def _add_planes(self, endless: np.ndarray) -> None:
+        """Replace the squares of endless planes by infinite planes."""
+        film, chosen = self._film, np.flatnonzero(endless)
+        local = np.array([film.meshes[k].normals[0, 0] for k in film.mesh[chosen]]).reshape(-1, 3)
+        normal = rotate(film.orientation[0][chosen], local)
+        place = np.array([film.meshes[k].vertices.mean(axis=0) for k in film.mesh[chosen]]).reshape(-1, 3)
+        place = rotate(film.orientation[0][chosen], place) + film.position[0][chosen]
+        self._instances.plane = wp.array(chosen, dtype=int)
+        self._instances.plane_normal = wp.array(normal, dtype=wp.vec3)
+        self._instances.plane_offset = wp.array((normal * place).sum(axis=1), dtype=float)
+        self._removed = np.where(endless, REMOVED, WHOLE)
+
+    def _cut_away(self, fixed: np.ndarray) -> None:
+        """Cut away fixed bodies that hide more than HIDDEN_PART of the moving bodies."""
+        cut = self._removed.copy()
+        self._instances.cut = wp.array(cut, dtype=int)
+        candidates = np.flatnonzero(fixed)
+        times = self._film.position[:: max(1, self._film.num_frames // HIDDEN_TIMES), self._film.moving]
+        places = times.reshape(-1, 3)
+        if len(candidates) and len(places):
             self._place_instances(0)
-            targets = wp.array(targets.reshape(-1, 3), dtype=wp.vec3)
-            hidden = wp.zeros((len(walls), len(targets)), dtype=wp.bool)
-            arguments = [self._camera.eye, self._instances, wp.array(walls, dtype=int), targets]
+            targets = wp.array(places, dtype=wp.vec3)
+            hidden = wp.zeros((len(candidates), len(targets)), dtype=wp.bool)
+            arguments = [self._camera.eye, self._instances, wp.array(candidates, dtype=int), targets]
             wp.launch(find_hidden, hidden.shape, arguments, outputs=[hidden])
-            part = hidden.numpy().mean(axis=1) * len(self._film.labels)
-            glass[walls] = part > HIDDEN_PART
-        return glass
+            hiding = hidden.numpy()
+            for k, i in enumerate(candidates):
+                size = np.sort(np.ptp(self._corners[i], axis=0))
+                local = rotate(inverse(self._film.orientation[0][i]), places - self._film.position[0][i])
+                inside = within_hull(local, self._film.meshes[self._film.mesh[i]].vertices)
+                thin = size[0] < WALL_THICKNESS * size[1]
+                if thin and hiding[k].mean() * len(self._film.labels) > HIDDEN_PART:
+                    cut[i] = REMOVED
+                elif not thin and (hiding[k] & inside).reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
+                    cut[i] = CUT
+            toward = np.array(self._camera.forward) * (-1.0, -1.0, 0.0)
+            self._instances.section_normal = wp.vec3(*(toward / max(np.linalg.norm(toward), 1e-9)))
+            self._instances.section_point = wp.vec3(*np.median(places, axis=0))
+            self._instances.cut = wp.array(cut, dtype=int)
 
     def _move_vertices(self, frame: int) -> None:
         """Update the meshes that change their shape."""
@@ -313,22 +500,50 @@ class RayCaster:
             )
         self._instances.tree = self._tree.id
 
-    def _cast(self, places: np.ndarray) -> np.ndarray:
-        """Linear RGB colours of rays through image points."""
+    def _cast(self, camera: Camera, places: np.ndarray, seeds: np.ndarray, width: int, radius: int) -> np.ndarray:
+        """Linear RGB colours of rays through image points in rows of `width`."""
         count = len(places)
-        point = wp.array(places, dtype=wp.vec2, device="cpu")
-        color = wp.zeros(count, dtype=wp.vec3, device="cpu")
-        cuts = np.linspace(0, count, 4 * self._threads + 1, dtype=int)
-        wp.load_module(device="cpu")
-
-        # A CPU launch runs on the calling thread and releases the GIL.
-        def cast(part):
-            first, end = int(cuts[part]), int(cuts[part + 1])
-            arguments = [first, self._camera, self._instances, point]
-            wp.launch(cast_rays, end - first, arguments, outputs=[color], device="cpu")
-
-        spread(cast, range(len(cuts) - 1), self._threads)
+        if count == 0:
+            return np.zeros((0, 3), np.float32)
+        with wp.ScopedDevice("cpu"):
+            at, seed = wp.array(places, dtype=wp.vec2), wp.array(seeds, dtype=int)
+            seen = Surfaces()
+            for name, kind in (("instance", int), ("haze", float), ("sun", float), ("sky", float)):
+                setattr(seen, name, wp.zeros(count, dtype=kind))
+            for name in ("point", "normal", "color"):
+                setattr(seen, name, wp.zeros(count, dtype=wp.vec3))
+            color = wp.zeros(count, dtype=wp.vec3)
+        rays = RAYS if radius else RAYS_AT_EDGES
+        self._launch(trace, count, lambda first: [first, camera, self._instances, at, seed, rays, seen])
+        self._launch(compose, count, lambda first: [first, width, radius, camera, seen, color])
         return color.numpy().copy()
+
+    def _launch(self, kernel, count: int, arguments) -> None:
+        """Launch a kernel in parts; a CPU launch runs on the calling thread and releases the GIL."""
+        cuts = np.linspace(0, count, 4 * self._threads + 1, dtype=int)
+
+        def work(part):
+            first, end = int(cuts[part]), int(cuts[part + 1])
+            wp.launch(kernel, end - first, arguments(first), device="cpu")
+
+        spread(work, range(len(cuts) - 1), self._threads)
+
+
+def endless_planes(film: Film) -> np.ndarray:
+    """(instances,) True for the squares that stand for infinite planes.
+
+    A tilted plane of one of several environments is drawn as a square, so that it does not cut through the others.
+    """
+    square = np.array([mesh.flat and len(mesh.faces) == 2 for mesh in film.meshes])[film.mesh] & ~film.moving
+    normals = np.array([mesh.normals[0, 0] if mesh.flat else (0.0, 0.0, 1.0) for mesh in film.meshes])[film.mesh]
+    level = rotate(film.orientation[0], normals)[:, 2] > 1.0 - 1e-6
+    return square & (level | (len(film.labels) == 1))
+
+
+def within_hull(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """(points,) True for points that are not outside the convex hull of the vertices in any of 162 directions."""
+    directions, _ = geodesic(4)
+    return (points @ directions.T <= (vertices @ directions.T).max(axis=0)).all(axis=1)
 
 
 def on_screen(light: np.ndarray) -> np.ndarray:

@@ -11,14 +11,16 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from warp_rigid.checks import shown
-from warp_rigid.engine.quantities import STATE_NAMES
+from warp_rigid.engine import field_values
+from warp_rigid.engine.quantities import STATE_NAMES, VECTOR_LENGTHS, check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.scene.coefficients import COEFFICIENTS
 
-__all__ = ["PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
+__all__ = ["BODY_PROPERTIES", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
 
-PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "gravity")
-"""Quantities that can be set in a simulation besides the settings; all bodies get the same value."""
+BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "active")
+PROPERTIES = (*BODY_PROPERTIES, "gravity", *field_values.names())
+"""Quantities that can be set in a simulation besides the settings; all bodies or force fields get the same value."""
 
 SETTINGS = tuple(f.name for f in fields(Settings))
 
@@ -61,9 +63,35 @@ def parse_assignment(text: str, flag: str = "--set") -> tuple[str, list]:
     name, bracket, bodies = name.strip().partition("[")
     name = name.replace("-", "_")
     parts = [part.strip() for part in _split(values)]
-    if not equals or not name.isidentifier() or (bracket and not bodies.endswith("]")) or not all(parts):
+    choice_is_bad = bracket and not (bodies.endswith("]") and bodies[:-1].strip())
+    if not equals or not name.isidentifier() or choice_is_bad or not all(parts):
         raise ValueError(f"{flag}: must be name=value or name=value,value,..., got {shown(text)}")
     return name + bracket + bodies, [_value(part) for part in parts]
+
+
+def join_vector(name: str, values: list, flag: str = "--set") -> list:
+    """Join the numbers of one vector that is written without brackets, such as gravity=0,0,-1.62.
+
+    Args:
+        name: the name, with or without a selection of bodies.
+        values: from parse_assignment.
+        flag: option name for the error message.
+
+    Raises:
+        ValueError: The quantity is a vector and a value is not.
+    """
+    plain = name.partition("[")[0]
+    if plain not in VECTOR_LENGTHS:
+        return values
+    numbers = all(isinstance(value, int | float) for value in values)
+    if numbers and len(values) == VECTOR_LENGTHS[plain]:
+        return [tuple(values)]
+    for value in values:
+        try:
+            check_vectors(plain, value)
+        except ValueError as error:
+            raise ValueError(f"{flag} {error}; write vectors in brackets: {plain}=(0,0,1),(0,0,2)") from None
+    return values
 
 
 def assignment_target(name: str, parameters, flag: str = "--set") -> str:
@@ -81,7 +109,7 @@ def assignment_target(name: str, parameters, flag: str = "--set") -> str:
     """
     plain, bracket, _ = name.partition("[")
     if bracket:
-        if plain not in PROPERTIES or plain == "gravity":
+        if plain not in BODY_PROPERTIES:
             raise ValueError(f"{flag} {name}: is not a body property, so it cannot select bodies")
         return "property"
     if name in parameters:
@@ -110,8 +138,10 @@ def sort_assignments(texts, build) -> Assignments:
         if name in seen:
             raise ValueError(f"--set {name}: given twice")
         seen.add(name)
-        several = len(values) > 1
         target = assignment_target(name, parameters)
+        if target == "property":
+            values = join_vector(name, values)
+        several = len(values) > 1
         if target == "scene" and not (several and name in PROPERTIES):
             if several:
                 raise ValueError(f"--set {name}: is a scene parameter and takes one value, not a list")

@@ -4,6 +4,7 @@ The attributes of an outcome must be plain data: numbers, strings, arrays, and l
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from warp_rigid.engine import checkpoint
 from warp_rigid.files import archive
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Body, Scene
-from warp_rigid.scene.serialization import scene_to_data
+from warp_rigid.scene.serialization import scenes_to_data
 from warp_rigid.scene.shapes import Shape
 
 FRAMES, OUTCOME, DEEPEST = "more_frames_", "more_outcome_", "more_deepest"
@@ -67,10 +68,11 @@ class Checkpoints:
             "outcome": {
                 name: _to_plain(f"{plan.demo.name}: {name}", value, arrays)
                 for name, value in vars(progress.outcome).items()
-                if not isinstance(value, Scene | Body | Shape)
+                if not (isinstance(value, Scene | Body | Shape) or callable(value))
             },
         }
-        checkpoint.save(plan.sim._world, self.path, more, arrays)
+        with plan.sim.in_use():
+            checkpoint.save(plan.sim._world, self.path, more, arrays)
 
     def resume(self, plan: Any, progress: Progress) -> bool:
         """Restore the simulator of the plan and the progress from the checkpoint.
@@ -87,7 +89,9 @@ class Checkpoints:
         try:
             more = header["more"]
             kept = more.get("run", {})
-            same_scene = _as_json(scene_to_data(plan.scene)[0]) == header["scene"]
+            same_scene = _as_json(scenes_to_data(plan.sim.scenes)[0]) == {
+                name: header[name] for name in ("shapes", "scenes")
+            }
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         for name, value in _identity(plan, progress).items():
@@ -101,10 +105,10 @@ class Checkpoints:
             progress.frame = whole_in("frame", more["frame"], 1, plan.frames)
             progress.events[:] = progress.events[len(progress.events) - more["events"] :]
             progress.deepest = archive.shaped(arrays, DEEPEST, np.float64, progress.deepest.shape)
-            frames = {name[len(FRAMES) :]: array for name, array in arrays.items() if name.startswith(FRAMES)}
-            progress.recorder.restore(frames)
+            progress.recorder.restore(arrays.below(FRAMES))
             vars(progress.outcome).update({k: _from_plain(v, arrays) for k, v in more["outcome"].items()})
-            checkpoint.restore(plan.sim._world, header, arrays)
+            with plan.sim.in_use():
+                checkpoint.restore(plan.sim._world, header, arrays)
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         return True
@@ -147,7 +151,7 @@ def _to_plain(name: str, value: Any, arrays: dict[str, np.ndarray]) -> Any:
     raise ValueError(f"{name}: must be plain data to be stored in a checkpoint, got {type(value).__name__}")
 
 
-def _from_plain(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _from_plain(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     ((kind, content),) = value.items()

@@ -4,13 +4,13 @@ A saved recording is self-contained: it stores the surfaces and names of the bod
 drawn without the program that made it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from warp_rigid.checks import number_in
-from warp_rigid.engine.quantities import CONTACT_RECORD
+from warp_rigid.engine.quantities import CONTACT_RECORD, is_of_bodies
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -128,6 +128,11 @@ class Recording:
     scene: Scene | None = None
     start: dict[str, np.ndarray] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Show the size."""
+        size = f"{len(self.envs)} environments of {len(self.names)} bodies"
+        return f"Recording({len(self.time)} frames of {size}, {self.fps:g} frames/s)"
+
     @property
     def num_frames(self) -> int:
         """Number of frames after the initial one."""
@@ -203,7 +208,8 @@ class Recorder:
         contacts: whether to record contacts.
 
     Raises:
-        ValueError: An environment does not exist, or labels and environments differ in number.
+        ValueError: An environment does not exist, environments have different scenes, or labels and environments differ
+            in number.
     """
 
     def __init__(self, sim, fps, envs=None, labels=None, velocities=False, contacts=False):
@@ -218,17 +224,22 @@ class Recorder:
         self.fps = float(fps)
         self._captured = CAPTURED | (VELOCITIES if velocities else {})
         self._contacts = contacts
-        self._scene = sim.scene
-        self._start = {name: np.asarray(sim.get(name), dtype=np.float32)[self.envs] for name in START}
+        self._scene = _common_scene(sim, self.envs)
+        self._start = {name: self._rows(sim, name, np.float32) for name in START}
         self._frames: list[Frame] = []
 
     def snapshot(self, sim) -> Frame:
         """Return the current state without storing it."""
         return Frame(
             time=float(sim.time),
-            **{name: np.asarray(sim.get(name), dtype=dtype)[self.envs] for name, dtype in self._captured.items()},
+            **{name: self._rows(sim, name, dtype) for name, dtype in self._captured.items()},
             contacts=self._contacts_of(sim) if self._contacts else None,
         )
+
+    def _rows(self, sim, name: str, dtype) -> np.ndarray:
+        """A quantity of the recorded environments, without the bodies that only other scenes have."""
+        values = np.asarray(sim.get(name), dtype=dtype)[self.envs]
+        return values[:, : len(self._scene.bodies)] if is_of_bodies(name) else values
 
     def capture(self, sim) -> None:
         """Append the current state as a frame."""
@@ -243,7 +254,7 @@ class Recorder:
         """All recorded data as arrays, by name."""
         return self._stacked() | (_contact_arrays(self._contact_frames()) if self._contacts else {})
 
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the frames that another recorder returned from `arrays`.
 
         Raises:
@@ -285,6 +296,18 @@ class Recorder:
         return records[np.isin(records["env"], self.envs)]
 
 
+def _common_scene(sim, envs: np.ndarray) -> Scene:
+    """The scene of some environments.
+
+    Raises:
+        ValueError: They have different scenes.
+    """
+    found = np.unique(sim.scene_of[envs]).tolist()
+    if len(found) > 1:
+        raise ValueError(f"envs: must be environments of one scene, got those of scenes {found}; record one at a time")
+    return sim.scenes[found[0]] if found else sim.scenes[0]
+
+
 def record(
     sim, frames: int, fps: float = 60.0, on_frame=None, envs=None, *, velocities: bool = False, contacts: bool = False
 ) -> Recording:
@@ -295,7 +318,7 @@ def record(
         frames: number of frames to simulate, >= 0.
         fps: frames per simulated second; one frame must be a whole number of steps of dt.
         on_frame: function(index, sim), called after each captured frame; index 0 is the initial state.
-        envs: indices of the environments to record; None records all.
+        envs: indices of the environments to record, which must have the same scene; None records all.
         velocities: whether to record velocities.
         contacts: whether to record the contacts of the last step of each frame.
 
@@ -344,7 +367,7 @@ def is_moving(motion: np.ndarray) -> np.ndarray:
     return np.asarray(motion) != Motion.STATIC
 
 
-def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
+def _checked(text: dict, arrays: Mapping[str, np.ndarray]) -> dict:
     """Validate the content of a file and return the fields of a Recording."""
     time = shaped(arrays, "time", np.float64, (None,))
     envs = shaped(arrays, "envs", np.int64, (None,))
@@ -372,7 +395,7 @@ def _checked(text: dict, arrays: dict[str, np.ndarray]) -> dict:
     }  # fmt: skip
 
 
-def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency: float) -> DrawnSurface:
+def _surface(arrays: Mapping[str, np.ndarray], index: int, endless: bool, frequency: float) -> DrawnSurface:
     vertices = shaped(arrays, f"vertices_{index}", np.float32, (None, 3))
     faces = shaped(arrays, f"faces_{index}", np.int32, (None, 3))
     if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
@@ -383,7 +406,7 @@ def _surface(arrays: dict[str, np.ndarray], index: int, endless: bool, frequency
     return DrawnSurface(vertices, faces, endless, swing, number_in("angular_frequency", frequency, 0.0))
 
 
-def _quantities(arrays: dict[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
+def _quantities(arrays: Mapping[str, np.ndarray], kinds: dict, rows: tuple[int, int, int]) -> dict[str, np.ndarray]:
     """Validate quantities of shape (frames, envs, bodies, ...), by name."""
     return {name: shaped(arrays, name, kind, rows + TAILS.get(name, ())) for name, kind in kinds.items()}
 
@@ -403,7 +426,7 @@ def _contact_arrays(contacts: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     return {"contact_count": counts} | {place: records[name] for name, place in CONTACTS.items()}
 
 
-def _contacts(arrays: dict[str, np.ndarray], frames: int) -> tuple[np.ndarray, ...]:
+def _contacts(arrays: Mapping[str, np.ndarray], frames: int) -> tuple[np.ndarray, ...]:
     """Inverse of `_contact_arrays`, validated."""
     counts = shaped(arrays, "contact_count", np.int64, (frames,))
     total = len(shaped(arrays, CONTACTS["env"], np.int32, (None,)))

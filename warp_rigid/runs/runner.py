@@ -1,7 +1,7 @@
 """Runner: one simulation, from the name of a scene to its recording, verdicts and summary."""
 
+import bisect
 import fnmatch
-import importlib.util
 import time
 import warnings
 from collections.abc import Callable
@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
+from warp_rigid.engine import field_values
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.assignments import PROPERTIES, Assignments, sort_assignments
+from warp_rigid.runs.assignments import BODY_PROPERTIES, Assignments, sort_assignments
+from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_file
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -25,10 +27,7 @@ from warp_rigid.usd.load import film_duration
 from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
 from warp_rigid.version import __version__
 
-__all__ = ["Plan", "Result", "execute", "find_scene", "module_of_file", "plan_run", "set_each", "step_frame"]
-
-FILE_SCENE_DURATION = 4.0
-"""Default duration of a scene from a user's file [s]."""
+__all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "set_each", "step_frame"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +83,7 @@ def find_scene(source: str) -> Demo:
         FileNotFoundError: The file does not exist.
     """
     if source.endswith(".py"):
-        return _scene_of_file(Path(source))
+        return scene_of_file(Path(source))
     if source.endswith(USD_SUFFIXES):
         return _scene_of_usd(Path(source))
     if source.endswith((".urdf", ".xml", ".mjcf")):
@@ -212,49 +211,6 @@ def execute(
     return Result(recorder.recording(), verdicts, status, summary)
 
 
-class NoOutcome:
-    """Outcome of a scene without expectations, such as one from a user's file."""
-
-    def __init__(self, scene: Scene):
-        """Accept any scene."""
-
-    def observe(self, sim: Simulator) -> None:
-        """Do nothing."""
-
-    def verdicts(self, sim: Simulator) -> list[Verdict]:
-        """Return no verdicts."""
-        return []
-
-
-def module_of_file(path: Path) -> Any:
-    """Import a user's .py file as a module.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    spec: Any = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def _scene_of_file(path: Path) -> Demo:
-    module = module_of_file(path)
-    build = getattr(module, "scene", None)
-    if not callable(build):
-        raise ValueError(f"{path}: has no function scene()")
-    return Demo(
-        name=path.stem,
-        summary=(module.__doc__ or "").partition("\n")[0],
-        build=build,
-        outcome=NoOutcome,
-        duration=FILE_SCENE_DURATION,
-        variants={},
-    )
-
-
 def _scene_of_usd(path: Path) -> Demo:
     """A scene without an outcome, with the duration of the animation in the file if there is one.
 
@@ -339,11 +295,19 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         ValueError: No body is selected, or a value is out of range.
     """
     plain, _, choice = name.partition("[")
-    if plain == "gravity" or plain not in PROPERTIES:
+    if plain in field_values.names():
+        sim.set(plain, np.asarray(values)[:, None])
+    elif plain not in BODY_PROPERTIES:
         sim.set(plain, values)
     else:
         # One value per environment, (envs, 1) or (envs, 1, 3), broadcast over its bodies.
-        sim.set(plain, np.asarray(values)[:, None], bodies=chosen_bodies(sim.scene, name, plain, choice.rstrip("]")))
+        columns = np.asarray(values)[:, None]
+        groups: dict[tuple[int, ...], list[int]] = {}
+        for index, scene in enumerate(sim.scenes):
+            groups.setdefault(tuple(chosen_bodies(scene, name, plain, choice.rstrip("]"))), []).append(index)
+        for bodies, scenes_of_group in groups.items():
+            envs = np.flatnonzero(np.isin(sim.scene_of, scenes_of_group))
+            sim.set(plain, columns[envs], envs=envs, bodies=bodies)
 
 
 def chosen_bodies(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
@@ -371,13 +335,15 @@ def step_frame(sim: Simulator, steps: int, events: list) -> None:
     Args:
         sim: the simulator.
         steps: number of steps.
-        events: pending events, sorted by time; applied events are removed.
+        events: pending events, sorted by time; applied events are removed. An event may return the one that follows it.
     """
     dt = sim.settings.dt
     done = 0
     while done < steps:
         while events and events[0][0] < sim.time + 0.5 * dt:
-            events.pop(0)[1](sim)
+            following = events.pop(0)[1](sim)
+            if following is not None:
+                bisect.insort(events, following, key=lambda event: event[0])
         until_event = round((events[0][0] - sim.time) / dt) if events else steps
         count = min(steps - done, max(1, until_event))
         sim.step(count)
@@ -428,6 +394,7 @@ def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, An
     return {
         "name": verdict.name,
         "limit": verdict.limit,
+        "unit": verdict.unit,
         "values": _numbers(verdict.values),
         "passed": [bool(passed) for passed in verdict.passed],
         "expected": [None if variant is None else verdict.expected.get(variant) for variant in variants],

@@ -61,8 +61,9 @@ class Coefficient:
             ValueError: A value is outside the range.
         """
         if (values < self.lower).any() or (values > self.upper).any():
-            upper = "" if math.isinf(self.upper) else f" to {self.upper:g}"
-            raise ValueError(f"{self.name}: must be from {self.lower:g}{upper}")
+            allowed = f">= {self.lower:g}" if math.isinf(self.upper) else f"from {self.lower:g} to {self.upper:g}"
+            outside = values[(values < self.lower) | (values > self.upper)].flat[0]
+            raise ValueError(f"{self.name}: must be {allowed}, got {outside:g}")
 
     @property
     def usd_attributes(self) -> tuple[str, ...]:

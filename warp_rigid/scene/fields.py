@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from warp_rigid.checks import finite_number, finite_vector
+from warp_rigid.checks import finite_number, finite_vector, number_in
 from warp_rigid.kernels.enums import FieldKind
 
-__all__ = ["ForceField", "PointField", "UniformField"]
+__all__ = ["DragField", "ForceField", "PointField", "UniformField"]
 
 Vector3 = tuple[float, float, float]
 
@@ -51,6 +51,15 @@ class ForceField(ABC):
     def values(self) -> dict[str, Any]:
         """Return the parameters by name, as for the constructor."""
         return {name: getattr(self, name) for name in self.parameters()}
+
+    @classmethod
+    def from_row(cls, row: np.ndarray) -> "ForceField":
+        """Return the field with the parameters of `row`."""
+        given, start = {}, 0
+        for name, is_vector in cls.parameters().items():
+            given[name] = tuple(row[start : start + 3].tolist()) if is_vector else float(row[start])
+            start += 3 if is_vector else 1
+        return cls(**given)
 
     def row(self) -> np.ndarray:
         """Return the concatenated parameters, (n,) float32, as the device function reads them."""
@@ -100,3 +109,29 @@ class PointField(ForceField):
     def potential(self, x: np.ndarray) -> np.ndarray:
         """Return -strength / d [J/kg]."""
         return -self.strength / np.linalg.norm(x - np.array(self.center), axis=-1)
+
+
+@dataclass(frozen=True)
+class DragField(ForceField):
+    """Resistance of a medium: a body approaches the velocity of the medium exponentially, in a time of 1 / drag.
+
+    Attributes:
+        drag: deceleration over relative velocity [1/s], at least 0.
+        velocity: (3,) velocity of the medium in the world frame, such as wind [m/s].
+
+    Raises:
+        ValueError: The drag is negative.
+    """
+
+    kind = FieldKind.DRAG
+    drag: float
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        super().__post_init__()
+        number_in("drag", self.drag, 0.0)
+
+    def potential(self, x: np.ndarray) -> np.ndarray:
+        """Return 0: drag dissipates energy and has no potential."""
+        return np.zeros(x.shape[:-1])

@@ -5,6 +5,7 @@ is given, so that an error is reported at the line that caused it.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -30,6 +31,8 @@ COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)
 
 OUT_OF_BOUNDS = ("report", "remove")
 
+MOST_IN_A_POOL = 1_000_000
+
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
@@ -45,7 +48,7 @@ class Body(Coefficients):
         linear_velocity: (3,) velocity of the centre of mass [m/s].
         angular_velocity: (3,) in the world frame [rad/s].
         mass: [kg]; 0 for static and kinematic bodies, on which impulses have no effect.
-        name: a label for tables and files; need not be unique.
+        name: selects the body in a simulation and labels it in tables and files; unique in its scene.
         active: whether it is simulated from the start.
     """
 
@@ -106,6 +109,8 @@ class Scene:
         self.friction_combine = one_of("friction_combine", friction_combine, COMBINE_RULES)
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
         self.bodies: list[Body] = []
+        self._copies: dict[str, int] = {}
+        self._copies_of_joints: dict[str, int] = {}
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.joints: list[JointEntry] = []
@@ -116,6 +121,13 @@ class Scene:
         """Return the number of bodies of each kind as text."""
         counts = [sum(body.motion == motion for body in self.bodies) for motion in Motion]
         return f"Scene({counts[2]} dynamic, {counts[1]} kinematic, {counts[0]} static bodies)"
+
+    def copy(self) -> "Scene":
+        """Return a scene with the same content, which later additions to this one do not change."""
+        found = copy(self)
+        for name in ("bodies", "force_fields", "filtered_pairs", "joints", "constraints"):
+            setattr(found, name, copy(getattr(self, name)))
+        return found
 
     @list_coefficients
     def add_body(
@@ -142,7 +154,8 @@ class Scene:
             angular_velocity: (3,) in the world frame [rad/s].
             density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
             mass: [kg], > 0; instead of density.
-            name: label; the shape's kind and the body's index where none is given.
+            name: of the body; the shape's kind and the body's index where none is given. If another body has this
+                name, a number is added: "box", "box_1", "box_2".
             active: False for a body that is not simulated until `sim.set("active", True, ...)` switches it on.
             **coefficients: coefficients of the body by name; see Coefficients.
 
@@ -163,6 +176,24 @@ class Scene:
             active,
             coefficients,
         )
+
+    def add_pool(self, shape: Shape, count: int, name: str, **more: Any) -> list[int]:
+        """Add inactive dynamic bodies for `Simulator.spawn`, named NAME_0, NAME_1, and so on.
+
+        Args:
+            shape: of all bodies.
+            count: number of bodies, at least 1.
+            name: of the pool.
+            **more: as for add_body, such as density and friction.
+
+        Returns:
+            Indices of the bodies.
+
+        Raises:
+            ValueError: A value has the wrong type or is outside its range.
+        """
+        whole_in("count", count, 1, MOST_IN_A_POOL)
+        return [self.add_body(shape, name=f"{name}_{i}", active=False, **more) for i in range(count)]
 
     @list_coefficients
     def add_static(
@@ -225,18 +256,34 @@ class Scene:
             raise ValueError(f"field: must be a {' or a '.join(FIELDS)}, got {shown(field)}")
         self.force_fields.append(field)
 
-    def filter_pair(self, a: int, b: int) -> None:
+    def index(self, body: int | str, name: str = "body") -> int:
+        """Return the index of a body.
+
+        Args:
+            body: its index or name.
+            name: of the argument, for the error message.
+
+        Raises:
+            ValueError: There is no such body.
+        """
+        if not isinstance(body, str):
+            return whole_in(name, body, 0, len(self.bodies) - 1)
+        for index, other in enumerate(self.bodies):
+            if other.name == body:
+                return index
+        raise ValueError(f"{name}: must be the index or name of a body, got {shown(body)}")
+
+    def filter_pair(self, a: int | str, b: int | str) -> None:
         """Disable contacts between two bodies.
 
         Args:
-            a: index of one body, as returned by add_body.
-            b: index of the other.
+            a: index of one body, as returned by add_body, or its name.
+            b: index or name of the other.
 
         Raises:
             ValueError: There is no such body, or both are the same.
         """
-        last = len(self.bodies) - 1
-        first, second = sorted((whole_in("a", a, 0, last), whole_in("b", b, 0, last)))
+        first, second = sorted((self.index(a, "a"), self.index(b, "b")))
         if first == second:
             raise ValueError(f"b: must be another body than a, got {b} for both")
         self.filtered_pairs.add((first, second))
@@ -244,8 +291,8 @@ class Scene:
     def add_joint(
         self,
         joint: Joint,
-        body_a: int,
-        body_b: int | None = None,
+        body_a: int | str,
+        body_b: int | str | None = None,
         *,
         anchor: Vector = (0.0, 0.0, 0.0),
         anchor_b: Vector | None = None,
@@ -262,14 +309,15 @@ class Scene:
 
         Args:
             joint: a FixedJoint, SphericalJoint, RevoluteJoint, PrismaticJoint or DistanceJoint.
-            body_a: index of the first body. The coordinate of the joint is its motion relative to the second one.
-            body_b: index of the second body; None for the world.
+            body_a: index or name of the first body. The coordinate is its motion relative to the second one.
+            body_b: index or name of the second body; None for the world.
             anchor: (3,) point at which the joint holds the bodies [m].
             anchor_b: (3,) point of the second body where it is not `anchor`, as for the ends of a DistanceJoint [m].
             frame_a: frame fixed to the first body, whose x axis is the joint's axis; given together with `frame_b`
                 instead of the anchors and the axis.
             frame_b: frame fixed to the second body, or to the world.
-            name: label; the kind and the joint's index where none is given.
+            name: of the joint; the kind and the joint's index where none is given. If another joint has this name, a
+                number is added, as for bodies.
             break_force: the joint breaks at a larger force [N].
             break_torque: the joint breaks at a larger torque [N m].
             collide: whether the two bodies can touch each other; if not, their pair is filtered.
@@ -281,11 +329,13 @@ class Scene:
             ValueError: There is no such body, both are the same or neither is dynamic, the anchors are further apart
                 than a tenth of the smaller body's size, or a value is outside its range.
         """
+        first = self.index(body_a, "body_a")
+        second = None if body_b is None else self.index(body_b, "body_b")
         entry = place_joint(
             self.bodies,
             joint,
-            body_a,
-            body_b,
+            first,
+            second,
             (anchor, anchor_b),
             (frame_a, frame_b),
             name=f"{type(joint).__name__.lower()}_{len(self.joints)}" if name is None else name,
@@ -293,9 +343,9 @@ class Scene:
             break_torque=break_torque,
             collide=collide,
         )
-        self.joints.append(entry)
-        if body_b is not None and not collide:
-            self.filter_pair(body_a, body_b)
+        self.joints.append(replace(entry, name=_unique(entry.name, self._copies_of_joints)))
+        if second is not None and not collide:
+            self.filter_pair(first, second)
         return len(self.joints) - 1
 
     def add_drive(
@@ -355,12 +405,22 @@ class Scene:
             linear_velocity=finite_vector("linear_velocity", linear_velocity),
             angular_velocity=finite_vector("angular_velocity", angular_velocity),
             mass=mass,
-            name=name or f"{type(shape).__name__.lower()}_{len(self.bodies)}",
+            name=_unique(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}", self._copies),
             active=active,
             **coefficients,
         )
         self.bodies.append(body)
         return len(self.bodies) - 1
+
+
+def _unique(wanted: str, copies: dict[str, int]) -> str:
+    """The wanted name, with a number behind it if it is taken; `copies`: next number for each name that is taken."""
+    name = wanted
+    while name in copies:
+        name = f"{wanted}_{copies[wanted]}"
+        copies[wanted] += 1
+    copies[name] = 1
+    return name
 
 
 def _mass(shape, density, mass):

@@ -1,6 +1,6 @@
 """Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -17,17 +17,32 @@ from warp_rigid.scene.shapes import Shape
 VELOCITIES = ("linear_velocity", "angular_velocity")
 
 
+def scenes_to_data(scenes: Sequence[Scene]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return plain data for JSON with the keys "shapes" and "scenes", and arrays by name; equal shapes are stored once.
+
+    Raises:
+        ValueError: A scene has constraints besides contacts and joints.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    shapes: list[dict[str, Any]] = []
+    places: dict[str, int] = {}
+    found = [_scene_to_data(scene, shapes, arrays, places) for scene in scenes]
+    return {"shapes": shapes, "scenes": found}, arrays
+
+
 def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return plain data for JSON, and arrays by name.
+    """Return plain data of one scene for JSON, with its shapes under "shapes", and arrays by name.
 
     Raises:
         ValueError: The scene has constraints besides contacts and joints.
     """
+    data, arrays = scenes_to_data([scene])
+    return {**data["scenes"][0], "shapes": data["shapes"]}, arrays
+
+
+def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, int]) -> dict[str, Any]:
     if scene.constraints:
         raise ValueError(f"scene.constraints: must be empty to save the scene, got {len(scene.constraints)}")
-    arrays: dict[str, np.ndarray] = {}
-    shapes: list[dict[str, Any]] = []
-    places: dict[str, int] = {}
     bodies = []
     for body in scene.bodies:
         numbers = {
@@ -36,37 +51,48 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         }
         shape = _place_shape(body.shape, shapes, arrays, places)
         bodies.append({"shape": shape, "motion": body.motion.name, "name": body.name, **numbers})
-    data = {
+    return {
         "gravity": scene.gravity,
         "friction_combine": scene.friction_combine,
         "restitution_combine": scene.restitution_combine,
         "bounds": scene.bounds,
         "out_of_bounds": scene.out_of_bounds,
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
-        "shapes": shapes,
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
         "joints": [_joint_data(entry) for entry in scene.joints],
     }
-    return data, arrays
 
 
-def scene_from_data(data: dict[str, Any], arrays: dict[str, np.ndarray]) -> Scene:
-    """Return the scene that `scene_to_data` was called with.
+def scenes_from_data(data: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> list[Scene]:
+    """Return the scenes that `scenes_to_data` was called with.
 
     Raises:
         ValueError, TypeError, KeyError: Data or arrays do not have that form.
     """
-    rules = {name: data[name] for name in ("friction_combine", "restitution_combine", "bounds", "out_of_bounds")}
-    scene = Scene(data["gravity"], **rules)
-    for field in data["fields"]:
-        scene.add_force_field(FIELDS[field["kind"]](**{name: field[name] for name in field if name != "kind"}))
     shapes: list[Shape] = []
     for index, entry in enumerate(data["shapes"]):
         shape = _shape_from_data(index, entry, arrays, shapes)
         if shape.key != entry["key"]:
             raise ValueError(f"shape {index} is not the shape that was saved")
         shapes.append(shape)
+    return [_scene_from_data(scene, shapes) for scene in data["scenes"]]
+
+
+def scene_from_data(data: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Scene:
+    """Return the scene that `scene_to_data` was called with.
+
+    Raises:
+        ValueError, TypeError, KeyError: Data or arrays do not have that form.
+    """
+    return scenes_from_data({"shapes": data["shapes"], "scenes": [data]}, arrays)[0]
+
+
+def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
+    rules = {name: data[name] for name in ("friction_combine", "restitution_combine", "bounds", "out_of_bounds")}
+    scene = Scene(data["gravity"], **rules)
+    for field in data["fields"]:
+        scene.add_force_field(FIELDS[field["kind"]](**{name: field[name] for name in field if name != "kind"}))
     for index, entry in enumerate(data["bodies"]):
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
     for a, b in data["filtered_pairs"]:
@@ -121,7 +147,9 @@ def _place_shape(shape: Shape, shapes: list, arrays: dict, places: dict[str, int
     return places[shape.key]
 
 
-def _shape_from_data(index: int, entry: dict[str, Any], arrays: dict[str, np.ndarray], earlier: list[Shape]) -> Shape:
+def _shape_from_data(
+    index: int, entry: dict[str, Any], arrays: Mapping[str, np.ndarray], earlier: list[Shape]
+) -> Shape:
     def array(name: str, dtype: Any, shape: tuple[int | None, ...]) -> np.ndarray:
         return shaped(arrays, f"shape_{index}_{name}", dtype, shape)
 

@@ -11,7 +11,11 @@ result.plot("tower.png", x="offset", y="top_height")
 from warp_rigid.sweep.axes import Choice, Distribution, Integers, LogUniform, Normal, Uniform
 from warp_rigid.sweep.execution import sweep
 from warp_rigid.sweep.search import search
+from warp_rigid.sweep.series import read_series
 from warp_rigid.sweep.table import SweepResult, merge, read
+
+# `warp_rigid.sweep` is this function, not the package: the functions that read its tables are found on it.
+sweep.__dict__.update(read=read, merge=merge)
 
 __all__ = [
     "Choice",
@@ -23,6 +27,7 @@ __all__ = [
     "Uniform",
     "merge",
     "read",
+    "read_series",
     "search",
     "sweep",
 ]

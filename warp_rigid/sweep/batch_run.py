@@ -2,24 +2,26 @@
 
 import logging
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from warp_rigid.checks import shown
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.engine.variation import start_each, structure
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
-from warp_rigid.sweep.environment_view import EnvironmentView
+from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
+from warp_rigid.sweep.observers import Observers
+from warp_rigid.sweep.structure import structure
 
 __all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
 
@@ -35,11 +37,13 @@ class Batch:
 
     Attributes:
         rows: one row per run.
-        trajectories: argument of Trajectories.add; None if trajectories are not recorded.
+        trajectories: for each group of runs the arguments of Trajectories.add; empty if they are not recorded.
+        series: the arguments of Series.add; empty if there are no series.
     """
 
     rows: list[dict[str, Any]]
-    trajectories: dict[str, Any] | None = None
+    trajectories: list[tuple[list[Run], dict[str, Any]]] = field(default_factory=list)
+    series: list[tuple[Sequence[Run], dict[str, np.ndarray]]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +58,20 @@ class Prepared:
     sim: Simulator
     views: list[EnvironmentView]
 
+    def views_of_structures(self) -> list[EnvironmentView]:
+        """The environments grouped by the structure of their scenes."""
+        groups: dict[Any, list[EnvironmentView]] = {}
+        for view in self.views:
+            groups.setdefault(structure(view.scene), []).append(view)
+        reads = SharedReads(self.sim)
+        return [
+            EnvironmentView(reads, views[0].scene, np.sort(np.concatenate([view.envs for view in views])))
+            for views in groups.values()
+        ]
+
 
 def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
-    """Build the simulator of some runs of one group (see `group_runs`) in their initial states."""
+    """Build the simulator of some runs with the same time step in their initial states."""
     inputs = run_inputs(job, runs)
     keys = [run_input.scene_key for run_input in inputs]
     first = dict(reversed([(key, run_input) for key, run_input in zip(keys, inputs, strict=True)]))
@@ -64,18 +79,18 @@ def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     scenes: list[Scene] = [build_scene(job, run_input) for run_input in first.values()]
     which = np.array([place[key] for key in keys])
     settings = Settings(**inputs[0].settings)
-    sim = Simulator(scenes[0], num_envs=len(runs), settings=settings, device=job.device, seed=runs[0].seed)
-    if len(scenes) > 1:
-        start_each(sim, scenes, which)
+    sim = Simulator([scenes[index] for index in which], settings=settings, device=job.device, seed=runs[0].seed)
     _set_all(sim, inputs)
-    return Prepared(sim, [EnvironmentView(sim, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
+    reads = SharedReads(sim)
+    return Prepared(sim, [EnvironmentView(reads, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
 
 
 def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = None) -> Simulator:
     """Build a simulator of one row in its initial state; see SweepResult.replay."""
     source = result.source if scene is None else scene
     if source is None:
-        raise ValueError("scene: must be given, since the table does not name its source")
+        named = shown(result.about.get("source"))
+        raise ValueError(f"scene: must be given: a file named in a table is not run, and the table names {named}")
     demo, scene_id = resolve_scene(source)
     if scene_id != result.about.get("scene"):
         raise ValueError(f"scene: must be that of the rows, {result.about.get('scene')}, got {scene_id}")
@@ -102,11 +117,8 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
     for row in second.rows:
         row["environment"] += middle
-    if first.trajectories is None or second.trajectories is None:
-        return Batch(first.rows + second.rows)
-    parts = (first.trajectories, second.trajectories)
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in ("position", "orientation")}
-    return Batch(first.rows + second.rows, first.trajectories | joined)
+    trajectories, series = first.trajectories + second.trajectories, first.series + second.series
+    return Batch(first.rows + second.rows, trajectories, series)
 
 
 def _is_memory_error(error: Exception) -> bool:
@@ -126,32 +138,82 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     sim = prepared.sim
     outcomes = [job.demo.outcome(view.scene) for view in prepared.views] if OUTCOME in job.metrics else []
     recorder = MetricRecorder(sim, [metric for metric in job.metrics if isinstance(metric, str) and metric != OUTCOME])
+    observers = Observers(sim, job.observers)
+    looks: dict[str, list] = {name: [] for name in ("time", *job.series)}
     events = _events(job, prepared.views)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
     frames: dict[str, list] = {"time": [], "position": [], "orientation": []}
     remaining = round(job.duration / sim.settings.dt)
     steps_per_sample = max(1, round(1.0 / (job.fps * sim.settings.dt)))
     _append_frame(job, sim, frames)
+    _append_look(sim, observers, looks)
     while remaining > 0:
         step_frame(sim, min(steps_per_sample, remaining), events)
         remaining -= steps_per_sample
         recorder.observe()
-        peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
+        with sim.in_use():
+            peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
         for outcome, view in zip(outcomes, prepared.views, strict=False):
             outcome.observe(view)
+        observers.look()
+        _append_look(sim, observers, looks)
         _append_frame(job, sim, frames)
     columns = recorder.values()
-    columns |= {metric_name(metric): measure(metric, sim) for metric in job.metrics if not isinstance(metric, str)}
+    columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)])
     columns |= _verdicts(prepared, outcomes)
+    missing = np.full(sim.num_envs, None, object)
+    columns |= {name: observers.latest.get(name, missing) for name in job.observe}
     rows = _rows(sim, runs, columns, peak_counts)
+    if observers.errors:
+        log.error("%s", observers.errors[0])
+        rows = [_with_error(row, observers.errors[0]) for row in rows]
     seconds = (time.perf_counter() - start) / len(runs)
-    kept = None
-    if job.trajectories:
-        group = f"bodies_{sim.num_bodies}_{stable_hash(repr(structure(sim.scene)), sim.settings.dt)[:6]}"
-        kept = {"group": group, "time": np.array(frames["time"])}
-        kept |= {name: np.stack(frames[name], axis=1) for name in ("position", "orientation")}
-        rows = [row | {"trajectory": group} for row in rows]
-    return Batch([row | {"wall_time": seconds} for row in rows], kept)
+    kept = _trajectories(prepared, runs, rows, frames) if job.trajectories else []
+    series = [(runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
+    return Batch([row | {"wall_time": seconds} for row in rows], kept, series)
+
+
+def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -> None:
+    """Append the values of a look to the series; NaN of an observer that failed."""
+    looks["time"].append(sim.time)
+    for name, values in looks.items():
+        if name != "time":
+            now = observers.latest.get(name)
+            values.append(np.full_like(values[-1], np.nan, float) if now is None else now)
+
+
+def _with_error(row: dict[str, Any], error: str) -> dict[str, Any]:
+    """A finished row whose observer failed; its other columns stay."""
+    return row | {"status": "error", "reason": error[:MAX_REASON_LENGTH]} if row["status"] in FINISHED else row
+
+
+def _measured(prepared: Prepared, metrics: list[Callable]) -> dict[str, np.ndarray]:
+    """The columns of metrics of the user, which get environments of the same structure at once."""
+    if not metrics:
+        return {}
+    if len(prepared.sim.scenes) == 1:
+        return {metric_name(metric): measure(metric, prepared.sim) for metric in metrics}
+    columns: dict[str, np.ndarray] = {}
+    for view in prepared.views_of_structures():
+        for metric in metrics:
+            column = columns.setdefault(metric_name(metric), np.full(prepared.sim.num_envs, None, object))
+            for env, value in zip(view.envs, measure(metric, view).tolist(), strict=True):
+                column[env] = value
+    return columns
+
+
+def _trajectories(prepared: Prepared, runs: Sequence[Run], rows: list[dict], frames: dict[str, list]) -> list:
+    """Arguments of Trajectories.add, one for each structure; the name of its group is added to the rows."""
+    found = []
+    for view in prepared.views_of_structures():
+        group = f"bodies_{view.num_bodies}_{stable_hash(repr(structure(view.scene)), view.settings.dt)[:6]}"
+        kept: dict[str, Any] = {"group": group, "time": np.array(frames["time"])}
+        for name in ("position", "orientation"):
+            kept[name] = np.stack([values[view.envs, : view.num_bodies] for values in frames[name]], axis=1)
+        for env in view.envs:
+            rows[env]["trajectory"] = group
+        found.append(([runs[env] for env in view.envs], kept))
+    return found
 
 
 def _set_all(sim: Simulator, inputs: list[RunInputs]) -> None:
@@ -166,14 +228,19 @@ def _set_all(sim: Simulator, inputs: list[RunInputs]) -> None:
 
 def _events(job: Job, views: list[EnvironmentView]) -> list:
     """Events of all scenes, each applied to the environments of its scene, sorted by time."""
-    return sorted(
-        (
-            (when, lambda _, act=act, view=view: act(view))
-            for view in views
-            for when, act in job.demo.events(view.scene)
-        ),
-        key=lambda event: event[0],
-    )
+    events = [_on_view(event, view) for view in views for event in job.demo.events(view.scene)]
+    return sorted(events, key=lambda event: event[0])
+
+
+def _on_view(event: tuple[float, Callable], view: EnvironmentView) -> tuple[float, Callable]:
+    """An event, and those that follow it, applied to a view instead of the simulator."""
+    when, act = event
+
+    def act_on_view(_: Simulator) -> tuple[float, Callable] | None:
+        following = act(view)
+        return None if following is None else _on_view(following, view)
+
+    return when, act_on_view
 
 
 def _append_frame(job: Job, sim: Simulator, frames: dict[str, list]) -> None:
@@ -192,7 +259,7 @@ def _verdicts(prepared: Prepared, outcomes: list) -> dict[str, np.ndarray]:
         for verdict in outcome.verdicts(view):
             for name, values in ((verdict.name, verdict.values), (f"{verdict.name}_ok", verdict.passed)):
                 column = found.setdefault(f"outcome_{name}", np.full(count, None, object))
-                column[view._envs] = np.asarray(values)
+                column[view.envs] = np.asarray(values)
     return found
 
 
@@ -202,7 +269,7 @@ def _rows(sim: Simulator, runs: Sequence[Run], columns: dict, peak_counts: np.nd
     rows = []
     for env, (run, record) in enumerate(zip(runs, sim.status(), strict=True)):
         ok = record["status"] in FINISHED
-        row = _row(run, env, str(record["status"]), None if record["status"] == "ok" else _reason(sim, record))
+        row = _row(run, env, str(record["status"]), None if record["status"] == "ok" else _reason(sim, env, record))
         row |= {"most_pairs": int(peak_counts[0, env]), "most_contacts": int(peak_counts[1, env])}
         rows.append(row | {name: values[env] if ok else None for name, values in lists.items()})
     return rows
@@ -220,9 +287,9 @@ def _row(run: Run, env: int, status: str, reason: str | None) -> dict[str, Any]:
     }
 
 
-def _reason(sim: Simulator, record: Any) -> str:
+def _reason(sim: Simulator, env: int, record: Any) -> str:
     body = int(record["body"])
-    name = sim.scene.bodies[body].name if body >= 0 else "none"
+    name = sim.scenes[sim.scene_of[env]].bodies[body].name if body >= 0 else "none"
     return f"{record['status']} since step {record['step']}, body {body} ({name})"
 
 

@@ -1,20 +1,21 @@
 """Splitting of runs into batches that fit into the available memory."""
 
+import functools
 import logging
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
 from warp_rigid.engine.cores import usable_cores
-from warp_rigid.engine.memory import body_bytes, device_memory, pool_bytes
-from warp_rigid.engine.model import other_constraints
-from warp_rigid.engine.pools import Pools, expected_capacity
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.engine.hash_grid import grid_sizes
+from warp_rigid.engine.layout import layout_of
+from warp_rigid.engine.memory import body_bytes, bytes_by_shape, device_memory, pool_bytes
+from warp_rigid.engine.pools import expected_pairs, sizes_for
+from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.design import Run
 
-__all__ = ["bytes_per_environment", "free_memory", "max_environments", "split_into_batches"]
+__all__ = ["Footprint", "SizedRun", "footprint_of", "free_memory", "max_environments", "split_into_batches"]
 
 log = logging.getLogger("warp_rigid")
 
@@ -28,12 +29,38 @@ MAX_ENVS_ON_GPU = 16384
 """Larger batches do not increase the throughput of a GPU, but delay the first rows."""
 
 
-def bytes_per_environment(scene: Scene) -> int:
-    """Initial device memory per environment of a simulator [bytes]."""
-    pairs, contacts = expected_capacity(1, sum(body.motion == Motion.DYNAMIC for body in scene.bodies))
-    return body_bytes(scene, 1) + pool_bytes(
-        Pools.sizes_for(1, len(scene.bodies), other_constraints(scene), pairs, contacts)
-    )
+class Footprint(NamedTuple):
+    """Device memory that an environment needs.
+
+    Attributes:
+        own: bytes of its bodies, pairs and contacts.
+        shapes: bytes of each of its shapes by content, which environments share.
+    """
+
+    own: int
+    shapes: dict[str, int]
+
+
+class SizedRun(NamedTuple):
+    """A run, and the memory that it needs."""
+
+    run: Run
+    footprint: Footprint
+
+
+def footprint_of(scene: Scene, known: dict[str, int] | None = None) -> Footprint:
+    """Initial device memory of an environment; `known` as for bytes_by_shape."""
+    layout = layout_of(scene, 1)
+    pairs = int(expected_pairs(layout.dynamic_per_env)[0])
+    own = {**layout.sizes, **grid_sizes(layout.bodies_per_env)}
+    sizes = sizes_for(int(layout.others_before()[-1]), pairs, 6 * pairs, own)
+    return Footprint(_bytes_of_sizes(tuple(sizes.items())), bytes_by_shape(layout, known))
+
+
+@functools.lru_cache(maxsize=4096)
+def _bytes_of_sizes(sizes: tuple[tuple[str, int], ...]) -> int:
+    """Bytes of the arrays of an environment; many scenes of a sweep have the same numbers of bodies."""
+    return body_bytes(dict(sizes)) + pool_bytes(dict(sizes))
 
 
 def free_memory(device: Any) -> int:
@@ -41,38 +68,54 @@ def free_memory(device: Any) -> int:
     return device_memory(wp.get_device(device))[1]
 
 
-def max_environments(scene: Scene, device: Any) -> int:
-    """Maximum batch size of a scene on a device, limited by memory and by useful parallelism."""
-    fits = int(MEMORY_FRACTION * free_memory(device) / bytes_per_environment(scene))
-    return max(1, min(fits, MAX_ENVS_ON_GPU if wp.get_device(device).is_cuda else MAX_ENVS_PER_CORE * usable_cores()))
+def max_environments(device: Any) -> int:
+    """Maximum batch size that is useful on a device; memory may require smaller batches."""
+    return MAX_ENVS_ON_GPU if wp.get_device(device).is_cuda else MAX_ENVS_PER_CORE * usable_cores()
 
 
 def split_into_batches(
-    groups: list[tuple[Scene, list[Run]]], batch: int | str, most: Callable[[Scene], int], memory: int, workers: int = 1
+    groups: list[list[SizedRun]], batch: int | str, most: int, memory: int, workers: int = 1
 ) -> list[list[Run]]:
     """Split groups of runs into batches, and log their estimated memory before anything is allocated.
 
     Args:
         groups: from group_runs.
         batch: maximum number of environments per batch, or "auto".
-        most: maximum batch size of a scene, for "auto".
-        memory: free memory of the device, for the log message [bytes].
+        most: maximum batch size for "auto", which also keeps to a fraction of the memory.
+        memory: free memory of the device [bytes].
         workers: number of batches that run in parallel.
     """
-    parts, largest = [], 0
-    for scene, runs in groups:
-        size = _batch_size(len(runs), most(scene) if batch == "auto" else int(batch), workers)
-        parts += [runs[first : first + size] for first in range(0, len(runs), size)]
-        largest = max(largest, size * bytes_per_environment(scene))
+    parts: list[list[SizedRun]] = []
+    for runs in groups:
+        size = _batch_size(len(runs), most if batch == "auto" else int(batch), workers)
+        for first in range(0, len(runs), size):
+            part = runs[first : first + size]
+            parts += [part] if batch != "auto" else _fitting(part, int(MEMORY_FRACTION * memory))
     log.info(
         "%d runs in %d batches of at most %d; at most %.3g MB per batch, %.3g MB free",
         sum(map(len, parts)),
         len(parts),
         max(map(len, parts)),
-        largest / 1e6,
+        max(map(batch_bytes, parts)) / 1e6,
         memory / 1e6,
     )
-    return parts
+    return [[sized.run for sized in part] for part in parts]
+
+
+def batch_bytes(part: list[SizedRun]) -> int:
+    """Initial device memory of a batch; each distinct shape counts once [bytes]."""
+    shapes: dict[str, int] = {}
+    for footprint in {id(sized.footprint): sized.footprint for sized in part}.values():
+        shapes |= footprint.shapes
+    return sum(sized.footprint.own for sized in part) + sum(shapes.values())
+
+
+def _fitting(part: list[SizedRun], memory: int) -> list[list[SizedRun]]:
+    """The runs in order, halved until each part fits into the memory."""
+    if len(part) == 1 or batch_bytes(part) <= memory:
+        return [part]
+    middle = len(part) // 2
+    return _fitting(part[:middle], memory) + _fitting(part[middle:], memory)
 
 
 def _batch_size(count: int, most: int, workers: int = 1) -> int:

@@ -11,10 +11,9 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.engine.cores import shared_by
-from warp_rigid.runs.runner import module_of_file
-from warp_rigid.scene.scene import Scene
+from warp_rigid.runs.user_code import module_of_file
 from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
-from warp_rigid.sweep.batch_size import free_memory, max_environments, split_into_batches
+from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
 
@@ -24,7 +23,7 @@ WORKERS_WITHOUT_GPU = 2
 
 
 def run_on_cluster(
-    job: Job, groups: list[tuple[Scene, list[Run]]], batch: int | str, cluster: Any, workers: int | None
+    job: Job, groups: list[list[SizedRun]], batch: int | str, cluster: Any, workers: int | None
 ) -> Iterator[tuple[list[Run], Batch]]:
     """Yield the runs of each batch with their results, in order of completion.
 
@@ -32,7 +31,7 @@ def run_on_cluster(
 
     Args:
         job: data shared by all runs.
-        groups: runs grouped by simulator structure, from group_runs.
+        groups: runs grouped by time step, from group_runs.
         batch: maximum number of environments per batch, or "auto".
         cluster: "local", the address of a scheduler, a Dask cluster or client, or a function that returns one.
         workers: number of worker processes for "local".
@@ -42,11 +41,8 @@ def run_on_cluster(
     with _client(cluster, workers) as client:
         client.wait_for_workers(1)
         hosts = _one_task_a_worker(client)
-        memory, limits = client.submit(
-            _worker_capacity, job, [scene for scene, _ in groups], hosts, pure=False
-        ).result()
-        limit_of = {id(scene): limit for (scene, _), limit in zip(groups, limits, strict=True)}
-        parts = split_into_batches(groups, batch, lambda scene: limit_of[id(scene)], memory, hosts.total())
+        memory, most = client.submit(_worker_capacity, job, hosts, pure=False).result()
+        parts = split_into_batches(groups, batch, most, memory, hosts.total())
         job = replace(job, scenes={})
         futures = {client.submit(_run_on_worker, job, part, hosts, pure=False): part for part in parts}
         for future in as_completed(futures):
@@ -135,11 +131,11 @@ def _shared_cores(hosts: Counter[str]) -> Any:
     return shared_by(max(1, hosts[get_worker().ip]))
 
 
-def _worker_capacity(job: Job, scenes: list[Scene], hosts: Counter[str]) -> tuple[int, list[int]]:
-    """Free memory of the worker's device [bytes], and the maximum batch size of each scene."""
+def _worker_capacity(job: Job, hosts: Counter[str]) -> tuple[int, int]:
+    """Free memory of the worker's device [bytes], and the maximum number of environments of a batch."""
     device = _on_this_worker(job).device
     with _shared_cores(hosts):
-        return free_memory(device), [max_environments(scene, device) for scene in scenes]
+        return free_memory(device), max_environments(device)
 
 
 def _run_on_worker(job: Job, runs: list[Run], hosts: Counter[str]) -> Batch:

@@ -78,6 +78,12 @@ def make_points(
     _check_runs(len(next(iter(lists.values()))) if zipped else math.prod(map(len, lists.values())), repeats)
     rows = list(zip(*lists.values(), strict=True) if zipped else itertools.product(*lists.values()))
     quantiles = rng.random((len(rows), repeats, len(drawn))).tolist()
+    if drawn and len(rows) * repeats == 1:
+        name, source = next(iter(drawn.items()))
+        raise ValueError(
+            f"axes: the design {design} draws {name} once from {source}, which makes a single run; give the number of "
+            f"values (low:high:count), or repeats, or samples with the design random or lhs"
+        )
     points = []
     for row, draws in zip(rows, quantiles, strict=True):
         values = dict(zip(lists, row, strict=True))

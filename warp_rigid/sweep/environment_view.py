@@ -1,28 +1,59 @@
-"""View of the environments of one scene in a simulator, passed to the events and the outcome of that scene."""
+"""View of some environments of a simulator whose scenes have the same bodies, as if they were all environments."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from warp_rigid.engine.quantities import owner_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["EnvironmentView"]
+__all__ = ["EnvironmentView", "SharedReads"]
+
+
+class SharedReads:
+    """What the views of a simulator have read since it last changed: each quantity is read once for all of them.
+
+    Args:
+        sim: the simulator.
+    """
+
+    def __init__(self, sim: Simulator) -> None:
+        """Start with nothing read."""
+        self.sim = sim
+        self._time = -1.0
+        self._values: dict[str, np.ndarray] = {}
+
+    def read(self, key: str, read: Callable[[], np.ndarray]) -> np.ndarray:
+        """The result of `read`, called once; it must not be modified."""
+        if self.sim.time != self._time:
+            self.forget()
+        if key not in self._values:
+            self._values[key] = read()
+        return self._values[key]
+
+    def forget(self) -> None:
+        """Read again, because something was changed."""
+        self._time = self.sim.time
+        self._values = {}
 
 
 class EnvironmentView:
     """A subset of the environments of a simulator, with part of the interface of `Simulator`.
 
     Attributes:
-        scene: the scene of these environments.
+        scene: the scene of these environments, or of the first of them.
+        envs: their indices in the simulator.
         num_envs: their number.
     """
 
-    def __init__(self, sim: Simulator, scene: Scene, envs: np.ndarray) -> None:
+    def __init__(self, reads: SharedReads, scene: Scene, envs: np.ndarray) -> None:
         """Store the indices of the environments."""
-        self._sim, self.scene, self._envs = sim, scene, envs
-        self.num_envs = len(envs)
-        self.num_bodies, self.settings, self.device = sim.num_bodies, sim.settings, sim.device
+        sim = reads.sim
+        self._reads, self._sim, self.scene, self.envs = reads, sim, scene, envs
+        self.num_envs, self.num_bodies = len(envs), len(scene.bodies)
+        self.settings, self.device = sim.settings, sim.device
 
     @property
     def time(self) -> float:
@@ -31,20 +62,47 @@ class EnvironmentView:
 
     def get(self, name: str) -> np.ndarray:
         """See Simulator.get."""
-        return self._sim.get(name)[self._envs]
+        values = self._reads.read(name, lambda: self._sim.get(name))[self.envs]
+        count = {"bodies": self.num_bodies, "joints": len(self.scene.joints)}.get(owner_of(name))
+        return values if count is None else values[:, :count]
 
-    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None) -> None:
+    def contacts(self) -> np.ndarray:
+        """See Simulator.contacts."""
+        records = self._reads.read("contacts()", self._sim.contacts)
+        place = np.full(self._sim.num_envs, -1, np.int32)
+        place[self.envs] = np.arange(self.num_envs)
+        own = records[place[records["env"]] >= 0]
+        own["env"] = place[own["env"]]
+        return own
+
+    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
         """See Simulator.set."""
-        self._sim.set(name, value, self._envs if envs is None else self._envs[envs], bodies)
+        if bodies is None and owner_of(name) == "bodies":
+            bodies = np.arange(self.num_bodies)
+        if joints is None and owner_of(name) == "joints":
+            joints = np.arange(len(self.scene.joints))
+        self._sim.set(name, value, self.envs if envs is None else self.envs[envs], bodies, joints)
+        self._reads.forget()
+
+    def spawn(self, pool: str, position: Any, envs: Any = None, **state: Any) -> np.ndarray:
+        """See Simulator.spawn; all but the pool and the position are given by name."""
+        self._reads.forget()
+        return self._sim.spawn(pool, position, envs=self.envs if envs is None else self.envs[envs], **state)
+
+    def despawn(self, bodies: Any, envs: Any = None) -> None:
+        """See Simulator.despawn."""
+        self._sim.despawn(bodies, self.envs if envs is None else self.envs[envs])
+        self._reads.forget()
 
     def apply_impulse(self, impulse: Any, point: Any, body: int, envs: Any = None) -> None:
         """See Simulator.apply_impulse."""
-        self._sim.apply_impulse(impulse, point, body, self._envs if envs is None else self._envs[envs])
+        self._sim.apply_impulse(impulse, point, body, self.envs if envs is None else self.envs[envs])
+        self._reads.forget()
 
     def penetration(self) -> np.ndarray:
         """See Simulator.penetration."""
-        return self._sim.penetration()[self._envs]
+        return self._reads.read("penetration()", self._sim.penetration)[self.envs]
 
     def status(self) -> np.ndarray:
         """See Simulator.status."""
-        return self._sim.status()[self._envs]
+        return self._reads.read("status()", self._sim.status)[self.envs]

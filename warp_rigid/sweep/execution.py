@@ -7,24 +7,24 @@ import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warp_rigid.checks import number_in, whole_in
+from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.engine.simulator import choose_device
-from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch_run import Batch, run_batch
-from warp_rigid.sweep.batch_size import free_memory, max_environments, split_into_batches
+from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
 from warp_rigid.sweep.metrics import check_metrics, metric_name
+from warp_rigid.sweep.observers import check_observers, observer_name
+from warp_rigid.sweep.series import Series
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.version import __version__
 
@@ -53,6 +53,8 @@ def sweep(
     resume: bool = False,
     overwrite: bool = False,
     trajectories: Any = None,
+    observe: Sequence[str | Callable] | None = None,
+    series: Sequence[str] | None = None,
     shard: tuple[int, int] | None = None,
     cluster: Any = None,
     workers: int | None = None,
@@ -61,9 +63,9 @@ def sweep(
 ) -> SweepResult:
     """Simulate a scene over a range of parameters; one row per run.
 
-    Runs with the same structure share a simulator, one environment per run; different meshes, numbers of bodies or
-    time steps go into separate batches. A row depends only on its parameters, not on the batch, the batch index, the
-    shard or the worker.
+    Runs with the same time step share a simulator, one environment per run, also where their scenes differ in shapes or
+    numbers of bodies. Runs with different time steps go into separate batches. A row depends only on its parameters,
+    not on the batch, the batch index, the shard or the worker.
 
     Args:
         scene: a built-in name, the path of a .py file with a function scene(), a Scene, or a function that returns one.
@@ -82,12 +84,16 @@ def sweep(
             None uses all built-in metrics with one number per run.
         fps: state samples per simulated second.
         batch: maximum number of environments per batch, or "auto" to derive it from the available memory.
-        device: as in Simulator.
+        device: as in Simulator, or "all" for every GPU of this machine, each in a process of its own.
         output: a .parquet file that is updated while the sweep runs; PATH.json beside it holds scene, design, versions
             and commit.
         resume: keep the finished rows of `output` and run only the others.
         overwrite: replace `output`.
         trajectories: a .zarr folder for the poses of every sample.
+        observe: ready-made observers by name, functions of the simulator, classes, or .py files of these, called at
+            every sample; their values at the end are columns. See warp_rigid.sweep.observers.
+        series: names of ready-made observers, or of functions of `observe`, whose values at every sample are kept, in
+            the folder TABLE.series beside `output`, or in memory. `SweepResult.series` reads them.
         shard: (i, n) runs every n-th run of the design, starting with the i-th, 1 <= i <= n.
         cluster: "local" for worker processes on this machine, the address of a Dask scheduler, a Dask cluster or
             client, or a function that returns one; None runs in this process.
@@ -101,6 +107,7 @@ def sweep(
     Raises:
         ValueError: A name is unknown, a value is out of range or `output` exists; raised before any run.
     """
+    device, cluster, workers = _machines(device, cluster, workers)
     demo, scene_id = resolve_scene(scene)
     job = Job(
         demo=demo,
@@ -112,6 +119,8 @@ def sweep(
         trajectories=trajectories is not None,
         device=device,
     )
+    observers, names, kept = _observers(observe, series)
+    job = replace(job, observers=observers, observe=names, series=kept)
     if batch != "auto":
         whole_in("batch", batch, 1, MAX_BATCH)
     clean = clean_axes(axes)
@@ -142,14 +151,19 @@ def sweep(
         from warp_rigid.sweep.trajectories import Trajectories
 
         trajectory_store = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
+    book.series = Series(output, resume) if job.series else None
     if len(missing) < len(runs):
         log.info("%d of %d runs are already finished", len(runs) - len(missing), len(runs))
     book.write(state="running")
     done = len(runs) - len(missing)
     try:
         for part, result in _results(job, groups, batch, cluster, workers):
-            if trajectory_store is not None and result.trajectories is not None:
-                trajectory_store.add(part, result.trajectories)
+            if trajectory_store is not None:
+                for own, frames in result.trajectories:
+                    trajectory_store.add(own, frames)
+            if book.series is not None:
+                for own_runs, looks in result.series:
+                    book.series.add(own_runs, looks)
             book.add(result.rows)
             done += len(part)
             if on_progress is not None:
@@ -161,7 +175,7 @@ def sweep(
 
 
 def _results(
-    job: Job, groups: list[tuple[Scene, list[Run]]], batch: int | str, cluster: Any, workers: int | None
+    job: Job, groups: list[list[SizedRun]], batch: int | str, cluster: Any, workers: int | None
 ) -> Iterator[tuple[list[Run], Batch]]:
     """Yield the runs of each batch with their results, in order of completion."""
     if not groups:
@@ -171,9 +185,40 @@ def _results(
         return
     device = choose_device(job.device)
     job = replace(job, device=device)
-    limit = partial(max_environments, device=device)
-    for part in split_into_batches(groups, batch, limit, free_memory(device)):
+    for part in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
         yield part, run_batch(job, part)
+
+
+def _machines(device: Any, cluster: Any, workers: int | None) -> tuple[Any, Any, int | None]:
+    """Device, cluster and workers of the arguments; "all" is a worker for each GPU if there are several.
+
+    Raises:
+        ValueError: "all" is combined with a cluster or workers.
+    """
+    if device != "all":
+        return device, cluster, workers
+    if cluster is not None or workers is not None:
+        raise ValueError("device: all must not be combined with cluster or workers")
+    gpus = wp.get_cuda_device_count()
+    return (None, "local", gpus) if gpus > 1 else (None, None, None)
+
+
+def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], tuple[str, ...], tuple[str, ...]]:
+    """All observers, the names of those whose values are columns, and the names of the series.
+
+    Raises:
+        ValueError: An observer is unknown, or a series is neither ready-made nor a function of `observe`.
+    """
+    columns = check_observers(observe)
+    names = [observer_name(observer) for observer in columns]
+    kept = [series] if isinstance(series, str) else list(series or ())
+    more = check_observers([name for name in kept if name not in names], "series")
+    if any(not isinstance(observer, str) for observer in more):
+        raise ValueError(f"series: must be names, with their functions in observe, got {shown(kept)}")
+    taken = [name for name in (*names, *more) if name in COLUMNS]
+    if taken:
+        raise ValueError(f"observe: {taken[0]} is the name of a standard column")
+    return (*columns, *more), tuple(names), tuple(kept)
 
 
 def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict[str, Any]:
@@ -185,6 +230,8 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
         "duration": job.duration,
         "fps": job.fps,
         "metrics": [metric_name(metric) for metric in job.metrics],
+        "observe": list(job.observe),
+        "series": list(job.series),
         "axes": list(axes),
         "parameters": list(runs[0].parameters) if runs else list(axes),
         "version": __version__,

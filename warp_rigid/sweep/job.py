@@ -10,15 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import finite_number, finite_vector, number_in, unit_quaternion
+from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
+from warp_rigid.engine import field_values
+from warp_rigid.engine.quantities import check_vectors
 from warp_rigid.engine.settings import Settings
-from warp_rigid.engine.variation import structure
 from warp_rigid.runs.assignments import assignment_target
-from warp_rigid.runs.runner import FILE_SCENE_DURATION, NoOutcome, chosen_bodies, find_scene
+from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome
+from warp_rigid.runs.runner import chosen_bodies, find_scene
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
+from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
+from warp_rigid.sweep.observers import check_bodies
+from warp_rigid.sweep.structure import structure
 
 __all__ = ["Job", "RunInputs", "group_runs", "make_runs", "run_inputs", "resolve_scene"]
 
@@ -40,6 +45,9 @@ class Job:
         fps: state samples per simulated second, for metrics and trajectories.
         metrics: names of built-in metrics, or functions of the simulator.
         trajectories: whether poses are recorded.
+        observers: names of ready-made observers, functions or classes, for the columns `observe` and the series.
+        observe: names of the observers whose values at the end are columns.
+        series: names of the observers whose values at every look are kept.
         device: a Warp device or its name; None uses the first CUDA device, else the CPU.
         scenes: cached scenes by key.
     """
@@ -51,6 +59,9 @@ class Job:
     fps: float
     metrics: tuple[str | Callable, ...]
     trajectories: bool = False
+    observers: tuple[str | Callable, ...] = ()
+    observe: tuple[str, ...] = ()
+    series: tuple[str, ...] = ()
     device: Any = None
     scenes: dict[str, Scene] = field(default_factory=dict)
 
@@ -142,36 +153,41 @@ def run_inputs(job: Job, runs: Sequence[Run]) -> list[RunInputs]:
     return found
 
 
-def group_runs(job: Job, runs: list[Run]) -> list[tuple[Scene, list[Run]]]:
-    """Group runs that can share a simulator: same scene structure, same time step.
+def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
+    """Group runs that can share a simulator: those with the same time step.
 
     Builds every scene and validates every value before any run.
 
     Returns:
-        For each group a scene of its structure and its runs, in the order of the design.
+        For each group its runs with the memory that they need, in the order of the design.
 
     Raises:
         ValueError: A name is unknown or a value is out of range.
     """
-    kinds: dict[str, Scene] = {}
-    examples: dict[Any, Scene] = {}
+    footprints: dict[str, Footprint] = {}
+    shape_bytes: dict[str, int] = {}
+    bodies: dict[str, Any] = {}
+    known: dict[Any, Scene] = {}
     checked: set[Any] = set()
     steps: dict[Any, float] = {}
-    groups: dict[Any, tuple[Scene, list[Run]]] = {}
+    groups: dict[float, list[SizedRun]] = {}
     for run, inputs in zip(runs, run_inputs(job, runs), strict=True):
         key = inputs.scene_key
-        if key not in kinds:
+        if key not in footprints:
             scene = build_scene(job, inputs)
-            kinds[key] = examples.setdefault(structure(scene), scene)
-        example = kinds[key]
+            footprints[key] = footprint_of(scene, shape_bytes)
+            bodies[key] = tuple((body.name, body.motion) for body in scene.bodies)
+            known.setdefault(bodies[key], scene)
         settings = tuple(inputs.settings.items())
         if settings not in steps:
             steps[settings] = Settings(**inputs.settings).dt
         for name, value in inputs.properties.items():
-            if (id(example), name, value) not in checked:
-                _check_property(example, name, value)
-                checked.add((id(example), name, value))
-        groups.setdefault((id(example), steps[settings]), (example, []))[1].append(run)
+            if (bodies[key], name, value) not in checked:
+                _check_property(build_scene(job, inputs), name, value)
+                checked.add((bodies[key], name, value))
+        groups.setdefault(steps[settings], []).append(SizedRun(run, footprints[key]))
+    if runs:
+        check_bodies(job.observers, list(known.values()))
     return list(groups.values())
 
 
@@ -216,18 +232,24 @@ def _implied_value(job: Job, point: dict[str, Any], name: str, otherwise: Any) -
 def _check_property(scene: Scene, name: str, value: Any) -> None:
     """Validate a property as Simulator.set does, before any run."""
     plain, _, choice = name.partition("[")
+    if plain in field_values.names():
+        for field in field_values.fields_with(scene.force_fields, plain):
+            field_values.check(field, plain, value)
+        return
     if plain != "gravity":
         chosen_bodies(scene, name, plain, choice.rstrip("]"))
     if plain in COEFFICIENTS:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
         number_in(name, value, above=0.0)
+    elif plain == "active":
+        if not isinstance(value, bool):
+            raise ValueError(f"{name}: must be True or False, got {shown(value)}")
     elif plain == "orientation":
         unit_quaternion(name, value)
-    elif np.ndim(value):
-        finite_vector(name, value)
     else:
-        finite_number(name, value)
+        check_vectors(plain, value)
+        finite_vector(name, value if np.ndim(value) else (value,) * 3)
 
 
 def _digest(text: str) -> str:

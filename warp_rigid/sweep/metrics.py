@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.runner import module_of_file
+from warp_rigid.runs.user_code import module_of_file
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 
@@ -27,21 +27,25 @@ class MetricRecorder:
     def __init__(self, sim: Simulator, metrics: Sequence[str]) -> None:
         """Store the initial state."""
         self.sim, self.metrics = sim, metrics
-        self.dynamic = np.array([body.motion == Motion.DYNAMIC for body in sim.scene.bodies])
+        self.dynamic = _dynamic_bodies(sim)
         self.start = self.centers()
         self.moving_until = np.zeros(sim.num_envs)
         self.deepest = np.zeros(sim.num_envs)
         self.box = _initial_bounds(sim)
 
     def centers(self) -> np.ndarray:
-        """Centres of mass of the dynamic bodies, (envs, bodies, 3) [m]."""
-        return self.sim.get("center_of_mass")[:, self.dynamic].astype(np.float64)
+        """Centres of mass, (envs, bodies, 3) [m]."""
+        return self.sim.get("center_of_mass").astype(np.float64)
+
+    def highest(self, centers: np.ndarray) -> np.ndarray:
+        """Height of the highest centre of a dynamic body, (envs,) [m]; -infinity if there is none."""
+        return np.where(self.dynamic, centers[..., 2], -np.inf).max(axis=1)
 
     def observe(self) -> None:
         """Sample the current state. The sampling times do not depend on the batch."""
         if "settle_time" in self.metrics and self.dynamic.any():
-            velocity = self.sim.get("linear_velocity")[:, self.dynamic].astype(np.float64)
-            speed = np.linalg.norm(velocity, axis=-1).max(axis=1)
+            velocity = self.sim.get("linear_velocity").astype(np.float64)
+            speed = np.where(self.dynamic, np.linalg.norm(velocity, axis=-1), 0.0).max(axis=1)
             self.moving_until[~(speed < AT_REST)] = self.sim.time
         if "deepest_overlap" in self.metrics:
             self.deepest = np.maximum(self.deepest, self.sim.penetration())
@@ -57,7 +61,7 @@ class MetricRecorder:
 
 def _top_height(recorder: MetricRecorder) -> np.ndarray:
     """Height of the highest centre of mass of a dynamic body [m]."""
-    return _highest(recorder.centers())
+    return recorder.highest(recorder.centers())
 
 
 def _deepest_overlap(recorder: MetricRecorder) -> np.ndarray:
@@ -67,9 +71,8 @@ def _deepest_overlap(recorder: MetricRecorder) -> np.ndarray:
 
 def _drift(recorder: MetricRecorder) -> np.ndarray:
     """Maximum displacement of the centre of mass of a dynamic body from its initial position [m]."""
-    if not recorder.dynamic.any():
-        return np.zeros(recorder.sim.num_envs)
-    return np.linalg.norm(recorder.centers() - recorder.start, axis=-1).max(axis=1)
+    moved = np.linalg.norm(recorder.centers() - recorder.start, axis=-1)
+    return np.where(recorder.dynamic, moved, 0.0).max(axis=1)
 
 
 def _settle_time(recorder: MetricRecorder) -> np.ndarray:
@@ -79,7 +82,10 @@ def _settle_time(recorder: MetricRecorder) -> np.ndarray:
 
 def _kinetic_energy(recorder: MetricRecorder) -> np.ndarray:
     """Final kinetic energy of all bodies [J]."""
-    return recorder.sim.get("kinetic_energy").sum(axis=1)
+    sim = recorder.sim
+    env = np.nonzero(sim.exists)[0]
+    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
+    return np.bincount(env, weights=sim.get("kinetic_energy")[sim.exists], minlength=sim.num_envs)
 
 
 def _toppled(recorder: MetricRecorder) -> np.ndarray:
@@ -87,9 +93,9 @@ def _toppled(recorder: MetricRecorder) -> np.ndarray:
 
     False if all bodies start at the same height.
     """
-    foot = recorder.start[..., 2].min(axis=1, initial=np.inf)
-    height = _highest(recorder.start) - foot
-    return (height > 0.0) & (_highest(recorder.centers()) < foot + 0.5 * height)
+    foot = np.where(recorder.dynamic, recorder.start[..., 2], np.inf).min(axis=1)
+    height = recorder.highest(recorder.start) - foot
+    return (height > 0.0) & (recorder.highest(recorder.centers()) < foot + 0.5 * height)
 
 
 def _escaped(recorder: MetricRecorder) -> np.ndarray:
@@ -99,19 +105,24 @@ def _escaped(recorder: MetricRecorder) -> np.ndarray:
     centers = recorder.centers()
     # NaN positions count as escaped, since the comparison is false for them.
     inside = (centers > lower - reach) & (centers < upper + reach)
-    return (~inside.all(axis=-1)).sum(axis=1)
+    return (recorder.dynamic & ~inside.all(axis=-1)).sum(axis=1)
 
 
 def _contacts(recorder: MetricRecorder) -> np.ndarray:
     """Number of contacts in the last step."""
-    return counts_of_environments(recorder.sim._world)[1]
+    with recorder.sim.in_use():
+        return counts_of_environments(recorder.sim._world)[1]
 
 
 def _final_pose(recorder: MetricRecorder) -> dict[str, np.ndarray]:
     """Final poses of all bodies, concatenated: positions x, y, z [m] and quaternions (x, y, z, w)."""
-    envs = recorder.sim.num_envs
-    position, orientation = (recorder.sim.get(name).reshape(envs, -1) for name in ("position", "orientation"))
-    return {"final_position": position, "final_orientation": orientation}
+    found = {}
+    for name in ("position", "orientation"):
+        column = np.empty(recorder.sim.num_envs, object)
+        for env, rows in enumerate(recorder.sim.get(name)):
+            column[env] = rows[recorder.sim.exists[env]].reshape(-1).tolist()
+        found[f"final_{name}"] = column
+    return found
 
 
 METRICS: dict[str, Callable[[MetricRecorder], Any]] = {
@@ -166,7 +177,7 @@ def metric_name(metric: str | Callable) -> str:
     return metric if isinstance(metric, str) else getattr(metric, "__name__", type(metric).__name__)
 
 
-def measure(function: Callable, sim: Simulator) -> np.ndarray:
+def measure(function: Callable, sim: Any) -> np.ndarray:
     """Evaluate a user's metric, (envs, ...).
 
     Raises:
@@ -194,15 +205,22 @@ def _functions_of(path: Path) -> list[Callable]:
     return found
 
 
-def _highest(centers: np.ndarray) -> np.ndarray:
-    return centers[..., 2].max(axis=1, initial=-np.inf)
+def _dynamic_bodies(sim: Simulator) -> np.ndarray:
+    """Mask of the dynamic bodies, (envs, bodies)."""
+    mask = np.zeros((len(sim.scenes), sim.num_bodies), bool)
+    for index, scene in enumerate(sim.scenes):
+        mask[index, : len(scene.bodies)] = [body.motion == Motion.DYNAMIC for body in scene.bodies]
+    return mask[sim.scene_of]
 
 
 def _initial_bounds(sim: Simulator) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the box around the bounding spheres of all finite bodies, each (envs, 1, 3) [m]."""
-    bounds = [np.asarray(body.shape.bounds, np.float64) for body in sim.scene.bodies]
-    radius = np.array([np.linalg.norm(np.abs(b).max(axis=0)) if np.isfinite(b).all() else np.nan for b in bounds])
-    finite = np.isfinite(radius)
-    position, radius = sim.get("position")[:, finite].astype(np.float64), radius[finite, None]
-    lower = (position - radius).min(axis=1, keepdims=True, initial=np.inf)
-    return lower, (position + radius).max(axis=1, keepdims=True, initial=-np.inf)
+    radius = np.full((len(sim.scenes), sim.num_bodies), np.nan)
+    for index, scene in enumerate(sim.scenes):
+        bounds = [np.asarray(body.shape.bounds, np.float64) for body in scene.bodies]
+        radius[index, : len(bounds)] = [np.linalg.norm(np.abs(b).max(axis=0)) for b in bounds]
+    spheres = np.where(np.isfinite(radius), radius, np.nan)[sim.scene_of][..., None]
+    position = sim.get("position").astype(np.float64)
+    finite = np.isfinite(spheres)
+    lower = np.where(finite, position - spheres, np.inf).min(axis=1, keepdims=True)
+    return lower, np.where(finite, position + spheres, -np.inf).max(axis=1, keepdims=True)

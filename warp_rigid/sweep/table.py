@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import scenes
 from warp_rigid.checks import shown
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
@@ -22,6 +23,7 @@ from warp_rigid.sweep.columns import (
 )
 from warp_rigid.sweep.design import MAX_RUNS
 from warp_rigid.sweep.result_plots import plot
+from warp_rigid.sweep.series import Series
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
 
@@ -38,14 +40,18 @@ class SweepResult:
         rows: one dictionary per run: run, id, seed, parameters, environment, status, reason, peak pair and contact
             counts, metrics, wall_time [s].
         about: metadata: scene, design, versions.
-        source: the scene as passed to `sweep`; for a table read from a file, the name or path of the scene, or None.
+        source: the scene as passed to `sweep`; for a table read from a file, the name of its built-in scene, or None.
     """
 
-    def __init__(self, rows: Sequence[dict[str, Any]], about: dict[str, Any], source: Any = None) -> None:
+    def __init__(
+        self, rows: Sequence[dict[str, Any]], about: dict[str, Any], source: Any = None, series: Series | None = None
+    ) -> None:
         """Sort the rows by their position in the design."""
+        self._series = series
         self.rows = sorted(rows, key=lambda row: row["run"])
         self.about = about
-        self.source = about.get("source") if source is None else source
+        named = about.get("source")
+        self.source = source if source is not None else named if named in scenes.names() else None
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -74,6 +80,16 @@ class SweepResult:
     def metrics(self) -> list[str]:
         """Names of the metric columns."""
         return [name for name in self.names if name not in COLUMNS and name not in self.about.get("parameters", ())]
+
+    def series(self) -> Any:
+        """Return the time series as a pyarrow.Table with the columns run, time [s] and one for each name of `series`.
+
+        Raises:
+            ValueError: The sweep kept none, or the table was read from a file; `read_series` reads its folder.
+        """
+        if self._series is None:
+            raise ValueError("series: none were kept; give series to sweep, or read the folder with read_series")
+        return self._series.table()
 
     def column(self, name: str) -> np.ndarray:
         """Values of a column, one per row; NaN for a missing number.
@@ -108,12 +124,12 @@ class SweepResult:
     def replay(self, row: dict[str, Any], scene: Any = None, device: Any = None) -> Any:
         """Build a Simulator of one row in its initial state, to simulate that run again.
 
-        Events of a built-in scene, such as a thrown box, are not included.
+        Events of a built-in scene, such as a thrown box, are not included. A table read from a file is data: a scene
+        file that it names is neither opened nor run.
 
         Args:
             row: one of `rows`.
-            scene: the scene as passed to `sweep`; required only for a table read from a file whose scene has neither a
-                name nor a file.
+            scene: the scene as passed to `sweep`; required for a table read from a file, unless the scene is built in.
             device: as in Simulator; results are bitwise equal only on the same kind of device.
         """
         return replay(self, row, scene, device)
@@ -147,6 +163,7 @@ class ResultFile:
         self.path = None if path is None else Path(path)
         self.about = about
         self.source = source
+        self.series: Series | None = None
         self.rows: dict[str, dict[str, Any]] = {}
         self._written = self._cost = 0.0
         self._changed = False
@@ -197,7 +214,7 @@ class ResultFile:
 
     def result(self) -> SweepResult:
         """The rows so far."""
-        return SweepResult(list(self.rows.values()), self.about, self.source)
+        return SweepResult(list(self.rows.values()), self.about, self.source, self.series)
 
     def _load_finished(self) -> None:
         """Load the finished rows of the file."""
@@ -212,7 +229,7 @@ def check_same_sweep(path: Any, before: dict[str, Any], now: dict[str, Any]) -> 
     Raises:
         ValueError: They differ; the message names the first difference.
     """
-    for name in ("scene", "fixed", "duration", "fps", "metrics", "version"):
+    for name in ("scene", "fixed", "duration", "fps", "metrics", "observe", "series", "version"):
         if before.get(name) != now.get(name):
             raise ValueError(
                 f"{path}: holds a different sweep: {name} is {before.get(name)!r} there, {now.get(name)!r} here"

@@ -1,7 +1,9 @@
 """USD export of animations and of scenes with physics."""
 
+import contextlib
 from pathlib import Path
 
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.runs.recording import Recorder, Recording
 from warp_rigid.usd.options import UsdOptions
 
@@ -47,12 +49,17 @@ def export_usd(
     options.check_film(recording)
     rows = recording.rows(envs)
 
+    from warp_rigid.usd.specs import reload_layer
     from warp_rigid.usd.writer import UsdWriter
 
-    writer = UsdWriter(recording, path, rows, options, live=False)
-    for frame in recording.frames():
-        writer.write(frame)
-    writer.close()
+    # A film of one file replaces the older one as a whole; a package does so itself.
+    whole = layout == "single" and path.suffix != ".usdz"
+    with atomic_file(path) if whole else contextlib.nullcontext(path) as target:
+        writer = UsdWriter(recording, target, rows, options, live=False)
+        for frame in recording.frames():
+            writer.write(frame)
+        writer.close()
+    reload_layer(path)
 
 
 class UsdStream:

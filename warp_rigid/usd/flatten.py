@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
-from pxr import Tf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.opening import convert_errors, open_stage
 from warp_rigid.usd.options import SUFFIXES
+from warp_rigid.usd.specs import export_layer
 
 __all__ = ["flatten_usd"]
 
@@ -48,11 +49,5 @@ def flatten_usd(source, target) -> int:
         )
         moments = [Usd.TimeCode.Default(), *(Usd.TimeCode(time) for time in times)]
         count = expand_instancers(stage.GetPseudoRoot(), moments)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        written = stage.Flatten(addSourceFileComment=False).Export(str(target))
-    except Tf.ErrorException:
-        written = False
-    if not written:
-        raise OSError(f"{target}: cannot be written")
+    export_layer(stage.Flatten(addSourceFileComment=False), target)
     return count

@@ -3,7 +3,7 @@
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from warp_rigid.usd.opening import MAX_PRIMS
+from warp_rigid.usd.examination import MAX_PRIMS
 
 __all__ = ["expand_instancers"]
 
@@ -97,9 +97,12 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
         raise ValueError(f"{prim.GetPath()}: must have a constant number of instances and arrays of equal length")
     if len(indices) and not (0 <= indices.min() and indices.max() < len(prototypes)):
         raise ValueError(f"{prim.GetPath()}: protoIndices must be from 0 to {len(prototypes) - 1}")
+    missing = [path for path in prototypes if not stage.GetPrimAtPath(path)]
+    if missing:
+        raise ValueError(f"{prim.GetPath()}: prototypes: there is no prim {missing[0]}")
     masked = instancer.ComputeMaskAtTime(times[0])
     visible = np.array(masked, dtype=bool) if masked else np.ones(len(indices), dtype=bool)
-    outer = UsdGeom.Xformable(prim).GetLocalTransformation(Usd.TimeCode.Default())
+    outer = UsdGeom.Xformable(prim).GetLocalTransformation(times[0])
     group = f"{prim.GetPath()}_instances"
     width = len(str(max(len(indices) - 1, 0)))
     colors = _colors(instancer, len(indices))
@@ -112,6 +115,7 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
             _set_matrix(spec, [moment[index] for moment in moments], times)
             inner = Sdf.PrimSpec(spec, "prototype", Sdf.SpecifierDef)
             inner.referenceList.prependedItems = [Sdf.Reference("", prototypes[indices[index]])]
+            inner.SetInfo("displayName", f"{prim.GetName()}_{index}")
             if colors is not None:
                 hue = Sdf.AttributeSpec(spec, "primvars:displayColor", Sdf.ValueTypeNames.Color3fArray)
                 hue.default = Vt.Vec3fArray([colors[index]])
@@ -132,7 +136,7 @@ def _set_matrix(spec: Sdf.PrimSpec, matrices: list[Gf.Matrix4d], times: list[Usd
     attribute = Sdf.AttributeSpec(spec, "xformOp:transform", Sdf.ValueTypeNames.Matrix4d)
     attribute.default = matrices[0]
     for time, matrix in zip(times, matrices, strict=True):
-        if not time.IsDefault():
+        if time.IsNumeric() and not time.IsEarliestTime():
             spec.layer.SetTimeSample(attribute.path, time.GetValue(), matrix)
     order = Sdf.AttributeSpec(spec, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, Sdf.VariabilityUniform)
     order.default = Vt.TokenArray(["xformOp:transform"])

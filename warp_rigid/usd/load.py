@@ -13,7 +13,8 @@ def import_usd(path, root: str | None = None, *, strict: bool = False, sdf_resol
     """Read the rigid bodies and colliders of a USD file.
 
     Lengths, masses and the up axis are converted to metres, kilograms and z. Meshes collide as nonconvex solids with a
-    signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the default time.
+    signed distance grid. References, instances and PointInstancers are expanded. Poses are those at the start of the
+    animation.
 
     Unsupported content (joints, articulations, unknown schemas) is listed in `scene.import_report`, with a warning.
 
@@ -56,13 +57,16 @@ def film_duration(path) -> float:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        ValueError: It is not a USD file.
+        ValueError: It is not a USD file, or its range of time codes is not that of a film.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
 
-    from warp_rigid.usd.opening import open_stage
+    from warp_rigid.usd.metadata import time_codes
+    from warp_rigid.usd.opening import convert_errors, open_stage
 
     stage = open_stage(path)
-    return (stage.GetEndTimeCode() - stage.GetStartTimeCode()) / stage.GetTimeCodesPerSecond()
+    with convert_errors(path):
+        codes = time_codes(stage)
+        return (codes.last - codes.first) / codes.rate

@@ -19,6 +19,7 @@ from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.materials import read_material
+from warp_rigid.usd.metadata import is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 
@@ -94,11 +95,15 @@ class Reader:
         if root is not None and not (Sdf.Path.IsValidPathString(root) and self._stage.GetPrimAtPath(root)):
             raise ValueError(f"root: {path} has no prim {root}")
         self._root = self._stage.GetPrimAtPath(root) if root else self._stage.GetPseudoRoot()
-        expand_instancers(self._root, [Usd.TimeCode.Default()])
-        self._transforms = UsdGeom.XformCache()
-        self._meter = UsdGeom.GetStageMetersPerUnit(self._stage)
-        self._kilogram = UsdPhysics.GetStageKilogramsPerUnit(self._stage)
-        y_up = UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.y
+        # An animated transform may have no value at the default time.
+        authored = self._stage.HasAuthoredTimeCodeRange()
+        self._start = Usd.TimeCode(self._stage.GetStartTimeCode()) if authored else Usd.TimeCode.EarliestTime()
+        expand_instancers(self._root, [self._start])
+        self._transforms = UsdGeom.XformCache(self._start)
+        self._names: set[str] = set()
+        self._meter = meters_per_unit(self._stage)
+        self._kilogram = kilograms_per_unit(self._stage)
+        y_up = is_y_up(self._stage)
         self._to_z_up = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) if y_up else np.eye(3)
         self._shapes: dict[str, Shape] = {}
         self._body_of: dict[str, int] = {}
@@ -251,7 +256,7 @@ class Reader:
         common: dict[str, Any] = {
             "position": position + rotation @ where,
             "orientation": quaternion_of_matrix(rotation @ rotations.matrix(turn)),
-            "name": body.prim.GetDisplayName() or body.prim.GetName(),
+            "name": body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
             **self._coefficients(body, group),
         }
         try:
@@ -267,6 +272,14 @@ class Reader:
             self._leave_out(body.prim.GetPath(), str(error))
             return
         self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
+
+    def _unique_name(self, name: str) -> str:
+        """The name, with a number if an earlier body has it."""
+        found, number = name, 1
+        while found in self._names:
+            found, number = f"{name}_{number}", number + 1
+        self._names.add(found)
+        return found
 
     def _frame(self, prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Polar decomposition of the transform of a body: position [m], rotation (3, 3) and stretch (3, 3).
@@ -302,19 +315,19 @@ class Reader:
                 matrix = matrix_of(self._transforms.ComputeRelativeTransform(prim, body.prim)[0])
             matrix[:3] = stretch @ matrix[:3]
             shape, position, orientation = convert_prim(prim, matrix, self._sdf_resolution, notes)
+            material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
+            coefficients, density = self._material(prim, material.GetPrim() if material else None)
+            mass_api = UsdPhysics.MassAPI(prim)
+            own_density = _positive(mass_api.GetDensityAttr())
+            if own_density is None:
+                own_density = _positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
+            mass = _positive(mass_api.GetMassAttr()) if prim != body.prim else None
         except ValueError as error:
             self._leave_out(prim.GetPath(), str(error))
             return None
         for note in notes:
             self._change(prim, note)
         shape = self._shapes.setdefault(shape.key, shape)
-        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
-        coefficients, density = self._material(prim, material.GetPrim() if material else None)
-        mass_api = UsdPhysics.MassAPI(prim)
-        own_density = _positive(mass_api.GetDensityAttr())
-        if own_density is None:
-            own_density = _positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
-        mass = _positive(mass_api.GetMassAttr()) if prim != body.prim else None
         return _Collider(prim, shape, position, orientation, coefficients, own_density, mass)
 
     def _material(self, prim: Usd.Prim, material: Usd.Prim | None) -> tuple[dict[str, float], float | None]:
@@ -332,8 +345,8 @@ class Reader:
     def _velocities(self, prim: Usd.Prim, rotation: np.ndarray) -> dict[str, np.ndarray]:
         """Velocities in the world frame; USD has them in the body frame, in degrees."""
         api = UsdPhysics.RigidBodyAPI(prim)
-        speed = np.array(api.GetVelocityAttr().Get(), dtype=np.float64) * self._meter
-        spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(), dtype=np.float64))
+        speed = np.array(api.GetVelocityAttr().Get(self._start), dtype=np.float64) * self._meter
+        spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(self._start), dtype=np.float64))
         return {"linear_velocity": rotation @ speed, "angular_velocity": rotation @ spin}
 
     def _mass(self, body: _Body, group: list[_Collider], shape: Shape) -> float:
@@ -376,7 +389,9 @@ class Reader:
         above = body.prim
         while above and not above.IsPseudoRoot():
             if UsdGeom.Xformable(above) and UsdGeom.Xformable(above).TransformMightBeTimeVarying():
-                self._change(body.prim, "its animated motion is ignored; it starts with its pose at the default time")
+                self._change(
+                    body.prim, "its animated motion is ignored; it starts with the first pose of the animation"
+                )
                 return
             above = above.GetParent()
 
@@ -393,9 +408,17 @@ def _joined(group: list[_Collider], motion: Motion) -> tuple[Shape, np.ndarray, 
 
 
 def _positive(attribute: Usd.Attribute) -> float | None:
-    """A number if it is positive and finite, else None; USD ignores other masses and densities."""
+    """A mass or density; None if it is not authored or zero, which USD ignores.
+
+    Raises:
+        Unreadable: It is negative or not finite.
+    """
     value = attribute.Get() if attribute else None
-    return float(value) if value is not None and 0.0 < value < math.inf else None
+    if value is None or value == 0.0:
+        return None
+    if not 0.0 < value < math.inf:
+        raise Unreadable(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
+    return float(value)
 
 
 def _kind_name(kind: Any) -> str:

@@ -9,11 +9,15 @@ from typing import Any
 
 from pxr import Sdf, Tf
 
+from warp_rigid.files.atomic import atomic_file
+
 __all__ = [
     "SampleWriter",
     "Track",
     "define",
+    "export_layer",
     "open_layer",
+    "reload_layer",
     "set_relationship",
     "save_layer",
     "set_attribute",
@@ -50,6 +54,29 @@ def save_layer(layer: Sdf.Layer) -> None:
         saved = False
     if not saved:
         raise OSError(f"{layer.realPath or layer.identifier}: cannot be written")
+
+
+def export_layer(layer: Sdf.Layer, path: Path) -> None:
+    """Write a copy of a layer, which replaces a file atomically.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    with atomic_file(path) as temporary:
+        try:
+            written = layer.Export(str(temporary))
+        except Tf.ErrorException:
+            written = False
+        if not written:
+            raise OSError(f"{temporary}: cannot be written")
+    reload_layer(path)
+
+
+def reload_layer(path: Path) -> None:
+    """Read a file that was replaced again, if it is open in this process."""
+    layer = Sdf.Layer.Find(str(path))
+    if layer is not None:
+        layer.Reload(force=True)
 
 
 def stage_metadata(layer: Sdf.Layer, default_prim: str, fps: float) -> None:

@@ -1,20 +1,33 @@
 """Writer of USD files frame by frame; the file is readable after every flush."""
 
+import contextlib
 import tempfile
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
+from warp_rigid.usd.look import define_look, place_camera
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
-from warp_rigid.usd.specs import SampleWriter, define, open_layer, save_layer, set_attribute, stage_metadata
+from warp_rigid.usd.specs import (
+    SampleWriter,
+    define,
+    export_layer,
+    open_layer,
+    save_layer,
+    set_attribute,
+    stage_metadata,
+)
 
 __all__ = ["UsdWriter"]
 
@@ -52,13 +65,30 @@ class UsdWriter:
         self._writers: list[tuple[SampleWriter, Instancers | Bodies | ContactMarks]] = []
         self._clips: Clips | None = None
         self._frames = self._flushed = 0
+        self._failure: OSError | None = None
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Convert errors of the library. After an error nothing more is written: the layers may be incomplete."""
+        if self._failure is not None:
+            raise self._failure
+        try:
+            yield
+        except (Tf.ErrorException, OSError) as error:
+            foreign = self._package is not None or not isinstance(error, OSError)
+            self._failure = OSError(f"{self._path}: cannot be written; is the disk full?") if foreign else error
+            raise self._failure from None
 
     def write(self, frame: Frame) -> None:
         """Append a frame.
 
         Raises:
-            OSError: A file cannot be written.
+            OSError: A file cannot be written, now or earlier.
         """
+        with self._writing():
+            self._write(frame)
+
+    def _write(self, frame: Frame) -> None:
         with Sdf.ChangeBlock():
             if self._frames == 0:
                 self._define(frame)
@@ -66,8 +96,7 @@ class UsdWriter:
                 for samples, writer in self._writers:
                     writer.sample(samples, float(self._frames), frame)
                 self._library.sample(float(self._frames), frame.time)
-        if len(self._rows) > 1:
-            self._spread.add(frame.position[self._rows])
+        self._spread.add(frame.position[self._rows])
         self._frames += 1
         if self._live and self._frames - self._flushed >= self._flush_interval():
             self.flush()
@@ -104,9 +133,13 @@ class UsdWriter:
         """Set the final spacing of the environments and finish the file.
 
         Raises:
-            OSError: A file cannot be written.
+            OSError: A file cannot be written, now or earlier.
         """
-        if len(self._rows) > 1 and self._frames:
+        with self._writing():
+            self._finish()
+
+    def _finish(self) -> None:
+        if self._frames:
             with Sdf.ChangeBlock():
                 self._arrange()
         if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
@@ -119,11 +152,7 @@ class UsdWriter:
     def _compact(self) -> None:
         """Remove the data that later flushes replaced."""
         for layer in self._layers:
-            path = Path(layer.realPath)
-            compacted = path.with_name(f".{path.name}")
-            if not layer.Export(str(compacted)):
-                raise OSError(f"{path}: cannot be written")
-            compacted.replace(path)
+            export_layer(layer, Path(layer.realPath))
 
     def _define(self, frame: Frame) -> None:
         """Write the constant data, and the first frame as default values."""
@@ -135,6 +164,7 @@ class UsdWriter:
             self._root.GetPrimAtPath(WORLD).referenceList.prependedItems = [Sdf.Reference(self._asset(base), WORLD)]
         else:
             base = self._new_part("shapes", "Shapes") if separate else self._root
+        define_look(self._root, WORLD)
         self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time)
         if self._profile == "animation":
             for index, surface in enumerate(self._film.surfaces):
@@ -172,15 +202,15 @@ class UsdWriter:
 
     def _arrange(self) -> None:
         """Offset the prims of the environments to a grid; poses inside stay unchanged."""
-        spacing = self._spread.spacing()
         layer = self._library.layer if self._options.layout == "clips" else self._root
-        offsets = environment_offsets(len(self._rows), spacing)
+        offsets = environment_offsets(len(self._rows), self._spread.spacing())
         for row, offset in zip(self._rows.tolist(), offsets.tolist(), strict=True):
             prim = layer.GetPrimAtPath(f"{WORLD}/env_{self._film.envs[row]:04d}")
             set_attribute(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*offset))
             order = Vt.TokenArray(["xformOp:translate"])
             set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
-        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), spacing)):
+        place_camera(self._root, WORLD, *self._spread.corners(offsets))
+        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread)):
             original = self._film.surfaces[index]
             if surface is original:
                 continue
@@ -203,16 +233,19 @@ class UsdWriter:
         return f"./{self._parts.name}/{Path(part.realPath).name}"
 
     def _pack(self, package: tempfile.TemporaryDirectory) -> None:
-        """Write the .usdz package."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        """Write the .usdz package. The library does not report a disk that becomes full, so the result is checked."""
+        inner = Path(self._root.realPath)
         try:
-            written = UsdUtils.CreateNewUsdzPackage(self._root.realPath, str(self._path))
-        except Tf.ErrorException:
-            written = False
+            with atomic_file(self._path) as temporary:
+                UsdUtils.CreateNewUsdzPackage(str(inner), str(temporary))
+                with zipfile.ZipFile(temporary) as made:
+                    complete = made.testzip() is None and made.getinfo(inner.name).file_size == inner.stat().st_size
+                if not complete:
+                    raise OSError(f"{temporary}: cannot be written")
+        except (Tf.ErrorException, zipfile.BadZipFile, KeyError, EOFError):
+            raise OSError(f"{self._path}: cannot be written; is the disk full?") from None
         finally:
             package.cleanup()
-        if not written:
-            raise OSError(f"{self._path}: cannot be written")
 
 
 class Clips:
@@ -268,7 +301,5 @@ class Clips:
     def _export(self, layer: Sdf.Layer, name: str) -> str:
         """Write a file; returns its path relative to the root file."""
         path = self._folder / f"{name}{self._suffix}"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not layer.Export(str(path)):
-            raise OSError(f"{path}: cannot be written")
+        export_layer(layer, path)
         return f"./{self._folder.name}/{path.name}"

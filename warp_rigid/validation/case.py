@@ -67,13 +67,11 @@ class Miss:
 
     Attributes:
         reason: its cause, in one sentence.
-        at_most: measured error, rounded up; a larger error is a failure.
-        always: whether every run exceeds the tolerance; False if this depends on rounding in a chaotic motion.
+        at_most: no more than twice the measured error, in the unit of the tolerance; a larger error is a failure.
     """
 
     reason: str
     at_most: float
-    always: bool = True
 
 
 @dataclass(frozen=True)
@@ -88,6 +86,7 @@ class ReferenceCheck:
         tolerance: permitted deviation.
         labels: names of the variants; if empty, those of the experiments' environments.
         miss: set if the tolerance is known to be exceeded.
+        itemized: whether the table lists every variant, not only the worst.
     """
 
     quantity: str
@@ -97,6 +96,7 @@ class ReferenceCheck:
     tolerance: Tolerance
     labels: Sequence[str] = ()
     miss: Miss | None = None
+    itemized: bool = False
 
 
 @dataclass(frozen=True)
@@ -170,6 +170,8 @@ class CheckResult:
         reference: reference values.
         error: errors as defined by the tolerance.
         fault: reason for missing values, "" if there are values.
+        contacts: contacts of all simulations of the case in their last step; None without simulations.
+        residual: largest residual of their last step, as in `Simulator.stats` [m/s]; None without simulations.
     """
 
     case: ValidationCase
@@ -180,6 +182,8 @@ class CheckResult:
     reference: np.ndarray
     error: np.ndarray
     fault: str = ""
+    contacts: int | None = None
+    residual: float | None = None
 
     @property
     def worst(self) -> int:
@@ -193,12 +197,15 @@ class CheckResult:
 
     @property
     def verdict(self) -> str:
-        """PASS, MISS (a known deviation, not larger than known), FAIL, or ERROR if nothing could be measured."""
+        """PASS, MISS (a known deviation, not larger than known), MET, FAIL, or ERROR if nothing could be measured.
+
+        MET is a known deviation that is within the tolerance: it is none, and must not be listed as one.
+        """
         if self.fault:
             return "ERROR"
-        if self.passed:
-            return "PASS"
         miss = self.check.miss
+        if self.passed:
+            return "MET" if miss else "PASS"
         return "MISS" if miss and self.error[self.worst] <= miss.at_most else "FAIL"
 
     @property
@@ -208,7 +215,7 @@ class CheckResult:
             return self.fault
         miss = self.check.miss
         if miss and self.passed:
-            return f"listed as a miss, but within the tolerance here: {miss.reason}"
+            return f"listed as a miss, but within the tolerance: {miss.reason}"
         return miss.reason if miss else ""
 
 
@@ -233,4 +240,12 @@ def _find(case: ValidationCase, check: ReferenceCheck, device: str, subject: Any
     labels = tuple(check.labels) or tuple(label for trace in subject for label in trace.labels)
     if len(labels) != len(value):
         raise ValueError(f"{case.id} {check.quantity}: {len(value)} values for {len(labels)} labels")
-    return CheckResult(case, check, device, labels, value, reference, check.tolerance.error(value, reference))
+    error = check.tolerance.error(value, reference)
+    return CheckResult(case, check, device, labels, value, reference, error, "", *_work(case, subject))
+
+
+def _work(case: ValidationCase, subject: Any) -> tuple[int | None, float | None]:
+    """Contacts and residual of the last steps of a case's simulations."""
+    if not case.experiments:
+        return None, None
+    return sum(len(trace.contacts) for trace in subject), max(trace.residual for trace in subject)

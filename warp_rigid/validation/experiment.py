@@ -74,6 +74,7 @@ class Experiment:
             gravity=sim.get("gravity").astype(np.float64),
             overlap=np.array(overlap, np.float64),
             contacts=sim.contacts(),
+            residual=float(sim.stats()["residual"].max()),
             failed=sim.status()["status"] != "ok",
             seconds=seconds,
             **{name: np.array(values, np.float64) for name, values in records.items()},
@@ -105,6 +106,7 @@ class Trace:
         gravity: (envs, 3) [m/s^2].
         overlap: (records or 1, envs) deepest overlap [m]; only of the last record unless `watch_overlap` is set.
         contacts: contact records of the last step.
+        residual: largest residual of the environments in the last step, as in `Simulator.stats` [m/s].
         failed: (envs,) whether the environment stopped with a non-finite state.
         seconds: wall-clock time of the steps and their recording [s].
     """
@@ -120,6 +122,7 @@ class Trace:
     gravity: np.ndarray
     overlap: np.ndarray
     contacts: np.ndarray
+    residual: float
     failed: np.ndarray
     seconds: float
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.validation.case import CheckResult, ValidationCase
 from warp_rigid.validation.experiment import Trace
 from warp_rigid.validation.report import COLORS
@@ -14,7 +15,7 @@ MOST_LINES = 12
 """Largest number of variants in a plot, which are chosen at equal intervals."""
 SMALLEST = 1e-6
 """Smallest ratio of error and tolerance in the overview."""
-INK = {"PASS": "tab:green", "MISS": "tab:orange", "FAIL": "tab:red", "ERROR": "tab:red"}
+INK = {"PASS": "tab:green", "MISS": "tab:orange", "MET": "gold", "FAIL": "tab:red", "ERROR": "tab:red"}
 assert set(INK) == set(COLORS)
 
 
@@ -39,7 +40,8 @@ def save_case(case: ValidationCase, device: str, traces: tuple[Trace, ...], fold
     axes.grid(alpha=0.3)
     slug = re.sub(r"[^a-z0-9]+", "_", case.title.lower()).strip("_")
     path = folder / f"{case.id}_{slug}_{device.replace(':', '')}.png"
-    chart.savefig(path, dpi=120)
+    with atomic_file(path) as temporary:
+        chart.savefig(temporary, dpi=120)
     return path
 
 
@@ -58,5 +60,6 @@ def save_overview(findings: Sequence[CheckResult], folder: Path) -> Path:
     axes.axvline(1.0, color="black", lw=1)
     axes.set_ylim(len(shown) - 0.5, -0.5)
     path = folder / "overview.png"
-    chart.savefig(path, dpi=120)
+    with atomic_file(path) as temporary:
+        chart.savefig(temporary, dpi=120)
     return path

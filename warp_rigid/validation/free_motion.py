@@ -285,7 +285,7 @@ def free_fall():
                 0.0,
                 at_most(1e-5),
                 fine,
-                Miss("rounding of a thousand sums in float32, each to 2e-7 m/s or m", 6e-5),
+                Miss("rounding of a thousand sums in float32, each to 2e-7 m/s or m", 5e-5),
             ),
         ),
         tuple(experiment(rate) for rate in rates),

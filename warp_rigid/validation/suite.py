@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from warp_rigid.validation import (
+    arches,
+    contact_search,
     free_motion,
     friction,
     impact,
@@ -11,11 +13,24 @@ from warp_rigid.validation import (
     mass_and_distance,
     nonconvex,
     rolling,
+    sliding,
     towers,
 )
 from warp_rigid.validation.case import CheckResult, ValidationCase, judge
 
-SECTIONS = (mass_and_distance, free_motion, impact, friction, rolling, towers, nonconvex, many_bodies)
+SECTIONS = (
+    mass_and_distance,
+    free_motion,
+    impact,
+    friction,
+    rolling,
+    towers,
+    nonconvex,
+    many_bodies,
+    arches,
+    contact_search,
+    sliding,
+)
 CPU = "cpu"
 
 

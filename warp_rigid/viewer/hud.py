@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from warp_rigid.scene.scene import Motion
-from warp_rigid.scenes.demo import AT_REST
+from warp_rigid.scenes.demo import AT_REST, shown_value
 from warp_rigid.viewer.session import Paced, Session
 
 __all__ = ["Hud"]
@@ -66,8 +66,10 @@ class Hud:
         potential = float(sim.get("potential_energy")[rows].sum())
         if not self._energy or session.time > self._energy[-1][0]:
             self._energy.append((session.time, kinetic, potential, kinetic + potential))
-        if len(self._energy) > 1:
-            self._plot.data = tuple(np.array(self._energy).T.copy())
+        points = list(self._energy)
+        if len(points) == 1:  # a line needs two points: before the first step it is level
+            points.append((points[0][0] + session.sim.settings.dt, *points[0][1:]))
+        self._plot.data = tuple(np.array(points).T.copy())
         self._text.content = _text(session, rows, rate, pace, self._deepest)
         return True
 
@@ -90,7 +92,7 @@ def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest:
         lines.append(f"environment {env}: **{failed['status'][env]}** since step {failed['step'][env]}")
     for verdict in session.verdicts:
         shown = [
-            f"{'yes' if passed else 'no'} ({value:.3g})"
+            f"{'yes' if passed else 'no'} ({shown_value(value, verdict.unit)})"
             for value, passed in zip(verdict.values[rows], verdict.passed[rows], strict=True)
         ]
         lines.append(f"{verdict.limit}: **{', '.join(shown[:4])}**{' ...' if len(shown) > 4 else ''}")

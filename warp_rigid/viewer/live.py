@@ -2,8 +2,12 @@
 
 import logging
 import queue
+import tempfile
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +17,23 @@ from warp_rigid.render.appearance import apply_coloring
 from warp_rigid.render.film import Film, film_from_recording
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Motion
+from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.viewer.controls import check_point
+from warp_rigid.viewer.history import History, Moment
 from warp_rigid.viewer.instances import Instances, bytes_of_light
 from warp_rigid.viewer.overlays import CONTACTS, Overlays
-from warp_rigid.viewer.page import add_labels, look_at_film, opacity_of_walls, set_light, start_server, stop_server
+from warp_rigid.viewer.page import (
+    add_labels,
+    ground_heights,
+    keep_above_ground,
+    look_at_film,
+    look_from_page,
+    opacity_of_walls,
+    png_bytes,
+    set_light,
+    start_server,
+    stop_server,
+)
 from warp_rigid.viewer.panel import Panel
 from warp_rigid.viewer.picking import trace
 from warp_rigid.viewer.session import Session
@@ -26,12 +43,14 @@ __all__ = ["LiveViewer"]
 
 log = logging.getLogger(__name__)
 
-PERIOD = 1.0 / 30.0
+PERIOD = 1.0 / 60.0
 """Time between updates of the page [s]."""
 MOST_SHOWN = 6000
 """Bodies on the page; of more environments than hold so many, only the first are shown."""
 REFUSALS = (ValueError, FileNotFoundError, ModuleNotFoundError)
 """Errors of requests that are not valid. All others are bugs, and are logged with their traceback."""
+LOADING_PATIENCE, PICTURE_PATIENCE = 3.0, 20.0
+"""Longest time to wait until a page shows the scene, and until it returns a picture [s]."""
 LEAST_DIRECTION = 1.0e-6
 """Shortest vector that still gives a direction."""
 
@@ -63,6 +82,10 @@ class LiveViewer:
         self.fast = fast
         self.server = start_server(host, port)
         self._wishes: queue.SimpleQueue = queue.SimpleQueue()
+        self._loaded: set[int] = set()
+        self.history = History()
+        self._past: Moment | None = None
+        self._looping = False
         self._stopped = False
         self._instances: Instances | None = None
         self._labels: list = []
@@ -78,6 +101,10 @@ class LiveViewer:
         self._stale = True
         self._updates, self._since, self._rate, self._pace = 0, (time.perf_counter(), 0.0), 0.0, 0.0
         self._show_scene()
+        # In a thread of its own: it waits for the page, and viser's threads are few.
+        self.server.on_client_connect(
+            lambda client: threading.Thread(target=self._welcome, args=(client,), daemon=True).start()
+        )
 
     @property
     def url(self) -> str:
@@ -91,9 +118,12 @@ class LiveViewer:
         while not self._stopped:
             changed |= self._do_wishes()
             now = time.perf_counter()
-            watched = bool(self.server.get_clients())
-            if watched:
-                changed |= bool(self._attempt(self.session.advance, now - last, max(0.0, due - now)))
+            watched = bool(self._loaded.intersection(self.server.get_clients()))
+            if watched and self._looping:
+                changed |= self._replay(now - last)
+            elif watched and self._attempt(self.session.advance, now - last, max(0.0, due - now)):
+                changed = True
+                self.history.add(self.session.time, self.session.sim)
             last = now
             if time.perf_counter() >= due:
                 if changed and watched:
@@ -102,6 +132,8 @@ class LiveViewer:
                 if watched and self._stale:
                     shown = self._attempt(self._panel.hud.update, self.session, self.rows, self._rate, self._pace)
                     self._stale = shown is False
+                    if shown:
+                        self._attempt(self._panel.inspect, self.session, *self.chosen)
                 changed &= not watched
                 due = max(due + PERIOD, time.perf_counter())
             elif not (watched and self.session.behind):
@@ -117,23 +149,27 @@ class LiveViewer:
         self._wishes.put((action, arguments))
 
     def toggle(self) -> None:
-        """Start or pause the simulation."""
+        """Start or pause the simulation; it continues from the moment that is shown."""
+        self._return_to_present()
         self.session.running = not self.session.running
 
     def single_step(self) -> None:
         """Pause and do one step."""
+        self._return_to_present()
         self.session.running = False
         self.session.step(1)
 
     def restart(self) -> None:
         """Restart the scene; it keeps running if it was running."""
+        self._forget()
         self.session.restart()
         self._panel.hud.restart()
 
-    def load(self, source: str, compare: bool = False) -> None:
+    def load(self, source: str, compare: bool = False, assignments: Sequence[str] = ()) -> None:
         """Load another scene, alone or with all its variants, and run it."""
         self._panel.say(f"building {source} ...")
-        self.session.open(source, compare=compare)
+        self._forget()
+        self.session.open(source, compare=compare, assignments=assignments)
         self.session.running = True
         self._overlays.clear()
         self.rows = self._some_rows(0, self.session.sim.num_envs)
@@ -182,6 +218,118 @@ class LiveViewer:
             self._show_scene()
         elif name in ("slice", "axis", "place"):
             self._cut()
+        elif name == "back":
+            self.rewind(-value)
+        elif name == "loop":
+            self.loop(value)
+
+    def rewind(self, back: float) -> None:
+        """Pause, and show the moment `back` seconds ago; running continues from there."""
+        self._looping = False
+        self.session.running = False
+        self._past = self.history.at(back)
+        self._publish()
+
+    def loop(self, on: bool) -> None:
+        """Show the last seconds again and again, or return to the present."""
+        self._looping = on and len(self.history) > 1
+        self._past, self._loop_time = None, 0.0
+        self.session.running = False
+        self._publish()
+
+    def spawn(self, kind: str) -> None:
+        """Drop a body above the others: a shape of the size of the selected body, or one like it."""
+        session, (env, body) = self.session, self.chosen
+        model = session.plan.scene.bodies[body].shape
+        half = 0.5 * float(np.min(np.ptp(np.asarray(model.bounds), axis=0))) if not model.static_only else 0.1
+        shape = {"box": Box((half,) * 3), "sphere": Sphere(half), "capsule": Capsule(0.5 * half, half)}.get(kind, model)
+        if shape.static_only:
+            raise ValueError("body: the selected one has a shape that only static bodies can have")
+        dynamic = [i for i, other in enumerate(session.plan.scene.bodies) if other.motion == Motion.DYNAMIC]
+        places = session.sim.get("position")[:, dynamic or slice(None)]
+        above = np.median(places, axis=1)
+        above[:, 2] = places[..., 2].max(axis=1) + 3.0 * half + float(np.linalg.norm(np.ptp(model.bounds, axis=0)))
+        self._forget()
+        index = session.spawn(shape, above)
+        self._show_scene()
+        self.choose(index, env)
+
+    def restart_with(self, parameters: dict[str, Any]) -> None:
+        """Load the scene again with other parameters."""
+        demo = self.session.plan.demo
+        changed = [f"{name}={value}" for name, value in parameters.items() if value != demo.parameters[name]]
+        self.load(self.session.source, assignments=changed)
+
+    def film(self) -> Film:
+        """The last seconds of the environments on the page as a film."""
+        moments = self.history.moments()
+        if len(moments) < 2:
+            raise ValueError("film: nothing has moved yet")
+        rate = (len(moments) - 1) / max(self.history.length, 1e-9)
+        offset = self._film.offset[:, None].astype(np.float32)
+        position = np.stack([moment.state["position"][self.rows] + offset for moment in moments])
+        orientation = np.stack([moment.state["orientation"][self.rows] for moment in moments])
+        frames = len(moments)
+        return replace(
+            self._film,
+            position=position.reshape(frames, -1, 3),
+            orientation=orientation.reshape(frames, -1, 4),
+            fps=rate,
+        )
+
+    def send_film(self, client_id: int) -> None:
+        """Let a page download the last seconds, as a page that plays without the viewer."""
+        from warp_rigid.viewer.playback import save_html
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"{self.session.plan.demo.name}.html"
+            save_html(self.film(), path, self.fast)
+            self._send(client_id, path.name, path.read_bytes())
+
+    def send_picture(self, client_id: int) -> None:
+        """Let a page download its picture of the scene."""
+        client = self.server.get_clients().get(client_id)
+        if client is None:
+            return
+        picture = client.get_render(client.camera.image_height, client.camera.image_width, timeout=PICTURE_PATIENCE)
+        self._send(client_id, f"{self.session.plan.demo.name}.png", png_bytes(picture))
+
+    def _send(self, client_id: int, name: str, content: bytes) -> None:
+        client = self.server.get_clients().get(client_id)
+        if client is not None:
+            client.send_file_download(name, content, save_immediately=True)
+
+    def _welcome(self, client: Any) -> None:
+        """Fit the view to the page, and let the simulation wait until the page shows the scene."""
+        look_from_page(client, self._film)
+        client.camera.on_update(lambda _: keep_above_ground(client, ground_heights(self._film)))
+        try:
+            client.get_render(16, 16, timeout=LOADING_PATIENCE)
+        except Exception as error:  # a page in the background draws nothing
+            log.info("the page did not report that it was loaded: %s", error)
+        # The panel may have narrowed the view meanwhile.
+        look_from_page(client, self._film)
+        self._loaded.add(client.client_id)
+
+    def _replay(self, wall: float) -> bool:
+        """Show the next moment of the loop."""
+        self._loop_time = (self._loop_time + wall * self.session.speed) % max(self.history.length, 1e-9)
+        self._past = self.history.at(self.history.length - self._loop_time)
+        return True
+
+    def _return_to_present(self) -> None:
+        """Continue from the moment that is shown, if it was chosen by the slider; a loop changes nothing."""
+        if self._past is not None and not self._looping:
+            self.session.show(self._past)
+            self.history.forget_after(self._past.time)
+        self._past, self._looping = None, False
+        self._panel.reset_time()
+
+    def _forget(self) -> None:
+        """Forget the last seconds: another scene or a restart."""
+        self.history.clear()
+        self._past, self._looping = None, False
+        self._panel.reset_time()
 
     def _halt(self) -> None:
         self._stopped = True
@@ -242,7 +390,7 @@ class LiveViewer:
         session = self.session
         recorder = Recorder(session.sim, 1.0 / PERIOD, self.rows, [session.plan.labels[row] for row in self.rows])
         recorder.capture(session.sim)
-        self._film: Film = film_from_recording(recorder.recording())
+        self._film: Film = replace(film_from_recording(recorder.recording()), view=session.plan.demo.view)
         motion = np.array([body.motion for body in session.plan.scene.bodies])
         self._plain = bytes_of_light(self._film.color)
         self._walls = np.where(np.tile(motion == Motion.STATIC, len(self.rows)), opacity_of_walls(self._film), 1.0)
@@ -331,8 +479,11 @@ class LiveViewer:
     def _publish(self) -> None:
         """Send the current state."""
         sim, rows = self.session.sim, self.rows
-        position = sim.get("position")[rows] + self._film.offset[:, None].astype(np.float32)
-        orientation = sim.get("orientation")[rows]
+        state = (
+            {name: sim.get(name) for name in ("position", "orientation")} if self._past is None else self._past.state
+        )
+        position = state["position"][rows] + self._film.offset[:, None].astype(np.float32)
+        orientation = state["orientation"][rows]
         with self.server.atomic():
             self._instances.pose(position.reshape(-1, 3), orientation.reshape(-1, 4))
             self._instances.color(self._colors())

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import viser
 
+from warp_rigid.render.camera import FIELD_OF_VIEW as FITTED_FIELD
+from warp_rigid.render.camera import TOWARD_LIGHT, fit_camera, points_to_see
 from warp_rigid.render.film import Film
-from warp_rigid.render.images import fit_camera, points_to_see
 from warp_rigid.render.raycast import WALL_THICKNESS
 from warp_rigid.rotations import rotate
 from warp_rigid.viewer.server import CheckedServer
@@ -16,9 +17,14 @@ from warp_rigid.viewer.server import CheckedServer
 __all__ = [
     "add_ground",
     "add_labels",
+    "ground_heights",
+    "keep_above_ground",
     "level_planes",
     "look_at_film",
+    "look_from",
+    "look_from_page",
     "opacity_of_walls",
+    "png_bytes",
     "set_light",
     "start_server",
     "stop_server",
@@ -26,8 +32,12 @@ __all__ = [
 
 ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
 """Colours of the sky and of infinite grounds."""
+LAMP_LIGHT, SKY_LIGHT = 2.1, 1.4
+"""Strengths with which a white surface that faces the lamp is about white on the page."""
 FIELD_OF_VIEW = math.radians(40.0)
-ROOM = 1.3
+USUAL_SIZE = (1280, 900)
+"""Width and height of the view that is assumed until a page reports its own [pixel]."""
+ROOM = 1.5
 """Distance of the camera, relative to the one at which the bodies fill the view: they will move."""
 
 
@@ -53,20 +63,33 @@ def stop_server(server: viser.ViserServer) -> None:
 def set_light(server: viser.ViserServer, fast: bool) -> None:
     """Add sky light and a lamp, which casts shadows unless `fast`."""
     server.scene.configure_environment_map(None)
-    server.scene.configure_default_lights(enabled=True, cast_shadow=not fast)
-    server.scene.add_light_hemisphere("/light", sky_color=(236, 242, 255), ground_color=(150, 140, 128), intensity=1.6)
+    server.scene.configure_default_lights(enabled=False)
+    server.scene.add_light_directional(
+        "/lamp", color=(255, 246, 232), intensity=LAMP_LIGHT, cast_shadow=not fast, position=TOWARD_LIGHT
+    )
+    server.scene.add_light_hemisphere(
+        "/light", sky_color=(236, 242, 255), ground_color=(150, 140, 128), intensity=SKY_LIGHT
+    )
     rows = np.linspace(0.0, 1.0, 64)[:, None, None]
     sky = (1.0 - rows) * np.array(ZENITH) + rows * np.array(HORIZON)
     server.scene.set_background_image(np.broadcast_to(sky, (64, 4, 3)).astype(np.uint8), format="png")
 
 
+def ground_heights(film: Film) -> list[float]:
+    """Heights at which level planes lie [m]."""
+    places = [
+        film.position[0][i, 2] + film.meshes[film.mesh[i]].vertices[0, 2] for i in np.flatnonzero(level_planes(film))
+    ]
+    return sorted({round(float(place), 6) for place in places})
+
+
 def add_ground(server: viser.ViserServer, film: Film) -> list:
     """Add an infinite grid for each height at which a level plane lies; returns the handles."""
-    heights = {round(float(film.position[0][i, 2]), 6) for i in np.flatnonzero(level_planes(film))}
+    heights = ground_heights(film)
     cell = float(fit_camera(points_to_see(film, [0]), 1.0, 480).grid)
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
     handles = []
-    for index, height in enumerate(sorted(heights)):
+    for index, height in enumerate(heights):
         grid = server.scene.add_grid(
             f"/ground_{index}",
             infinite_grid=True,
@@ -114,17 +137,60 @@ def opacity_of_walls(film: Film) -> np.ndarray:
 
 def look_at_film(server: viser.ViserServer, film: Film) -> None:
     """Place the camera so that the film's bodies are seen: for pages opened later, and for those open now."""
+    for client in server.get_clients().values():
+        look_from_page(client, film)
+    look_from(server.initial_camera, film, *USUAL_SIZE)
+
+
+def look_from_page(client: viser.ClientHandle, film: Film) -> None:
+    """Place the camera of an open page."""
+    size = client.camera.image_width, client.camera.image_height
+    usable = all(isinstance(part, int | float) and math.isfinite(part) and part >= 1 for part in size)
+    # A page that has reported an impossible camera keeps it.
+    with contextlib.suppress(ValueError):
+        look_from(client.camera, film, *(size if usable else USUAL_SIZE))
+
+
+def look_from(view, film: Film, width: int, height: int) -> None:
+    """Place a camera so that the film's bodies fill the view.
+
+    Args:
+        view: viser's camera.
+        film: the film.
+        width: width of the view, without the panel [pixel].
+        height: height of the view [pixel].
+    """
     points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
-    camera = fit_camera(points, 1.0, 480)
+    camera = fit_camera(points, width / height, height, film.view)
     eye, ahead = np.array(camera.eye), np.array(camera.forward)
     target = eye + ahead * float(np.median((points - eye) @ ahead))
-    eye = target + ROOM * math.tan(math.radians(16.0)) / math.tan(0.5 * FIELD_OF_VIEW) * (eye - target)
-    for view in (server.initial_camera, *(client.camera for client in server.get_clients().values())):
-        view.fov = FIELD_OF_VIEW
-        # The nearer the first visible distance, the less of the depth's precision is left for the rest.
-        view.near = 0.02 * float(np.linalg.norm(eye - target))
-        view.position = tuple(eye)
-        view.look_at = tuple(target)
+    half = math.tan(0.5 * FIELD_OF_VIEW)
+    room = ROOM if film.num_frames == 1 else 1.0
+    eye = target + room * math.tan(0.5 * FITTED_FIELD) / half * (eye - target)
+    view.fov = FIELD_OF_VIEW
+    # The nearer the first visible distance, the less of the depth's precision is left for the rest.
+    view.near = 0.02 * float(np.linalg.norm(eye - target))
+    view.position = tuple(eye)
+    view.look_at = tuple(target)
+
+
+def keep_above_ground(client: viser.ClientHandle, heights: list[float]) -> None:
+    """Lift the camera of a page if it is below the lowest of the grounds [m]."""
+    camera = client.camera
+    if heights:
+        lowest = min(heights) + 0.02 * float(np.linalg.norm(camera.position - camera.look_at))
+        if camera.position[2] < lowest - 1e-6:
+            with contextlib.suppress(ValueError):
+                camera.position = (camera.position[0], camera.position[1], lowest)
+
+
+def png_bytes(picture: np.ndarray) -> bytes:
+    """A picture (height, width, 3) uint8 as the content of a PNG file."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, format="PNG")
+    return file.getvalue()
 
 
 def add_labels(server: viser.ViserServer, film: Film) -> list:

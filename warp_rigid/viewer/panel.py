@@ -11,6 +11,7 @@ from warp_rigid.engine.settings import SHOCK_MODES
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.viewer.controls import check_value
+from warp_rigid.viewer.history import LENGTH
 from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.overlays import OVERLAYS
 from warp_rigid.viewer.session import Session, key_scenes
@@ -20,6 +21,8 @@ __all__ = ["Panel"]
 
 STEP_RATES = ("60", "120", "240", "480", "960")
 CUSTOM = "changed by hand"
+SPAWNED = ("box", "sphere", "capsule", "like the selected body")
+VELOCITIES = ("linear_velocity", "angular_velocity")
 
 SLIDERS = {
     "collision_iterations": (0, 40, 1),
@@ -60,6 +63,7 @@ class Panel:
             ("Bodies", self._add_bodies),
             ("Show", self._add_show),
             ("Touch", self._add_touch),
+            ("Scene", self._add_scene),
             ("Slice", self._add_slice),
         ):
             with tabs.add_tab(label):
@@ -92,6 +96,7 @@ class Panel:
         rate = f"{1.0 / sim.settings.dt:.6g}"
         self._options("dt", [*STEP_RATES, *({rate} - set(STEP_RATES))], rate)
         self._options("body", [f"{i} {body.name}" for i, body in enumerate(sim.scene.bodies)], None)
+        self._show_parameters(session)
         several = sim.num_envs > 1
         for name, top in (("first_env", sim.num_envs - 1), ("shown_envs", sim.num_envs)):
             widgets[name].max = max(top, 2)
@@ -139,6 +144,12 @@ class Panel:
         actions = {"Run / Pause": viewer.toggle, "Step": viewer.single_step, "Restart": viewer.restart}
         buttons.on_click(lambda event: viewer.ask(actions[event.target.value]))
         self._add("speed", gui.add_slider("Speed", 0.05, 4.0, 0.05, 1.0, hint="Simulated time over wall-clock time."))
+        hint = "Shows the last 20 s; running continues from the moment that is shown."
+        self._add("back", gui.add_slider("Rewind [s]", -LENGTH, 0.0, 0.05, 0.0, hint=hint))
+        self._add("loop", gui.add_checkbox("Loop the last 20 s", False))
+        saves = gui.add_button_group("Save", ("Picture", "Film"), hint="Film: the last 20 s as a page of its own.")
+        sending = {"Picture": viewer.send_picture, "Film": viewer.send_film}
+        saves.on_click(lambda event: viewer.ask(sending[event.target.value], event.client_id))
 
     def _add_method(self) -> None:
         gui = self._gui
@@ -180,6 +191,57 @@ class Panel:
             gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint="Speed of a body that is hit at its centre."),
         )
         self._said = gui.add_markdown("")
+        self._inspected = gui.add_markdown("")
+        self._add("spawned", gui.add_dropdown("New body", SPAWNED))
+        drop = gui.add_button_group("", ("Drop",), hint="Drops it above the others, into every environment.")
+        drop.on_click(lambda event: self._viewer.ask(self._viewer.spawn, self._widgets["spawned"].value))
+
+    def _add_scene(self) -> None:
+        self._gui.add_markdown("Parameters of the scene; applying them builds it again.")
+        self._parameters = self._gui.add_folder("Parameters")
+        self._inputs: dict[str, Any] = {}
+        again = self._gui.add_button_group("", ("Apply",))
+        again.on_click(lambda event: self._viewer.ask(self._restart_with_parameters))
+
+    def _show_parameters(self, session: Session) -> None:
+        """Make a control for each number and switch among the parameters of the scene, unless they are there."""
+        known = {
+            name: session.plan.parameters.get(name, value)
+            for name, value in session.plan.demo.parameters.items()
+            if isinstance(value, bool | int | float)
+        }
+        if list(known) != list(self._inputs):
+            for widget in self._inputs.values():
+                widget.remove()
+            self._inputs = {}
+            with self._parameters:
+                for name, value in known.items():
+                    add = self._gui.add_checkbox if isinstance(value, bool) else self._gui.add_number
+                    self._inputs[name] = add(_label(name), value)
+        for name, value in known.items():
+            self._inputs[name].value = value
+
+    def _restart_with_parameters(self) -> None:
+        self._viewer.restart_with({name: widget.value for name, widget in self._inputs.items()})
+
+    def inspect(self, session: Session, env: int, body: int) -> None:
+        """Show the values of the selected body."""
+        sim, data = session.sim, session.plan.scene.bodies[body]
+        speed, spin = (float(np.linalg.norm(sim.get(name)[env, body])) for name in VELOCITIES)
+        contacts = sim.contacts()
+        own = contacts[(contacts["env"] == env) & ((contacts["body_a"] == body) | (contacts["body_b"] == body))]
+        place = ", ".join(f"{value:.3f}" for value in sim.get("position")[env, body])
+        self._inspected.content = (
+            f"**{data.name}** ({type(data.shape).__name__}, {data.motion.name.lower()}), "
+            f"{float(sim.get('mass')[env, body]):.3g} kg\n\n"
+            f"at ({place}) m, {speed:.3g} m/s, {spin:.3g} rad/s\n\n"
+            f"{len(own)} contacts, {'asleep' if sim.get('asleep')[env, body] else 'awake'}"
+        )
+
+    def reset_time(self) -> None:
+        """Show that the page shows the present."""
+        self._set("back", 0.0)
+        self._set("loop", False)
 
     def _add_slice(self) -> None:
         gui = self._gui
@@ -196,7 +258,7 @@ class Panel:
         commands = {
             "Run or pause": ("space", viewer.toggle),
             "Single step": ("N", viewer.single_step),
-            "Restart": ("R", viewer.restart),
+            "Begin again": ("R", viewer.restart),
             "Contact processing on or off": ("C", partial(self.flip, "contact_processing")),
             "Next way of shock propagation": ("S", self.next_shock_mode),
             "Stage order": ("O", partial(self.flip, "collision_first")),
@@ -205,6 +267,9 @@ class Panel:
         }
         for digit, name in key_scenes().items():
             commands[f"Load {name}"] = (digit, partial(viewer.load, name))
+        lines = "\n".join(f"- **{key}** {label[0].lower()}{label[1:]}" for label, (key, _) in commands.items())
+        with self._gui.add_folder("Keys", expand_by_default=False):
+            self._gui.add_markdown(lines)
         for label, (key, action) in commands.items():
             command = self._gui.add_command(label, hotkey=key)
             command.on_trigger(lambda event, action=action: viewer.ask(action))

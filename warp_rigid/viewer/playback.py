@@ -2,12 +2,16 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
+from warp_rigid.render.appearance import continuous_signs
+from warp_rigid.render.camera import event_end
 from warp_rigid.render.film import Film, film_from_recording, film_from_usd
 from warp_rigid.runs.recording import Recording
+from warp_rigid.viewer.branding import own_title
 from warp_rigid.viewer.instances import Instances
 from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
 
@@ -15,8 +19,10 @@ __all__ = ["FilmViewer", "load_film", "save_html"]
 
 PERIOD = 1.0 / 30.0
 """Time between updates of the page [s]."""
-PAGE_RATE = 30.0
+PAGE_RATE = 60.0
 """Largest frame rate of a standalone page [1/s]."""
+END_PAUSE = 1.0
+"""Time for which a standalone page shows the last frame before it starts again [s]."""
 
 
 def load_film(path: str) -> Film:
@@ -153,10 +159,14 @@ def save_html(film: Film, path, fast: bool = False) -> None:
         look_at_film(server, film)
         page = server.get_scene_serializer()
         stride = max(1, round(film.fps / PAGE_RATE))
-        for frame in range(0, film.num_frames, stride):
+        last = event_end(film)
+        film = replace(film, orientation=continuous_signs(film.orientation))
+        for frame in [*range(0, last, stride), last]:
             instances.show(film, frame)
             page.insert_sleep(stride / film.fps)
+        # The page starts again at once: the end is shown for a while, so that the loop is no jump in the motion.
+        page.insert_sleep(END_PAUSE)
         with atomic_file(path) as beside:
-            beside.write_text(page.as_html(), encoding="utf-8")
+            beside.write_text(own_title(page.as_html()), encoding="utf-8")
     finally:
         stop_server(server)

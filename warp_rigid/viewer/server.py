@@ -13,6 +13,7 @@ from websockets import Headers
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
+from warp_rigid.viewer.branding import with_own_title
 from warp_rigid.viewer.controls import accept_checked_messages
 from warp_rigid.viewer.guard import Guard
 
@@ -118,6 +119,7 @@ class _Checks:
             response = answer(connection, self._guard.strip_token(request))
             if response is not None:
                 response.headers.update(PRIVACY)
+                response = with_own_title(response)
             return response
 
         self.installed = True

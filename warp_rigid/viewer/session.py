@@ -9,11 +9,14 @@ import numpy as np
 
 from warp_rigid import scenes
 from warp_rigid.engine.quantities import WRITABLE
+from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.runs import runner
 from warp_rigid.scene.scene import Motion
+from warp_rigid.scene.shapes import Shape
 from warp_rigid.scenes import Verdict
+from warp_rigid.viewer.history import Moment
 
 __all__ = ["Paced", "Session"]
 
@@ -186,6 +189,32 @@ class Session:
         if name in self._settings or name == "dt":
             self.variant = None
 
+    def show(self, moment: Moment) -> None:
+        """Put all bodies where they were at a moment, to continue from there; events that have happened stay done."""
+        self.release()
+        for name, value in moment.state.items():
+            self._sim.set(name, value)
+        self._time_before = moment.time - self._sim.time
+        self._owed = 0.0
+
+    def spawn(self, shape: Shape, position: np.ndarray) -> int:
+        """Add a body to all environments, which go on as they are.
+
+        Args:
+            shape: its shape.
+            position: of its frame in every environment (envs, 3) [m].
+
+        Returns:
+            The index of the body.
+        """
+        scene = self.plan.scene
+        body = scene.add_body(shape, position=position[0], name=f"added_{len(scene.bodies)}")
+        self._replace(self._sim.settings)
+        self._sim.set("position", position[:, None], bodies=[body])
+        for name in self._start:
+            self._start[name] = np.concatenate([self._start[name], self._sim.get(name)[:, body:]], axis=1)
+        return body
+
     def push(self, env: int, body: int, point: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Apply the impulse that would give the body, hit centrally, a change of velocity [m/s].
 
@@ -236,15 +265,21 @@ class Session:
 
     def _change_dt(self, dt: float) -> None:
         """Go on in a simulator of another step, with everything that was set."""
+        self._replace(dataclasses.replace(self._sim.settings, dt=dt))
+
+    def _replace(self, settings: Settings) -> None:
+        """Go on in a new simulator of the scene, with everything that was set for the bodies that there were."""
         old = self._sim
-        settings = dataclasses.replace(old.settings, dt=dt)
         new = Simulator(self.plan.scene, old.num_envs, settings, old.device, old.seed)
-        dynamic = [i for i, body in enumerate(self.plan.scene.bodies) if body.motion == Motion.DYNAMIC]
+        dynamic = [i for i, body in enumerate(old.scene.bodies[: old.num_bodies]) if body.motion == Motion.DYNAMIC]
         for name in WRITABLE:
             value = old.get(name)
-            if not np.array_equal(value, new.get(name)):
-                value, bodies = (value[:, dynamic], dynamic) if name == "mass" else (value, None)
-                new.set(name, list(value) if name in self._settings else value, bodies=bodies)
+            if name in self._settings or name == "gravity":
+                if not np.array_equal(value, new.get(name)):
+                    new.set(name, list(value) if name in self._settings else value)
+            elif not np.array_equal(value, new.get(name)[:, : old.num_bodies]):
+                bodies = dynamic if name == "mass" else list(range(old.num_bodies))
+                new.set(name, value[:, bodies], bodies=bodies)
         self._events = [(when - old.time, act) for when, act in self._events]
         self._time_before += old.time
         self._sim = new

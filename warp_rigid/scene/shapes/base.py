@@ -3,16 +3,19 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import warp as wp
 
+from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
+from warp_rigid.scene.shapes.triangle_tree import TriangleTree
+from warp_rigid.threads import exclusive
 
 IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
 
@@ -39,7 +42,8 @@ class Part:
 
     `size` by kind: SPHERE (radius, 0, 0, 0), BOX (half x, half y, half z, 0), CAPSULE and CYLINDER
     (radius, half height, 0, 0) about local z, PLANE (unit normal, offset), GRID (0, 0, 0, 0),
-    HEIGHTFIELD (extent x, extent y, steepest slope, 0); all but the slope [m].
+    HEIGHTFIELD (extent x, extent y, steepest slope, 0); all but the slope [m]. A GRID with a `tree` has exact distances
+    to triangles near its surface.
     """
 
     kind: PartKind
@@ -47,6 +51,7 @@ class Part:
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     orientation: tuple[float, float, float, float] = IDENTITY_ROTATION
     grid: Grid | None = None
+    tree: TriangleTree | None = None
 
 
 class Shape:
@@ -89,6 +94,12 @@ class Shape:
             raise AttributeError(f"{type(self).__name__}.{name} cannot be changed")
         super().__setattr__(name, value)
 
+    def __repr__(self) -> str:
+        """The constructor call of an analytic shape; other shapes list their sizes."""
+        values = {name: np.asarray(getattr(self, name)).tolist() for name in self.parameters}
+        listed = (f"{name}={tuple(v) if isinstance(v, list) else v}" for name, v in values.items())
+        return f"{type(self).__name__}({', '.join(listed)})"
+
     @property
     def volume(self) -> float:
         """Volume [m^3]."""
@@ -112,6 +123,21 @@ class Shape:
     def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the shape, for (n, 3) directions -> (n,)."""
         raise NotImplementedError
+
+    @property
+    def hull(self) -> np.ndarray:
+        """Vertices of the solid if it is a convex mesh, (n, 3) [m], else (0, 3)."""
+        return np.zeros((0, 3))
+
+    @cached_property
+    def inner_ball(self) -> tuple[np.ndarray, float]:
+        """Centre (3,) and radius [m] of a large ball inside the shape; radius 0 if it has no inside.
+
+        For a convex shape the ball about its centre of mass.
+        """
+        if self.static_only:
+            return np.zeros(3), 0.0
+        return self.center_of_mass, float(-self.signed_distance(self.center_of_mass)[0][0])
 
     def signed_distance(self, points) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the surface and its gradient, in float64.
@@ -154,6 +180,11 @@ class Shape:
     @property
     def grid_nodes(self) -> int:
         """Number of grid values among the parts, without computing them."""
+        return 0
+
+    @property
+    def tree_triangles(self) -> int:
+        """Number of triangles among the parts that have exact distances."""
         return 0
 
     def to_data(self, place: Callable[["Shape"], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -216,6 +247,17 @@ def analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.nd
         part: of an analytic kind, neither GRID nor HEIGHTFIELD.
         points: (n, 3) float64 in the part's frame [m].
     """
+    with exclusive():
+        _load_host_distance()
+        return _analytic_distance(part, points)
+
+
+@cache
+def _load_host_distance() -> None:
+    load_module(wp.get_device("cpu"), host_distance.__name__, 1)
+
+
+def _analytic_distance(part: Part, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     places = wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
     found = wp.empty(len(points), dtype=wp.vec4d, device="cpu")
     inputs = [int(part.kind), wp.vec4d(*part.size), places]

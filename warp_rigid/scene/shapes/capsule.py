@@ -45,7 +45,7 @@ class Capsule(Shape):
         """Two balls at the ends and EDGE segments along the axis, all with the capsule's radius."""
         ends = np.array([[0.0, 0.0, -self.half_height], [0.0, 0.0, self.half_height]])
         collected = SampleList()
-        collected.add(SampleKind.POINT, ends, radius=self.radius, rank=VERTEX)
+        collected.add_round(SampleKind.POINT, ends, radius=self.radius, rank=VERTEX)
         collected.add_axis(self.half_height, self.radius)
         return collected
 

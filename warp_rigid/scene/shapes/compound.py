@@ -1,5 +1,6 @@
 """Compound: several shapes rigidly joined into one."""
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Self
 
@@ -9,7 +10,6 @@ from warp_rigid import rotations
 from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
-    Part,
     Shape,
     frozen_array,
     point_array,
@@ -37,6 +37,10 @@ class Compound(Shape):
         self.children = tuple(_checked_child(index, child) for index, child in enumerate(children))
         self._rotations = [rotations.matrix(orientation) for _, _, orientation in self.children]
 
+    def __repr__(self) -> str:
+        """Show the shapes of the children."""
+        return f"Compound({', '.join(repr(shape) for shape, _, _ in self.children)})"
+
     def _content(self):
         return [item for child in self.children for item in (child[0].key, child[1], child[2])]
 
@@ -62,6 +66,14 @@ class Compound(Shape):
             ],
             axis=0,
         )
+
+    @cached_property
+    def inner_ball(self):
+        """The largest of the children's."""
+        balls = [shape.inner_ball for shape, _, _ in self.children]
+        largest = int(np.argmax([radius for _, radius in balls]))
+        center, radius = balls[largest]
+        return self._rotations[largest] @ center + self.children[largest][1], radius
 
     def signed_distance(self, points):
         """Distance to the nearest child.
@@ -89,6 +101,11 @@ class Compound(Shape):
         """Sum over all children."""
         return sum(shape.grid_nodes for shape, _, _ in self.children)
 
+    @property
+    def tree_triangles(self):
+        """Sum over all children."""
+        return sum(shape.tree_triangles for shape, _, _ in self.children)
+
     def to_data(self, place):
         """The children by index, each with its pose."""
         return {
@@ -113,7 +130,7 @@ class Compound(Shape):
             for part in shape.parts():
                 place = rotation @ np.array(part.position) + position
                 turned = tuple(rotations.multiply(orientation, part.orientation).tolist())
-                flat.append(Part(part.kind, part.size, tuple(place.tolist()), turned, part.grid))
+                flat.append(replace(part, position=tuple(place.tolist()), orientation=turned))
         return flat
 
     def sample_list(self):

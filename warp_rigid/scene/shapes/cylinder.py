@@ -57,12 +57,12 @@ class Cylinder(Shape):
         for sign in (-1.0, 1.0):
             cap = np.array([0.0, 0.0, sign])
             collected.add(SampleKind.CAP, radius * circle + height * cap, cap, rank=VERTEX)
-            collected.add(SampleKind.RIM, height * cap, cap, radius=radius)
+            collected.add_round(SampleKind.RIM, height * cap, cap, radius)
             collected.add(SampleKind.FACE, height * cap, cap)
             collected.add(SampleKind.FACE, 0.5 * radius * circle[::2] + height * cap, cap)
         axis = height - CLEAR_OF_CAP * radius
         if axis > 0.0:
-            collected.add(SampleKind.POINT, [[0.0, 0.0, -axis], [0.0, 0.0, axis]], radius=radius)
+            collected.add_round(SampleKind.POINT, [[0.0, 0.0, -axis], [0.0, 0.0, axis]], radius=radius)
             collected.add_axis(axis, radius)
         else:
             slide = (0.0, 0.0, height)

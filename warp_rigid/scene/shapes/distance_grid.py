@@ -2,21 +2,26 @@
 
 Grids are kept in the folder named by the environment variable WARP_RIGID_CACHE, or in the
 platform's user cache folder under `warp_rigid`. A file is named by the hash of all that its grid
-depends on. If a file cannot be read or does not fit, the grid is computed again. If the folder cannot be
+depends on. If a file is damaged, this is reported and the grid is computed again. If the folder cannot be
 written to, nothing is cached.
 """
 
+import contextlib
+import logging
 import os
 import sys
-import tempfile
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from warp_rigid.engine.cores import spread, usable_cores
+from warp_rigid.files import archive
+from warp_rigid.files.atomic import atomic_file
 from warp_rigid.scene.shapes import topology
 from warp_rigid.scene.shapes.base import Grid, content_hash, frozen_array
+from warp_rigid.threads import exclusive
+
+log = logging.getLogger("warp_rigid")
 
 PADDING_CELLS = 3
 FORMAT = 1  # raise whenever the same mesh would give another grid or file
@@ -68,6 +73,11 @@ def bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -
     Returns:
         (nx, ny, nz) float32 [m].
     """
+    with exclusive():
+        return _bake(vertices, faces, origin, spacing, shape, simple, device)
+
+
+def _bake(vertices, faces, origin, spacing: float, shape, simple: bool, device) -> np.ndarray:
     import warp as wp
 
     from warp_rigid.kernels.collide import bake as kernels
@@ -125,11 +135,15 @@ def mesh_distance(vertices, faces, points, simple: bool, device=None):
     Returns:
         Distance (k,) [m], and unit direction (k, 3), zero on the surface.
     """
+    with exclusive():
+        return _mesh_distance(vertices, faces, points, simple, device or _device())
+
+
+def _mesh_distance(vertices, faces, points, simple: bool, device):
     import warp as wp
 
     from warp_rigid.kernels.collide import bake as kernels
 
-    device = device or _device()
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     tables, held = _mesh_tables(vertices - center, faces, simple, device)
     positions = wp.array((points - center).astype(np.float32), dtype=wp.vec3, device=device)
@@ -157,28 +171,24 @@ def cache_folder() -> Path:
 
 
 def _read(file: Path, shape) -> np.ndarray | None:
-    """The cached values in a file; None if the file is missing or does not match."""
+    """The cached values in a file; None if the file cannot be read or is damaged."""
     try:
-        with np.load(file, allow_pickle=False) as kept:
-            values = kept["values"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        values = archive.shaped(archive.Members(file), "values", np.float32, shape)
+        if not np.isfinite(values).all():
+            raise ValueError("values must be finite")
+    except archive.UNREADABLE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        log.warning("distance grid cache: %s is damaged (%s); the grid is computed again", file, reason)
         return None
-    fits = values.dtype == np.float32 and values.shape == shape and np.isfinite(values).all()
-    return values if fits else None
+    except OSError:
+        return None
+    return values
 
 
 def _write(file: Path, values: np.ndarray) -> None:
     """Write the values atomically, so that readers never see an incomplete file."""
-    partial = None
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handle, partial = tempfile.mkstemp(suffix=".tmp", dir=file.parent)
-        with os.fdopen(handle, "wb") as stream:
-            np.savez(stream, values=values)
-        os.replace(partial, file)
-    except OSError:
-        if partial is not None:
-            Path(partial).unlink(missing_ok=True)
+    with contextlib.suppress(OSError), atomic_file(file) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, values=values)
 
 
 def _device():

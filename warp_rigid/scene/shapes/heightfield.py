@@ -70,6 +70,11 @@ class Heightfield(Shape):
         self.phase = self._at_vertices("phase", motion.phase)
         self.angular_frequency = number_in("angular_frequency", motion.angular_frequency, 0.0)
 
+    def __repr__(self) -> str:
+        """Show the numbers of heights and the size."""
+        rows, columns = self.heights.shape
+        return f"Heightfield({rows} x {columns} heights, size={tuple(self.extent.tolist())})"
+
     def _at_vertices(self, name, value):
         """A finite number for each vertex."""
         try:

@@ -11,15 +11,19 @@ from warp_rigid.scene.shapes import distance_grid, mass_properties, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.mesh_repair import Surface, checked, repair
 from warp_rigid.scene.shapes.sampling import sample_mesh
+from warp_rigid.scene.shapes.triangle_tree import TriangleTree, triangle_tree
 
 SAMPLES_PER_SIDE = 16
+CELLS_OF_A_WALL = 1.3
+"""Thickness from which a wall holds by the grid alone, in cells: measured 1.28."""
 
 
 class Mesh(Shape):
     """Solid inside a triangle mesh, convex or not.
 
     Collisions use a grid of signed distances, which is computed at first use and stored in a cache
-    folder (see `warp_rigid.scene.shapes.distance_grid`).
+    folder (see `warp_rigid.scene.shapes.distance_grid`), and near the surface the triangles themselves, so
+    that walls may be thinner than a cell of the grid. The triangles take at most 200 bytes each.
 
     A mesh with holes represents the solid that results when each boundary loop is closed by a fan
     of triangles from the loop's mean point. Mass, signed distance and sign (by winding number
@@ -44,7 +48,8 @@ class Mesh(Shape):
             sdf_resolution: grid cells along the longest side, 8 to 512.
 
         Raises:
-            ValueError: The mesh is empty, not finite or encloses no volume.
+            ValueError: The mesh is empty, not finite or encloses no volume, or it has holes and walls too thin for the
+                grid.
         """
         self._setup(repair(vertices, faces), sdf_resolution)
         if self.repairs:
@@ -62,6 +67,32 @@ class Mesh(Shape):
         self._solid_vertices = frozen_array(solid_vertices)
         self._solid_faces = frozen_array(solid_faces, np.int32)
         _refuse_flat(self.vertices, self.faces, self.mass_properties)
+        if not self._simple:
+            self._refuse_thin()
+
+    def _refuse_thin(self) -> None:
+        """Reject walls that the grid does not resolve, where it alone tells inside from outside."""
+        area = topology.face_normals(self._solid_vertices, self._solid_faces)[1].sum()
+        wall = 2.0 * self.volume / area  # of a plate, its thickness
+        extent = float(np.ptp(self.vertices, axis=0).max())
+        least = int(np.ceil(CELLS_OF_A_WALL * extent / wall))
+        if self.sdf_resolution < least:
+            raise ValueError(
+                f"sdf_resolution: must be at least {least} for walls about {1e3 * wall:.3g} mm thick, got "
+                f"{self.sdf_resolution}; as {self.fault}, only the grid tells inside from outside"
+            )
+
+    @property
+    def fault(self) -> str:
+        """Why contacts cannot use the triangles; empty if they can."""
+        if self._simple:
+            return ""
+        return "more than two faces meet at an edge" if self.watertight else "the mesh has holes"
+
+    def __repr__(self) -> str:
+        """Show the numbers of vertices and triangles."""
+        sizes = f"{len(self.vertices)} vertices, {len(self.faces)} triangles"
+        return f"Mesh({sizes}, sdf_resolution={self.sdf_resolution})"
 
     @classmethod
     def from_file(cls, path, scale: float = 1.0, sdf_resolution: int = 64) -> "Mesh":
@@ -125,6 +156,11 @@ class Mesh(Shape):
         nx, ny, nz = distance_grid.grid_layout(self.vertices, self.sdf_resolution)[2]
         return nx * ny * nz
 
+    @property
+    def tree_triangles(self):
+        """All, or none."""
+        return len(self._solid_faces) if self._simple else 0
+
     def to_data(self, place):
         """Triangles and distances as arrays."""
         arrays = {"vertices": self.vertices, "faces": self.faces, "distances": self.grid.values}
@@ -150,28 +186,39 @@ class Mesh(Shape):
         return (directions @ self.vertices.T).max(axis=1)
 
     @cached_property
+    def hull(self):
+        """All vertices, if the mesh is convex."""
+        convex = self._simple and topology.is_convex(self.vertices, self.faces)
+        return self.vertices if convex else np.zeros((0, 3))
+
+    @cached_property
     def grid(self) -> Grid:
         """Signed distances: `sdf_resolution` cells along the longest side, and 3 more on every side."""
         return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
 
     def signed_distance(self, points):
-        """Trilinear interpolation of the grid.
+        """Signed distance to the triangles (n,) [m] and unit direction (n, 3), which is zero on the surface itself.
 
-        The gradient is that of the interpolation: close to unit length but not normalised. Outside the
-        grid the distance is a lower bound (see `warp_rigid.scene.shapes.distance_grid.interpolate`).
-        """
-        return distance_grid.interpolate(self.grid, point_array(points))
-
-    def exact_signed_distance(self, points):
-        """Signed distance to the triangles themselves (n,) [m] and unit direction (n, 3).
-
-        The direction is undefined (zero) on the surface.
+        Computed in float32 about the middle of the mesh. The simulation takes it from the grid where no contact can be,
+        and more than a cell inside.
         """
         return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
 
+    @cached_property
+    def inner_ball(self):
+        """About the deepest node of the grid."""
+        deepest = np.unravel_index(np.argmin(self.grid.values), self.grid.values.shape)
+        center = np.array(self.grid.origin) + self.grid.spacing * np.array(deepest)
+        return center, max(0.0, -float(self.grid.values[deepest]))
+
     def parts(self):
-        """One GRID."""
-        return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid)]
+        """One GRID, with a tree of triangles where their distance has a sign."""
+        return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid, tree=self.tree)]
+
+    @cached_property
+    def tree(self) -> TriangleTree | None:
+        """Triangles for exact distances near the surface; None if edges or holes leave the sign to winding numbers."""
+        return triangle_tree(self._solid_vertices, self._solid_faces) if self._simple else None
 
     @property
     def sample_spacing(self) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 
 from warp_rigid.checks import number_array, shown
 from warp_rigid.scene.shapes import mass_properties, topology
+from warp_rigid.scene.shapes.mesh_union import join_shells
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,8 @@ def repair(vertices, faces) -> Surface:
 
     Merges duplicate vertices, removes faces without area and repeated faces, removes unused
     vertices, makes the winding of neighbouring faces consistent, and turns inverted surfaces outward
-    (the surface of a cavity, which faces into the hollow of another, is not changed).
+    (the surface of a cavity, which faces into the hollow of another, is not changed). Shells that overlap or touch are
+    replaced by their union.
 
     trimesh's own repairs are not used: they invert cavities, merge within absolute distances and do
     not report the number of faces that they change.
@@ -50,6 +52,8 @@ def repair(vertices, faces) -> Surface:
     vertices, faces = _drop_unused(vertices, faces, repairs)
     faces = _agree_winding(faces, repairs)
     faces = _face_outward(vertices, faces, repairs)
+    vertices, faces, change = join_shells(vertices, faces)
+    repairs += [change] if change else []
     return Surface(vertices, faces.astype(np.int32), repairs)
 
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_rigid.kernels.enums import SampleKind
+from warp_rigid.kernels.schema import BALL_PLACES
 from warp_rigid.scene.shapes import topology
 
 CLUSTER_LIMIT = 32
 FEATURE_DEGREES = 30.0
-COLUMNS = ("point", "normal", "slide", "radius", "kind", "rank")
+COLUMNS = ("point", "normal", "slide", "radius", "kind", "choice", "rank")
 VERTEX, OTHER = 0, 1  # ranks: inside a cluster, vertices come first
 
 
@@ -24,6 +25,7 @@ class Samples:
         slide: (n, 3) float32, half of the segment of an EDGE sample, else zero.
         radius: (n,) float32, of the ball around a POINT or EDGE, or of the circle of a RIM.
         kind: (n,) int32, a `SampleKind`.
+        choice: (n,) int32, of balls and rims: the place on a mesh that each stands for, from 1; else 0.
         cluster_start: (c + 1,) int32, where each cluster begins and the last ends.
         cluster_center: (c, 3) float32, centre of the bounding sphere of the samples.
         cluster_radius: (c,) float32, its radius.
@@ -34,6 +36,7 @@ class Samples:
     slide: np.ndarray
     radius: np.ndarray
     kind: np.ndarray
+    choice: np.ndarray
     cluster_start: np.ndarray
     cluster_center: np.ndarray
     cluster_radius: np.ndarray
@@ -50,14 +53,19 @@ class SampleList:
         """An empty list."""
         self._columns = {name: [] for name in COLUMNS}
 
-    def add(self, kind, point, normal=(0, 0, 0), slide=(0, 0, 0), radius=0.0, rank=OTHER):
+    def add(self, kind, point, normal=(0, 0, 0), slide=(0, 0, 0), radius=0.0, rank=OTHER, choice=0):
         """Append n samples; each argument is one value for all, or one per sample."""
         point = np.asarray(point, dtype=np.float64).reshape(-1, 3)
         count = len(point)
-        values = (point, normal, slide, radius, kind, rank)
+        values = (point, normal, slide, radius, kind, choice, rank)
         for (name, column), value in zip(self._columns.items(), values, strict=True):
             shape = (count, 3) if name in ("point", "normal", "slide") else (count,)
             column.append(np.broadcast_to(np.asarray(value), shape))
+
+    def add_round(self, kind, center, normal=(0, 0, 0), radius: float = 0.0, rank=OTHER) -> None:
+        """Append balls (POINT) or rims (RIM) about points (n, 3), each once for every place on a mesh."""
+        for choice in range(1, BALL_PLACES + 1):
+            self.add(kind, center, normal, radius=radius, rank=rank, choice=choice)
 
     def add_axis(self, half_length: float, radius: float) -> None:
         """Append EDGE segments with a radius along z, each about one radius long, 8 at most."""
@@ -76,8 +84,8 @@ class SampleList:
         return cluster_samples(**self.columns())
 
 
-def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
-    """Group samples into spatially tight clusters of at most 32; points and rims, edges, and faces are separate.
+def cluster_samples(point, normal, slide, radius, kind, choice, rank) -> Samples:
+    """Group samples into tight clusters of at most 32, apart: points with rims, edges, faces, and further places.
 
     Args:
         point: (n, 3) as in `Samples`.
@@ -85,11 +93,13 @@ def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
         slide: (n, 3) as in `Samples`.
         radius: (n,) as in `Samples`.
         kind: (n,) as in `Samples`.
+        choice: (n,) as in `Samples`.
         rank: (n,) order inside a cluster; samples of equal rank keep their order.
     """
+    points = np.isin(kind, (SampleKind.POINT, SampleKind.RIM, SampleKind.CAP))
     groups = []
-    for family in ((SampleKind.POINT, SampleKind.RIM, SampleKind.CAP), (SampleKind.EDGE,), (SampleKind.FACE,)):
-        members = np.flatnonzero(np.isin(kind, family))
+    for family in (points & (choice <= 1), kind == SampleKind.EDGE, kind == SampleKind.FACE, choice > 1):
+        members = np.flatnonzero(family)
         if len(members):
             groups += [members[group] for group in _bisect(point[members])]
     groups = [group[np.lexsort((group, rank[group]))] for group in groups]
@@ -103,6 +113,7 @@ def cluster_samples(point, normal, slide, radius, kind, rank) -> Samples:
         slide=_frozen(slide, np.float32),
         radius=_frozen(radius, np.float32),
         kind=_frozen(kind[order], np.int32),
+        choice=_frozen(choice[order], np.int32),
         cluster_start=_frozen(start, np.int32),
         cluster_center=_frozen(center, np.float32),
         cluster_radius=_frozen(reach, np.float32),

@@ -37,9 +37,9 @@ class Sphere(Shape):
         return [Part(PartKind.SPHERE, (self.radius, 0.0, 0.0, 0.0))]
 
     def sample_list(self):
-        """One POINT at the centre, with the sphere's radius."""
+        """One ball at the centre."""
         collected = SampleList()
-        collected.add(SampleKind.POINT, np.zeros((1, 3)), radius=self.radius)
+        collected.add_round(SampleKind.POINT, np.zeros((1, 3)), radius=self.radius)
         return collected
 
     def surface(self):

@@ -82,6 +82,21 @@ def face_components(edges: Edges) -> np.ndarray:
     return components(np.stack([face, count + edges.face_edge.ravel()], axis=1), count + len(edges.ends))[:count]
 
 
+def is_convex(vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether a closed manifold mesh is convex, to 1e-6 of its size.
+
+    A closed connected surface that is convex at each of its edges is convex (H. Tietze 1928, S. Nakajima 1928).
+    """
+    edges = find_edges(faces)
+    pairs, _ = face_pairs(edges)
+    if face_components(edges).any():
+        return False
+    normals, _ = face_normals(vertices, faces)
+    across = vertices[faces].mean(axis=1)[pairs[:, 1]] - vertices[faces[pairs[:, 0], 0]]
+    height = np.einsum("ij,ij->i", across, normals[pairs[:, 0]])
+    return bool(height.max() < 1e-6 * np.ptp(vertices, axis=0).max())
+
+
 def close_boundaries(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Close a mesh by a fan of triangles over each boundary loop, from the loop's mean point.
 

@@ -1,0 +1,153 @@
+"""The problem in Newton, for the programs of its solvers; a frame is one graph on CUDA.
+
+Meshes collide by distance grids on CUDA, by queries of the triangles on the CPU, which has no such grids. Buffers are
+larger than Newton's estimates, which overflow in piles of meshes; Newton prints an overflow, which `warp-rigid bench`
+reports.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import newton
+import numpy as np
+import warp as wp
+from problem import PeerProblem, timed, write
+
+GAP, RESOLUTION = 0.01, 64
+"""Values from its examples: contact distance [m], cells along the longest side."""
+CONTACTS_PER_BODY = {"box": 40, "mesh": 128}
+TRIANGLE_PAIRS = 2
+"""Capacity for pairs of close triangles, per triangle of every body."""
+EXPLICIT_UP_TO = 64
+"""Up to this number of bodies its list of all pairs is faster than its sweep."""
+
+
+def run(problem: PeerProblem, solver_of: Callable[[Any, int], Any], figures: dict[str, Any]) -> None:
+    """Step all worlds together and write the results.
+
+    Args:
+        problem: the problem.
+        solver_of: function of the model and the largest number of contacts of a world that returns a solver.
+        figures: name of the engine and settings of the solver, for the results.
+    """
+    wp.config.log_level = wp.LOG_ERROR
+    with wp.ScopedDevice(problem.device):
+        device = wp.get_device(problem.device)
+        mesh = _mesh(problem, device)
+        model = _model(problem, mesh).finalize(device=device)
+        capacity = CONTACTS_PER_BODY["box" if mesh is None else "mesh"] * problem.num_bodies
+        pipeline = _pipeline(model, problem, capacity)
+        contacts = pipeline.contacts()
+        solver = solver_of(model, capacity)
+        state = _States(model)
+
+        def frame() -> None:
+            for _ in range(problem.substeps):
+                state.now.clear_forces()
+                pipeline.collide(state.now, contacts)
+                solver.step(state.now, state.then, state.control, contacts, problem.dt)
+                state.swap()
+            if problem.substeps % 2:
+                # A recorded frame begins and ends in the same arrays.
+                state.then.assign(state.now)
+                state.swap()
+
+        frame()  # compiles
+        graph = None
+        if device.is_cuda:
+            with wp.ScopedCapture() as capture:
+                frame()
+            graph = capture.graph
+        state.restart()
+
+        def advance(frames: int) -> None:
+            for _ in range(frames):
+                frame() if graph is None else wp.capture_launch(graph)
+            wp.synchronize_device(device)
+
+        seconds = timed(problem, advance)
+        found = {
+            "version": newton.__version__,
+            "collider": "box" if mesh is None else ("distance grids" if device.is_cuda else "triangles"),
+            "device": str(device),
+            **seconds,
+            "contacts": int(contacts.rigid_contact_count.numpy()[0]),
+        }
+        poses = state.now.body_q.numpy().reshape(problem.num_envs, problem.num_bodies, 7)
+        speeds = state.now.body_qd.numpy().reshape(problem.num_envs, problem.num_bodies, 6)
+        write({**figures, **found}, poses[..., :3], poses[..., 3:], speeds[..., :3])
+
+
+class _States:
+    """The states before and after a substep."""
+
+    def __init__(self, model: newton.Model) -> None:
+        self.now, self.then, self.control = model.state(), model.state(), model.control()
+        newton.eval_fk(model, model.joint_q, model.joint_qd, self.now)
+        self._begin = (self.now.body_q.numpy(), self.now.body_qd.numpy())
+
+    def swap(self) -> None:
+        self.now, self.then = self.then, self.now
+
+    def restart(self) -> None:
+        self.now.body_q.assign(self._begin[0])
+        self.now.body_qd.assign(self._begin[1])
+
+
+def _mesh(problem: PeerProblem, device: wp.Device) -> newton.Mesh | None:
+    """The shape of the bodies, with a distance grid where the device has them; None if it is a box."""
+    if problem.vertices is None:
+        return None
+    mesh = newton.Mesh(problem.vertices.astype(np.float32), problem.faces.astype(np.int32).ravel())
+    if device.is_cuda:
+        mesh.build_sdf(max_resolution=RESOLUTION, narrow_band_range=(-0.05, 0.05), margin=2.0 * GAP)
+    return mesh
+
+
+def _pipeline(model: newton.Model, problem: PeerProblem, capacity: int) -> newton.CollisionPipeline:
+    """Collision detection with a capacity for contacts in each world."""
+    triangles = 0 if problem.faces is None else len(problem.faces) * problem.num_bodies * problem.num_envs
+    return newton.CollisionPipeline(
+        model,
+        broad_phase="explicit" if problem.num_bodies <= EXPLICIT_UP_TO else "sap",
+        reduce_contacts=True,
+        rigid_contact_max=capacity * problem.num_envs,
+        max_triangle_pairs=TRIANGLE_PAIRS * triangles or None,
+    )
+
+
+def _model(problem: PeerProblem, mesh: newton.Mesh | None) -> newton.ModelBuilder:
+    """One world per environment, each with the ground."""
+    whole = newton.ModelBuilder()
+    _configure(whole, problem)
+    whole.add_ground_plane()
+    for env in range(problem.num_envs):
+        world = newton.ModelBuilder()
+        _configure(world, problem)
+        for place, turned in zip(problem.position[env], problem.orientation[env], strict=True):
+            body = world.add_body(xform=wp.transform(wp.vec3(*place), wp.quat(*turned)))
+            if mesh is None:
+                hx, hy, hz = problem.half_extents
+                world.add_shape_box(body, hx=hx, hy=hy, hz=hz)
+            else:
+                world.add_shape_mesh(body, mesh=mesh)
+        for part in problem.fixed:
+            place = wp.transform(wp.vec3(*part["position"]), wp.quat_identity())
+            if part["kind"] == "box":
+                hx, hy, hz = part["half_extents"]
+                world.add_shape_box(-1, xform=place, hx=hx, hy=hy, hz=hz)
+            else:
+                world.add_shape_cylinder(-1, xform=place, radius=part["radius"], half_height=part["half_height"])
+        whole.add_world(world)
+    return whole
+
+
+def _configure(builder: newton.ModelBuilder, problem: PeerProblem) -> None:
+    config = builder.default_shape_cfg
+    config.density, config.mu, config.restitution, config.gap = (
+        problem.density,
+        problem.friction,
+        problem.restitution,
+        GAP,
+    )
+    config.mu_torsional = config.mu_rolling = 0.0

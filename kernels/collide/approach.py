@@ -1,0 +1,123 @@
+"""Approach of two bodies: their relative pose and motion, and the point in which they touch."""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.samples import Search
+from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.schema import Bodies, Motions, Pairs, State
+from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+NEAR = wp.constant(0.25)
+"""Reach of contacts of fast bodies, as a fraction of the smaller size."""
+
+
+@wp.struct
+class Touch:
+    """A contact point in the world frame. The normal points from the pair's second body to the first.
+
+    `closing`: 1 if the gap closes within the step.
+    """
+
+    position: wp.vec3
+    normal: wp.vec3
+    gap: float
+    closing: int
+
+
+@wp.struct
+class Approach:
+    """Relative pose of the body with the samples (`own`) in the frame of the body with the distance (`other`).
+
+    `weight`: weight of a gap in the score of a sample (contact_reduction.py). `cut`, `level`: points p of `own`, in its
+    frame, with `cut . p > level` cannot touch; a zero vector if that is not known of any.
+    """
+
+    own: int
+    other: int
+    own_shape: int
+    shape: int
+    turn: wp.quat
+    shift: wp.vec3
+    reach: float
+    rise: float
+    weight: float
+    cut: wp.vec3
+    level: float
+
+
+@wp.func
+def touch_of(placed: Search, side: int, other: int, state: State):
+    """The contact point in the world frame; the sample belongs to the first body on side 0, to the second on side 1."""
+    result = Touch()
+    turn = state.orientation[other]
+    n = wp.quat_rotate(turn, placed.direction)
+    middle = placed.query - 0.5 * placed.distance * placed.direction
+    result.position = wp.quat_rotate(turn, middle) + state.position[other]
+    result.normal = wp.where(side == 0, n, -n)
+    result.gap = placed.distance
+    return result
+
+
+@wp.func
+def velocity_at(body: int, x: wp.vec3, dt: float, state: State, motions: Motions):
+    """Velocity of a body's material at world point x, after accelerating for a time dt."""
+    v = state.linear_velocity[body] + dt * motions.acceleration[body]
+    w = state.angular_velocity[body] + dt * motions.spin_acceleration[body]
+    return v + wp.cross(w, x - motions.center[body])
+
+
+@wp.func
+def closing_gap(touch: Touch, a: int, b: int, dt: float, state: State, motions: Motions):
+    """The gap at the end of the step if the approach continues; at most the current gap."""
+    v = velocity_at(a, touch.position, dt, state, motions) - velocity_at(b, touch.position, dt, state, motions)
+    return touch.gap + dt * wp.min(wp.dot(v, touch.normal), 0.0)
+
+
+@wp.func
+def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motions):
+    """Upper bound of the relative motion of two surfaces in a time dt, after accelerating for a time `ahead` [m]."""
+    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
+    x = motions.center[small]
+    speed = velocity_at(a, x, ahead, state, motions) - velocity_at(b, x, ahead, state, motions)
+    spin = wp.length(state.angular_velocity[a] - state.angular_velocity[b]) * motions.radius[small]
+    return dt * (wp.length(speed) + spin)
+
+
+@wp.func
+def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
+    """Largest gap at which two surfaces can have a contact in this step [m].
+
+    It includes their relative motion in the step. Bodies that move further than their size are first moved to their
+    time of impact by continuous collision detection (ccd.py), as contact point and normal are not known from afar.
+    This does not apply to pairs with a kinematic body, whose motion is never limited.
+    """
+    way = travel(a, b, dt, dt, state, motions)
+    if way > size and motions.role[a] != Role.KINEMATIC and motions.role[b] != Role.KINEMATIC:
+        way = NEAR * size
+    return CONTACT_DISTANCE * size + way
+
+
+@wp.func
+def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State):
+    """Relative pose of `own` in the frame of `other`."""
+    approach = Approach()
+    approach.own = own
+    approach.other = other
+    approach.own_shape = bodies.shape[own]
+    approach.shape = bodies.shape[other]
+    back = wp.quat_inverse(state.orientation[other])
+    approach.turn = back * state.orientation[own]
+    approach.shift = wp.quat_rotate(back, state.position[own] - state.position[other])
+    approach.reach = reach
+    return approach
+
+
+@wp.func
+def smaller_approach(pair: int, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
+    """Relative pose of the smaller body of a pair in the frame of the larger one."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    small = wp.where(motions.radius[a] < motions.radius[b], a, b)
+    return approach_of(small, a + b - small, 0.0, bodies, state)

@@ -1,0 +1,264 @@
+"""Candidate pairs of large environments: pairs of bodies whose fat boxes overlap.
+
+A *fat box* encloses the swept box of a body with a margin, and with the motion of the next steps. While all swept boxes
+of an environment lie within their fat boxes, every pair with overlapping swept boxes is among the candidates, and the
+broad phase only tests these. When a body has left its fat box, all fat boxes and candidates of its environment are
+computed again. This decides only what the search costs: the pairs that it finds, and their order, depend on the swept
+boxes alone.
+
+Fat boxes are sorted into a hash grid of several levels. The cells of a level are twice as wide as those of the level
+below, and a body belongs to the first level whose cells are as wide as its fat box. It is searched for by the bodies of
+its own and of lower levels, in the few cells around each of them. A plane or a fast body thus adds one level for the
+other bodies to look at, and does not widen the cells of the others. Static bodies are in the grid as well.
+
+The order in which the bodies are entered in a cell, and the candidates in a list, depends on the threads. The lists are
+sorted at the end. A body with very many candidates, such as one that crosses the whole scene in a step, has no list:
+all later bodies of its environment count as candidates.
+
+The grid of Warp is not used: all its grids share the data of a recorded build, so that of two simulators on a GPU one
+would search in the cells of the other.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.enums import Motion
+from warp_rigid.kernels.schema import Bodies, Cells, Environments, Motions, Shapes
+
+wp.set_module_options({"enable_backward": False})
+
+MARGIN = wp.constant(0.2)
+"""Distance between the swept box and the fat box, as a fraction of the body's size."""
+
+STEPS_AHEAD = wp.constant(3.0)
+"""Steps whose motion, at the present velocity, a fat box encloses besides the current one."""
+
+LEVELS = 24
+TOP = wp.constant(LEVELS - 1)
+"""The highest level, of bodies too large for any other."""
+
+TOP_WIDTH = wp.constant(1.6e10)
+"""Cell width of the highest level [m], more than the extent of a plane."""
+
+FINER_LEVELS = 8
+"""Levels below that of ordinary bodies."""
+
+LONGEST = wp.constant(256)
+"""A body with more candidates has no list."""
+
+MOST_CANDIDATES = wp.constant(2**30)
+"""Largest capacity for candidates of all bodies together, so that it can be counted in 32 bits."""
+
+ALL_LATER = wp.constant(-1)
+"""Length of the list of a body whose candidates are all later bodies."""
+
+HASH_MULTIPLIER = wp.constant(wp.uint32(0x9E3779B9))
+"""2^32 divided by the golden ratio, odd (Fibonacci hashing)."""
+
+FURTHEST_CELL = wp.constant(1.0e9)
+
+
+@wp.func
+def cell_width(level: int, smallest: float):
+    """Width of the cells of a level [m]."""
+    if level == TOP:
+        return TOP_WIDTH
+    return smallest * float(1 << level)
+
+
+@wp.func
+def cell_along(x: float, width: float):
+    """Index of the cell at a coordinate along an axis."""
+    return int(wp.floor(wp.clamp(x / width, -FURTHEST_CELL, FURTHEST_CELL)))
+
+
+@wp.func
+def bucket_of(env: int, cell: wp.vec4i, cells: Cells):
+    """The bucket of a cell (x, y, z, level), among those of its environment (Teschner et al. 2003)."""
+    first = cells.first_bucket[env]
+    buckets = cells.first_bucket[env + 1] - first
+    mixed = wp.uint32(cell[0]) * wp.uint32(73856093)
+    mixed = mixed ^ (wp.uint32(cell[1]) * wp.uint32(19349663))
+    mixed = mixed ^ (wp.uint32(cell[2]) * wp.uint32(83492791))
+    mixed = mixed ^ (wp.uint32(cell[3]) * wp.uint32(50331653))
+    mixed = (mixed ^ (mixed >> wp.uint32(15))) * HASH_MULTIPLIER
+    return first + int((mixed >> wp.uint32(8)) & wp.uint32(buckets - 1))
+
+
+@wp.func
+def level_of(lower: wp.vec3, upper: wp.vec3, smallest: float):
+    """The first level whose cells are as wide as a box, with room for the rounding of its centre."""
+    rounding = 1.0e-6 * wp.max(wp.max(wp.abs(lower)), wp.max(wp.abs(upper)))
+    extent = wp.max(upper - lower) + 2.0 * rounding
+    level = int(0)
+    while level < TOP and cell_width(level, smallest) < extent:
+        level += 1
+    return level
+
+
+@wp.kernel
+def find_stale(bodies: Bodies, envs: Environments, motions: Motions, cells: Cells):
+    """One thread per body: mark its environment if it has a grid and the swept box is not within the fat box."""
+    i = wp.tid()
+    env = bodies.env[i]
+    if cells.first_bucket[env + 1] == cells.first_bucket[env]:
+        return
+    if envs.failed[env] == 1 or envs.moving[env] <= envs.step[env]:
+        return
+    below = motions.lower[i] - cells.lower[i]
+    above = cells.upper[i] - motions.upper[i]
+    if not wp.min(wp.min(below), wp.min(above)) >= 0.0:
+        cells.stale[env] = 1
+
+
+@wp.kernel
+def enlarge_boxes(
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    motions: Motions,
+    cells: Cells,
+):
+    """One thread per body of a marked environment: its fat box and its cell, which are counted."""
+    i = wp.tid()
+    env = bodies.env[i]
+    if cells.stale[env] == 0:
+        return
+    lower = motions.lower[i]
+    upper = motions.upper[i]
+    if bodies.motion[i] != Motion.STATIC:
+        margin = MARGIN * shapes.shapes[bodies.shape[i]].size
+        travel = STEPS_AHEAD * dt * motions.solver_bodies[i].linear
+        nothing = wp.vec3(0.0, 0.0, 0.0)
+        lower += wp.min(travel, nothing) - wp.vec3(margin, margin, margin)
+        upper += wp.max(travel, nothing) + wp.vec3(margin, margin, margin)
+    cells.lower[i] = lower
+    cells.upper[i] = upper
+    smallest = cells.width[env]
+    level = level_of(lower, upper, smallest)
+    width = cell_width(level, smallest)
+    x = 0.5 * (lower + upper)
+    cell = wp.vec4i(cell_along(x[0], width), cell_along(x[1], width), cell_along(x[2], width), level)
+    cells.cell[i] = cell
+    cells.listed[i] = 0
+    bit = 1 << level
+    wp.atomic_or(cells.levels, env, bit)
+    if bodies.motion[i] == Motion.DYNAMIC:
+        wp.atomic_or(cells.dynamic_levels, env, bit)
+    wp.atomic_add(cells.bucket_count, bucket_of(env, cell, cells), 1)
+
+
+@wp.kernel
+def fill_buckets(bodies: Bodies, cells: Cells):
+    """One thread per body of a marked environment: enter it in its bucket; the counts end at 0."""
+    i = wp.tid()
+    env = bodies.env[i]
+    if cells.stale[env] == 1:
+        bucket = bucket_of(env, cells.cell[i], cells)
+        place = wp.atomic_sub(cells.bucket_count, bucket, 1) - 1
+        cells.member[cells.bucket_start[bucket] + place] = i
+
+
+@wp.func
+def fat_boxes_overlap(i: int, j: int, cells: Cells):
+    """Whether the fat boxes of two bodies overlap."""
+    a = cells.lower[i]
+    b = cells.upper[i]
+    c = cells.lower[j]
+    d = cells.upper[j]
+    return a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
+
+
+@wp.func
+def precedes(a: wp.vec4i, b: wp.vec4i):
+    """Whether a cell comes before another cell of its level."""
+    if a[0] != b[0]:
+        return a[0] < b[0]
+    if a[1] != b[1]:
+        return a[1] < b[1]
+    return a[2] < b[2]
+
+
+@wp.func
+def visit_cell(
+    i: int,
+    cell: wp.vec4i,
+    bucket: int,
+    room: int,
+    bodies: Bodies,
+    cells: Cells,
+):
+    """List the pairs of body i with those in a cell, of which one of two is dynamic.
+
+    The first of the two in the order of pairs lists the pair. In its own cell, body i is only tested with later bodies.
+    """
+    own = cells.cell[i] == cell
+    dynamic = bodies.motion[i] == Motion.DYNAMIC
+    for k in range(cells.bucket_start[bucket], cells.bucket_start[bucket + 1]):
+        j = cells.member[k]
+        either = dynamic or bodies.motion[j] == Motion.DYNAMIC
+        if cells.cell[j] == cell and either and not (own and j <= i) and fat_boxes_overlap(i, j, cells):
+            owner = wp.where(cells.rank[i] < cells.rank[j], i, j)
+            place = wp.atomic_add(cells.listed, owner, 1)
+            if place < room:
+                cells.candidates[room * owner + place] = i + j - owner
+
+
+@wp.kernel
+def search_cells(
+    room: int,
+    bodies: Bodies,
+    cells: Cells,
+):
+    """One thread per body of a marked environment: search the cells around it, of its own and of higher levels.
+
+    Of two cells of a level, only the bodies of the first search the other. Static and kinematic bodies only search
+    levels with dynamic bodies.
+    """
+    i = wp.tid()
+    env = bodies.env[i]
+    if cells.stale[env] == 0:
+        return
+    here = cells.cell[i]
+    levels = wp.where(bodies.motion[i] == Motion.DYNAMIC, cells.levels[env], cells.dynamic_levels[env])
+    for level in range(here[3], LEVELS):
+        if ((levels >> level) & 1) == 1:
+            width = cell_width(level, cells.width[env])
+            around = wp.vec3(0.5 * width, 0.5 * width, 0.5 * width)
+            lower = cells.lower[i] - around
+            upper = cells.upper[i] + around
+            for x in range(cell_along(lower[0], width), cell_along(upper[0], width) + 1):
+                for y in range(cell_along(lower[1], width), cell_along(upper[1], width) + 1):
+                    for z in range(cell_along(lower[2], width), cell_along(upper[2], width) + 1):
+                        cell = wp.vec4i(x, y, z, level)
+                        if level > here[3] or not precedes(cell, here):
+                            visit_cell(i, cell, bucket_of(env, cell, cells), room, bodies, cells)
+
+
+@wp.kernel
+def finish_lists(which: int, room: int, bodies: Bodies, turn: wp.array[int], cells: Cells, wanted: wp.array2d[int]):
+    """One thread per body of a marked environment: record the required capacity, and sort the list (Shell sort).
+
+    A list for which there is no room is emptied.
+    """
+    i = wp.tid()
+    if cells.stale[bodies.env[i]] == 0:
+        return
+    count = cells.listed[i]
+    if count > wp.min(LONGEST, MOST_CANDIDATES / cells.listed.shape[0]):
+        cells.listed[i] = ALL_LATER
+        return
+    if count > room:
+        wp.atomic_max(wanted, turn[0], which, count * cells.listed.shape[0])
+        cells.listed[i] = 0
+        return
+    start = room * i
+    gap = count / 2
+    while gap > 0:
+        for k in range(gap, count):
+            j = cells.candidates[start + k]
+            place = int(k)
+            while place >= gap and cells.rank[cells.candidates[start + place - gap]] > cells.rank[j]:
+                cells.candidates[start + place] = cells.candidates[start + place - gap]
+                place -= gap
+            cells.candidates[start + place] = j
+        gap /= 2

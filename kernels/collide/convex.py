@@ -1,0 +1,279 @@
+"""Axes between convex solids: directions that separate two solids, or along which they overlap least.
+
+All of it rests on support functions: the furthest point of a solid in a direction. For a unit direction n from the
+second solid B to the first solid A, `n . (p_A - p_B)`, with p_A the furthest point of A against n and p_B that of B
+along n, is a lower bound of the distance of the solids. If it is positive, n separates them. If they overlap, its
+negative is the length of the move along n that separates them; the least of these lengths is the depth of penetration.
+
+The set D of all differences p_B - p_A is convex, and contains the origin if the solids overlap. A ray from a point
+inside D leaves it through a face, whose normal is found by refining a triangle of points on the boundary of D (a
+portal; G. Snethen, "XenoCollide: Complex Collision Made Simple", Game Programming Gems 7, 2008). A ray from a
+difference of inner points through the origin gives an axis that separates the solids if they are apart. Otherwise,
+rays from the origin along the axis found last reduce the depth, until the face that is hit is perpendicular to the ray.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.enums import PartKind
+from warp_rigid.kernels.schema import Shapes
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+FLAT_ENOUGH = wp.constant(1.0e-4)
+"""A portal is a face of the difference if no point lies beyond it by more than this fraction of the smaller size."""
+
+PORTAL_ROUNDS = wp.constant(40)
+"""Maximum number of points of a search for the face through which a ray leaves."""
+
+DESCENTS = wp.constant(8)
+"""Maximum number of rays along which the depth is reduced."""
+
+RAY, SIDE, CONE, FACE, FOUND = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3), wp.constant(4)
+"""Stages of the search: the first, second and third point of the portal, its refinement, and its end."""
+
+
+@wp.struct
+class Solids:
+    """Two convex solids: A is placed in the frame of B by `turn` and `shift`. `size`: that of the smaller one [m]."""
+
+    a: int
+    b: int
+    turn: wp.quat
+    shift: wp.vec3
+    size: float
+
+
+@wp.struct
+class Corner:
+    """A point of the boundary of D, relative to the start of the ray, and the point of A that belongs to it."""
+
+    point: wp.vec3
+    of_a: wp.vec3
+
+
+@wp.struct
+class Portal:
+    """State of the search for the face through which a ray leaves D; the next point is the one along `normal`."""
+
+    stage: int
+    normal: wp.vec3
+    first: Corner
+    second: Corner
+    third: Corner
+
+
+@wp.func
+def is_solid(shapes: Shapes, shape: int):
+    """Whether a shape is bounded and convex, and has a support function."""
+    if shapes.shapes[shape].hull_end > shapes.shapes[shape].hull_start:
+        return True
+    kind = shapes.parts[shapes.shapes[shape].part_start].kind
+    round = kind == PartKind.SPHERE or kind == PartKind.CAPSULE or kind == PartKind.CYLINDER
+    return shapes.shapes[shape].convex == 1 and (round or kind == PartKind.BOX)
+
+
+@wp.func
+def signed(x: float, toward: float):
+    """A length with the sign of `toward`."""
+    return wp.where(toward < 0.0, -x, x)
+
+
+@wp.func
+def furthest_vertex(shapes: Shapes, shape: int, n: wp.vec3):
+    """The vertex of a convex mesh that is furthest along n; the first of several."""
+    best = shapes.hull[shapes.shapes[shape].hull_start]
+    most = wp.dot(n, best)
+    for k in range(shapes.shapes[shape].hull_start + 1, shapes.shapes[shape].hull_end):
+        along = wp.dot(n, shapes.hull[k])
+        if along > most:
+            most = along
+            best = shapes.hull[k]
+    return best
+
+
+@wp.func
+def furthest_of_part(kind: int, size: wp.vec4, n: wp.vec3):
+    """The furthest point of an analytic part along n, in its own frame."""
+    if kind == PartKind.BOX:
+        return wp.vec3(signed(size[0], n[0]), signed(size[1], n[1]), signed(size[2], n[2]))
+    if kind == PartKind.CYLINDER:
+        across = wp.max(wp.sqrt(n[0] * n[0] + n[1] * n[1]), 1.0e-20)
+        return wp.vec3(size[0] * n[0] / across, size[0] * n[1] / across, signed(size[1], n[2]))
+    height = wp.where(kind == PartKind.CAPSULE, signed(size[1], n[2]), 0.0)
+    return size[0] / wp.max(wp.length(n), 1.0e-20) * n + wp.vec3(0.0, 0.0, height)
+
+
+@wp.func
+def furthest_point(shapes: Shapes, shape: int, n: wp.vec3):
+    """The furthest point of a solid along n, in its frame."""
+    if shapes.shapes[shape].hull_end > shapes.shapes[shape].hull_start:
+        return furthest_vertex(shapes, shape, n)
+    part = shapes.shapes[shape].part_start
+    if shapes.parts[part].placed == 0:
+        return furthest_of_part(shapes.parts[part].kind, shapes.parts[part].size, n)
+    turn = shapes.parts[part].orientation
+    local = furthest_of_part(shapes.parts[part].kind, shapes.parts[part].size, wp.quat_rotate_inv(turn, n))
+    return wp.quat_rotate(turn, local) + shapes.parts[part].position
+
+
+@wp.func
+def difference(solids: Solids, shapes: Shapes, n: wp.vec3):
+    """The point of D that is furthest along n, and the point of A that belongs to it, in the frame of B."""
+    corner = Corner()
+    against = furthest_point(shapes, solids.a, wp.quat_rotate_inv(solids.turn, -n))
+    corner.of_a = wp.quat_rotate(solids.turn, against) + solids.shift
+    corner.point = furthest_point(shapes, solids.b, n) - corner.of_a
+    return corner
+
+
+@wp.func
+def gap_along(solids: Solids, shapes: Shapes, n: wp.vec3):
+    """Extent of the gap between the solids along the unit vector n; negative if they overlap along it [m]."""
+    return -wp.dot(difference(solids, shapes, n).point, n)
+
+
+@wp.func
+def unit_or(v: wp.vec3, otherwise: wp.vec3):
+    """The vector v normalised, or another vector if v is zero."""
+    length = wp.length(v)
+    if length > 1.0e-20:
+        return v / length
+    return otherwise
+
+
+@wp.func
+def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
+    """Take up the point found, and choose the direction of the next one.
+
+    The first three points enclose the ray in a cone. Then the triangle is replaced by one that is further out, through
+    which the ray passes as well, until no point is further out.
+    """
+    v = corner.point
+    if portal.stage == RAY:
+        portal.first = corner
+        portal.normal = wp.cross(v, ray)
+        portal.stage = wp.where(wp.length_sq(portal.normal) > 0.0, SIDE, FOUND)
+    elif portal.stage == SIDE:
+        portal.second = corner
+        portal.normal = wp.cross(portal.first.point, v)
+        portal.stage = CONE
+        if wp.dot(portal.normal, ray) < 0.0:
+            portal.second = portal.first
+            portal.first = corner
+            portal.normal = -portal.normal
+    elif portal.stage == CONE:
+        if wp.dot(wp.cross(portal.first.point, v), ray) > 0.0:
+            portal.second = corner
+            portal.normal = wp.cross(portal.first.point, v)
+        elif wp.dot(wp.cross(v, portal.second.point), ray) > 0.0:
+            portal.first = corner
+            portal.normal = wp.cross(v, portal.second.point)
+        else:
+            portal.third = corner
+            portal.stage = FACE
+    elif wp.dot(v - portal.first.point, portal.normal) <= flat:
+        portal.stage = FOUND
+    else:
+        before = wp.dot(wp.cross(v, portal.first.point), ray) >= 0.0
+        if before and wp.dot(wp.cross(v, portal.second.point), ray) <= 0.0:
+            portal.third = corner
+        elif not before and wp.dot(wp.cross(v, portal.third.point), ray) >= 0.0:
+            portal.second = corner
+        else:
+            portal.first = corner
+    if portal.stage == FACE:
+        side = portal.second.point - portal.first.point
+        portal.normal = wp.cross(side, portal.third.point - portal.first.point)
+    return portal
+
+
+@wp.func
+def leave(solids: Solids, shapes: Shapes, start: wp.vec3, ray: wp.vec3, reach: float):
+    """The face through which a ray from a point inside D leaves it, or the first direction with a gap above `reach`."""
+    portal = Portal()
+    portal.stage = RAY
+    portal.normal = ray
+    rounds = int(0)
+    while portal.stage != FOUND and rounds < PORTAL_ROUNDS:
+        n = unit_or(portal.normal, ray)
+        portal.normal = n
+        corner = difference(solids, shapes, n)
+        if wp.dot(corner.point, n) < -reach:
+            return portal
+        corner.point -= start
+        portal = next_corner(portal, corner, ray, FLAT_ENOUGH * solids.size)
+        rounds += 1
+    portal.normal = unit_or(portal.normal, ray)
+    return portal
+
+
+@wp.func
+def axis_of(turn: wp.quat, k: int, along: wp.vec3):
+    """One of the three axes of a frame, with the sign of `along`."""
+    n = wp.vec3(0.0, 0.0, 0.0)
+    n[k] = 1.0
+    n = wp.quat_rotate(turn, n)
+    return wp.where(wp.dot(n, along) < 0.0, -n, n)
+
+
+@wp.func
+def find_axis(solids: Solids, shapes: Shapes, axis: wp.vec3, reach: float):
+    """An axis with a gap above `reach`, or with the largest gap that was found; if the solids overlap, a local maximum.
+
+    Tried are the last axis, if there is one, the axes of both frames (the face normals of boxes and the ends of
+    cylinders) and the ray through the origin.
+    """
+    center = wp.quat_rotate(solids.turn, shapes.shapes[solids.a].inside) + solids.shift
+    start = shapes.shapes[solids.b].inside - center
+    toward = unit_or(-start, wp.vec3(0.0, 0.0, 1.0))
+    best = toward
+    largest = float(-FAR)
+    k = int(0)
+    while k < 8 and largest <= reach:
+        n = axis
+        if k > 0 and k < 4:
+            n = axis_of(solids.turn, k - 1, toward)
+        elif k > 3 and k < 7:
+            n = axis_of(wp.quat_identity(), k - 4, toward)
+        elif k == 7:
+            n = toward
+        gap = gap_along(solids, shapes, n)
+        if gap > largest and wp.length_sq(n) > 0.0:
+            largest = gap
+            best = n
+        k += 1
+    ray = toward
+    k = int(0)
+    while k <= DESCENTS and largest <= reach:
+        n = leave(solids, shapes, start, ray, reach).normal
+        gap = gap_along(solids, shapes, n)
+        better = gap > largest + FLAT_ENOUGH * solids.size
+        if gap > largest:
+            largest = gap
+            best = n
+        # Once it is known that the solids are apart, or that no ray leads further, the search is over.
+        k = wp.where(largest > 0.0 or (k > 0 and not better), DESCENTS + 1, k + 1)
+        start = wp.vec3(0.0, 0.0, 0.0)
+        ray = best
+    return best
+
+
+@wp.func
+def deepest_point(solids: Solids, shapes: Shapes, n: wp.vec3):
+    """The point of A that would be the last one in touch with B if A moved along the axis n, in the frame of B.
+
+    The ray from the origin along n passes through the portal; its place between the three corners is that of the point
+    between the three points of A.
+    """
+    portal = leave(solids, shapes, wp.vec3(0.0, 0.0, 0.0), n, FAR)
+    weight = wp.vec3(
+        wp.max(wp.dot(wp.cross(portal.second.point, portal.third.point), n), 0.0),
+        wp.max(wp.dot(wp.cross(portal.third.point, portal.first.point), n), 0.0),
+        wp.max(wp.dot(wp.cross(portal.first.point, portal.second.point), n), 0.0),
+    )
+    total = weight[0] + weight[1] + weight[2]
+    if wp.length_sq(portal.third.point) == 0.0 or total == 0.0:
+        return portal.first.of_a
+    return (weight[0] * portal.first.of_a + weight[1] * portal.second.of_a + weight[2] * portal.third.of_a) / total

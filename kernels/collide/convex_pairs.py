@@ -1,0 +1,175 @@
+"""Pairs of convex solids in the narrow phase: rejection of pairs that do not touch, and checks of deep overlaps."""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.approach import Approach, approach_of, contact_reach, touch_of
+from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory
+from warp_rigid.kernels.collide.convex import Solids, deepest_point, find_axis, furthest_point, gap_along, is_solid
+from warp_rigid.kernels.collide.distance import BORDER, FAR
+from warp_rigid.kernels.collide.samples import Search
+from warp_rigid.kernels.common.team import sync_warp
+from warp_rigid.kernels.schema import Bodies, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.update.predict import smaller_size
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+DEEP = wp.constant(0.02)
+"""If convex solids overlap by more than this fraction of the smaller size along every normal of their samples, these
+are compared with the axis of least overlap."""
+
+DOUBTFUL = wp.constant(0.005)
+"""The same for samples that are less deep than the solids overlap along their normals."""
+
+ALONG = wp.constant(0.5)
+"""In a deep overlap, samples whose normal has a cosine with that axis below this value are dropped."""
+
+TRUSTED = wp.constant(1.25)
+"""In a deep overlap, samples deeper than this factor times the depth are dropped. Without one that is as deep as the
+depth divided by it, a contact along the axis is added."""
+
+
+@wp.func
+def solids_of(a: int, b: int, size: float, bodies: Bodies, state: State):
+    """A pair as convex solids."""
+    approach = approach_of(a, b, 0.0, bodies, state)
+    solids = Solids()
+    solids.a = approach.own_shape
+    solids.b = approach.shape
+    solids.turn = approach.turn
+    solids.shift = approach.shift
+    solids.size = size
+    return solids
+
+
+@wp.func
+def touch_along(axis: wp.vec3, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State):
+    """The contact point of two overlapping convex solids along an axis, in the world frame."""
+    size = smaller_size(a, b, shapes, bodies)
+    solids = solids_of(a, b, size, bodies, state)
+    placed = Search()
+    placed.direction = axis
+    placed.distance = gap_along(solids, shapes, axis)
+    placed.query = deepest_point(solids, shapes, axis)
+    return touch_of(placed, 0, b, state)
+
+
+@wp.func
+def drop_untrusted(pair: int, axis: wp.vec3, depth: float, lane: int, lanes: int, pairs: Pairs):
+    """Empty the slots of samples that do not point along the axis, or are deeper than the solids."""
+    for slot in range(lane, pairs.patch_count[pair] * SLOTS, lanes):
+        along = wp.dot(pairs.patch_normal[pair, slot / SLOTS], axis)
+        if along < ALONG or pairs.slot_gap[pair, slot] < -TRUSTED * depth:
+            pairs.slot_key[pair, slot] = -1
+
+
+@wp.func
+def deepest_slot(pair: int, pairs: Pairs):
+    """Gap of the deepest sample that is kept."""
+    deepest = float(0.0)
+    for slot in range(pairs.patch_count[pair] * SLOTS):
+        if pairs.slot_key[pair, slot] >= 0:
+            deepest = wp.min(deepest, pairs.slot_gap[pair, slot])
+    return deepest
+
+
+@wp.func
+def check_by_axis(
+    pair: int,
+    closing: int,
+    lane: int,
+    lanes: int,
+    size: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    pairs: Pairs,
+):
+    """Compare the samples of two convex solids with their overlap, and drop those that contradict it.
+
+    Returns 1 if a contact along the axis of least overlap is needed.
+    """
+    solids = solids_of(pairs.body_a[pair], pairs.body_b[pair], size, bodies, state)
+    axis = pairs.axis[pair]
+    gap = float(-FAR)
+    for p in range(pairs.patch_count[pair]):
+        along = gap_along(solids, shapes, pairs.patch_normal[pair, p])
+        if along > gap:
+            gap = along
+            axis = pairs.patch_normal[pair, p]
+    doubtful = gap < -DOUBTFUL * size and gap < TRUSTED * deepest_slot(pair, pairs)
+    doubtful = doubtful or gap < -DEEP * size or closing == 0 or contradictory(pair, pairs)
+    if doubtful:
+        axis = find_axis(solids, shapes, axis, 0.0)
+        gap = gap_along(solids, shapes, axis)
+    sync_warp(lanes)
+    if lane == 0:
+        pairs.axis[pair] = axis
+    if gap >= 0.0 or not doubtful:
+        return 0
+    drop_untrusted(pair, axis, -gap, lane, lanes, pairs)
+    sync_warp(lanes)
+    return wp.where(deepest_slot(pair, pairs) * TRUSTED < gap, 0, 1)
+
+
+@wp.func
+def border_of(a: int, b: int, shapes: Shapes):
+    """Distance from a shape at which a point may still count as above one of its faces (distance.py) [m]."""
+    return BORDER * wp.max(shapes.shapes[a].size, shapes.shapes[b].size)
+
+
+@wp.func
+def cut_by_axis(approach: Approach, axis: wp.vec3, side: int, shapes: Shapes):
+    """Limit the samples of a convex body to those that are near the other convex body along the axis of the pair.
+
+    On side 0 the approach is that of the first body in the frame of the second one, and of this the axis is. On side 1
+    it is the inverse.
+    """
+    if wp.length_sq(axis) == 0.0:
+        return approach
+    n = axis
+    if side == 1:
+        n = -wp.quat_rotate(approach.turn, axis)
+    approach.cut = wp.quat_rotate_inv(approach.turn, n)
+    furthest = wp.dot(n, furthest_point(shapes, approach.shape, n))
+    border = border_of(approach.own_shape, approach.shape, shapes)
+    approach.level = furthest + approach.reach + border - wp.dot(n, approach.shift)
+    return approach
+
+
+@wp.func
+def is_apart(
+    pair: int,
+    last: int,
+    dt: float,
+    size: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    history: History,
+    pairs: Pairs,
+):
+    """Whether an axis shows that two convex solids cannot touch in this step, first of all that of the last step.
+
+    Another one is searched for only if the solids had no contact. Samples slightly beyond the border of a face may be
+    in contact with it (distance.py), so the gap must exceed the reach by as much.
+    """
+    pairs.axis[pair] = wp.vec3(0.0, 0.0, 0.0)
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    shape_a = bodies.shape[a]
+    shape_b = bodies.shape[b]
+    if not is_solid(shapes, shape_a) or not is_solid(shapes, shape_b):
+        return False
+    reach = contact_reach(a, b, size, dt, state, motions)
+    reach += border_of(shape_a, shape_b, shapes)
+    solids = solids_of(a, b, size, bodies, state)
+    touched = int(0)
+    axis = wp.vec3(0.0, 0.0, 0.0)
+    if last >= 0:
+        axis = history.axis[last]
+        touched = history.contact_start[last + 1] - history.contact_start[last]
+    if touched == 0:
+        axis = find_axis(solids, shapes, axis, reach)
+    pairs.axis[pair] = axis
+    return gap_along(solids, shapes, axis) > reach

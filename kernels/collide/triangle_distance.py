@@ -1,0 +1,315 @@
+"""Exact distance to the triangles of a mesh, found through a tree of bounding boxes.
+
+The distance grid of a mesh is exact at its nodes, and off by at most `GRID_ERROR` cells between them. It tells which
+points are near the surface; for these the triangles decide. A wall thinner than a cell has no node inside it, and at a
+crease the interpolated gradient is a mixture of the normals of its faces: both are exact here.
+
+The nodes of the tree are stored depth first. Each states the node that follows its subtree, so that a traversal needs
+no stack and visits the triangles in the same order on every device.
+
+A ball in an inner corner touches several faces at once. Each face on which the foot of its centre lies is a place where
+it touches; of places in similar directions the nearest one counts. Edges and corners that point outward need no place:
+they are samples of the mesh.
+
+The sign is that of the angle-weighted pseudonormal of the nearest face, side or corner (J. A. Baerentzen and H. Aanaes,
+"Signed distance computation using the angle weighted pseudonormal", IEEE TVCG 11(3), 2005).
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.schema import BALL_PLACES, Shapes
+
+wp.set_module_options({"enable_backward": False})
+
+FAR_AWAY = wp.constant(1.0e10)
+"""Distance returned if there is no such place [m]."""
+
+GRID_ERROR = wp.constant(0.8661)
+"""Largest error of a grid's distance between its nodes, in cells: a distance changes by at most the way, and the mean
+distance of the eight nodes of a cell, weighted as they are interpolated, is at most sqrt(3) / 2 cells."""
+
+FARTHER = wp.constant(1.4143)
+"""Outside a grid the distance is at most sqrt(2) times the bound that the grid gives."""
+
+INNER = wp.constant(2.9)
+"""Points closer to the surface than this number of cells are inside the grid, whose padding is three cells wide."""
+
+LIKELY_ERROR = wp.constant(0.2)
+"""Error of a grid's distance that is seldom exceeded, in cells: the first radius of the search is small."""
+
+ON_SURFACE = wp.constant(2.0e-3)
+"""Within this fraction of a cell of the surface the direction is the normal: rounding errors would turn the offset."""
+
+AGAINST = wp.constant(-0.1)
+"""A face opposes a sample if the scalar product of their normals is below this value."""
+
+LIKELY = wp.constant(0)
+ALL = wp.constant(1)
+OPPOSING = wp.constant(2)
+DONE = wp.constant(3)
+
+PLACES = wp.constant(BALL_PLACES)
+
+SAME_PLACE = wp.constant(0.94)
+"""Cosine (20 degrees) above which the directions of two places count as the same."""
+
+FACE = wp.constant(0)
+SIDE = wp.constant(1)
+CORNER = wp.constant(4)
+
+
+@wp.struct
+class Foot:
+    """The point of a triangle nearest to a point.
+
+    `feature`: FACE, SIDE + k for the side from corner k to the next, or CORNER + k.
+    """
+
+    offset: wp.vec3
+    feature: int
+
+
+@wp.struct
+class NearestTriangle:
+    """The nearest triangle, -1 if there is none, its feature, and the offset from it to the point."""
+
+    triangle: int
+    feature: int
+    squared: float
+    offset: wp.vec3
+
+
+@wp.struct
+class Places:
+    """Places where a ball touches a mesh: triangles, squared distances, and directions to the centre."""
+
+    count: int
+    triangle: wp.vec4i
+    squared: wp.vec4
+    direction: wp.mat44
+
+
+@wp.func
+def foot_on_side(p: wp.vec3, a: wp.vec3, b: wp.vec3, k: int):
+    """The nearest point of side k, from a to b, strictly between its ends."""
+    foot = Foot()
+    side = b - a
+    foot.offset = p - a - wp.dot(p - a, side) / wp.dot(side, side) * side
+    foot.feature = SIDE + k
+    return foot
+
+
+@wp.func
+def foot_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """The nearest point of a triangle, by the Voronoi regions of its features (Ericson 2005, section 5.1.5)."""
+    ab = b - a
+    ac = c - a
+    foot = Foot()
+    d1 = wp.dot(ab, p - a)
+    d2 = wp.dot(ac, p - a)
+    foot.offset = p - a
+    foot.feature = CORNER
+    if d1 <= 0.0 and d2 <= 0.0:
+        return foot
+    d3 = wp.dot(ab, p - b)
+    d4 = wp.dot(ac, p - b)
+    if d3 >= 0.0 and d4 <= d3:
+        foot.offset = p - b
+        foot.feature = CORNER + 1
+        return foot
+    d5 = wp.dot(ab, p - c)
+    d6 = wp.dot(ac, p - c)
+    if d6 >= 0.0 and d5 <= d6:
+        foot.offset = p - c
+        foot.feature = CORNER + 2
+        return foot
+    if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        return foot_on_side(p, a, b, 0)
+    if d5 * d2 - d1 * d6 <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        return foot_on_side(p, c, a, 2)
+    if d3 * d6 - d5 * d4 <= 0.0 and d4 >= d3 and d5 >= d6:
+        return foot_on_side(p, b, c, 1)
+    n = wp.normalize(wp.cross(ab, ac))
+    foot.offset = wp.dot(p - a, n) * n
+    foot.feature = FACE
+    return foot
+
+
+@wp.func
+def box_gap_squared(p: wp.vec3, lower: wp.vec3, upper: wp.vec3):
+    """Squared distance from a point to a box, 0 inside."""
+    gap = wp.max(wp.max(lower - p, p - upper), wp.vec3(0.0, 0.0, 0.0))
+    return wp.dot(gap, gap)
+
+
+@wp.func
+def feature_normal(shapes: Shapes, triangle: int, feature: int):
+    """Pseudonormal of a feature of a triangle."""
+    if feature == FACE:
+        return shapes.triangles[triangle].normal
+    if feature == SIDE:
+        return shapes.triangles[triangle].side_0
+    if feature == SIDE + 1:
+        return shapes.triangles[triangle].side_1
+    if feature == SIDE + 2:
+        return shapes.triangles[triangle].side_2
+    if feature == CORNER:
+        return shapes.triangles[triangle].vertex_0
+    if feature == CORNER + 1:
+        return shapes.triangles[triangle].vertex_1
+    return shapes.triangles[triangle].vertex_2
+
+
+@wp.func
+def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, within: float):
+    """The nearest triangle within a radius; with `facing` not zero, of those that oppose it and have p behind them."""
+    best = NearestTriangle()
+    best.triangle = -1
+    best.squared = within * within
+    faced = wp.length_sq(facing) > 0.0
+    node = shapes.parts[part].tree_start
+    while node < shapes.parts[part].tree_end:
+        if box_gap_squared(p, shapes.tree[node].lower, shapes.tree[node].upper) >= best.squared:
+            node = shapes.tree[node].skip
+        else:
+            for t in range(shapes.tree[node].triangle_start, shapes.tree[node].triangle_end):
+                foot = foot_on_triangle(
+                    p, shapes.triangles[t].corner_0, shapes.triangles[t].corner_1, shapes.triangles[t].corner_2
+                )
+                gap = wp.length_sq(foot.offset)
+                if gap < best.squared:
+                    n = shapes.triangles[t].normal
+                    if not faced or (wp.dot(n, facing) < AGAINST and wp.dot(n, foot.offset) <= 0.0):
+                        best.squared = gap
+                        best.triangle = t
+                        best.feature = foot.feature
+                        best.offset = foot.offset
+            node += 1
+    return best
+
+
+@wp.func
+def triangle_distance(
+    shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, likely: float, within: float, fallback: wp.vec4
+):
+    """Distance to the nearest triangle within a radius, and its direction; `fallback` if there is none.
+
+    The radius `likely` is tried first. For a point inside the mesh and a sample normal `facing` other than zero, it is
+    the distance to the nearest triangle that opposes the sample, if there is one within the radius: a sample that has
+    passed the middle of a thin wall touches the face through which it entered.
+    """
+    best = NearestTriangle()
+    best.triangle = -1
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    asked = wp.vec3(0.0, 0.0, 0.0)
+    radius = float(likely)
+    sign = float(1.0)
+    stage = int(LIKELY)
+    while stage < DONE:
+        found = nearest_triangle(shapes, part, p, asked, radius)
+        stage = wp.where(stage == LIKELY and found.triangle < 0, ALL, wp.where(stage == OPPOSING, DONE, OPPOSING))
+        radius = within
+        if found.triangle >= 0:
+            best = found
+            normal = feature_normal(shapes, best.triangle, wp.where(sign < 0.0, FACE, best.feature))
+            inside = sign < 0.0 or wp.dot(best.offset, normal) < 0.0
+            sign = wp.where(inside, -1.0, 1.0)
+        if stage == OPPOSING:
+            asked = facing
+            radius += shapes.parts[part].grid_spacing
+            if best.triangle < 0 or sign > 0.0 or wp.length_sq(facing) == 0.0 or wp.dot(normal, facing) < AGAINST:
+                stage = DONE
+    if best.triangle < 0:
+        return fallback
+    distance = wp.sqrt(best.squared)
+    if distance > ON_SURFACE * shapes.parts[part].grid_spacing:
+        normal = sign * best.offset / distance
+    return wp.vec4(normal[0], normal[1], normal[2], sign * distance)
+
+
+@wp.func
+def keep_place(triangle: int, squared: float, direction: wp.vec3, places: Places):
+    """Add a place, unless there is a nearer one in a similar direction, or four nearer ones."""
+    slot = places.count
+    farthest = float(squared)
+    for k in range(places.count):
+        known = wp.vec3(places.direction[k, 0], places.direction[k, 1], places.direction[k, 2])
+        if wp.dot(known, direction) > SAME_PLACE:
+            if places.squared[k] <= squared:
+                return places
+            slot = k
+            farthest = wp.inf
+        elif places.count == PLACES and places.squared[k] > farthest:
+            slot = k
+            farthest = places.squared[k]
+    if slot == PLACES:
+        return places
+    if slot == places.count:
+        places.count += 1
+    places.triangle[slot] = triangle
+    places.squared[slot] = squared
+    for i in range(3):
+        places.direction[slot, i] = direction[i]
+    return places
+
+
+@wp.func
+def places_near(shapes: Shapes, part: int, p: wp.vec3, within: float):
+    """The faces on which the foot of a point outside lies, and the nearest place, within a radius.
+
+    If the nearest place shows that the point is inside, it is the only one, and its distance is negative.
+    """
+    places = Places()
+    best = nearest_triangle(shapes, part, p, wp.vec3(0.0, 0.0, 0.0), within)
+    if best.triangle < 0:
+        return places
+    normal = feature_normal(shapes, best.triangle, best.feature)
+    distance = wp.sqrt(best.squared)
+    sign = wp.where(wp.dot(best.offset, normal) < 0.0, -1.0, 1.0)
+    if distance > ON_SURFACE * shapes.parts[part].grid_spacing:
+        normal = sign * best.offset / distance
+    places = keep_place(best.triangle, best.squared, normal, places)
+    if sign < 0.0:
+        places.squared[0] = -best.squared
+        return places
+    node = shapes.parts[part].tree_start
+    while node < shapes.parts[part].tree_end:
+        if box_gap_squared(p, shapes.tree[node].lower, shapes.tree[node].upper) >= within * within:
+            node = shapes.tree[node].skip
+        else:
+            for t in range(shapes.tree[node].triangle_start, shapes.tree[node].triangle_end):
+                foot = foot_on_triangle(
+                    p, shapes.triangles[t].corner_0, shapes.triangles[t].corner_1, shapes.triangles[t].corner_2
+                )
+                n = shapes.triangles[t].normal
+                gap = wp.length_sq(foot.offset)
+                if foot.feature == FACE and gap < within * within and wp.dot(foot.offset, n) > 0.0:
+                    places = keep_place(t, gap, n, places)
+            node += 1
+    return places
+
+
+@wp.func
+def chosen_place(shapes: Shapes, part: int, p: wp.vec3, within: float, choice: int, fallback: wp.vec4):
+    """Distance to the place of a ball that has the given rank, from 1, in the order of the triangles.
+
+    This order does not change as long as the ball touches the same faces, whichever is nearest.
+    """
+    places = places_near(shapes, part, p, within)
+    result = fallback
+    if choice > 1:
+        result[3] = FAR_AWAY
+    for k in range(places.count):
+        rank = int(1)
+        for other in range(places.count):
+            if places.triangle[other] < places.triangle[k]:
+                rank += 1
+        if rank == choice:
+            distance = wp.sqrt(wp.abs(places.squared[k]))
+            result = wp.vec4(
+                places.direction[k, 0],
+                places.direction[k, 1],
+                places.direction[k, 2],
+                wp.where(places.squared[k] < 0.0, -distance, distance),
+            )
+    return result

@@ -1,0 +1,82 @@
+"""Restitution in heaps: impacts are solved in rounds, all pairs at once (rounds.py).
+
+A pair with an impact is solved as in restitution.py, with the mass of each body divided by the number of its pairs with
+an impact, and the new velocity of a body is the mean over these copies. No pair increases the energy of its copies, and
+the energy of a mean is at most the mean of the energies, so a round never increases the energy. Impacts without
+rebound are left to the contact solver, which solves all contacts of a heap together.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.solver_body import load_bodies
+from warp_rigid.kernels.constraints.contact import read_contact
+from warp_rigid.kernels.schema import Contacts, Environments, Motions, RoundRecord, Rounds
+from warp_rigid.kernels.solve.restitution import after_impact, set_targets
+from warp_rigid.kernels.solve.rounds import add_gain, add_to_velocity, list_round_pair, read_round_pair, split_pair
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def can_rebound(entry: RoundRecord, contacts: Contacts):
+    """Whether any contact of a pair has restitution."""
+    for c in range(entry.begin, entry.end):
+        row = read_contact(c, contacts.rows)
+        if row.restitution > 0.0:
+            return True
+    return False
+
+
+@wp.func
+def relative_acceleration(entry: RoundRecord, envs: Environments, motions: Motions):
+    """Acceleration of the first body relative to the second that follows the impacts, 0 if it precedes them [m/s^2]."""
+    first = float(envs.collision_first[entry.env])
+    return first * (motions.acceleration[entry.body_a] - motions.acceleration[entry.body_b])
+
+
+@wp.kernel
+def find_impacts(
+    dt: float,
+    threads: int,
+    envs: Environments,
+    solved: Rounds,
+    rounds: Rounds,
+    motions: Motions,
+    contacts: Contacts,
+):
+    """The threads share the pairs of heaps: list those with an impact, and set the target velocities."""
+    for k in range(wp.tid(), solved.count[0], threads):
+        entry = read_round_pair(k, solved.pairs)
+        if rounds.done[0] < envs.collision_iterations[entry.env] and can_rebound(entry, contacts):
+            pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
+            pull = relative_acceleration(entry, envs, motions)
+            if set_targets(entry.begin, entry.end, pair, pull, dt, contacts) == 1:
+                list_round_pair(entry, 1, rounds, motions)
+
+
+@wp.kernel
+def impact_round(dt: float, threads: int, envs: Environments, rounds: Rounds, motions: Motions, contacts: Contacts):
+    """The threads share the pairs: solve the impacts of each for its copies of the bodies."""
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        entry.sharing_a = rounds.sharing[entry.body_a]
+        entry.sharing_b = rounds.sharing[entry.body_b]
+        share_a = float(entry.sharing_a)
+        share_b = float(entry.sharing_b)
+        before = split_pair(entry, 1.0, 0, rounds, motions)
+        lag = 0.5 * dt * relative_acceleration(entry, envs, motions)
+        after = after_impact(entry.begin, entry.end, share_a, share_b, lag, before, contacts)
+        if before.inverse_mass_a > 0.0:
+            add_gain(entry.body_a, 6, (after.linear_a - before.linear_a) / share_a, rounds)
+            add_gain(entry.body_a, 9, (after.angular_a - before.angular_a) / share_a, rounds)
+        if before.inverse_mass_b > 0.0:
+            add_gain(entry.body_b, 6, (after.linear_b - before.linear_b) / share_b, rounds)
+            add_gain(entry.body_b, 9, (after.angular_b - before.angular_b) / share_b, rounds)
+
+
+@wp.kernel
+def finish_impacts(threads: int, rounds: Rounds, motions: Motions):
+    """The threads share the bodies: the velocities after a round of impacts."""
+    for b in range(wp.tid(), rounds.sharing.shape[0], threads):
+        if rounds.sharing[b] > 0:
+            add_to_velocity(b, 1, rounds, motions)

@@ -1,0 +1,143 @@
+"""Push-out in heaps: the overlaps that remain are removed in rounds, as the velocities are solved (rounds.py).
+
+The problem is that of push_out.py without a frozen body: each contact that would end the step deeper than the slop
+requires a separation speed, and pseudo-impulses along the normals produce it. A body takes part with its mass divided
+by the number of such contacts.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.arithmetic import quotient
+from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, inverse_mass_of, store_velocity
+from warp_rigid.kernels.constraints.contact import (
+    IMPACT_IMPULSE,
+    contact_velocity,
+    read_contact,
+    read_impulse,
+    write_impulse,
+)
+from warp_rigid.kernels.schema import (
+    Bodies,
+    Contacts,
+    Graph,
+    Motions,
+    Pairs,
+    RoundRecord,
+    Rounds,
+    Shapes,
+)
+from warp_rigid.kernels.solve.push_out import ENOUGH, wanted_speed
+from warp_rigid.kernels.solve.rounds import (
+    Wrench,
+    add_gains,
+    body_change,
+    clear_buffer,
+    count_rounds,
+    gained_of,
+    list_round_pair,
+    momentum,
+    needs_round,
+    read_round_pair,
+    record_change,
+    split_pair,
+    sum_of_wrenches,
+    with_impulse_of,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def find_overlaps_in_heaps(
+    dt: float,
+    threads: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    pairs: Pairs,
+    motions: Motions,
+    contacts: Contacts,
+    solved: Rounds,
+    rounds: Rounds,
+):
+    """The threads share the pairs of heaps: the separation speed of each contact; list the pairs that need one.
+
+    The pseudo-impulses of the last two rounds are stored in the first two components of the impact impulse.
+    """
+    for k in range(wp.tid(), solved.count[0], threads):
+        entry = read_round_pair(k, solved.pairs)
+        deep = int(0)
+        for c in range(entry.begin, entry.end):
+            target = wanted_speed(c, dt, shapes, bodies, pairs, motions, contacts)
+            write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(0.0, 0.0, 0.0), target)
+            deep += wp.where(target > 0.0, 1, 0)
+        if deep > 0:
+            list_round_pair(entry, deep, rounds, motions)
+
+
+@wp.kernel
+def share_masses(threads: int, rounds: Rounds):
+    """The threads share the pairs: the number of contacts that share each body's mass."""
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = rounds.pairs[k]
+        rounds.pairs[k].sharing_a = rounds.sharing[entry.body_a]
+        rounds.pairs[k].sharing_b = rounds.sharing[entry.body_b]
+
+
+@wp.func
+def push_contact_apart(c: int, entry: RoundRecord, beta: float, pair: BodyPair, wrench: Wrench, contacts: Contacts):
+    """Bring a contact's separation to its target for its copies of the bodies, and add its pseudo-impulse."""
+    stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+    target = stored[3]
+    if target > 0.0:
+        row = read_contact(c, contacts.rows)
+        k = float(entry.sharing_a) * row.normal_a + float(entry.sharing_b) * row.normal_b
+        missing = target - wp.dot(contact_velocity(row, pair), row.normal)
+        new = wp.max(stored[0] + quotient(missing, k), 0.0)
+        ahead = new + beta * (new - stored[1])
+        write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(ahead, new, 0.0), target)
+        wrench = with_impulse_of(row, wp.vec3(ahead, 0.0, 0.0), wrench)
+        wrench.change = wp.max(wrench.change, k * wp.abs(new - stored[0]))
+    return wrench
+
+
+@wp.kernel
+def push_round(place: int, threads: int, lanes: int, rounds: Rounds, motions: Motions, contacts: Contacts):
+    """One round, the one at `place` of its group: teams of lanes share the pairs, and clear a buffer."""
+    turn = rounds.done[0] + place
+    lane = wp.tid() % lanes
+    clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
+    for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
+        entry = read_round_pair(k, rounds.pairs)
+        if needs_round(entry, turn, rounds):
+            pair = split_pair(entry, 0.0, (turn - 1) % 3, rounds, motions)
+            beta = momentum(turn, entry.limit)
+            wrench = Wrench()
+            for c in range(entry.begin + lane, entry.end, lanes):
+                wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
+            wrench = sum_of_wrenches(lanes, wrench)
+            add_gains(entry, turn % 3, lane, lanes, wrench, pair, rounds)
+            record_change(entry, turn, body_change(wrench.change, entry), ENOUGH, rounds)
+
+
+@wp.kernel
+def finish_push(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
+    """The threads share the pairs: add up the pseudo-impulses of the last round, which are not extrapolated."""
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        count_rounds(entry, rounds, graph.push_out_rounds)
+        wrench = Wrench()
+        for c in range(entry.begin, entry.end):
+            stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
+            if stored[3] > 0.0:
+                wrench = with_impulse_of(read_contact(c, contacts.rows), wp.vec3(stored[1], 0.0, 0.0), wrench)
+        buffer = (rounds.done[0] + 1) % 3
+        add_gains(entry, buffer, 0, 1, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
+
+
+@wp.kernel
+def store_push(threads: int, rounds: Rounds, motions: Motions):
+    """The threads share the bodies: the pseudo-velocities after the last round."""
+    buffer = (rounds.done[0] + 1) % 3
+    for b in range(wp.tid(), rounds.sharing.shape[0], threads):
+        if rounds.sharing[b] > 0 and inverse_mass_of(b, motions) > 0.0:
+            store_velocity(b, PUSH, gained_of(b, 6 * buffer, rounds), gained_of(b, 6 * buffer + 3, rounds), motions)

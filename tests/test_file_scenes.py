@@ -1,0 +1,137 @@
+"""Scenes of users' files: parameters, events, outcome, variants and starts, in run, compare, sweep, view and bench."""
+
+import json
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from warp_rigid.commands import cli
+from warp_rigid.runs.progress import Checkpoints
+from warp_rigid.runs.runner import execute, find_scene, plan_run
+from warp_rigid.viewer.session import Session
+
+SCENE = '''"""A ball is kicked, pellets rain on it."""
+
+import numpy as np
+
+import warp_rigid as wr
+
+DURATION = 0.5
+SETTINGS = {"dt": 1 / 120}
+VARIANTS = {"off": {"shock_propagation": "off"}}
+
+
+def scene(height: float = 1.0, pellets: int = 2):
+    made = wr.Scene(gravity=(0, 0, 0))
+    made.add_body(wr.Sphere(0.1), position=(0, 0, height), name="ball")
+    made.add_pool(wr.Sphere(0.02), pellets, "pellet")
+    return made
+
+
+def events(sim, frame):
+    if frame == 6:
+        sim.set("linear_velocity", (1.0, 0, 0), bodies="ball")
+    if frame % 10 == 0:
+        sim.spawn("pellet", (0, 3.0, 0.1 * frame), linear_velocity=(0, 0, 1.0))
+
+
+def vary(sim, height, pellets):
+    sim.set("position", [[(0, env, height)] for env in range(sim.num_envs)], bodies=["ball"])
+
+
+def outcome(sim):
+    x = sim.get("position")[:, 0, 0]
+    return {"travel": (x, np.abs(x - 0.4) < 1e-3), "active": sim.get("active").sum(axis=1)}
+'''
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "kick.py"
+    file.write_text(SCENE)
+    return str(file)
+
+
+def test_run_calls_what_the_file_defines(path):
+    """0.5 s at 1 m/s from frame 6 on; pellets at frames 0, 10 and, of two, no third at 20."""
+    demo = find_scene(path)
+    assert (demo.duration, demo.settings) == (0.5, {"dt": 1 / 120})
+    plan = plan_run(demo, ["height=2"], num_envs=3, device="cpu")
+    result = execute(plan)
+    travel, active = result.verdicts
+    np.testing.assert_allclose(travel.values, 0.4, atol=1e-6)
+    assert travel.passed.all() and active.values.tolist() == [3, 3, 3] and active.passed.all()
+    np.testing.assert_allclose(plan.sim.get("position")[:, 0, 1:], [[0, 2], [1, 2], [2, 2]], atol=1e-6)
+    np.testing.assert_allclose(plan.sim.get("position")[0, 1:, 2], [0.5, 1 + 20 / 60], atol=1e-4)
+
+
+def test_compare_has_the_variants(path, capsys):
+    assert cli.main(["run", path, "--compare", "--device", "cpu", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["labels"] == ["default", "off"]
+    assert [verdict["name"] for verdict in summary["verdicts"]] == ["travel", "active"]
+
+
+def test_sweep_applies_events_and_outcome_to_each_scene(path):
+    """Environments with different numbers of pellets in one batch, with the rows of batches of one."""
+    axes = {"pellets": [1, 4], "height": [1.0, 2.0]}
+    results = [wr.sweep(path, axes, metrics=["outcome"], batch=batch, device="cpu") for batch in ("auto", 1)]
+    for result in results:
+        assert not result.failed and all(row["outcome_travel_ok"] for row in result.rows)
+        assert [row["outcome_active"] for row in result.rows] == [2, 2, 4, 4]
+    assert [row["outcome_travel"] for row in results[0].rows] == [row["outcome_travel"] for row in results[1].rows]
+
+
+def test_a_resumed_run_goes_on_with_its_events(path, tmp_path):
+    demo = find_scene(path)
+    whole = execute(plan_run(demo, device="cpu")).verdicts
+
+    class Stopped(Exception):
+        pass
+
+    def stop(frame):
+        if frame == 12:
+            raise Stopped
+
+    checkpoints = Checkpoints(tmp_path / "half.ckpt", every=1, resuming=True)
+    with pytest.raises(Stopped):
+        execute(plan_run(demo, device="cpu"), on_frame=stop, checkpoints=checkpoints)
+    again = execute(plan_run(demo, device="cpu"), checkpoints=checkpoints)
+    assert [one.values.tolist() for one in again.verdicts] == [one.values.tolist() for one in whole]
+
+
+def test_view_and_bench_take_the_file(path, capsys):
+    session = Session(path, compare=True, device="cpu")
+    session.step(16)
+    assert session.sim.get("linear_velocity")[0, 0, 0] == 1.0
+    assert cli.main(["bench", path, "--frames", "2", "--settle", "8", "--device", "cpu", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert row["bodies"] == 3 and row["quality"]["escaped"] == 0
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("def scene(size):\n    pass", "parameter size of scene() must have a default"),
+        ("events = 3", "events must be a function, got 3"),
+        ("VARIANTS = [1]", "VARIANTS must be a dictionary of settings by name, got [1]"),
+        ("VARIANTS = {'a': {'dt': 1}}", "VARIANTS a must be a dictionary of settings"),
+        ("VARIANTS = {'a': {'sleeping': 2}}", "VARIANTS a: sleeping: must be True or False, got 2"),
+        ("DURATION = 0", "DURATION: must be a finite number > 0, got 0"),
+    ],
+)
+def test_bad_definitions_are_named(path, more, message):
+    with open(path, "a") as file:
+        file.write("\n\n" + more + "\n")
+    with pytest.raises(ValueError) as error:
+        find_scene(path)
+    assert message in str(error.value) and path in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("value", ["3", "{'travel': [1, 2, 3]}", "{'travel': (1.0, 2.0)}", "{'travel': ['a']}"])
+def test_a_bad_outcome_is_named(path, value):
+    with open(path, "a") as file:
+        file.write(f"\n\ndef outcome(sim):\n    return {value}\n")
+    with pytest.raises(ValueError, match=r"kick.py: outcome\(\) must return"):
+        execute(plan_run(find_scene(path), frames=1, device="cpu"))

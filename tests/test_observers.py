@@ -1,0 +1,170 @@
+"""Observers and time series of sweeps: ready-made ones against closed forms, those of users, and what is lost."""
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from warp_rigid.commands import cli
+from warp_rigid.sweep import read, read_series
+from warp_rigid.sweep.table import ResultFile
+
+GRAVITY = 9.81
+
+
+def drop(height: float = 0.2, restitution: float = 0.5, boxes: int = 0):
+    """A ball above the ground, and boxes that rest some way off."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(), restitution=1.0, name="ground")
+    scene.add_body(wr.Sphere(0.1), position=(0, 0, 0.1 + height), mass=2.0, restitution=restitution, name="ball")
+    for i in range(boxes):
+        scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(2 + i, 0, 0.1), name=f"box_{i}")
+    return scene
+
+
+def quick(axes, **more):
+    return wr.sweep(drop, axes, **{"duration": 0.5, "fps": 20, "metrics": ["drift"], "device": "cpu", **more})
+
+
+def test_ready_made_observers():
+    names = ["peak_impulse[ball,ground]", "first_contact[ball]", "impacts[ball]", "energy[ball]", "rest_time[box_0]"]
+    result = quick({"height": [0.1, 0.3], "boxes": [0, 1]}, observe=names)
+    assert not result.failed
+    for row in result.rows:
+        speed = np.sqrt(2 * GRAVITY * row["height"])
+        assert row["peak_impulse[ball,ground]"] == pytest.approx(2.0 * 1.5 * speed, abs=3 * 2.0 * GRAVITY / 240)
+        assert row["first_contact[ball]"] == pytest.approx(speed / GRAVITY, abs=3 / 240)
+        assert row["energy[ball]"] < 2.0 * GRAVITY * (row["height"] + 0.1)
+        assert row["rest_time[box_0]"] == 0.0  # a box that rests from the start, or none
+    # From 0.3 m the ball arrives after 0.247 s and, with half its speed, again after as long.
+    assert [row["impacts[ball]"] for row in result.rows][2:] == [2, 2]
+
+
+def test_rows_with_observers_do_not_depend_on_the_batch():
+    options = {"observe": ["peak_impulse", "summed_impulse[ball]", "impacts", "energy", "position[ball]"]}
+    axes = {"boxes": [0, 2], "height": [0.1, 0.2]}
+    rows = [quick(axes, batch=size, **options).rows for size in (1, 3, "auto")]
+    for other in rows[1:]:
+        for row, same in zip(rows[0], other, strict=True):
+            assert {key: row[key] for key in options["observe"]} == {key: same[key] for key in options["observe"]}
+
+
+def height_on_device(sim):
+    """The ball's height in every environment, from the device array of all bodies."""
+    return sim.array("position").numpy()[sim.first_body[:-1] + 1, 2]
+
+
+class Highest:
+    """The largest height of the ball at any look."""
+
+    def __init__(self, sim):
+        self.height = np.zeros(sim.num_envs)
+
+    def __call__(self, sim):
+        self.height = np.maximum(self.height, height_on_device(sim))
+        return self.height
+
+
+def test_functions_and_classes_of_the_user():
+    result = quick({"height": [0.1, 0.3]}, observe=[height_on_device, Highest], series=["height_on_device", "impacts"])
+    series = result.series()
+    assert series.column_names == ["run", "time", "height_on_device", "impacts"]
+    height = series["height_on_device"].to_numpy().reshape(2, -1)
+    assert height.shape == (2, 11) and series["time"].to_numpy()[:11] == pytest.approx(0.05 * np.arange(11))
+    np.testing.assert_array_equal(series["run"].to_numpy(), np.repeat([0, 1], 11))
+    np.testing.assert_allclose(height[:, 0], [0.2, 0.4], rtol=1e-6)
+    time = 0.05 * np.arange(3)
+    np.testing.assert_allclose(height[1, :3], 0.4 - 0.5 * GRAVITY * time**2, atol=GRAVITY * 0.1 / 240)
+    for row, own in zip(result.rows, height, strict=True):
+        assert row["height_on_device"] == own[-1] and row["Highest"] == own.max()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"observe": ["speed"]}, "observe: must be functions, .py files, peak_impulse, "),
+        ({"observe": ["peak_impulse[a,b,c]"]}, "observe: must be functions"),
+        ({"observe": ["peak_impulse[lid]"]}, "peak_impulse\\[lid\\]: no scene has the bodies lid"),
+        ({"observe": ["energy", "energy"]}, "observe: energy is given twice"),
+        ({"series": ["position"]}, "series: must be functions"),
+        ({"series": [height_on_device]}, "series: must be names, with their functions in observe"),
+    ],
+)
+def test_bad_observers_are_named_before_any_run(options, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        quick({"height": [0.1]}, **options)
+
+
+def wrong_shape(sim):
+    return np.zeros(3)
+
+
+def fails_late(sim):
+    if sim.time > 0.2:
+        raise RuntimeError("no more\nof this")
+    return np.zeros(sim.num_envs)
+
+
+def test_an_observer_that_fails_loses_nothing_else(caplog):
+    result = quick({"height": [0.1, 0.3]}, observe=[fails_late, "impacts"], series=["fails_late", "energy"])
+    assert [row["status"] for row in result.rows] == ["error"] * 2
+    for row in result.rows:
+        assert row["reason"] == "observer fails_late: RuntimeError: no more of this"
+        assert row["fails_late"] is None and row["drift"] > 0.0 and row["impacts"] >= 1
+    series = result.series().to_pandas()
+    assert np.isfinite(series["energy"]).all()
+    assert np.isfinite(series["fails_late"][series["time"] < 0.2]).all()
+    assert series["fails_late"][series["time"] > 0.21].isna().all()
+    result = quick({"height": [0.1, 0.3]}, observe=[wrong_shape])
+    reason = "observer wrong_shape: ValueError: must return (2,) or (2, n) numbers, got shape (3,) of float64"
+    assert [row["reason"] for row in result.rows] == [f"ValueError: {reason}"] * 2
+
+
+def test_series_on_disk_survive_an_interruption(tmp_path, monkeypatch):
+    """Rows and series of finished batches stay; the others are run again, and each look is there once."""
+    axes = {"height": np.linspace(0.05, 0.3, 6)}
+    options = {"series": ["kinetic_energy", "peak_impulse[ball]"], "batch": 2}
+    whole = quick(axes, **options).series()
+    path = tmp_path / "t.parquet"
+
+    def interrupted(self, rows, add=ResultFile.add):
+        if len(self.rows) >= 2:
+            raise KeyboardInterrupt
+        add(self, rows)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ResultFile, "add", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            quick(axes, output=path, **options)
+    assert len(list((tmp_path / "t.series").glob("*.parquet"))) == 2
+    result = quick(axes, output=path, resume=True, **options)
+    assert result.series().equals(whole) and read_series(tmp_path / "t.series").equals(whole)
+    quick({"height": [0.1]}, output=path, overwrite=True, **options)
+    assert set(read_series(tmp_path / "t.series")["run"].to_pylist()) == {0}
+
+
+def test_the_command_observes(tmp_path, capsys):
+    scene, mine = tmp_path / "ball.py", tmp_path / "mine.py"
+    scene.write_text(
+        "import warp_rigid as wr\n\n\ndef scene(height: float = 1.0):\n    scene = wr.Scene()\n"
+        "    scene.add_static(wr.Plane(), name='ground')\n"
+        "    scene.add_body(wr.Sphere(0.1), position=(0, 0, height), name='ball')\n    return scene\n"
+    )
+    mine.write_text("import numpy as np\n\n\ndef twice(sim):\n    return 2.0 * sim.get('position')[:, 1, 2]\n")
+    table = tmp_path / "t.parquet"
+    command = [
+        "sweep",
+        str(scene),
+        "--vary",
+        "height=0.2,0.4",
+        "--duration",
+        "0.25",
+        "--device",
+        "cpu",
+        "-o",
+        str(table),
+    ]
+    observe = ["--observe", f"peak_impulse[ball,ground],{mine}", "--series", "energy"]
+    assert cli.main([*command, *observe, "--metrics", "drift"]) == 0
+    rows = read(table).rows
+    assert all(row["peak_impulse[ball,ground]"] > 0.0 and 0.1 < row["twice"] < 0.9 for row in rows)
+    assert read_series(tmp_path / "t.series").num_rows == 4

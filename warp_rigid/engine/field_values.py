@@ -1,0 +1,147 @@
+"""Parameters of force fields by name, such as "field_strength": read and changed for each environment."""
+
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.checks import shown
+from warp_rigid.engine.layout import LACKING, Layout, concatenated, spread_rows
+from warp_rigid.scene.fields import FIELDS, ForceField
+
+PREFIX = "field_"
+
+
+def names() -> tuple[str, ...]:
+    """Names of the parameters of all kinds of force fields."""
+    return tuple(dict.fromkeys(PREFIX + name for kind in FIELDS.values() for name in kind.parameters()))
+
+
+def read(layout: Layout, parameters: np.ndarray, name: str) -> np.ndarray:
+    """A parameter of all force fields, (envs, most fields, ...); NaN where a field does not have it.
+
+    Args:
+        layout: the environments.
+        parameters: (fields, columns) parameters of all fields as on the device.
+        name: one of `names`.
+
+    Raises:
+        ValueError: no force field of the scenes has the parameter.
+    """
+    columns = _columns(layout, name)
+    tail = (3,) if any(stop - start == 3 for start, stop in columns.values()) else ()
+    values = np.full((len(parameters), *tail), np.nan, np.float32)
+    source = _source(layout)
+    for index, (start, stop) in columns.items():
+        own = source == index
+        values[own] = parameters[own, start:stop].reshape(-1, *tail)
+    return spread_rows(values, layout.table("fields"))
+
+
+def write(layout: Layout, parameters: np.ndarray, name: str, new: np.ndarray, rows: np.ndarray) -> None:
+    """Change a parameter of fields, after a check of every value.
+
+    Args:
+        layout: the environments.
+        parameters: (fields, columns) as for `read`; changed in place.
+        name: one of `names`.
+        new: (n, most fields, ...) values.
+        rows: (n, most fields) rows of the fields.
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+    fields, source = _fields(layout), _source(layout)
+    changes = []
+    for index, (start, stop) in _columns(layout, name).items():
+        chosen = (rows != LACKING) & (source[np.maximum(rows, 0)] == index)
+        values = new[chosen].reshape(-1, stop - start)
+        for value in np.unique(values, axis=0):
+            check(fields[index], name, value)
+        changes.append((rows[chosen], start, stop, values))
+    for own, start, stop, values in changes:
+        parameters[own, start:stop] = values
+
+
+def having(layout: Layout, name: str) -> np.ndarray:
+    """Mask of the fields that have a parameter, (envs, most fields)."""
+    table = layout.table("fields")
+    return (table != LACKING) & np.isin(_source(layout)[np.maximum(table, 0)], list(_columns(layout, name)))
+
+
+def check(field: ForceField, name: str, value: Any) -> None:
+    """Check a value of a parameter as the class of the field does.
+
+    Raises:
+        ValueError: the value is out of range.
+    """
+    parameter = name.removeprefix(PREFIX)
+    values = np.asarray(value, np.float64).reshape(-1).tolist()
+    is_vector = type(field).parameters()[parameter]
+    if len(values) != (3 if is_vector else 1):
+        raise ValueError(f"{name}: must be {'three numbers' if is_vector else 'a number'}, got {shown(value)}")
+    try:
+        type(field)(**{**field.values(), parameter: tuple(values) if is_vector else values[0]})
+    except ValueError as error:
+        raise ValueError(f"{PREFIX}{error}") from None
+
+
+def fields_with(fields: list[ForceField], name: str) -> list[ForceField]:
+    """The fields that have a parameter.
+
+    Raises:
+        ValueError: there is none.
+    """
+    parameter = name.removeprefix(PREFIX)
+    found = [field for field in fields if parameter in type(field).parameters()]
+    if not found:
+        raise ValueError(f"{name}: no force field of the scene has a {parameter}")
+    return found
+
+
+def potential(layout: Layout, parameters: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Potential energy per mass by all force fields [J/kg].
+
+    Args:
+        layout: the environments.
+        parameters: (fields, columns) as for `read`.
+        x: (envs, bodies, 3) points [m].
+
+    Returns:
+        (envs, bodies) potential.
+    """
+    total = np.zeros(x.shape[:2])
+    source, env_of_field = _source(layout), np.repeat(np.arange(layout.num_envs), np.diff(layout.starts["fields"]))
+    for index, field in enumerate(_fields(layout)):
+        rows = np.flatnonzero(source == index)
+        width = len(field.row())
+        for values in np.unique(parameters[rows, :width], axis=0):
+            own = rows[(parameters[rows, :width] == values).all(axis=1)]
+            envs = env_of_field[own]
+            now = field if np.array_equal(values, field.row()) else type(field).from_row(values)
+            total[envs] += now.potential(x[envs])
+    return total
+
+
+def _fields(layout: Layout) -> list[ForceField]:
+    """The fields of the distinct scenes, one scene after another."""
+    return concatenated(lambda scene: scene.force_fields, layout.scenes)[0]
+
+
+def _source(layout: Layout) -> np.ndarray:
+    """Index into `_fields` for each field of all environments."""
+    return layout.copies([len(scene.force_fields) for scene in layout.scenes])
+
+
+def _columns(layout: Layout, name: str) -> dict[int, tuple[int, int]]:
+    """For each field of the distinct scenes that has a parameter, the first and last column of it."""
+    parameter = name.removeprefix(PREFIX)
+    fields = _fields(layout)
+    fields_with(fields, name)
+    found = {}
+    for index, field in enumerate(fields):
+        start = 0
+        for own, is_vector in type(field).parameters().items():
+            if own == parameter:
+                found[index] = (start, start + (3 if is_vector else 1))
+            start += 3 if is_vector else 1
+    return found

@@ -1,0 +1,80 @@
+"""Pools of bodies: spawning inactive bodies of a scene during a simulation, and returning them."""
+
+import re
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.checks import shown
+from warp_rigid.engine import quantities
+from warp_rigid.engine.layout import LACKING
+from warp_rigid.engine.selection import body_rows, env_indices
+from warp_rigid.engine.world import World
+from warp_rigid.kernels import declare, schema
+from warp_rigid.scene.scene import Scene
+
+
+def spawn(world: World, pool: str, poses: dict[str, Any], envs: Any) -> np.ndarray:
+    """Activate the first inactive body of a pool in each environment; see Simulator.spawn."""
+    layout = world.layout
+    chosen = env_indices(layout, envs)
+    members = {scene: _members(layout.scenes[scene], scene, pool) for scene in np.unique(layout.scene_of[chosen])}
+    active = world.state.active.numpy()
+    found = np.full(len(chosen), LACKING)
+    for place, env in enumerate(chosen.tolist()):
+        own = members[layout.scene_of[env]]
+        free = own[active[layout.first_body[env] + own] == 0]
+        found[place] = free[0] if len(free) else LACKING
+    rows = np.where(found == LACKING, LACKING, layout.first_body[chosen] + found)[:, None]
+    given = {name: _one_row_each(name, value, len(chosen)) for name, value in poses.items()}
+    _clear(world, rows)
+    for name, value in given.items():
+        quantities.write_rows(world, name, value, rows)
+    quantities.assign_rows(world.state.active, 1, rows)
+    quantities.wake(world, chosen, rows)
+    return found
+
+
+def despawn(world: World, bodies: Any, envs: Any) -> None:
+    """Return bodies to their pools; see Simulator.despawn."""
+    chosen = env_indices(world.layout, envs)
+    rows = body_rows(world.layout, chosen, bodies)
+    quantities.assign_rows(world.state.active, 0, rows)
+    quantities.wake(world, chosen, rows)
+
+
+def _members(scene: Scene, number: int, pool: str) -> np.ndarray:
+    """Indices of the bodies of a pool, which are named NAME_0, NAME_1, ...
+
+    Raises:
+        ValueError: the scene has none.
+    """
+    pattern = re.compile(rf"{re.escape(str(pool))}_\d+")
+    found = [index for index, body in enumerate(scene.bodies) if pattern.fullmatch(body.name)]
+    if not found:
+        raise ValueError(f"pool: scene {number} has no bodies named {pool}_0, {pool}_1, ..., got {shown(pool)}")
+    return np.array(found)
+
+
+def _one_row_each(name: str, value: Any, count: int) -> np.ndarray:
+    """Values of one body per environment, (count, 1, n)."""
+    try:
+        values = np.asarray(value, np.float32)
+        return np.broadcast_to(values, (count, values.shape[-1]))[:, None]
+    except (ValueError, TypeError, IndexError):
+        raise ValueError(
+            f"{name}: must be one vector, or ({count}, n) for the environments, got {shown(value)}"
+        ) from None
+
+
+def _clear(world: World, rows: np.ndarray) -> None:
+    """Forget what is left of the bodies' former lives: forces, rounding errors, sleep and contacts."""
+    for owner, struct in ((world.state, schema.State), (world.sleep_state, schema.SleepState)):
+        for name in declare.field_names(struct):
+            if name not in ("position", "orientation", "linear_velocity", "angular_velocity", "active"):
+                quantities.assign_rows(getattr(owner, name), 0, rows)
+    present = rows[rows != LACKING]
+    for shard in world.shards:
+        own = present[(present >= shard.first_body) & (present < shard.end_body)] - shard.first_body
+        if len(own):
+            quantities.forget_contacts(shard, own)

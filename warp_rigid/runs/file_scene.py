@@ -1,0 +1,158 @@
+"""Scenes of users: a .py file that describes a scene as the built-in ones are.
+
+Besides the function `scene(**parameters)` the file may define
+
+- `events(sim, frame)`: called before each frame of 1/60 s, to push, spawn or change something;
+- `outcome(sim)`: called at the end, returns by name the measured values, (envs,), booleans for what passed, or a pair
+  of values and booleans; or a class as the built-in scenes have, made with the scene, with `observe` and `verdicts`;
+- `VARIANTS`: settings to compare, by name; the first is the default;
+- `vary(sim, **parameters)`: gives each environment of a batch a different start;
+- `SETTINGS`: differences from `Settings()` that the scene needs;
+- `DURATION`: duration of a run [s].
+"""
+
+import inspect
+import math
+from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.checks import number_in, shown
+from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
+from warp_rigid.runs.user_code import module_of_file, scene_function
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scenes import Demo, Verdict
+from warp_rigid.scenes.demo import no_events
+
+__all__ = ["FILE_SCENE_DURATION", "NoOutcome", "scene_of_file"]
+
+FILE_SCENE_DURATION = 4.0
+"""Default duration of a scene from a user's file [s]."""
+
+EVENT_RATE = 60.0
+"""Calls of `events` per simulated second."""
+
+
+class NoOutcome:
+    """Outcome of a scene without expectations, such as one from a user's file."""
+
+    def __init__(self, scene: Scene):
+        """Accept any scene."""
+
+    def observe(self, sim: Any) -> None:
+        """Do nothing."""
+
+    def verdicts(self, sim: Any) -> list[Verdict]:
+        """Return no verdicts."""
+        return []
+
+
+class FunctionOutcome(NoOutcome):
+    """Outcome of a user's function, which is called once at the end."""
+
+    def __init__(self, path: str, function: Callable, scene: Scene):
+        """Remember nothing of the scene; the function sees the simulator."""
+        self._path, self._function = path, function
+
+    def verdicts(self, sim: Any) -> list[Verdict]:
+        """Return what the function measured.
+
+        Raises:
+            ValueError: the function does not return values for each environment by name.
+        """
+        found = self._function(sim)
+        if not isinstance(found, dict):
+            raise ValueError(f"{self._path}: outcome() must return a dictionary, got {shown(found)}")
+        return [self._verdict(name, value, sim.num_envs) for name, value in found.items()]
+
+    def _verdict(self, name: str, value: Any, count: int) -> Verdict:
+        values, passed = value if isinstance(value, tuple) else (value, value)
+        values, passed = np.atleast_1d(np.asarray(values)), np.atleast_1d(np.asarray(passed))
+        if passed.dtype != bool and not isinstance(value, tuple):
+            passed = np.ones(len(values), bool)
+        numbers = values.shape == passed.shape == (count,) and values.dtype.kind in "biuf"
+        if not numbers or passed.dtype != bool:
+            raise ValueError(
+                f"{self._path}: outcome() must return ({count},) numbers for {name}, or a pair of numbers and booleans"
+            )
+        return Verdict(str(name), values.astype(np.float64), "", passed, {})
+
+
+def scene_of_file(path: Path) -> Demo:
+    """The scene that a file describes.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: One of its definitions is not what it must be.
+    """
+    module = module_of_file(path)
+    build = scene_function(path, getattr(module, "scene", None))
+    for name, parameter in inspect.signature(build).parameters.items():
+        if parameter.default is inspect.Parameter.empty:
+            raise ValueError(f"{path}: parameter {name} of scene() must have a default")
+    events, outcome = _function(path, module, "events"), _function(path, module, "outcome")
+    made: Any = NoOutcome
+    if outcome is not None:
+        made = outcome if inspect.isclass(outcome) else partial(FunctionOutcome, str(path), outcome)
+    return Demo(
+        name=path.stem,
+        summary=(module.__doc__ or "").partition("\n")[0],
+        build=build,
+        outcome=made,
+        duration=number_in(f"{path}: DURATION", getattr(module, "DURATION", FILE_SCENE_DURATION), above=0.0),
+        variants=_variants(path, module),
+        events=no_events if events is None else partial(_every_frame, events),
+        settings=_settings(path, "SETTINGS", getattr(module, "SETTINGS", {}), dt=True),
+        vary=_function(path, module, "vary"),
+    )
+
+
+def _every_frame(events: Callable, scene: Scene) -> list[tuple[float, Callable]]:
+    """An event that calls a function before the first frame, and is followed by that of the next frame."""
+    return [(0.0, partial(_frame_event, events, 0))]
+
+
+def _frame_event(events: Callable, frame: int, sim: Any) -> tuple[float, Callable]:
+    """Call a function for a frame, or for the present one after a run was resumed; returns the next event."""
+    passed = math.floor(sim.time * EVENT_RATE + 1e-6)
+    frame = max(frame, passed)
+    events(sim, frame)
+    return (passed + 1) / EVENT_RATE, partial(_frame_event, events, frame + 1)
+
+
+def _function(path: Path, module: ModuleType, name: str) -> Any:
+    """A function or class of the file, None if it has none of that name."""
+    found = getattr(module, name, None)
+    if found is not None and not callable(found):
+        raise ValueError(f"{path}: {name} must be a function, got {shown(found)}")
+    return found
+
+
+def _variants(path: Path, module: ModuleType) -> dict[str, dict[str, Any]]:
+    """The settings to compare; "default" is the first."""
+    variants = getattr(module, "VARIANTS", None)
+    if variants is None:
+        return {}
+    if not isinstance(variants, dict) or not all(isinstance(name, str) for name in variants):
+        raise ValueError(f"{path}: VARIANTS must be a dictionary of settings by name, got {shown(variants)}")
+    given = {name: _settings(path, f"VARIANTS {name}", changes, dt=False) for name, changes in variants.items()}
+    return given if "default" in given else {"default": {}, **given}
+
+
+def _settings(path: Path, what: str, changes: Any, dt: bool) -> dict[str, Any]:
+    """Checked differences from Settings()."""
+    known = [entry.name for entry in fields(Settings) if dt or entry.name in PER_ENVIRONMENT]
+    if not isinstance(changes, dict) or not set(changes) <= set(known):
+        raise ValueError(f"{path}: {what} must be a dictionary of settings ({', '.join(known)}), got {shown(changes)}")
+    for name, value in changes.items():
+        try:
+            if name in PER_ENVIRONMENT:
+                check_setting(name, value)
+        except ValueError as error:
+            raise ValueError(f"{path}: {what}: {error}") from None
+    return changes

@@ -1,0 +1,213 @@
+"""Observers: quantities that are read at every look of a sweep, as columns of the table and as time series.
+
+A ready-made observer is a name, such as "peak_impulse", optionally with one or two bodies: "peak_impulse[ball]",
+"peak_impulse[ball,ground]". Names of WATCHED are recorded on the device in every step. An observer of the user is a
+function of the simulator that returns (envs,) or (envs, n) values, or a class that is made with the simulator and then
+called with it. It gets all environments of the batch at once and may work on their device arrays (`Simulator.array`).
+"""
+
+import inspect
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.checks import shown
+from warp_rigid.engine.quantities import is_of_bodies, is_readable
+from warp_rigid.engine.selection import names_of
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.runs.user_code import module_of_file
+from warp_rigid.scene.scene import Scene
+
+__all__ = ["ENERGIES", "WATCHED", "Observers", "check_observers", "observer_name"]
+
+WATCHED = ("peak_impulse", "summed_impulse", "first_contact", "impacts", "rest_time", "largest_overlap")
+"""Observers that watch an environment, a body or a pair of bodies in every step; see Simulator.watched."""
+
+ENERGIES = {
+    "kinetic_energy": ("kinetic_energy",),
+    "potential_energy": ("potential_energy",),
+    "energy": ("kinetic_energy", "potential_energy"),
+}
+"""Energies of an environment, or of a body, at the look."""
+
+PATTERN = re.compile(r"(\w+)(?:\[(.+)\])?")
+
+
+class Observers:
+    """The observers of a batch.
+
+    Args:
+        sim: the simulator, before its first step.
+        observers: from check_observers.
+
+    Attributes:
+        latest: values of every observer at the last look, (envs, ...); none of an observer that failed.
+        errors: why an observer failed, one line each.
+
+    Raises:
+        ValueError: an observer fails at the first look.
+    """
+
+    def __init__(self, sim: Simulator, observers: Sequence[str | Callable]) -> None:
+        """Start to watch, make the observers of the user, and look once."""
+        self.sim, self.errors, self.latest = sim, [], {}
+        self._names = [name for name in observers if isinstance(name, str)]
+        self._watched = list(dict.fromkeys(_bodies(name) for name in self._names if _quantity(name) in WATCHED))
+        if self._watched:
+            sim.watch([bodies or None for bodies in self._watched])
+        self._functions: dict[str, Callable] = {}
+        for observer in observers:
+            if not isinstance(observer, str):
+                self._functions[observer_name(observer)] = _made(observer, sim)
+        self.look()
+        if self.errors:
+            raise ValueError(self.errors[0])
+
+    def look(self) -> None:
+        """Read the current values. An observer that fails is left out from now on, and has no values."""
+        self.latest = self._ready_made()
+        for name, function in list(self._functions.items()):
+            try:
+                self.latest[name] = _values(function(self.sim), self.sim.num_envs)
+            except Exception as error:
+                del self._functions[name]
+                self.errors.append(" ".join(f"observer {name}: {type(error).__name__}: {error}".split()))
+
+    def _ready_made(self) -> dict[str, np.ndarray]:
+        """Values of the observers that are names."""
+        watched = self.sim.watched() if self._watched else {}
+        found = {}
+        for name in self._names:
+            quantity, bodies = _quantity(name), _bodies(name)
+            if quantity in WATCHED:
+                found[name] = watched[quantity][:, self._watched.index(bodies)]
+            elif quantity in ENERGIES:
+                found[name] = _energy(self.sim, ENERGIES[quantity], bodies)
+            else:
+                found[name] = _of_body(self.sim, self.sim.get(quantity), bodies[0])
+        return found
+
+
+def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callable, ...]:
+    """Check observers and resolve files to functions.
+
+    Args:
+        observers: names, functions, classes, and paths of .py files, of which each public function or class is an
+            observer; None for no observers.
+        name: of the argument, for the error message.
+
+    Raises:
+        ValueError: an observer is unknown, or two have the same name.
+        FileNotFoundError: a file does not exist.
+    """
+    if observers is None:
+        return ()
+    found: list[str | Callable] = []
+    for observer in [observers] if isinstance(observers, str) or callable(observers) else observers:
+        if isinstance(observer, str) and observer.endswith(".py"):
+            found += _functions_of(Path(observer), name)
+        elif callable(observer) or (isinstance(observer, str) and _is_ready_made(observer)):
+            found.append(observer)
+        else:
+            known = ", ".join((*WATCHED, *ENERGIES))
+            raise ValueError(
+                f"{name}: must be functions, .py files, {known}, or a quantity of a body such as position[box], "
+                f"got {shown(observer)}"
+            )
+    names = [observer_name(observer) for observer in found]
+    if len(set(names)) < len(names):
+        raise ValueError(f"{name}: {max(names, key=names.count)} is given twice")
+    return tuple(found)
+
+
+def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -> None:
+    """Check that for each observer with bodies at least one scene has them.
+
+    Raises:
+        ValueError: no scene has the bodies.
+    """
+    places = {id(scene): names_of(scene) for scene in scenes}
+    for name in observers:
+        bodies = _bodies(name) if isinstance(name, str) else ()
+        if not any(all(body in place for body in bodies) for place in places.values()):
+            raise ValueError(f"{name}: no scene has the bodies {', '.join(bodies)}")
+
+
+def observer_name(observer: str | Callable) -> str:
+    """Column name of an observer."""
+    return observer if isinstance(observer, str) else getattr(observer, "__name__", type(observer).__name__)
+
+
+def _made(observer: Any, sim: Simulator) -> Callable:
+    """An observer of the user; a class is made for this batch."""
+    return observer(sim) if isinstance(observer, type) else observer
+
+
+def _quantity(name: str) -> str:
+    return name.partition("[")[0]
+
+
+def _bodies(name: str) -> tuple[str, ...]:
+    """Names of the bodies in brackets."""
+    inside = name.partition("[")[2].removesuffix("]")
+    return tuple(part.strip() for part in inside.split(",")) if inside else ()
+
+
+def _is_ready_made(name: str) -> bool:
+    """Whether a name with its bodies is that of a ready-made observer."""
+    if not PATTERN.fullmatch(name):
+        return False
+    quantity, count = _quantity(name), len(_bodies(name))
+    if quantity in WATCHED:
+        return count <= 2
+    if quantity in ENERGIES:
+        return count <= 1
+    return count == 1 and is_readable(quantity) and is_of_bodies(quantity)
+
+
+def _energy(sim: Simulator, parts: tuple[str, ...], bodies: tuple[str, ...]) -> np.ndarray:
+    """Energy of a body, or of all bodies of each environment, (envs,) [J]."""
+    values = np.sum([sim.get(part) for part in parts], axis=0)
+    if bodies:
+        return _of_body(sim, values, bodies[0])
+    env = np.nonzero(sim.exists)[0]
+    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
+    return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
+
+
+def _of_body(sim: Simulator, values: np.ndarray, body: str) -> np.ndarray:
+    """The rows of a body, (envs, ...); NaN where an environment has no such body."""
+    place = np.array([names_of(scene).get(body, -1) for scene in sim.scenes])[sim.scene_of]
+    found = values[np.arange(sim.num_envs), np.maximum(place, 0)].astype(np.float64)
+    found[place < 0] = np.nan
+    return found
+
+
+def _values(result: Any, num_envs: int) -> np.ndarray:
+    """The result of an observer of the user on the host: an array of NumPy, Warp, or a library with `__dlpack__`."""
+    if hasattr(result, "numpy") and not isinstance(result, np.ndarray):
+        result = (result.cpu() if hasattr(result, "cpu") else result).numpy()
+    values = np.array(result)
+    if values.shape[:1] != (num_envs,) or values.ndim > 2 or values.dtype.kind not in "biuf":
+        raise ValueError(
+            f"must return ({num_envs},) or ({num_envs}, n) numbers, got shape {values.shape} of {values.dtype}"
+        )
+    return values
+
+
+def _functions_of(path: Path, name: str) -> list[Callable]:
+    """The public functions and classes defined in a .py file."""
+    module = module_of_file(path)
+    found: list[Callable] = [
+        value
+        for key, value in vars(module).items()
+        if (inspect.isfunction(value) or inspect.isclass(value))
+        and value.__module__ == module.__name__
+        and not key.startswith("_")
+    ]
+    if not found:
+        raise ValueError(f"{name}: {path} must define at least one public function or class")
+    return found

@@ -1,0 +1,415 @@
+"""Examination of USD files in a child process, before the process of the caller opens them.
+
+Damaged files can make the USD library take tens of gigabytes, minutes, or end the process. References that double at
+every level can expand a few lines to more prims than fit into memory, and deep nesting overflows the stack of the
+recursive parser. The child opens a file and all files behind it under limits on memory and time, reads all values, and
+counts the composed prims without composing them.
+
+This module runs as a script too (`serve`), so it imports nothing of the package: the child starts in a quarter second.
+"""
+
+import json
+import os
+import re
+import signal
+import stat
+import sys
+import zipfile
+import zlib
+from collections.abc import Generator, Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pxr import Ar, Sdf, Tf
+
+__all__ = ["MAX_PRIMS", "examine", "reason_of", "serve"]
+
+MAX_PRIMS = 1_000_000
+"""Maximum number of prims of a stage; composing that many takes about a minute."""
+MAX_LEVELS = 1000
+"""Maximum nesting of prims, brackets and sublayers; some thousands overflow the stack of USD."""
+MAX_ARCS = 100
+"""Maximum length of a chain of references; the composition time grows with its third power."""
+
+SECONDS_PER_BYTE, BYTES_PER_BYTE = 1e-6, 20.0
+"""What the limits on time [s] and memory [bytes] grow with each byte of the files."""
+
+TEXT, PACKAGE = b"#usda", b"PK"
+"""First bytes of text files and packages."""
+
+DAMAGED_VALUE = (
+    Tf.ErrorException, UnicodeError, TypeError, IndexError, KeyError, AttributeError, OverflowError, RuntimeError,
+)  # fmt: skip
+"""Exceptions raised for values that are damaged or of the wrong type."""
+DAMAGED_PACKAGE = (zipfile.BadZipFile, zlib.error, OSError, ValueError, NotImplementedError, RuntimeError, EOFError)
+
+
+class Extent(NamedTuple):
+    """Size of a composed prim: total number of prims, levels of nesting, and longest chain of arcs."""
+
+    prims: int = 0
+    levels: int = 0
+    arcs: int = 0
+
+
+Node = tuple[str, Sdf.Path]
+"""A prim: the identifier of the strongest layer of its stack, and its path."""
+
+
+def examine(path: str, allow: Any = None) -> None:
+    """Open a file and all files behind it, read their values and count their prims.
+
+    Args:
+        path: the file.
+        allow: function(bytes), called with the size of each file before it is opened; None for no limits.
+
+    Raises:
+        ValueError: It is not a USD file, or it is too large or nested too deeply to be composed.
+    """
+    files = Layers(allow)
+    try:
+        layer = files.open(path)
+        if layer is None:
+            raise ValueError(f"{path}: not a readable USD file")
+        PrimCounter(path, files).check(layer)
+    except (Tf.ErrorException, UnicodeError) as error:
+        raise ValueError(f"{path}: not a readable USD file: {reason_of(error)}") from None
+
+
+def reason_of(error: Exception) -> str:
+    """The message of the first USD error, without its location in the source code of USD."""
+    text = " ".join(str(error).split())
+    found = re.search(r" : '(.*?)'(?: Error in |$)", text)
+    return (found[1] if found else text)[:300]
+
+
+class Layers:
+    """Opens layers once each, after checks of the file, and reads all their values.
+
+    Args:
+        allow: as in `examine`.
+    """
+
+    def __init__(self, allow: Any):
+        """Start without layers."""
+        self._allow = allow
+        self._opened: dict[str, Sdf.Layer | None] = {}
+        self._read: set[str] = set()
+
+    def open(self, identifier: str) -> Sdf.Layer | None:
+        """Open a layer; None if the file does not exist.
+
+        Raises:
+            ValueError: It is not a regular file, its brackets are nested too deeply, or a template names its clips.
+        """
+        if identifier not in self._opened:
+            resolved = Ar.GetResolver().Resolve(Sdf.Layer.SplitIdentifier(identifier)[0]).GetPathString()
+            self._check_file(Ar.SplitPackageRelativePathOuter(resolved)[0])
+            _check_brackets(resolved)
+            layer = self._opened[identifier] = Sdf.Layer.FindOrOpen(identifier)
+            if layer is not None and layer.identifier not in self._read:
+                self._read.add(layer.identifier)
+                for clip in _read_values(layer):
+                    self.open(layer.ComputeAbsolutePath(clip))
+        return self._opened[identifier]
+
+    def _check_file(self, path: str) -> None:
+        """Check that a file is a regular one, and account for its size."""
+        try:
+            found = os.stat(path)
+        except OSError:
+            return  # the library reports what is missing
+        if not stat.S_ISREG(found.st_mode):
+            raise ValueError(f"{path}: must be a regular file")
+        if self._allow is not None:
+            self._allow(found.st_size)
+
+
+def _check_brackets(path: str) -> None:
+    """Check the nesting of a text file, or of the first file of a package, which is its root layer."""
+    resolver = Ar.GetResolver()
+    asset = resolver.OpenAsset(resolver.Resolve(path))
+    start = asset.Read(len(TEXT), 0) if asset is not None and asset.GetSize() >= len(TEXT) else b""
+    if start.startswith(PACKAGE) and Path(path).is_file():
+        try:
+            with zipfile.ZipFile(path) as package:
+                names = package.namelist()
+        except DAMAGED_PACKAGE as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise ValueError(f"{path}: not a readable package: {reason}") from None
+        for name in names[:1]:
+            _check_brackets(Ar.JoinPackageRelativePath([path, name]))
+    elif start == TEXT:
+        content = np.frombuffer(asset.GetBuffer(), np.uint8)
+        opening, closing = (np.isin(content, np.frombuffer(which, np.uint8)) for which in (b"([{", b")]}"))
+        depth = np.cumsum(opening.astype(np.int8) - closing.astype(np.int8), dtype=np.int32)
+        if depth.max(initial=0) > MAX_LEVELS:
+            raise ValueError(f"{path}: must have at most {MAX_LEVELS} nested brackets")
+
+
+def _read_values(layer: Sdf.Layer) -> list[str]:
+    """Read all values of a layer one after another, which finds those that take too much memory.
+
+    Returns:
+        The files of its value clips, which USD opens only when it needs a value.
+    """
+    clips: list[str] = []
+    paths: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+    for path in paths:
+        spec = layer.GetObjectAtPath(path)
+        names = [] if spec is None else spec.ListInfoKeys()
+        if "clips" in names:
+            clips += _files_of_clips(layer, path, spec.GetInfo("clips"))
+        for name in names:
+            if name != "timeSamples":
+                _try_value(spec.GetInfo, name)
+        for time in layer.ListTimeSamplesForPath(path) if path.IsPropertyPath() else ():
+            _try_value(layer.QueryTimeSample, path, time)
+    return clips
+
+
+def _files_of_clips(layer: Sdf.Layer, path: Sdf.Path, sets: dict[str, dict[str, Any]]) -> list[str]:
+    """The files of all value clips of a prim."""
+    found = []
+    for clips in sets.values():
+        if "templateAssetPath" in clips:
+            raise ValueError(f"{layer.identifier}: {path}: templates of value clips are not supported")
+        found += [asset.path for asset in (*clips.get("assetPaths", ()), clips.get("manifestAssetPath")) if asset]
+    return found
+
+
+def _try_value(read: Any, *where: Any) -> None:
+    """Read a value; one of the wrong type is reported by the reader of the scene, where it is used."""
+    try:
+        read(*where)
+    except DAMAGED_VALUE:
+        pass
+
+
+class PrimCounter:
+    """Computes an upper bound for the size of a composed stage, visiting each prim of the files once.
+
+    Args:
+        path: path of the file, for messages.
+        files: opens layers.
+    """
+
+    def __init__(self, path: str, files: Layers):
+        """Start without known sizes."""
+        self._path, self._files = path, files
+        self._stacks: dict[str, list[Sdf.Layer]] = {}
+        self._known: dict[Node, Extent] = {}
+
+    def check(self, layer: Sdf.Layer) -> None:
+        """Check that the stage of a layer can be composed.
+
+        Raises:
+            ValueError: It is too large or nested too deeply, or a prim refers to itself.
+        """
+        extent = self._follow((layer.identifier, Sdf.Path.absoluteRootPath), layer)
+        limits = (
+            ("prims including references", extent.prims, MAX_PRIMS),
+            ("nested prims", extent.levels, MAX_LEVELS),
+            ("chained references", extent.arcs, MAX_ARCS),
+        )
+        for what, count, most in limits:
+            if count > most:
+                raise ValueError(f"{self._path}: must have at most {most} {what}, has {_about(count)}")
+
+    def _follow(self, root: Node, layer: Sdf.Layer) -> Extent:
+        """Count depth first with an explicit stack, since the depth depends on the file."""
+        self._stacks[root[0]] = self._stack(layer)
+        tasks: dict[Node, Any] = {root: self._count(root)}
+        answer = None
+        while tasks:
+            node, task = next(reversed(tasks.items()))
+            try:
+                needed = task.send(answer)
+            except StopIteration as done:
+                del tasks[node]
+                answer = self._known[node] = done.value
+                continue
+            answer = self._known.get(needed)
+            if answer is None and needed in tasks:
+                raise ValueError(f"{self._path}: {needed[1]} must not refer to itself")
+            if answer is None:
+                tasks[needed] = self._count(needed)
+        return self._known[root]
+
+    def _count(self, node: Node) -> Generator[Node, Extent, Extent]:
+        """Size of one prim; yields the prims it is composed of and receives their sizes."""
+        prims, levels, arcs = 1, 0, 0
+        specs = [spec for layer in self._stacks[node[0]] if (spec := layer.GetPrimAtPath(node[1]))]
+        for child in _children(specs):
+            below = yield node[0], child
+            prims, levels, arcs = prims + below.prims, max(levels, below.levels + 1), max(arcs, below.arcs)
+        for variants in _variants(specs):
+            largest = Extent()
+            for path in variants:
+                below = yield node[0], path
+                largest = Extent(*map(max, largest, below))
+            prims, levels, arcs = prims + largest.prims, max(levels, largest.levels), max(arcs, largest.arcs)
+        for target in [target for spec in specs for target in self._targets(node, spec)]:
+            behind = yield target
+            prims, levels, arcs = prims + behind.prims, max(levels, behind.levels), max(arcs, behind.arcs + 1)
+        return Extent(prims, levels, arcs)
+
+    def _targets(self, node: Node, spec: Sdf.PrimSpec) -> Iterable[Node]:
+        """Targets of the references, payloads, inherits and specializes of a prim."""
+        for arc in (*spec.referenceList.GetAddedOrExplicitItems(), *spec.payloadList.GetAddedOrExplicitItems()):
+            stack = self._stack_behind(node, spec.layer, arc.assetPath)
+            path = arc.primPath
+            if stack is not None and path.isEmpty and self._stacks[stack][0].HasDefaultPrim():
+                path = self._stacks[stack][0].GetDefaultPrimAsPath()
+            if stack is not None and not path.isEmpty:
+                yield from self._existing(node, stack, path)
+        for path in (*spec.inheritPathList.GetAddedOrExplicitItems(), *spec.specializesList.GetAddedOrExplicitItems()):
+            yield from self._existing(node, node[0], path)
+
+    def _existing(self, node: Node, stack: str, path: Sdf.Path) -> Iterable[Node]:
+        """A prim, or its nearest ancestor in the files if it exists only after composition."""
+        requested = path
+        while path.IsPrimPath():
+            if any(layer.GetPrimAtPath(path) for layer in self._stacks[stack]):
+                if path == requested or not (stack == node[0] and node[1].StripAllVariantSelections().HasPrefix(path)):
+                    yield stack, path
+                return
+            path = path.GetParentPath()
+
+    def _stack_behind(self, node: Node, layer: Sdf.Layer, asset: str) -> str | None:
+        """The layer stack of a reference: the current one without an asset path; None if the file does not exist."""
+        if not asset:
+            return node[0]
+        try:
+            found = self._files.open(layer.ComputeAbsolutePath(asset))
+        except Tf.ErrorException:
+            return None
+        if found is not None and found.identifier not in self._stacks:
+            self._stacks[found.identifier] = self._stack(found)
+        return None if found is None else found.identifier
+
+    def _stack(self, layer: Sdf.Layer) -> list[Sdf.Layer]:
+        """A layer and all its sublayers.
+
+        Raises:
+            ValueError: There are too many sublayers.
+        """
+        found = {layer.identifier: layer}
+        waiting = [layer]
+        while waiting:
+            above = waiting.pop()
+            for path in above.subLayerPaths:
+                try:
+                    below = self._files.open(above.ComputeAbsolutePath(path))
+                except Tf.ErrorException:
+                    continue
+                if below is not None and below.identifier not in found:
+                    found[below.identifier] = below
+                    waiting.append(below)
+            if len(found) > MAX_LEVELS:
+                raise ValueError(f"{self._path}: must have at most {MAX_LEVELS} sublayers")
+        return list(found.values())
+
+
+def _children(specs: list[Sdf.PrimSpec]) -> list[Sdf.Path]:
+    """Distinct paths of the children of a prim."""
+    return list(dict.fromkeys(child.path for spec in specs for child in spec.nameChildren))
+
+
+def _variants(specs: list[Sdf.PrimSpec]) -> list[list[Sdf.Path]]:
+    """Paths of the variants of each variant set, of which one is selected."""
+    return [
+        [variant.path for variant in variants.variants.values()]
+        for spec in specs
+        for variants in spec.variantSets.values()
+    ]
+
+
+def _about(count: int) -> str:
+    return str(count) if count < 10**9 else f"about {float(min(count, 10**300)):.0e}"
+
+
+def serve() -> None:
+    """Answer requests on standard input, one JSON object a line: path, seconds and bytes (the limits).
+
+    Each file is examined in a process of its own, forked from this one, which never opens a file itself.
+    """
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        reading, writing = os.pipe()
+        worker = os.fork()
+        if worker == 0:
+            os.write(writing, _answer(request).encode()[:4096])
+            os._exit(0)
+        os.close(writing)
+        with os.fdopen(reading, "rb") as stream:
+            answer = stream.read().decode(errors="replace")
+        status = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
+        print(json.dumps(answer[1:] if answer else _how_it_ended(request, status)), flush=True)
+
+
+def _answer(request: dict[str, Any]) -> str:
+    """A blank if a file can be opened, with the reason behind it if not."""
+    limits = _Limits(request["seconds"], request["bytes"])
+    path = request["path"]
+    try:
+        examine(path, limits.grow)
+    except (MemoryError, ValueError, *DAMAGED_VALUE) as error:
+        if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
+            return f" {path}: {limits.memory_text}"
+        return f" {error}" if type(error) is ValueError else f" {path}: not a readable USD file: {reason_of(error)}"
+    return " "
+
+
+def _how_it_ended(request: dict[str, Any], status: int) -> str:
+    """Why there is no answer."""
+    ended = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+    reason = f"the USD library stops on it ({ended}), or needs too much memory"
+    if ended in ("SIGXCPU", "SIGALRM"):
+        limit = f"{request['seconds']:g} s"
+        reason = f"opening it takes longer than allowed, {limit}; WARP_RIGID_USD_SECONDS raises the limit"
+    return f"{request['path']}: not a readable USD file: {reason}"
+
+
+class _Limits:
+    """Limits of this process on processor time and memory, which grow with the size of the files.
+
+    Args:
+        seconds: processor time for a file without content [s].
+        size: memory for a file without content [bytes].
+    """
+
+    def __init__(self, seconds: float, size: float):
+        """Set the limits."""
+        import resource  # exists only where processes can fork
+
+        self._resource = resource
+        self._seconds, self._bytes, self._given = seconds, size, size
+        self._before = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        self.grow(0)
+
+    @property
+    def memory_text(self) -> str:
+        """What to say if memory runs out."""
+        return (
+            f"not a readable USD file: opening it takes more memory than allowed, {self._given / 2**30:g} GiB; "
+            "WARP_RIGID_USD_GIGABYTES raises the limit"
+        )
+
+    def grow(self, size: int) -> None:
+        """Allow for a file of some size [bytes]."""
+        self._seconds += SECONDS_PER_BYTE * size
+        self._bytes += BYTES_PER_BYTE * size
+        for kind, limit in (
+            (self._resource.RLIMIT_CPU, max(1, round(self._seconds))),
+            (self._resource.RLIMIT_AS, self._before + int(self._bytes)),
+        ):
+            self._resource.setrlimit(kind, (limit, self._resource.RLIM_INFINITY))
+        signal.setitimer(signal.ITIMER_REAL, 4.0 * self._seconds)  # on a busy machine, or a slow network
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,62 @@
+"""Metadata of stages: units, the up axis, and the range of time codes, with checks."""
+
+from typing import NamedTuple
+
+from pxr import Usd, UsdGeom, UsdPhysics
+
+from warp_rigid.checks import number_in, one_of
+
+__all__ = ["MAX_FRAMES", "TimeCodes", "is_y_up", "kilograms_per_unit", "meters_per_unit", "time_codes"]
+
+MAX_FRAMES = 100_000
+"""Maximum number of time codes of a film."""
+UNITS = 1e-12, 1e12
+"""Range of the units of length [m] and mass [kg]."""
+
+
+class TimeCodes(NamedTuple):
+    """First and last time code, and their rate [1/s]."""
+
+    first: float
+    last: float
+    rate: float
+
+
+def time_codes(stage: Usd.Stage) -> TimeCodes:
+    """The range of time codes.
+
+    Raises:
+        ValueError: It is not finite, too long or negative, or the rate is not positive.
+    """
+    first = number_in("startTimeCode", stage.GetStartTimeCode())
+    last = number_in("endTimeCode", stage.GetEndTimeCode(), first, first + MAX_FRAMES)
+    rate = number_in("timeCodesPerSecond", stage.GetTimeCodesPerSecond(), above=0.0)
+    number_in("framesPerSecond", stage.GetFramesPerSecond(), above=0.0)
+    return TimeCodes(first, last, rate)
+
+
+def meters_per_unit(stage: Usd.Stage) -> float:
+    """Unit of length [m].
+
+    Raises:
+        ValueError: It is not a positive number.
+    """
+    return number_in("metersPerUnit", UsdGeom.GetStageMetersPerUnit(stage), *UNITS)
+
+
+def kilograms_per_unit(stage: Usd.Stage) -> float:
+    """Unit of mass [kg].
+
+    Raises:
+        ValueError: It is not a positive number.
+    """
+    return number_in("kilogramsPerUnit", UsdPhysics.GetStageKilogramsPerUnit(stage), *UNITS)
+
+
+def is_y_up(stage: Usd.Stage) -> bool:
+    """Whether y points up; if not, z does.
+
+    Raises:
+        ValueError: The up axis is neither.
+    """
+    return one_of("upAxis", str(UsdGeom.GetStageUpAxis(stage)), ("Y", "Z")) == "Y"

@@ -1,0 +1,145 @@
+"""Section H: arches over the range of time steps, and structures at rest, which must not climb."""
+
+import numpy as np
+
+from warp_rigid.scenes.builders import stacks
+from warp_rigid.scenes.builders.grounds import level_scene
+from warp_rigid.validation.case import OUTCOME, Curve, Miss, ReferenceCheck, ValidationCase, at_most
+from warp_rigid.validation.experiment import Experiment, Trace
+from warp_rigid.validation.towers import pyramid_scene
+
+RADIUS = 5.0
+"""Mean radius of the arches [m]."""
+RATES = (60, 120, 240, 480)
+"""Steps per second."""
+RATCHET = "push-out moves stones outwards only, and the sweeps do not converge"
+CLIMBS = "push-out moves bodies upwards only"
+
+
+def cases(quick: bool) -> list[ValidationCase]:
+    """All cases of the section; fewer time steps and shorter if quick."""
+    return [arches(RATES[:1] if quick else RATES, 2.0 if quick else 10.0), *climbing(quick)]
+
+
+def arch_scene(stones: int, ratio: float, friction: float):
+    """A semicircular arch on level ground."""
+    made = level_scene(friction=friction)
+    stacks.add_arch(made, stones, RADIUS, ratio * RADIUS, friction=friction)
+    return made
+
+
+def crown(trace: Trace) -> np.ndarray:
+    """Displacement of the middle stone, upwards, (records, envs) [m]."""
+    middle = trace.dynamic[len(trace.dynamic) // 2]
+    return (trace.position - trace.position[0])[:, :, middle, 2]
+
+
+def arches(rates, duration):
+    """Arches that must stand, fall or slide apart at every time step.
+
+    The least thickness with which a semicircular arch of rigid stones stands is 0.1061 radii for 15 stones and 0.1067
+    for 27 (linear programming with a large friction). It slides apart below a friction of about 0.31.
+    """
+    variants = {
+        "15 stones, t/R 0.125": (15, 0.125, 0.8, False),
+        "27 stones, t/R 0.16": (27, 0.16, 0.8, False),
+        "15 stones, t/R 0.095": (15, 0.095, 0.8, True),
+        "15 stones, t/R 0.125, mu 0.25": (15, 0.125, 0.25, True),
+    }
+    cells = [(name, *given, rate) for name, given in variants.items() for rate in rates]
+
+    def experiment(name, stones, ratio, friction, _, rate):
+        return Experiment(
+            lambda: arch_scene(stones, ratio, friction),
+            duration,
+            dt=1 / rate,
+            every=max(1, rate // 30),
+            label=f"{name}, dt 1/{rate}",
+        )
+
+    experiments = tuple(experiment(*cell) for cell in cells)
+    must_fall = np.array([cell[4] for cell in cells])
+    names = [one.label for one in experiments]
+
+    def pick(rows, measure):
+        return lambda s: np.array([np.nan if s[k].failed[0] else measure(s[k]) for k in rows])
+
+    standing, falling = np.flatnonzero(~must_fall), np.flatnonzero(must_fall)
+    return ValidationCase(
+        "V70",
+        f"semicircular arches over the range of time steps, {duration:g} s",
+        "limit analysis of rigid stones (linear programming)",
+        (
+            ReferenceCheck(
+                "largest displacement of the crown",
+                "m",
+                pick(standing, lambda t: np.abs(crown(t)).max()),
+                0.0,
+                at_most(1e-3),
+                [names[k] for k in standing],
+                Miss(RATCHET, 5.0),
+            ),
+            ReferenceCheck(
+                "falls",
+                "",
+                pick(falling, lambda t: float(crown(t).min() < -0.25 * RADIUS)),
+                1,
+                OUTCOME,
+                [names[k] for k in falling],
+                itemized=True,
+            ),
+        ),
+        experiments,
+        curve=Curve("displacement of the crown", "m", crown),
+    )
+
+
+def climbing(quick):
+    """Structures at rest, whose centre of mass must not rise."""
+    rates, duration = (RATES[:1], 2.0) if quick else (RATES, 10.0)
+
+    def beams():
+        made = level_scene()
+        stacks.add_crossed_layers(made, 10)
+        return made
+
+    def cards():
+        made = level_scene(friction=0.7)
+        stacks.add_card_house(made, 2, np.radians(25.0), friction=0.7)
+        return made
+
+    structures = {
+        "arch of 27 stones": (lambda: arch_scene(27, 0.16, 0.8), 2.0 * RADIUS),
+        "pyramid of 8 rows": (lambda: pyramid_scene(8), 1.6),
+        "10 crossed layers": (beams, 2.0),
+        "card house": (cards, 0.4),
+    }
+    cells = [(name, *given, rate) for name, given in structures.items() for rate in rates]
+
+    def rise(trace, size):
+        weight = trace.mass[0, trace.dynamic] / trace.mass[0, trace.dynamic].sum()
+        height = trace.center[:, 0, trace.dynamic, 2] @ weight
+        return (height - np.minimum.accumulate(height)).max() / size
+
+    return [
+        ValidationCase(
+            "V71",
+            f"structures at rest do not climb, {duration:g} s",
+            "statics: the centre of mass does not rise by itself",
+            (
+                ReferenceCheck(
+                    "rise of the centre of mass over the size",
+                    "",
+                    lambda s: [rise(trace, cell[2]) for trace, cell in zip(s, cells, strict=True)],
+                    0.0,
+                    at_most(1e-5),
+                    [f"{name}, dt 1/{rate}" for name, _, _, rate in cells],
+                    Miss(CLIMBS, 1.8e-3),
+                ),
+            ),
+            tuple(
+                Experiment(scene, duration, dt=1 / rate, every=max(1, rate // 30), label=f"{name}, dt 1/{rate}")
+                for name, scene, _, rate in cells
+            ),
+        )
+    ]

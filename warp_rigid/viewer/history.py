@@ -1,0 +1,76 @@
+"""The last seconds of a session, to be shown again or continued from."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+__all__ = ["History", "Moment"]
+
+QUANTITIES = ("position", "orientation", "linear_velocity", "angular_velocity")
+LENGTH = 20.0
+"""Simulated time that is kept [s]."""
+RATE = 30.0
+"""Moments kept per simulated second, at most."""
+MOST_NUMBERS = 50_000_000
+"""Numbers kept at most; of large scenes a shorter time is kept."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The state of all environments at a time.
+
+    Attributes:
+        time: simulated time [s].
+        state: by name, the quantities of all bodies.
+    """
+
+    time: float
+    state: dict[str, np.ndarray]
+
+
+class History:
+    """Keeps moments; the oldest are dropped."""
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._moments: deque[Moment] = deque()
+
+    def __len__(self) -> int:
+        """Number of moments."""
+        return len(self._moments)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._moments.clear()
+
+    def add(self, time: float, sim: Any) -> None:
+        """Keep the present state, unless the last moment is too recent."""
+        if self._moments and time - self._moments[-1].time < 1.0 / RATE - 1e-9:
+            return
+        self._moments.append(Moment(time, {name: sim.get(name) for name in QUANTITIES}))
+        most = max(2, MOST_NUMBERS // max(1, 13 * sim.num_envs * sim.num_bodies))
+        while time - self._moments[0].time > LENGTH or len(self._moments) > most:
+            self._moments.popleft()
+
+    @property
+    def length(self) -> float:
+        """Time between the first and the last moment [s]."""
+        return self._moments[-1].time - self._moments[0].time if self._moments else 0.0
+
+    def at(self, back: float) -> Moment | None:
+        """The moment nearest to `back` seconds before the last one."""
+        if not self._moments:
+            return None
+        wanted = self._moments[-1].time - back
+        return min(self._moments, key=lambda moment: abs(moment.time - wanted))
+
+    def forget_after(self, time: float) -> None:
+        """Forget what came after a time."""
+        while self._moments and self._moments[-1].time > time:
+            self._moments.pop()
+
+    def moments(self) -> list[Moment]:
+        """All moments, in their order."""
+        return list(self._moments)
