@@ -25,6 +25,11 @@ _FILES = (
     "balance_bird",
     "nut_and_bolt",
     "wrecking_ball",
+    "chain",
+    "pallet",
+    "cradle",
+    "ragdolls",
+    "linkages",
 )
 """Files of this folder that define a DEMO, in the order of `names()`."""
 
