@@ -100,6 +100,35 @@ class CombineRule(IntEnum):
     MAX = 3
 
 
+class Coordinate(IntEnum):
+    """The coordinate of a joint that limits, drive and friction act on."""
+
+    NONE = 0
+    ANGLE = 1
+    """Angle of the first body about the axis, relative to the second [rad]."""
+    SLIDE = 2
+    """Displacement of the first anchor along the axis of the second body [m]."""
+    CONE = 3
+    """Angle between the axis in both bodies [rad]."""
+    LENGTH = 4
+    """Distance of the anchors [m]."""
+
+
+class JointNumber(IntEnum):
+    """Columns of `Joints.numbers`."""
+
+    LOWER = 0
+    UPPER = 1
+    FRICTION = 2
+    STIFFNESS = 3
+    DAMPING = 4
+    MAX_FORCE = 5
+    TARGET_POSITION = 6
+    TARGET_VELOCITY = 7
+    BREAK_FORCE = 8
+    BREAK_TORQUE = 9
+
+
 class IslandSolver(IntEnum):
     """How an island is solved in a step."""
 

@@ -255,7 +255,7 @@ def without_device(err: str) -> list[str]:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("def scene():\n    return 5\n", "mine.py: scene() must return a Scene, got 5"),
+        ("def scene():\n    return 5\n", "mine.py:1: scene() must return a Scene, got 5"),
         ("def scene():\n    x = 3 +\n", "mine.py:2: SyntaxError: invalid syntax"),
         ("import warp_rigid as wr\ndef scene():\n    return wr.Box((-1, 1, 1))\n", "mine.py:3: half_extents: must be"),
         ("import not_there\n", "mine.py:1: ModuleNotFoundError: No module named 'not_there'"),

@@ -38,6 +38,6 @@ def warning_records(envs: Any, dt: float) -> np.ndarray:
     env, kind = np.nonzero(steps)
     records = np.zeros(len(env), WARNING_RECORD)
     records["env"], records["step"], records["body"] = env, steps[env, kind], bodies[env, kind]
-    records["warning"] = [WarningKind(number).name.lower() for number in kind]
+    records["warning"] = [WarningKind(int(number)).name.lower() for number in kind]
     records["time"] = records["step"] * dt
     return records[np.lexsort((kind, records["step"], env))]

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from importlib import import_module
 from typing import Any
 
 from warp_rigid.engine.cores import usable_cores
@@ -50,7 +51,15 @@ GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
 CANDIDATES, WATCH = (candidates,), (watch,)
 """Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground, large environments and watches."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+JOINTS = "warp_rigid.kernels.joints.joint_stages"
+"""Kernel module for joints, which process an environment with a team, too. It is imported only where there are joints,
+as this takes a tenth as long as the import of the package."""
+
+
+def everything() -> tuple[Any, ...]:
+    """All kernel modules; the slowest to compile come first."""
+    others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+    return (import_module(JOINTS), narrowphase, ccd, *others)
 
 
 def load_kernels(
@@ -74,7 +83,7 @@ def load_kernels(
     def blocks_of(module: Any) -> list[int]:
         if not device.is_cuda:
             return [1]
-        if module in TEAM_MODULES:
+        if module in TEAM_MODULES or module.__name__ == JOINTS:
             return sorted({team.block_of(size) for size in lanes})
         return [team.BLOCK, team.SMALL_BLOCK] if module in HEAPS else [team.BLOCK]
 

@@ -12,12 +12,12 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine import health_checks
+from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.loading import OVERLAP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.threads import exclusive
 
 WATCHED = (
@@ -175,7 +175,7 @@ class Shard:
             both += [(array, wp.clone(array)) for array in kept]
         both += [
             (array, wp.clone(array))
-            for kind in OTHER_KINDS
+            for kind in KINDS
             for array in (getattr(self._model.constraint_rows[kind.NAME], name) for name in kind.KEPT)
         ]
         return both + self._saved_envs + [(some, wp.clone(some)) for some in pools.levels.values()]
