@@ -202,3 +202,13 @@ def test_the_command_prints_warnings(capsys, tmp_path):
     assert cli.main(["run", str(path), "--frames", "240", "--device", "cpu"]) == 0
     line = f"environment 0: warning: overlap since step {warning['step']}, body 2"
     assert line in capsys.readouterr().out
+
+
+def test_energy_that_a_motor_gives_is_not_reported(device):
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_body(CUBE, name="wheel")
+    axle = scene.add_joint(wr.RevoluteJoint(axis=(0, 0, 1)), "wheel")
+    scene.add_drive(axle, damping=10.0, target_velocity=50.0)
+    sim = wr.Simulator(scene, device=device)
+    sim.step(600)
+    assert sim.get("angular_velocity")[0, 0, 2] > 40.0 and found(sim) == []

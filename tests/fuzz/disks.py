@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import warp_rigid as wr
 from tests.fuzz.harness import Target
+from warp_rigid.engine import checkpoint
 from warp_rigid.files import archive
 from warp_rigid.render.film import film_from_recording
 from warp_rigid.render.gltf import export_gltf
@@ -49,7 +50,7 @@ def read_stage(path: Path) -> None:
 
 SMALL = {"width": 32, "height": 24}
 WRITERS: dict[str, tuple[Callable[[Path], None], Callable[[Path], object]]] = {
-    "a.ckpt": (lambda path: made()[0].save(path), lambda path: archive.load(path, "checkpoint", 9)),
+    "a.ckpt": (lambda path: made()[0].save(path), lambda path: archive.load(path, checkpoint.KIND, checkpoint.VERSION)),
     "a.npz": (lambda path: made()[1].save(path), wr.Recording.load),
     "a.usda": (lambda path: wr.export_usd(made()[1], path), read_stage),
     "a.usdc": (lambda path: wr.export_usd(made()[1], path), read_stage),
