@@ -217,7 +217,7 @@ def test_energy_that_a_motor_gives_is_not_reported(device):
 
 def test_the_price_of_checks_is_that_of_the_same_motion(device, monkeypatch):
     monkeypatch.setattr(price_of_checks, "ROUNDS", 1)
-    checked, unchecked = price_of_checks.measure(1, {"height": 2}, device)
+    checked, unchecked = price_of_checks.measure(1, 64, device, height=2)
     assert checked > 0.0 and unchecked > 0.0
     with price_of_checks.without_checks():
         sim = wr.Simulator(squeezed(), device=device)
