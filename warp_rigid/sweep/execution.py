@@ -179,7 +179,7 @@ def sweep(
     finally:
         finished = {"state": "finished", "finished": _now()} if done == len(runs) else {"state": "interrupted"}
         with watch.of("write"):
-            book.write(**finished, seconds=watch.seconds)
+            book.write(**finished, seconds=dict(watch.seconds))
         log.info("time: %s", watch)
     return book.result()
 
