@@ -274,6 +274,10 @@ def _print_summary(summary: dict[str, Any]) -> None:
         f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
         for record in summary["failed"] + summary["out_of_bounds"]
     ]
+    lines += [
+        f"environment {record['env']}: warning: {record['warning']} since step {record['step']}, body {record['body']}"
+        for record in summary["warnings"]
+    ]
     for line in lines:
         out.print(line, highlight=False, markup=False)
     if summary["verdicts"]:

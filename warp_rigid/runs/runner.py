@@ -13,6 +13,7 @@ import numpy as np
 
 from warp_rigid import scenes
 from warp_rigid.engine import field_values
+from warp_rigid.engine.health_checks import WARNING_NAMES
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.assignments import BODY_PROPERTIES, Assignments, sort_assignments
@@ -398,6 +399,7 @@ def _summary(
         "deepest_penetration": _numbers(deepest),
         "failed": _records(status, ~np.isin(status["status"], ("ok", "out of bounds"))),
         "out_of_bounds": _records(status, status["status"] == "out of bounds"),
+        "warnings": [dict(zip(WARNING_NAMES, record.item(), strict=True)) for record in sim.warnings()],
         "setup_seconds": plan.setup_seconds,
         "seconds": sum(seconds),
         "env_frames_per_second": sim.num_envs * len(warm) / sum(warm) if warm else 0.0,
@@ -408,7 +410,7 @@ def _summary(
 def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:
     """Status records of the selected environments."""
     return [
-        {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names or ()}
+        {"env": int(env)} | {name: status[name][env].item() for name in ("status", "step", "time", "body")}
         for env in np.flatnonzero(chosen)
     ]
 

@@ -301,12 +301,11 @@ def _rows(
     lists = {name: _plain_list(values) for name, values in columns.items()}
     rows = []
     for env, (run, record) in enumerate(zip(runs, sim.status(), strict=True)):
-        status, reason = str(record["status"]), failures.reasons[env]
+        status, raised = str(record["status"]), failures.reasons[env]
         ok = status in FINISHED and not failures.void[env]
-        if status not in FINISHED or (status != "ok" and reason is None):
-            reason = _reason(sim, env, record)
-        elif reason is not None:
-            status, reason = "error", reason[:MAX_REASON_LENGTH]
+        reason = _reason(sim, env, record)
+        if raised is not None and status in FINISHED:
+            status, reason = "error", raised[:MAX_REASON_LENGTH]
         row = _row(run, env, status, reason)
         row |= {"most_pairs": int(peak_counts[0, env]), "most_contacts": int(peak_counts[1, env])}
         rows.append(row | {name: values[env] if ok else None for name, values in lists.items()})
@@ -325,7 +324,10 @@ def _row(run: Run, env: int, status: str, reason: str | None) -> dict[str, Any]:
     }
 
 
-def _reason(sim: Simulator, env: int, record: Any) -> str:
+def _reason(sim: Simulator, env: int, record: Any) -> str | None:
+    """Why the status is not ok, or else what the warnings are of; None if there is neither."""
+    if record["status"] == "ok":
+        return f"warning: {record['warning']}" if record["warning"] else None
     body = int(record["body"])
     name = sim.scenes[sim.scene_of[env]].bodies[body].name if body >= 0 else "none"
     return f"{record['status']} since step {record['step']}, body {body} ({name})"
