@@ -58,6 +58,7 @@ class Observers:
             sim.watch([bodies or None for bodies in self._watched])
         self._functions: dict[str, Callable] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
+        self._places: dict[str, np.ndarray] = {}
         for observer in observers:
             if not isinstance(observer, str):
                 name = observer_name(observer)
@@ -87,9 +88,29 @@ class Observers:
             if quantity in WATCHED:
                 found[name] = watched[quantity][:, self._watched.index(bodies)]
             elif quantity in ENERGIES:
-                found[name] = _energy(self.sim, ENERGIES[quantity], bodies)
+                found[name] = self._energy(ENERGIES[quantity], bodies)
             else:
-                found[name] = _of_body(self.sim, self.sim.get(quantity), bodies[0])
+                found[name] = self._of_body(self.sim.get(quantity), bodies[0])
+        return found
+
+    def _energy(self, parts: tuple[str, ...], bodies: tuple[str, ...]) -> np.ndarray:
+        """Energy of a body, or of all bodies of each environment, (envs,) [J]."""
+        sim = self.sim
+        values = np.sum([sim.get(part) for part in parts], axis=0)
+        if bodies:
+            return self._of_body(values, bodies[0])
+        env = np.nonzero(sim.exists)[0]
+        # Added one after another, so that the sum does not depend on the number of bodies of other environments.
+        return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
+
+    def _of_body(self, values: np.ndarray, body: str) -> np.ndarray:
+        """The rows of a body, (envs, ...); NaN where an environment has no such body."""
+        sim = self.sim
+        if body not in self._places:
+            self._places[body] = np.array([names_of(scene).get(body, -1) for scene in sim.scenes])[sim.scene_of]
+        place = self._places[body]
+        found = values[np.arange(sim.num_envs), np.maximum(place, 0)].astype(np.float64)
+        found[place < 0] = np.nan
         return found
 
 
@@ -168,24 +189,6 @@ def _is_ready_made(name: str) -> bool:
     if quantity in ENERGIES:
         return count <= 1
     return count == 1 and is_readable(quantity) and is_of_bodies(quantity)
-
-
-def _energy(sim: Simulator, parts: tuple[str, ...], bodies: tuple[str, ...]) -> np.ndarray:
-    """Energy of a body, or of all bodies of each environment, (envs,) [J]."""
-    values = np.sum([sim.get(part) for part in parts], axis=0)
-    if bodies:
-        return _of_body(sim, values, bodies[0])
-    env = np.nonzero(sim.exists)[0]
-    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
-    return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
-
-
-def _of_body(sim: Simulator, values: np.ndarray, body: str) -> np.ndarray:
-    """The rows of a body, (envs, ...); NaN where an environment has no such body."""
-    place = np.array([names_of(scene).get(body, -1) for scene in sim.scenes])[sim.scene_of]
-    found = values[np.arange(sim.num_envs), np.maximum(place, 0)].astype(np.float64)
-    found[place < 0] = np.nan
-    return found
 
 
 def _values(result: Any, num_envs: int) -> np.ndarray:
