@@ -1,6 +1,6 @@
 """Report of the differences between an imported scene and its file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 __all__ = ["ImportFinding", "ImportReport"]
 
@@ -31,10 +31,14 @@ class ImportReport:
     Attributes:
         file: path of the imported file.
         findings: the differences, in file order.
+        root: path of the prim below which was read; None for the whole stage.
+        prims: indices of the movable bodies in the scene, by the paths of their prims.
     """
 
     file: str
     findings: tuple[ImportFinding, ...] = ()
+    root: str | None = None
+    prims: dict[str, int] = field(default_factory=dict)
 
     @property
     def left_out(self) -> list[ImportFinding]:

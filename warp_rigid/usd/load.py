@@ -41,7 +41,7 @@ def import_usd(path, root: str | None = None, *, strict: bool = False, sdf_resol
     with convert_errors(path):
         reader = Reader(path, root, sdf_resolution)
         scene = reader.scene()
-    scene.import_report = ImportReport(str(path), tuple(reader.findings))
+    scene.import_report = ImportReport(str(path), tuple(reader.findings), root, reader.prims)
     lost = len(scene.import_report.left_out)
     if strict and reader.findings:
         more = f" (and {len(reader.findings) - 1} more)" if len(reader.findings) > 1 else ""

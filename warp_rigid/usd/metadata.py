@@ -2,11 +2,24 @@
 
 from typing import NamedTuple
 
+import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
 from warp_rigid.checks import number_in, one_of
 
-__all__ = ["MAX_FRAMES", "TimeCodes", "is_y_up", "kilograms_per_unit", "meters_per_unit", "time_codes"]
+__all__ = [
+    "FROM_Y_UP",
+    "MAX_FRAMES",
+    "TimeCodes",
+    "first_time",
+    "is_y_up",
+    "kilograms_per_unit",
+    "meters_per_unit",
+    "time_codes",
+]
+
+FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+"""Rotation from a stage with y up to the scene, `matrix @ vector`."""
 
 MAX_FRAMES = 100_000
 """Maximum number of time codes of a film."""
@@ -33,6 +46,11 @@ def time_codes(stage: Usd.Stage) -> TimeCodes:
     rate = number_in("timeCodesPerSecond", stage.GetTimeCodesPerSecond(), above=0.0)
     number_in("framesPerSecond", stage.GetFramesPerSecond(), above=0.0)
     return TimeCodes(first, last, rate)
+
+
+def first_time(stage: Usd.Stage) -> Usd.TimeCode:
+    """Time at which poses are read: an animated transform may have no value at the default time."""
+    return Usd.TimeCode(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
 
 
 def meters_per_unit(stage: Usd.Stage) -> float:

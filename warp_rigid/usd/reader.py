@@ -18,7 +18,7 @@ from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.materials import read_material
-from warp_rigid.usd.metadata import is_y_up, kilograms_per_unit, meters_per_unit
+from warp_rigid.usd.metadata import FROM_Y_UP, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 
@@ -78,6 +78,7 @@ class Reader:
 
     Attributes:
         findings: differences between the file and the scene.
+        prims: indices of the movable bodies by the paths of their prims.
 
     Raises:
         ValueError: The file is not a USD file or does not have the root prim.
@@ -86,6 +87,7 @@ class Reader:
     def __init__(self, path: Path, root: str | None, sdf_resolution: int):
         """Open the file and expand its instancers in memory."""
         self.path, self.findings = path, []
+        self.prims: dict[str, int] = {}
         self._sdf_resolution = sdf_resolution
         self._stage = open_stage(path)
         for error in self._stage.GetCompositionErrors():
@@ -94,16 +96,13 @@ class Reader:
         if root is not None and not (Sdf.Path.IsValidPathString(root) and self._stage.GetPrimAtPath(root)):
             raise ValueError(f"root: {path} has no prim {root}")
         self._root = self._stage.GetPrimAtPath(root) if root else self._stage.GetPseudoRoot()
-        # An animated transform may have no value at the default time.
-        authored = self._stage.HasAuthoredTimeCodeRange()
-        self._start = Usd.TimeCode(self._stage.GetStartTimeCode()) if authored else Usd.TimeCode.EarliestTime()
+        self._start = first_time(self._stage)
         expand_instancers(self._root, [self._start])
         self._transforms = UsdGeom.XformCache(self._start)
         self._names: set[str] = set()
         self._meter = meters_per_unit(self._stage)
         self._kilogram = kilograms_per_unit(self._stage)
-        y_up = is_y_up(self._stage)
-        self._to_z_up = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) if y_up else np.eye(3)
+        self._to_z_up = FROM_Y_UP if is_y_up(self._stage) else np.eye(3)
         self._shapes: dict[str, Shape] = {}
         self._body_of: dict[str, int] = {}
 
@@ -261,6 +260,8 @@ class Reader:
             self._leave_out(body.prim.GetPath(), str(error))
             return
         self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
+        if body.motion != Motion.STATIC and not body.prim.IsInstanceProxy():
+            self.prims.setdefault(str(body.prim.GetPath()), index)
 
     def _unique_name(self, name: str) -> str:
         """The name, with a number if an earlier body has it."""
