@@ -113,7 +113,6 @@ def test_overlapping_pairs_come_apart(device):
 
 
 @pytest.mark.long
-@pytest.mark.xfail(strict=True, reason=STUCK)
 def test_a_thousand_overlapping_pairs_of_each_kind_come_apart(device):
     check_coming_apart(device, 80, seed=3)
 

@@ -26,8 +26,8 @@ from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
-ROUND_MODULES = (rounds, push_rounds)
-"""Modules whose rounds are launched in small blocks."""
+HEAPS = (rounds, push_rounds, impact_rounds)
+"""Kernel modules for heaps, which exist in environments of many bodies only."""
 
 STEP = (
     narrowphase,
@@ -36,9 +36,7 @@ STEP = (
     integrate,
     predict,
     islands,
-    *ROUND_MODULES,
     effectiveness,
-    impact_rounds,
     broadphase,
     build_contacts,
     records,
@@ -51,7 +49,7 @@ GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
 CANDIDATES, WATCH = (candidates,), (watch,)
 """Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground, large environments and watches."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
 
 
 def load_kernels(
@@ -77,7 +75,7 @@ def load_kernels(
             return [1]
         if module in TEAM_MODULES:
             return sorted({team.block_of(size) for size in lanes})
-        return [team.BLOCK, team.SMALL_BLOCK] if module in ROUND_MODULES else [team.BLOCK]
+        return [team.BLOCK, team.SMALL_BLOCK] if module in HEAPS else [team.BLOCK]
 
     jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:

@@ -100,6 +100,7 @@ class Stages:
         self.device = device
         self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
+        self.crowded = model.layout.most_bodies > islands.CROWDED
         self.lanes = team_lanes(self.device, self.num_envs, model.layout.most_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
@@ -112,6 +113,7 @@ class Stages:
             (loading.SLEEP, sleeping),
             (loading.GROUND, model.surface_vertices > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),
+            (loading.HEAPS, self.crowded),
             (loading.WATCH, watches),
         )
         loading.load_kernels(device, [module for modules, used in optional if used for module in modules])
@@ -253,7 +255,8 @@ class Stages:
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
         self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
         self._per_body(islands.choose_solver, [bodies, self.envs], [graph])
-        self._list_heaps()
+        if self.crowded:
+            self._list_heaps()
         own = [self.lanes, self.envs, bodies, constraints]
         self._per_team(support.find_structure, own, [graph])
         self._per_team(coloring.color_constraints, own, [graph])
@@ -273,7 +276,8 @@ class Stages:
     def solve_impacts(self) -> None:
         """Restitution: solve impacts."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
-        self.solve_impacts_of_heaps()
+        if self.crowded:
+            self.solve_impacts_of_heaps()
 
     def solve_impacts_of_heaps(self) -> None:
         """Rounds of impacts, as many as the setting allows, until there are none."""
@@ -301,7 +305,8 @@ class Stages:
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
-        self.solve_heaps()
+        if self.crowded:
+            self.solve_heaps()
         found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
         self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
@@ -336,7 +341,8 @@ class Stages:
             [self.motions, pools.graph, self.constraint_rows],
         )
         self._color_by_color(push_out.push_apart)
-        self.push_heaps()
+        if self.crowded:
+            self.push_heaps()
 
     def push_heaps(self) -> None:
         """Push-out of heaps, in rounds."""
