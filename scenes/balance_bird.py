@@ -1,6 +1,7 @@
 """A toy bird that balances on the tip of its beak, because its centre of mass is below that point."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ TIP = 0.008
 WEIGHT = 0.026
 """Radius of the balls in the tips of the wings [m]."""
 ALONG_X = (0.0, math.sin(0.25 * math.pi), 0.0, math.cos(0.25 * math.pi))
-SURFACE = {"friction": 0.8}
+SURFACE: dict[str, Any] = {"friction": 0.8}
 STILL_CERTAIN = 0.002
 """Distance of the centre of mass from the centre of the tip beyond which the outcome is certain [m]."""
 LARGEST_SWING = 0.35

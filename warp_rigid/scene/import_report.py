@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from warp_rigid.scene.pose_path import PosePath
+
 __all__ = ["ImportFinding", "ImportReport"]
 
 
@@ -33,12 +35,15 @@ class ImportReport:
         findings: the differences, in file order.
         root: path of the prim below which was read; None for the whole stage.
         prims: indices of the movable bodies in the scene, by the paths of their prims.
+        paths: motion of the kinematic bodies that the file animates, by their indices; `run`, `view` and `sweep`
+            follow it.
     """
 
     file: str
     findings: tuple[ImportFinding, ...] = ()
     root: str | None = None
     prims: dict[str, int] = field(default_factory=dict)
+    paths: dict[int, PosePath] = field(default_factory=dict)
 
     @property
     def left_out(self) -> list[ImportFinding]:

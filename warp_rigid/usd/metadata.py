@@ -11,6 +11,7 @@ __all__ = [
     "FROM_Y_UP",
     "MAX_FRAMES",
     "TimeCodes",
+    "animation_codes",
     "first_time",
     "is_y_up",
     "kilograms_per_unit",
@@ -51,6 +52,24 @@ def time_codes(stage: Usd.Stage) -> TimeCodes:
 def first_time(stage: Usd.Stage) -> Usd.TimeCode:
     """Time at which poses are read: an animated transform may have no value at the default time."""
     return Usd.TimeCode(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
+
+
+def animation_codes(stage: Usd.Stage, prim: Usd.Prim) -> list[float]:
+    """Time codes at which the motion of a prim is read: every frame of the stage, or of its samples if it has no range.
+
+    Raises:
+        ValueError: The range is not that of a film.
+    """
+    if stage.HasAuthoredTimeCodeRange():
+        first, last, _ = time_codes(stage)
+    else:
+        samples: list[float] = []
+        while prim and not prim.IsPseudoRoot():
+            samples += UsdGeom.Xformable(prim).GetTimeSamples() if UsdGeom.Xformable(prim) else []
+            prim = prim.GetParent()
+        first, last = min(samples), max(samples)
+        number_in("time samples", last, first, first + MAX_FRAMES)
+    return [*np.arange(first, last, 1.0).tolist(), last]
 
 
 def meters_per_unit(stage: Usd.Stage) -> float:

@@ -34,8 +34,9 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
         ValueError: The scene was not imported, or the stage has no prim that can be animated.
         OSError: The file cannot be written.
     """
-    report = recording.scene.import_report if recording.scene is not None else None
-    if report is None:
+    scene = recording.scene
+    report = scene.import_report if scene is not None else None
+    if scene is None or report is None:
         raise ValueError("layout: override requires a scene that was imported from a USD file")
     source = Path(report.file).resolve()
     if source == path.resolve():
@@ -53,7 +54,7 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
         _copy_metadata(layer, stage, os.path.relpath(source, path.resolve().parent))
         layer.startTimeCode, layer.endTimeCode = float(times[0]), float(times[-1])
         for prim_path, body in paths.items():
-            then = recording.scene.bodies[body]
+            then = scene.bodies[body]
             first = _rigid(np.array(then.position)[None], np.array(then.orientation)[None])[0]
             poses = _rigid(recording.position[:, row, body], recording.orientation[:, row, body])
             world = matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim_path)))
