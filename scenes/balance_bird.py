@@ -1,7 +1,6 @@
 """A toy bird that balances on the tip of its beak, because its centre of mass is below that point."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ TIP = 0.008
 WEIGHT = 0.026
 """Radius of the balls in the tips of the wings [m]."""
 ALONG_X = (0.0, math.sin(0.25 * math.pi), 0.0, math.cos(0.25 * math.pi))
-SURFACE: dict[str, Any] = {"friction": 0.8}
+FRICTION = 0.8
 STILL_CERTAIN = 0.002
 """Distance of the centre of mass from the centre of the tip beyond which the outcome is certain [m]."""
 LARGEST_SWING = 0.35
@@ -40,13 +39,13 @@ def build(droop: float = 0.075, tilt: float = 10.0) -> Scene:
     """
     droop = number_in("droop", droop, -0.05, 0.09)
     half = 0.5 * math.radians(number_in("tilt", tilt, 0.0, 20.0))
-    scene = grounds.level_scene(name="ground", **SURFACE)
+    scene = grounds.level_scene(name="ground", friction=FRICTION)
     foot, top = PEDESTAL_RADII
     pedestal = Mesh(*tessellation.revolve([foot, top], [0.0, 0.0, TOP, TOP], 48))
-    scene.add_static(pedestal, name="pedestal", **SURFACE)
+    scene.add_static(pedestal, name="pedestal", friction=FRICTION)
     orientation = (0.0, math.sin(half), 0.0, math.cos(half))
     # The pose is that of the centre of the tip, about which the bird pitches.
-    scene.add_body(bird(droop), position=(0, 0, TOP + TIP), orientation=orientation, name="bird", **SURFACE)
+    scene.add_body(bird(droop), position=(0, 0, TOP + TIP), orientation=orientation, name="bird", friction=FRICTION)
     return scene
 
 

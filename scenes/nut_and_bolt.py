@@ -6,10 +6,10 @@ import numpy as np
 
 from warp_rigid.checks import number_in
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scenes.builders import grounds, threads
+from warp_rigid.scenes.builders import grounds, screw_threads
 from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices
 
-THREAD = threads.Thread()
+THREAD = screw_threads.Thread()
 LENGTH, NUT_HEIGHT, HEAD_HEIGHT, ACROSS_FLATS = 0.14, 0.06, 0.04, 0.12
 """Length of the thread, height of the nut and of the bolt's head, and the width of both [m]."""
 START = 0.08
@@ -29,9 +29,9 @@ def build(friction: float = 0.03) -> Scene:
     """
     friction = number_in("friction", friction, 0.0, 1.0)
     scene = grounds.level_scene(name="ground")
-    bolt = threads.bolt(THREAD, LENGTH, HEAD_HEIGHT, ACROSS_FLATS)
+    bolt = screw_threads.bolt(THREAD, LENGTH, HEAD_HEIGHT, ACROSS_FLATS)
     scene.add_static(bolt, position=(0, 0, HEAD_HEIGHT), friction=friction, name="bolt")
-    nut = threads.nut(THREAD, NUT_HEIGHT, ACROSS_FLATS)
+    nut = screw_threads.nut(THREAD, NUT_HEIGHT, ACROSS_FLATS)
     scene.add_body(nut, position=(0, 0, HEAD_HEIGHT + START), density=7800.0, friction=friction, name="nut")
     return scene
 

@@ -13,7 +13,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Heightfield, Mesh, Plane
 from warp_rigid.scenes import balance_bird, domino_spiral, nut_and_bolt, rings_on_poles
-from warp_rigid.scenes.builders import meshes, piles, threads
+from warp_rigid.scenes.builders import meshes, piles, screw_threads
 from warp_rigid.scenes.demo import clearance
 
 NAMES = scenes.names()
@@ -72,7 +72,7 @@ def test_demo_is_complete(name):
     assert next(iter(demo.variants.items())) == ("default", {})
     for variant in demo.variants.values():
         assert "dt" not in variant, "one simulator has one dt"
-        Settings(**demo.settings, **variant)
+        Settings(**{**demo.settings, **variant})
     assert isinstance(demo.build(**demo.parameters), Scene)
 
 
@@ -380,8 +380,8 @@ def test_bird_has_its_centre_of_mass_under_the_tip():
 
 def test_thread_of_the_nut_fits_the_bolt_at_any_turn():
     """Moved along the thread, the nut stays clear of the bolt; moved across it, it does not."""
-    thread = threads.Thread()
-    bolt, nut = threads.bolt(thread, 0.16, 0.02, 0.12), threads.nut(thread, 0.06, 0.12)
+    thread = screw_threads.Thread()
+    bolt, nut = screw_threads.bolt(thread, 0.16, 0.02, 0.12), screw_threads.nut(thread, 0.06, 0.12)
     for turn, rise, fits in (
         (0.0, 0.0, True),
         (0.3, 0.3, True),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from importlib import import_module
 from typing import Any
 
 from warp_rigid.engine.cores import usable_cores
@@ -21,7 +22,7 @@ from warp_rigid.kernels.solve import (
     rounds,
     shock,
 )
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
+from warp_rigid.kernels.update import ground_motion, health, integrate, predict, sleep, watch
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
@@ -34,6 +35,7 @@ STEP = (
     ccd,
     *TEAM_MODULES,
     integrate,
+    health,
     predict,
     islands,
     effectiveness,
@@ -49,7 +51,15 @@ GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
 CANDIDATES, WATCH = (candidates,), (watch,)
 """Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground, large environments and watches."""
 
-EVERYTHING = (narrowphase, ccd, *OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+JOINTS = "warp_rigid.kernels.joints.joint_stages"
+"""Kernel module for joints, which process an environment with a team, too. It is imported only where there are joints,
+as this takes a tenth as long as the import of the package."""
+
+
+def everything() -> tuple[Any, ...]:
+    """All kernel modules; the slowest to compile come first."""
+    others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+    return (import_module(JOINTS), narrowphase, ccd, *others)
 
 
 def load_kernels(
@@ -73,7 +83,7 @@ def load_kernels(
     def blocks_of(module: Any) -> list[int]:
         if not device.is_cuda:
             return [1]
-        if module in TEAM_MODULES:
+        if module in TEAM_MODULES or module.__name__ == JOINTS:
             return sorted({team.block_of(size) for size in lanes})
         return [team.BLOCK, team.SMALL_BLOCK] if module in HEAPS else [team.BLOCK]
 
