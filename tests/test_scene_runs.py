@@ -26,12 +26,7 @@ def surprises(result):
     return found
 
 
-SINKS = pytest.mark.xfail(reason="a ring sinks 73 mm into a pole without a contact", strict=True)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=SINKS if name == "rings_on_poles" else ()) for name in scenes.names()]
-)
+@pytest.mark.parametrize("name", scenes.names())
 def test_every_variant_shows_what_it_must(name, device):
     result = run(name, device, assignments=SMALL.get(name, ()))
     assert set(result.status["status"]) == {"ok"}
