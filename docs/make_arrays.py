@@ -12,6 +12,7 @@ from typing import Any
 
 import warp_rigid.kernels.constraints.rows  # noqa: F401  declares the arrays of all kinds of constraints
 from warp_rigid.kernels import declare, enums, schema
+from warp_rigid.kernels.joints import arrays
 
 PAGE = Path(__file__).parent / "arrays.md"
 
@@ -43,7 +44,8 @@ Integers shared by the host and the kernels, as declared in `kernels/enums.py`.
 
 def page() -> str:
     """The whole page."""
-    sizes = table("symbol", "counts", rows=[(code(name), text) for name, text in schema.SYMBOLS.items()])
+    symbols = {**schema.SYMBOLS, **arrays.SYMBOLS}
+    sizes = table("symbol", "counts", rows=[(code(name), text) for name, text in symbols.items()])
     structs = [section(name, struct_table(fields)) for name, fields in declare.LAYOUTS.items()]
     records = [section(name, record_table(name, fields)) for name, fields in declare.RECORDS.items()]
     parts = [INTRODUCTION, sizes, "## Structs of arrays", *structs, RECORDS, *records, ENUMERATIONS, *enumerations()]

@@ -244,7 +244,9 @@ def part(whole: Any, ranges: Mapping[str, tuple[int, int]]) -> Any:
         symbol, _, more = field.shape.split(",")[0].partition(" + ")
         if symbol in ranges:
             first, end = ranges[symbol]
-            array = array[first : end + int(more or 0)]
+            last = end + int(more or 0)
+            # A part without rows gets a row of its own, as no array is empty and none is shared by two parts.
+            array = array[first:last] if last > first else wp.zeros((1, *array.shape[1:]), array.dtype, array.device)
         if ranges.get(field.index_of, (0, 0))[0] > 0:
             array = wp.array(array.numpy() - ranges[field.index_of][0], dtype=field.dtype, device=array.device)
         setattr(struct, key, array)

@@ -69,6 +69,19 @@ class ShockMode(IntEnum):
     TWO_PASS = 2
 
 
+class WarningKind(IntEnum):
+    """What a health check finds in an environment that is still simulated."""
+
+    OVERLAP = 0
+    """An overlap that does not shrink."""
+    ENERGY = 1
+    """Energy that was gained without work."""
+    PRECISION = 2
+    """A position that single precision resolves too coarsely for the size of the body."""
+    LOAD = 3
+    """A contact force that is too large for the mass of the body."""
+
+
 class OutOfBounds(IntEnum):
     """What happens to a body whose centre of mass leaves the bounds of its environment."""
 
@@ -85,6 +98,35 @@ class CombineRule(IntEnum):
     AVERAGE = 1
     MULTIPLY = 2
     MAX = 3
+
+
+class Coordinate(IntEnum):
+    """The coordinate of a joint that limits, drive and friction act on."""
+
+    NONE = 0
+    ANGLE = 1
+    """Angle of the first body about the axis, relative to the second [rad]."""
+    SLIDE = 2
+    """Displacement of the first anchor along the axis of the second body [m]."""
+    CONE = 3
+    """Angle between the axis in both bodies [rad]."""
+    LENGTH = 4
+    """Distance of the anchors [m]."""
+
+
+class JointNumber(IntEnum):
+    """Columns of `Joints.numbers`."""
+
+    LOWER = 0
+    UPPER = 1
+    FRICTION = 2
+    STIFFNESS = 3
+    DAMPING = 4
+    MAX_FORCE = 5
+    TARGET_POSITION = 6
+    TARGET_VELOCITY = 7
+    BREAK_FORCE = 8
+    BREAK_TORQUE = 9
 
 
 class IslandSolver(IntEnum):

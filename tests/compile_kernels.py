@@ -4,7 +4,7 @@ import sys
 
 import warp as wp
 
-from warp_rigid.engine.loading import EVERYTHING, load_kernels
+from warp_rigid.engine.loading import everything, load_kernels
 from warp_rigid.engine.teams import WARP
 from warp_rigid.kernels.common import team
 from warp_rigid.render import raycast
@@ -14,7 +14,7 @@ def main(devices):
     """Fill Warp's cache, each module once."""
     for device in devices:
         # Pictures are drawn on the CPU only.
-        modules = (*EVERYTHING, raycast) if device.is_cpu else EVERYTHING
+        modules = (*everything(), raycast) if device.is_cpu else everything()
         load_kernels(device, modules, lanes=(WARP, team.BLOCK))
 
 

@@ -41,7 +41,7 @@ def test_every_stage_of_a_step_is_among_the_compiled():
     used = {name for name, value in vars(step).items() if value in MODULES.values()}
     without_kernels = {name for name in used if not kernels_of(name)}
     assert without_kernels == {"declare", "schema", "team"}
-    loaded = {module.__name__.rpartition(".")[2] for module in loading.EVERYTHING}
+    loaded = {module.__name__.rpartition(".")[2] for module in loading.everything()}
     assert used - without_kernels <= loaded
     assert {name for name in NAMES if kernels_of(name)} - loaded == {"host_distance"}, "compiled on first use"
     assert kernels_of("narrowphase") >= {"keep_contacts", "search_contacts", "build_contacts"}

@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_rigid.commands import cli
 from warp_rigid.diagnostics import machine, selftest
-from warp_rigid.engine.loading import EVERYTHING, load_kernels
+from warp_rigid.engine.loading import everything, load_kernels
 from warp_rigid.scene.shapes import distance_grid
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -113,7 +113,7 @@ def test_warmup_compiles_everything(capsys, monkeypatch):
     def tell(ready, total):
         told.append((ready, total))
 
-    load_kernels(wp.get_device("cpu"), EVERYTHING, on_module=tell)
+    load_kernels(wp.get_device("cpu"), everything(), on_module=tell)
     assert [ready for ready, _ in told] == list(range(1, told[0][1] + 1))
     assert {total for _, total in told} == {len(told)} and len(told) > 10
     status, out, _ = run(capsys, "warmup", "--device", "cpu")

@@ -14,6 +14,7 @@ from warp_rigid.engine.layout import layout_of
 from warp_rigid.kernels import declare, enums, schema
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
+from warp_rigid.kernels.joints import arrays
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 
 wp.set_module_options({"enable_backward": False})
@@ -23,6 +24,7 @@ KERNELS = sorted((ROOT / "kernels").rglob("*.py"))
 DECLARED = {**declare.LAYOUTS, **declare.RECORDS}
 ROWS = 37
 BASE_UNITS = {"kg", "m", "s", "rad", "N", "J", "1"}
+SYMBOLS = {**schema.SYMBOLS, **arrays.SYMBOLS}
 CONTACT_FLAG = {"flag": "more", "optional_from": "surface"}
 
 
@@ -68,7 +70,7 @@ def test_units_are_products_of_si_units():
 
 
 def test_shapes_are_sums_of_known_symbols_and_numbers():
-    known = set(schema.SYMBOLS) | {kind.NAME for kind in OTHER_KINDS}
+    known = set(SYMBOLS) | {kind.NAME for kind in OTHER_KINDS}
     used = set()
     for struct, members in declare.LAYOUTS.items():
         for name, field in members.items():
@@ -77,7 +79,7 @@ def test_shapes_are_sums_of_known_symbols_and_numbers():
             assert symbols <= known, f"{struct}.{name} ({field.shape})"
             assert {field.index_of} <= known | {""}, f"{struct}.{name} counts {field.index_of}"
             used |= symbols
-    assert set(schema.SYMBOLS) == used & set(schema.SYMBOLS), "a symbol that no array has"
+    assert set(SYMBOLS) == used & set(SYMBOLS), "a symbol that no array has"
     assert {field.shape for members in declare.RECORDS.values() for field in members.values()} == {""}
 
 
@@ -98,9 +100,9 @@ def test_a_struct_has_the_declared_members(struct):
 @pytest.mark.parametrize("struct", declare.LAYOUTS)
 def test_arrays_are_allocated_with_the_declared_sizes(struct):
     """Symbols stand for different primes, so that no two shapes agree by accident."""
-    primes = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89)
-    symbols = [*schema.SYMBOLS, *(kind.NAME for kind in OTHER_KINDS)]
-    sizes = dict(zip(symbols, primes, strict=False))
+    primes = [n for n in range(2, 150) if all(n % k for k in range(2, n))]
+    symbols = [*SYMBOLS, *(kind.NAME for kind in OTHER_KINDS)]
+    sizes = dict(zip(symbols, primes[: len(symbols)], strict=True))
     arrays = declare.allocate(declare.STRUCTS[struct], sizes, "cpu")
     total = 0
     for name, field in declare.LAYOUTS[struct].items():
@@ -293,6 +295,17 @@ def test_a_part_shares_memory_with_the_whole():
     part.position.fill_(wp.vec3(7.0, 8.0, 9.0))
     changed = (state.position.numpy() == [7.0, 8.0, 9.0]).all(axis=1)
     np.testing.assert_array_equal(changed, np.arange(3 * len(scene.bodies)) >= len(scene.bodies))
+
+
+def test_a_part_without_rows_has_a_row_of_its_own():
+    """A scene without filtered pairs between and behind others: a row of the others would be undone with its shard."""
+    plain = Scene()
+    plain.add_body(Box((1, 1, 1)))
+    layout = layout_of([plain, scene_with_filters_and_moving_ground(moving=False), plain], 1)
+    whole = model.build_model(layout, "cpu")
+    parts = [whole.part(env, env + 1).bodies.filtered for env in range(3)]
+    assert [part.shape for part in parts] == [(1,), (4,), (1,)]
+    assert len({part.ptr for part in parts}) == 3 and parts[1].ptr == whole.bodies.filtered.ptr
 
 
 def repeated_members(source):

@@ -302,7 +302,7 @@ def test_what_cannot_be_taken_over_is_listed(stage):
     text = (
         rigid("A", "Cube")
         + rigid("B", "Cube", moved(3, 0, 0), ["PhysxRigidBodyAPI"])
-        + 'def PhysicsFixedJoint "Weld" {\n rel physics:body0 = </World/A>\n rel physics:body1 = </World/B>\n}\n'
+        + 'def PhysicsJoint "Weld" {\n rel physics:body0 = </World/A>\n rel physics:body1 = </World/B>\n}\n'
         + 'def Xform "Robot" (\n prepend apiSchemas = ["PhysicsArticulationRootAPI"]\n)\n{\n}\n'
         + 'def Cloth "Flag" {\n}\n'
         + 'def Xform "Hollow" (\n prepend apiSchemas = ["PhysicsRigidBodyAPI"]\n)\n{\n}\n'
@@ -312,7 +312,7 @@ def test_what_cannot_be_taken_over_is_listed(stage):
     told = {finding.path: finding.reason for finding in scene.import_report.left_out}
     assert set(told) == {f"/World/{name}" for name in ("B", "Weld", "Robot", "Flag", "Hollow")}
     assert "PhysxRigidBodyAPI" in told["/World/B"] and "Cloth" in told["/World/Flag"]
-    assert "FixedJoint" in told["/World/Weld"] and "no enabled collider" in told["/World/Hollow"]
+    assert "D6Joint" in told["/World/Weld"] and "no enabled collider" in told["/World/Hollow"]
     assert [body.name for body in scene.bodies] == ["A", "B"]
     with pytest.raises(ValueError, match=r"/World/\w+: left out.*and 4 more"):
         stage(text)
@@ -387,10 +387,10 @@ for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
 
 
 def test_the_command_line_tells_findings_and_names_converters(capsys, tmp_path):
-    text = rigid("A", "Cube") + 'def PhysicsFixedJoint "Weld" {\n rel physics:body0 = </World/A>\n}\n'
+    text = rigid("A", "Cube") + 'def PhysicsJoint "Weld" {\n rel physics:body0 = </World/A>\n}\n'
     path = write_stage(tmp_path / "file.usda", text)
     assert cli.main(["run", str(path), "--frames", "1", "--device", "cpu", "--set", "root=/World"]) == 0
-    assert "/World/Weld: left out: FixedJoint" in capsys.readouterr().err
+    assert "/World/Weld: left out: D6Joint" in capsys.readouterr().err
     for name, converter in (("robot.urdf", "urdf-usd-converter"), ("robot.xml", "mujoco-usd-converter")):
         assert cli.main(["run", name]) == 2
         assert converter in capsys.readouterr().err

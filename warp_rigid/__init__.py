@@ -25,6 +25,16 @@ from warp_rigid.runs.recording import Recording, record
 from warp_rigid.scene import fields
 from warp_rigid.scene.coefficients import Coefficients
 from warp_rigid.scene.fields import *  # noqa: F403
+from warp_rigid.scene.joints import (
+    DistanceJoint,
+    Drive,
+    FixedJoint,
+    Joint,
+    JointFrame,
+    PrismaticJoint,
+    RevoluteJoint,
+    SphericalJoint,
+)
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import (
     Box,
@@ -51,21 +61,29 @@ __all__ = [
     "Coefficients",
     "Compound",
     "Cylinder",
+    "DistanceJoint",
+    "Drive",
+    "FixedJoint",
+    "JointFrame",
     "HarmonicMotion",
     "Heightfield",
     "Integers",
+    "Joint",
     "LogUniform",
     "Mesh",
     "Motion",
     "NonFiniteError",
     "Normal",
     "Plane",
+    "PrismaticJoint",
     "Recording",
+    "RevoluteJoint",
     "Scene",
     "Settings",
     "Shape",
     "Simulator",
     "Sphere",
+    "SphericalJoint",
     "SweepResult",
     "Uniform",
     "UsdStream",

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import quantities
+from warp_rigid.engine import joints, quantities
 from warp_rigid.engine.layout import MOST_ENVIRONMENTS
 from warp_rigid.engine.pools import LARGEST, NAMES
 from warp_rigid.engine.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
@@ -29,7 +29,7 @@ from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.version import __version__
 
 KIND = "checkpoint"
-VERSION = 8  # raise whenever older files could no longer be read
+VERSION = 9  # raise whenever older files could no longer be read
 
 FROM_SCENE = ("env", "shape", "motion", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scenes."""
@@ -147,6 +147,8 @@ def _whole(world: World) -> dict[str, wp.array]:
         (schema.Environments, world.envs, [n for n in declare.field_names(schema.Environments) if n not in RULES]),
         (schema.FieldForces, world.model.fields, ["parameters"]),
     ]
+    if world.layout.sizes[joints.NAME]:
+        owners.append((joints.ROWS, world.model.constraint_rows[joints.NAME], [*joints.KEPT, "numbers"]))
     return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
 
 
@@ -211,6 +213,8 @@ def _checked(
             raise ValueError(f"{name} must rise from 0 to {top}")
     if last == "contact_start" and np.diff(rows).max(initial=0) > schema.PAIR_SLOTS:
         raise ValueError(f"{name} must not give a pair more than {schema.PAIR_SLOTS} contacts")
+    if last == "broken" and struct == "Joints":
+        _within(name, rows, 0, 1)
     if last == "key":
         _within(name, rows, BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
     return rows

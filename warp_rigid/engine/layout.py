@@ -11,10 +11,14 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown, whole_in
+from warp_rigid.engine import joints
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.scene import Body, Motion, Scene
 
 MOST_ENVIRONMENTS = 10_000_000
+
+KINDS = (*OTHER_KINDS, joints)
+"""Everything besides contacts that connects bodies: modules with NAME, ROWS, KEPT and `definitions`."""
 
 LACKING = -1
 """Row index, and integer value, of a body that an environment lacks."""
@@ -43,6 +47,8 @@ class Layout:
         self.starts = {
             symbol: exclusive_sums(np.array([some[symbol] for some in counted])[self.scene_of]) for symbol in counted[0]
         }
+        has_joints = bool(self.starts[joints.NAME][-1])
+        self.starts[joints.FROM_BODIES] = self.starts["bodies"] * has_joints
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -186,6 +192,7 @@ def counts(scene: Scene) -> dict[str, int]:
         "filtered": 2 * len(scene.filtered_pairs),
         "fields": len(scene.force_fields),
         **{name: len(definitions) for name, definitions in kinds.items()},
+        **joints.counts(scene),
     }
 
 

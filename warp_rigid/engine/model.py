@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from warp_rigid.engine.layout import Layout, concatenated, exclusive_sums
+from warp_rigid.engine import joints
+from warp_rigid.engine.layout import KINDS, Layout, concatenated, exclusive_sums
 from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
@@ -48,7 +49,7 @@ class Model:
         bodies: bodies of all environments.
         fields: force fields of all environments.
         size_groups: for each scene, its bodies by size.
-        constraint_rows: arrays of the kinds of constraints other than contacts, by name.
+        constraint_rows: arrays of the joints and of the kinds of constraints other than contacts, by name.
         constraint_offsets: for each of these kinds, (envs,) what to add to a row's number for its index among the
             constraints of its environment other than contacts.
     """
@@ -84,7 +85,7 @@ class Model:
             else self.surfaces,
             vertex_start=self.vertex_start[first : end + 1],
             surface_node=self.surface_node + vertices[0] - int(self.vertex_start[0]),
-            constraint_rows={kind.NAME: declare.part(self.constraint_rows[kind.NAME], ranges) for kind in OTHER_KINDS},
+            constraint_rows={kind.NAME: declare.part(self.constraint_rows[kind.NAME], ranges) for kind in KINDS},
             constraint_offsets=_constraint_offsets(layout, self.bodies.env.device),
         )
 
@@ -102,7 +103,10 @@ def build_model(layout: Layout, device: Any) -> Model:
         bodies=_upload_bodies(layout, pool, device),
         fields=_upload_fields(layout, device),
         size_groups=groups,
-        constraint_rows={kind.NAME: _upload_constraints(kind, layout, device) for kind in OTHER_KINDS},
+        constraint_rows={
+            **{kind.NAME: _upload_constraints(kind, layout, device) for kind in OTHER_KINDS},
+            joints.NAME: joints.upload(layout, device),
+        },
         constraint_offsets=_constraint_offsets(layout, device),
     )
 
@@ -126,6 +130,7 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
         "friction_rule": [COMBINE_RULES.index(scene.friction_combine) for scene in layout.scenes],
         "restitution_rule": [COMBINE_RULES.index(scene.restitution_combine) for scene in layout.scenes],
         "out_of_bounds": [_out_of_bounds(scene) for scene in layout.scenes],
+        "passive": [not scene.constraints for scene in layout.scenes],
         "lower": np.array([lower for lower, _ in bounds], np.float32),
         "upper": np.array([upper for _, upper in bounds], np.float32),
     }

@@ -8,16 +8,15 @@ import warp as wp
 
 from warp_rigid import rotations
 from warp_rigid.checks import LARGEST, shown, whole_in
-from warp_rigid.engine import field_values, watching
-from warp_rigid.engine.layout import spread_rows
+from warp_rigid.engine import field_values, health_checks, joint_quantities, watching
+from warp_rigid.engine.layout import KINDS, spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
-from warp_rigid.engine.selection import body_rows, env_indices, existing
+from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_rows
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion
@@ -44,12 +43,23 @@ CONTACT_RECORD = np.dtype(
         ("impulse", np.float32, 3),
     ]
 )
-STATUS_RECORD = np.dtype([("status", "U13"), ("step", np.int64), ("time", np.float64), ("body", np.int64)])
+STATUS_RECORD = np.dtype(
+    [("status", "U13"), ("step", np.int64), ("time", np.float64), ("body", np.int64), ("warning", "U32")]
+)
+
+
+def owner_of(name: str) -> str:
+    """What a quantity has a value for: "bodies", "joints", "fields" or "envs"."""
+    if name in joint_quantities.READABLE:
+        return "joints"
+    if name in field_values.names():
+        return "fields"
+    return "envs" if name == "gravity" or name in PER_ENVIRONMENT else "bodies"
 
 
 def is_of_bodies(name: str) -> bool:
-    """Whether a quantity has a value for each body, and not one for each environment."""
-    return name != "gravity" and name not in PER_ENVIRONMENT and name not in field_values.names()
+    """Whether a quantity has a value for each body."""
+    return owner_of(name) == "bodies"
 
 
 def read(world: World, name: str) -> np.ndarray:
@@ -70,28 +80,44 @@ def read(world: World, name: str) -> np.ndarray:
         return _flags(world, world.state.active)
     if name in field_values.names():
         return field_values.read(world.layout, world.model.fields.parameters.numpy(), name)
+    if name in joint_quantities.READABLE:
+        return joint_quantities.read(world, name)
     if name in DERIVED:
         return _DERIVE[name](world)
-    raise ValueError(f"name: must be one of {', '.join((*writable(), *DERIVED))}, got {shown(name)}")
+    raise ValueError(f"name: must be one of {', '.join(readable())}, got {shown(name)}")
+
+
+def readable() -> tuple[str, ...]:
+    """Names of the quantities that `read` knows."""
+    return (*writable(), *DERIVED, *joint_quantities.DERIVED)
 
 
 def is_readable(name: str) -> bool:
     """Whether `read` knows a quantity."""
-    return name in (*writable(), *DERIVED)
+    return name in readable()
 
 
 def writable() -> tuple[str, ...]:
     """Names of the quantities that can be set."""
-    return (*WRITABLE, *field_values.names())
+    return (*WRITABLE, *field_values.names(), *joint_quantities.WRITABLE)
 
 
-def write(world: World, name: str, value: Any, envs: Any, bodies: Any) -> None:
+def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: Any = None) -> None:
     """Change a quantity; see Simulator.set."""
     if name not in writable():
         raise ValueError(f"name: must be one of {', '.join(writable())}, got {shown(name)}")
+    of_joints = name in joint_quantities.WRITABLE
     if bodies is not None and not is_of_bodies(name):
-        raise ValueError(f"bodies: must not be given for {name}, which is a quantity of environments")
+        owners = "joints" if of_joints else "environments"
+        raise ValueError(f"bodies: must not be given for {name}, which is a quantity of {owners}")
+    if joints is not None and not of_joints:
+        raise ValueError(f"joints: must not be given for {name}, which is no quantity of joints")
     chosen = env_indices(world.layout, envs)
+    if of_joints:
+        rows = joint_rows(world.layout, chosen, joints)
+        joint_quantities.write(world, name, value, rows)
+        wake(world, chosen, joint_quantities.bodies_of(world, rows))
+        return
     if name in PER_ENVIRONMENT:
         _write_setting(world, name, value, chosen)
         return
@@ -295,7 +321,7 @@ def forget_history(world: World, chosen: np.ndarray) -> None:
             searched[pairs[first] : pairs[last]] = 0
         history.key.assign(keys)
         history.searched.assign(searched)
-    for kind in OTHER_KINDS:
+    for kind in KINDS:
         start = world.layout.starts[kind.NAME]
         rows = np.concatenate([np.arange(start[env], start[env + 1]) for env in chosen])
         for name in kind.KEPT:
@@ -397,7 +423,15 @@ def status_records(world: World) -> np.ndarray:
         records["step"][found] = getattr(envs, f"{flag}_step").numpy()[found]
         records["body"][found] = getattr(envs, f"{flag}_body").numpy()[found]
     records["time"] = np.where(records["step"] >= 0, records["step"] * world.settings.dt, -1.0)
+    warned = warnings(world)
+    for env in np.unique(warned["env"]):
+        records["warning"][env] = ", ".join(warned["warning"][warned["env"] == env])
     return records
+
+
+def warnings(world: World) -> np.ndarray:
+    """Warnings of the health checks; see Simulator.warnings."""
+    return health_checks.warning_records(world.envs, world.settings.dt)
 
 
 def counts(world: World) -> dict[str, int]:
@@ -512,4 +546,6 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps"} == set(declare.field_names(schema.State))
+assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps", "health"} == set(
+    declare.field_names(schema.State)
+)

@@ -37,30 +37,47 @@ def body_rows(layout: Layout, chosen: np.ndarray, bodies: Any, name: str = "bodi
     Raises:
         ValueError: a scene of the chosen environments has no such body.
     """
-    if bodies is None:
-        return layout.rows[chosen]
+    return _rows(layout, chosen, bodies, name, "bodies")
+
+
+def joint_rows(layout: Layout, chosen: np.ndarray, joints: Any) -> np.ndarray:
+    """Rows of joints of the chosen environments, (chosen, joints); as `body_rows`.
+
+    Raises:
+        ValueError: a scene of the chosen environments has no such joint.
+    """
+    return _rows(layout, chosen, joints, "joints", "joints")
+
+
+def _rows(layout: Layout, chosen: np.ndarray, given: Any, name: str, symbol: str) -> np.ndarray:
+    """Rows of what a symbol counts, from indices or names."""
+    if given is None:
+        return layout.table(symbol)[chosen]
     scene_of = layout.scene_of[chosen]
     table = np.zeros((len(layout.scenes), 0), np.int64)
     for scene in np.unique(scene_of).tolist():
-        own = _bodies_of_scene(layout, scene, bodies, name)
+        own = _indices_in_scene(layout, scene, given, name, symbol)
         if table.shape[1] != len(own):
             table = np.zeros((len(layout.scenes), len(own)), np.int64)
         table[scene] = own
-    return layout.first_body[chosen, None] + table[scene_of]
+    return layout.starts[symbol][chosen, None] + table[scene_of]
 
 
-def _bodies_of_scene(layout: Layout, scene: int, bodies: Any, name: str) -> np.ndarray:
-    """Indices of bodies within a scene, from indices or names."""
-    names = named(bodies)
+def _indices_in_scene(layout: Layout, scene: int, given: Any, name: str, symbol: str) -> np.ndarray:
+    """Indices within a scene, from indices or names."""
+    names = named(given)
     whose = (
         "" if len(layout.scenes) == 1 else f" of scene {scene} ({_listed(layout.environments(scene), 'environment')})"
     )
+    entries = getattr(layout.scenes[scene], symbol)
+    if not entries:
+        raise ValueError(f"{name}: there are no {symbol}{whose or ' in the scene'}")
     if names is None:
-        return _whole_indices(name, bodies, len(layout.scenes[scene].bodies), whose)
-    place = names_of(layout.scenes[scene])
+        return _whole_indices(name, given, len(entries), whose)
+    place = {entry.name: index for index, entry in enumerate(entries)}
     for one in names:
         if one not in place:
-            raise ValueError(f"{name}: must be names of bodies{whose} ({_listed(list(place))}), got {shown(one)}")
+            raise ValueError(f"{name}: must be names of {symbol}{whose} ({_listed(list(place))}), got {shown(one)}")
     return np.array([place[one] for one in names], np.int64)
 
 

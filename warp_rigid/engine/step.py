@@ -10,6 +10,8 @@ import warp as wp
 
 from warp_rigid.engine import loading
 from warp_rigid.engine.hash_grid import HashGrid
+from warp_rigid.engine.joints import JointStages
+from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, TRACE_LANES, most_lanes, team_lanes
@@ -100,6 +102,7 @@ class Stages:
         self.device = device
         self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
+        self.crowded = model.layout.most_bodies > islands.CROWDED
         self.lanes = team_lanes(self.device, self.num_envs, model.layout.most_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
@@ -108,13 +111,16 @@ class Stages:
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
+        self.joints = JointStages(self)
         optional = (
             (loading.SLEEP, sleeping),
             (loading.GROUND, model.surface_vertices > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),
+            (loading.HEAPS, self.crowded),
             (loading.WATCH, watches),
+            ((self.joints.kernels,), self.joints.present),
         )
-        loading.load_kernels(device, [module for modules, used in optional if used for module in modules])
+        loading.load_kernels(device, [module for modules, used in optional if used for module in modules], [self.lanes])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -237,7 +243,7 @@ class Stages:
     def wake_disturbed_islands(self) -> None:
         """Wake the islands of the bodies marked as disturbed, and those in contact with them."""
         self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
-        for kind in OTHER_KINDS:
+        for kind in KINDS:
             self._wake_constrained(kind)
         self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
 
@@ -251,14 +257,17 @@ class Stages:
         self._per_env(support.compare_graph, [], [graph])
         self._per_body(islands.start_islands, [bodies], [graph])
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
+        self.joints.join_islands()
         self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
         self._per_body(islands.choose_solver, [bodies, self.envs], [graph])
-        self._list_heaps()
+        if self.crowded:
+            self._list_heaps()
         own = [self.lanes, self.envs, bodies, constraints]
         self._per_team(support.find_structure, own, [graph])
         self._per_team(coloring.color_constraints, own, [graph])
         inputs = [self.lanes, self.envs, constraints]
         self._per_team(coloring.group_constraints, inputs, [graph, self.pools.order])
+        self.joints.start()
 
     @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
@@ -273,7 +282,8 @@ class Stages:
     def solve_impacts(self) -> None:
         """Restitution: solve impacts."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
-        self.solve_impacts_of_heaps()
+        if self.crowded:
+            self.solve_impacts_of_heaps()
 
     def solve_impacts_of_heaps(self) -> None:
         """Rounds of impacts, as many as the setting allows, until there are none."""
@@ -301,21 +311,28 @@ class Stages:
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
-        self.solve_heaps()
+        if self.crowded:
+            self.solve_heaps()
         found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
         self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
     def sweep_constraints(self, after_shock: int) -> None:
-        """Gauss-Seidel sweeps over all constraints of islands that are not heaps."""
-        self._color_by_color(gauss_seidel.sweep_constraints, [after_shock])
+        """Gauss-Seidel sweeps over all constraints of islands that are not heaps, with their joints."""
+        if self.joints.present:
+            self.joints.sweep(after_shock)
+        else:
+            self._color_by_color(gauss_seidel.sweep_constraints, [after_shock])
 
     @stage
     def propagate_shock(self, repetition: int) -> None:
         """Shock propagation, and the line search that keeps it from increasing the energy."""
         self._color_by_color(line_search.store_before_shock)
+        self.joints.before_shock()
         self._color_by_color(shock.propagate, [repetition])
+        self.joints.after_passes()
         self._color_by_color(line_search.sum_energy)
         self._color_by_color(line_search.accept)
+        self.joints.after_line_search()
 
     def solve_heaps(self) -> None:
         """Rounds: solve all pairs of heaps at once, until nothing changes."""
@@ -336,7 +353,9 @@ class Stages:
             [self.motions, pools.graph, self.constraint_rows],
         )
         self._color_by_color(push_out.push_apart)
-        self.push_heaps()
+        if self.crowded:
+            self.push_heaps()
+        self.joints.settle(after_push=1)
 
     def push_heaps(self) -> None:
         """Push-out of heaps, in rounds."""
@@ -384,6 +403,7 @@ class Stages:
         self._limit_motion(again=0)
         self._per_body(ccd.commit_time_of_impact, [], [self.motions])
         self._limit_motion(again=1)
+        self.joints.limit_motion()
 
     @stage
     def integrate_positions(self) -> None:
@@ -394,6 +414,7 @@ class Stages:
         if self.bounded:
             self._per_body(integrate.keep_inside, [bodies, self.motions], [self.state, self.envs])
         self._per_env(integrate.close_step, [], [self.envs])
+        self.joints.end()
 
     @stage
     def update_sleep(self) -> None:
@@ -406,6 +427,7 @@ class Stages:
             [self.sleep_state],
         )
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
+        self.joints.support()
         self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
 
     @stage
@@ -568,7 +590,7 @@ class Stages:
             kind.build(self, constraints, self.model.constraint_offsets[kind.NAME])
 
     def _wake_constrained(self, kind: ModuleType) -> None:
-        """Name the islands that wake because of constraints of a kind."""
+        """Name the islands that wake because of joints, or of constraints of another kind."""
         rows = self.model.constraint_rows[kind.NAME]
         count = self.model.layout.sizes[kind.NAME]
         inputs = [rows.body_a, rows.body_b, self.motions]

@@ -6,15 +6,17 @@ is given, so that an error is reported at the line that caused it.
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
-from warp_rigid.kernels.enums import CombineRule, Motion
+from warp_rigid.kernels.enums import CombineRule, Coordinate, Motion
 from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coefficients, list_coefficients
 from warp_rigid.scene.fields import FIELDS, ForceField
+from warp_rigid.scene.joints.joint import Drive, Joint, JointEntry, JointFrame
+from warp_rigid.scene.joints.placing import place_joint
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield
 
@@ -78,8 +80,9 @@ class Scene:
         bodies: list of Body, in the order in which they were added.
         force_fields: list of fields that act on the dynamic bodies besides gravity.
         filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
-        constraints: constraints besides contacts, empty at first: each an object of a kind that is listed in
-            kernels/constraints/rows.py. A scene with constraints cannot be saved yet.
+        joints: list of JointEntry, in the order in which they were added.
+        constraints: constraints besides contacts and joints, empty at first: each an object of a kind that is listed
+            in kernels/constraints/rows.py. A scene with such constraints cannot be saved yet.
         import_report: what import_usd left out or changed; None for a scene that was not imported.
         gravity: as given.
         friction_combine: as given.
@@ -107,8 +110,10 @@ class Scene:
         self.restitution_combine = one_of("restitution_combine", restitution_combine, COMBINE_RULES)
         self.bodies: list[Body] = []
         self._copies: dict[str, int] = {}
+        self._copies_of_joints: dict[str, int] = {}
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
+        self.joints: list[JointEntry] = []
         self.constraints: list[Any] = []
         self.import_report: ImportReport | None = None
 
@@ -120,7 +125,7 @@ class Scene:
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
         found = copy(self)
-        for name in ("bodies", "force_fields", "filtered_pairs", "constraints"):
+        for name in ("bodies", "force_fields", "filtered_pairs", "joints", "constraints"):
             setattr(found, name, copy(getattr(self, name)))
         return found
 
@@ -283,6 +288,96 @@ class Scene:
             raise ValueError(f"b: must be another body than a, got {b} for both")
         self.filtered_pairs.add((first, second))
 
+    def add_joint(
+        self,
+        joint: Joint,
+        body_a: int | str,
+        body_b: int | str | None = None,
+        *,
+        anchor: Vector = (0.0, 0.0, 0.0),
+        anchor_b: Vector | None = None,
+        frame_a: JointFrame | None = None,
+        frame_b: JointFrame | None = None,
+        name: str | None = None,
+        break_force: float = np.inf,
+        break_torque: float = np.inf,
+        collide: bool = False,
+    ) -> int:
+        """Add a joint between two bodies, or between a body and the world.
+
+        Points and axes are in the world frame, at the initial poses of the bodies.
+
+        Args:
+            joint: a FixedJoint, SphericalJoint, RevoluteJoint, PrismaticJoint or DistanceJoint.
+            body_a: index or name of the first body. The coordinate is its motion relative to the second one.
+            body_b: index or name of the second body; None for the world.
+            anchor: (3,) point at which the joint holds the bodies [m].
+            anchor_b: (3,) point of the second body where it is not `anchor`, as for the ends of a DistanceJoint [m].
+            frame_a: frame fixed to the first body, whose x axis is the joint's axis; given together with `frame_b`
+                instead of the anchors and the axis.
+            frame_b: frame fixed to the second body, or to the world.
+            name: of the joint; the kind and the joint's index where none is given. If another joint has this name, a
+                number is added, as for bodies.
+            break_force: the joint breaks at a larger force [N].
+            break_torque: the joint breaks at a larger torque [N m].
+            collide: whether the two bodies can touch each other; if not, their pair is filtered.
+
+        Returns:
+            The joint's index.
+
+        Raises:
+            ValueError: There is no such body, both are the same or neither is dynamic, the anchors are further apart
+                than a tenth of the smaller body's size, or a value is outside its range.
+        """
+        first = self.index(body_a, "body_a")
+        second = None if body_b is None else self.index(body_b, "body_b")
+        entry = place_joint(
+            self.bodies,
+            joint,
+            first,
+            second,
+            (anchor, anchor_b),
+            (frame_a, frame_b),
+            name=f"{type(joint).__name__.lower()}_{len(self.joints)}" if name is None else name,
+            break_force=break_force,
+            break_torque=break_torque,
+            collide=collide,
+        )
+        self.joints.append(replace(entry, name=_unique(entry.name, self._copies_of_joints)))
+        if second is not None and not collide:
+            self.filter_pair(first, second)
+        return len(self.joints) - 1
+
+    def add_drive(
+        self,
+        joint: int,
+        *,
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        max_force: float = np.inf,
+        target_position: float = 0.0,
+        target_velocity: float = 0.0,
+    ) -> None:
+        """Drive a revolute or prismatic joint by stiffness (target_position - q) + damping (target_velocity - v).
+
+        Args:
+            joint: index of the joint.
+            stiffness: [N m/rad] for a revolute joint, [N/m] for a prismatic one.
+            damping: [N m s/rad] or [N s/m].
+            max_force: largest torque [N m] or force [N].
+            target_position: [rad] or [m]; `Simulator.set("joint_target_position", ...)` changes it.
+            target_velocity: [rad/s] or [m/s]; `Simulator.set("joint_target_velocity", ...)` changes it.
+
+        Raises:
+            ValueError: There is no such joint, it cannot be driven, or a value is outside its range.
+        """
+        entry = self.joints[whole_in("joint", joint, 0, len(self.joints) - 1)]
+        if entry.joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
+            kind = type(entry.joint).__name__
+            raise ValueError(f"joint: a drive needs a RevoluteJoint or a PrismaticJoint, got a {kind}")
+        drive = Drive(stiffness, damping, max_force, target_position, target_velocity)
+        self.joints[joint] = replace(entry, drive=drive)
+
     def _check_shape(self, shape, motion):
         if not isinstance(shape, Shape):
             raise ValueError(f"shape: must be a shape such as Box or Mesh, got {shown(shape)}")
@@ -310,21 +405,22 @@ class Scene:
             linear_velocity=finite_vector("linear_velocity", linear_velocity),
             angular_velocity=finite_vector("angular_velocity", angular_velocity),
             mass=mass,
-            name=self._unique_name(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}"),
+            name=_unique(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}", self._copies),
             active=active,
             **coefficients,
         )
         self.bodies.append(body)
         return len(self.bodies) - 1
 
-    def _unique_name(self, wanted: str) -> str:
-        """The wanted name, with a number behind it if another body has it."""
-        name = wanted
-        while name in self._copies:
-            name = f"{wanted}_{self._copies[wanted]}"
-            self._copies[wanted] += 1
-        self._copies[name] = 1
-        return name
+
+def _unique(wanted: str, copies: dict[str, int]) -> str:
+    """The wanted name, with a number behind it if it is taken; `copies`: next number for each name that is taken."""
+    name = wanted
+    while name in copies:
+        name = f"{wanted}_{copies[wanted]}"
+        copies[wanted] += 1
+    copies[name] = 1
+    return name
 
 
 def _mass(shape, density, mass):

@@ -1,7 +1,7 @@
 """Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from warp_rigid.checks import unit_quaternion, whole_in
 from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
+from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
@@ -20,7 +21,7 @@ def scenes_to_data(scenes: Sequence[Scene]) -> tuple[dict[str, Any], dict[str, n
     """Return plain data for JSON with the keys "shapes" and "scenes", and arrays by name; equal shapes are stored once.
 
     Raises:
-        ValueError: A scene has constraints besides contacts.
+        ValueError: A scene has constraints besides contacts and joints.
     """
     arrays: dict[str, np.ndarray] = {}
     shapes: list[dict[str, Any]] = []
@@ -33,7 +34,7 @@ def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return plain data of one scene for JSON, with its shapes under "shapes", and arrays by name.
 
     Raises:
-        ValueError: The scene has constraints besides contacts.
+        ValueError: The scene has constraints besides contacts and joints.
     """
     data, arrays = scenes_to_data([scene])
     return {**data["scenes"][0], "shapes": data["shapes"]}, arrays
@@ -59,6 +60,7 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
+        "joints": [_joint_data(entry) for entry in scene.joints],
     }
 
 
@@ -95,7 +97,24 @@ def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
     for a, b in data["filtered_pairs"]:
         scene.filter_pair(a, b)
+    for entry in data.get("joints", []):  # older files have none
+        _add_joint(scene, entry)
     return scene
+
+
+def _joint_data(entry: JointEntry) -> dict[str, Any]:
+    """A joint as plain data."""
+    return {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
+
+
+def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
+    """Add a joint with all checks."""
+    frames: dict[str, Any] = {name: JointFrame(**entry[name]) for name in ("frame_a", "frame_b")}
+    rest = {name: entry[name] for name in ("name", "break_force", "break_torque", "collide")}
+    joint = JOINTS[entry["kind"]](**entry["joint"])
+    index = scene.add_joint(joint, entry["body_a"], entry["body_b"], **frames, **rest)
+    if entry["drive"] is not None:
+        scene.add_drive(index, **entry["drive"])
 
 
 def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:

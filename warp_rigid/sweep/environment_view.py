@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.engine.quantities import is_of_bodies
+from warp_rigid.engine.quantities import owner_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 
@@ -63,7 +63,8 @@ class EnvironmentView:
     def get(self, name: str) -> np.ndarray:
         """See Simulator.get."""
         values = self._reads.read(name, lambda: self._sim.get(name))[self.envs]
-        return values[:, : self.num_bodies] if is_of_bodies(name) else values
+        count = {"bodies": self.num_bodies, "joints": len(self.scene.joints)}.get(owner_of(name))
+        return values if count is None else values[:, :count]
 
     def contacts(self) -> np.ndarray:
         """See Simulator.contacts."""
@@ -74,11 +75,13 @@ class EnvironmentView:
         own["env"] = place[own["env"]]
         return own
 
-    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None) -> None:
+    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
         """See Simulator.set."""
-        if bodies is None and is_of_bodies(name):
+        if bodies is None and owner_of(name) == "bodies":
             bodies = np.arange(self.num_bodies)
-        self._sim.set(name, value, self.envs if envs is None else self.envs[envs], bodies)
+        if joints is None and owner_of(name) == "joints":
+            joints = np.arange(len(self.scene.joints))
+        self._sim.set(name, value, self.envs if envs is None else self.envs[envs], bodies, joints)
         self._reads.forget()
 
     def spawn(self, pool: str, position: Any, envs: Any = None, **state: Any) -> np.ndarray:

@@ -17,6 +17,7 @@ from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
+from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
@@ -36,11 +37,11 @@ COLLIDERS = {
     Types.Cylinder1Shape, Types.ConeShape, Types.MeshShape, Types.PlaneShape,
     Types.CustomShape, Types.SpherePointsShape,
 }  # fmt: skip
-SUPPORTED = {Types.Scene, Types.RigidBody, Types.RigidBodyMaterial, Types.CollisionGroup, *COLLIDERS}
+SUPPORTED = {Types.Scene, Types.RigidBody, Types.RigidBodyMaterial, Types.CollisionGroup, *COLLIDERS, *JOINT_KINDS}
 
 SCHEMAS = {
     "PhysicsRigidBodyAPI", "PhysicsMassAPI", "PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "PhysicsMaterialAPI",
-    "PhysicsFilteredPairsAPI", "NewtonSDFCollisionAPI", "NewtonMaterialAPI",
+    "PhysicsFilteredPairsAPI", "NewtonSDFCollisionAPI", "NewtonMaterialAPI", *JOINT_SCHEMAS,
 }  # fmt: skip
 FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 """Prefixes of physics schemas."""
@@ -124,6 +125,16 @@ class Reader:
             for path, description in zip(*objects.get(kind, ([], [])), strict=True)
         }
         filter_pairs(self._stage, scene, self._body_of, descriptions, self._leave_out)
+        JointReader(
+            self._stage,
+            scene,
+            self._body_of,
+            self._frame_or_root,
+            self._kilogram,
+            self._meter,
+            self._leave_out,
+            self._change,
+        ).read(objects)
         if not scene.bodies:
             reason = f"; {self.findings[0]}" if self.findings else ""
             raise ValueError(
@@ -288,6 +299,12 @@ class Reader:
             stretch = np.eye(3)
         stretch = self._meter * np.round(stretch, 9)
         return self._to_z_up @ matrix[:3, 3] * self._meter, self._to_z_up @ rotation, stretch
+
+    def _frame_or_root(self, prim: Usd.Prim | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `_frame`; for None that of the root."""
+        if prim is None or prim.IsPseudoRoot() or prim == self._root:
+            return np.zeros(3), self._to_z_up, self._meter * np.eye(3)
+        return self._frame(prim)
 
     def _collider(self, prim: Usd.Prim, body: _Body, stretch: np.ndarray) -> _Collider | None:
         """One collider in the frame of its body; None, with a finding, if it cannot be imported."""

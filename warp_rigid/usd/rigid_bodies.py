@@ -16,6 +16,7 @@ from warp_rigid.scene.shapes import Shape
 from warp_rigid.usd.animation import CONSTANT_COLORINGS
 from warp_rigid.usd.field_data import fields_to_data
 from warp_rigid.usd.geometry import MARK, gf_quaternion, precise_quaternions, quaternion_of_matrix
+from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
@@ -73,6 +74,8 @@ class Bodies:
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")
         self._write_filtered_pairs(samples.layer, paths)
+        for entry in scene.joints:
+            write_joint(samples.layer, f"{root}/{_unique_name(entry.name, taken)}", entry, paths)
 
     def _write_filtered_pairs(self, layer: Sdf.Layer, paths: list[str]) -> None:
         """Write the filtered pairs; static bodies, which USD does not have, are replaced by their colliders."""

@@ -1,0 +1,1 @@
+"""Joints: rows, and the direct solution of the mechanisms that they form."""

@@ -1,0 +1,70 @@
+"""Declaration of the arrays of joints, and what their symbols count."""
+
+import warp as wp
+
+from warp_rigid.kernels.declare import Field, layout
+
+mat33d = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
+mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
+mat63d = wp.types.matrix(shape=(6, 3), dtype=wp.float64)
+vec6d = wp.types.vector(length=6, dtype=wp.float64)
+
+SYMBOLS = {
+    "joints": "joints of all environments",
+    "joined": "bodies of all environments; 0 if none of them has joints",
+    "mechanisms": "groups of joints that dynamic bodies connect",
+    "members": "bodies of the mechanisms",
+    "blocks": "blocks below the diagonal in the factors of the mechanisms",
+    "eliminations": "updates of a block during factorization",
+}
+"""What the symbols in the shapes of these arrays count, besides schema.SYMBOLS."""
+
+Joints = layout(
+    "Joints",
+    "Joints, and the mechanisms that they form. Each joint has six rows: three translations, then three rotations.",
+    body_a=Field(int, "joints", "", "first body", "bodies"),
+    body_b=Field(int, "joints", "", "second body; the first one again for a joint with the world", "bodies"),
+    to_world=Field(int, "joints", "", "1: the second frame is fixed to the world"),
+    locked=Field(int, "joints", "", "bit mask of the rows that the joint prevents"),
+    coordinate=Field(int, "joints", "", "a Coordinate: what limits, drive and friction act on"),
+    anchor_a=Field(wp.vec3, "joints", "m", "origin of the first frame, in the first body's frame"),
+    anchor_b=Field(wp.vec3, "joints", "m", "origin of the second frame, in the second body's frame"),
+    turn_a=Field(wp.quat, "joints", "", "orientation of the first frame, in the first body's frame"),
+    turn_b=Field(wp.quat, "joints", "", "orientation of the second frame, in the second body's frame"),
+    numbers=Field(float, "joints, 10", "SI", "parameters, by JointNumber"),
+    broken=Field(int, "joints", "", "1: broken, without effect"),
+    position=Field(float, "joints", "SI", "coordinate after the last step; angles count full turns"),
+    impulse=Field(wp.vec3, "joints", "N s", "impulse of the last step on the first body at its anchor"),
+    angular_impulse=Field(wp.vec3, "joints", "N m s", "angular impulse of the last step on the first body"),
+    first_joint=Field(int, "envs + 1", "", "first joint of each environment", "joints"),
+    first_mechanism=Field(int, "envs + 1", "", "first mechanism of each environment", "mechanisms"),
+    first_place=Field(int, "mechanisms + 1", "", "first place of each mechanism in `sequence`", "joints"),
+    first_member=Field(int, "mechanisms + 1", "", "first member of each mechanism", "members"),
+    member=Field(int, "members", "", "bodies of the mechanisms", "bodies"),
+    sequence=Field(int, "joints", "", "joints in the order of elimination, mechanism by mechanism", "joints"),
+    column=Field(int, "joints + 1", "", "first block of the joint at each place of `sequence`", "blocks"),
+    elimination=Field(int, "joints + 1", "", "first elimination of the joint at each place", "eliminations"),
+    row=Field(int, "blocks", "", "joint of the block's rows; the later one of its two joints", "joints"),
+    shared=Field(int, "blocks", "", "body that the two joints share; negative if the block is only fill-in", "bodies"),
+    shared_too=Field(int, "blocks", "", "second body that they share; negative if there is none", "bodies"),
+    left=Field(int, "eliminations", "", "first factor", "blocks"),
+    right=Field(int, "eliminations", "", "second factor", "blocks"),
+    target=Field(int, "eliminations", "", "block that is updated", "blocks"),
+    active=Field(int, "joints", "", "bit mask of the rows in the factors"),
+    mode=Field(wp.vec3i, "joints", "", "of the coordinate: a Mode, sliding direction, direction of drive saturation"),
+    linear=Field(mat63d, "joints", "", "rows: coefficients of the relative linear velocity"),
+    angular_a=Field(mat63d, "joints", "", "rows: coefficients of the first body's angular velocity"),
+    angular_b=Field(mat63d, "joints", "", "rows: coefficients of the second body's angular velocity"),
+    allowed=Field(vec6d, "joints", "SI", "errors that may remain after the step"),
+    bias=Field(vec6d, "joints", "SI", "predicted errors and coordinate over dt, less the velocities along the rows"),
+    total=Field(vec6d, "joints", "SI", "impulses of the rows in this step"),
+    start=Field(vec6d, "joints", "SI", "the same before shock propagation"),
+    solution=Field(vec6d, "joints", "SI", "residuals of the rows, then the changes of their impulses"),
+    pivot=Field(mat66d, "joints", "SI", "inverse of the diagonal block of the factorization"),
+    lower=Field(mat66d, "blocks", "SI", "block of the factor below the diagonal"),
+    added=Field(wp.vec2d, "joined", "kg", "mass [kg] and moment of inertia [kg m^2] that are added for stability"),
+    inverse_mass=Field(wp.float64, "joined", "1/kg", "inverse mass for the joints; 0 unless free"),
+    inverse_inertia=Field(mat33d, "joined", "1/(kg m^2)", "inverse inertia in the world for the joints; 0 unless free"),
+    pose_position=Field(wp.vec3d, "joined", "m", "position at the start of the step, or predicted for its end"),
+    pose_turn=Field(wp.quatd, "joined", "", "orientation at the start of the step, or predicted for its end"),
+)

@@ -1,0 +1,199 @@
+"""Rows of a joint: how the velocities of its two bodies change its errors and its coordinate.
+
+A row has the velocity w = linear . (va - vb) + angular_a . wa + angular_b . wb, where va and vb are the velocities of
+the centres of mass. An impulse along the row acts on both bodies at the same point, so that both momenta are conserved.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.solver_body import PUSH, inverse_inertia_of, inverse_mass_of, load_velocity
+from warp_rigid.kernels.enums import Coordinate, Role
+from warp_rigid.kernels.joints.arrays import Joints, mat33d, mat63d, vec6d
+from warp_rigid.kernels.joints.poses import Ends, axis_of, ends_of, free_row
+from warp_rigid.kernels.schema import Bodies, Motions
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+
+@wp.func
+def with_row(k: int, v: wp.vec3d, rows: mat63d):
+    """The matrix with another row."""
+    rows[k, 0] = v[0]
+    rows[k, 1] = v[1]
+    rows[k, 2] = v[2]
+    return rows
+
+
+@wp.func
+def center_of(b: int, bodies: Bodies, joints: Joints):
+    """Centre of mass at the stored pose of a body [m]."""
+    return joints.pose_position[b] + wp.quat_rotate(joints.pose_turn[b], wp.vec3d(bodies.center_of_mass[b]))
+
+
+@wp.func
+def unit_or_axis(v: wp.vec3d, turn: wp.quatd):
+    """A vector scaled to unit length; an axis of the frame if it is zero."""
+    length = wp.length(v)
+    if length < wp.float64(1.0e-9):
+        return wp.quat_rotate(turn, wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(1.0)))
+    return v / length
+
+
+@wp.func
+def store_row(j: int, k: int, linear: wp.vec3d, angular_a: wp.vec3d, angular_b: wp.vec3d, joints: Joints):
+    """Store a row of a joint."""
+    joints.linear[j] = with_row(k, linear, joints.linear[j])
+    joints.angular_a[j] = with_row(k, angular_a, joints.angular_a[j])
+    joints.angular_b[j] = with_row(k, angular_b, joints.angular_b[j])
+
+
+@wp.func
+def row_axis(k: int, turn: wp.quatd):
+    """Axis of a translation or a rotation of the frame."""
+    axis = wp.vec3d()
+    axis[k % 3] = wp.float64(1.0)
+    return wp.quat_rotate(turn, axis)
+
+
+@wp.func
+def store_length_row(j: int, ends: Ends, arm_a: wp.vec3d, arm_b: wp.vec3d, joints: Joints):
+    """The row of a distance: along the line from the second point to the first."""
+    n = unit_or_axis(ends.point_a - ends.point_b, ends.turn_b)
+    store_row(j, 0, n, wp.cross(arm_a, n), -wp.cross(arm_b, n), joints)
+
+
+@wp.func
+def build_rows(j: int, bodies: Bodies, joints: Joints):
+    """Store all rows of a joint at the stored poses of its bodies."""
+    ends = ends_of(j, joints)
+    zero = wp.vec3d()
+    arm_a = ends.point_a - center_of(joints.body_a[j], bodies, joints)
+    base_b = ends.point_b
+    if joints.to_world[j] == 0:
+        base_b = center_of(joints.body_b[j], bodies, joints)
+    coordinate = joints.coordinate[j]
+    for k in range(3):
+        u = row_axis(k, ends.turn_b)
+        store_row(j, k, u, wp.cross(arm_a, u), -wp.cross(ends.point_a - base_b, u), joints)
+    for k in range(3, 6):
+        u = row_axis(k, ends.turn_b)
+        store_row(j, k, zero, u, -u, joints)
+    if coordinate == Coordinate.CONE:
+        n = unit_or_axis(wp.cross(axis_of(ends.turn_b), axis_of(ends.turn_a)), ends.turn_b)
+        store_row(j, 3, zero, n, -n, joints)
+    if coordinate == Coordinate.LENGTH:
+        store_length_row(j, ends, arm_a, ends.point_b - base_b, joints)
+
+
+@wp.func
+def is_locked(rows: int, k: int):
+    """Whether a row is in a bit mask."""
+    return (rows >> k) & 1 == 1
+
+
+@wp.func
+def add_stiffness(b: int, arm: wp.vec3d, force: wp.vec3d, dt: wp.float64, joints: Joints):
+    """Add inertia to a body for the change of a joint's torque with its rotation."""
+    stiffness = wp.float64(0.5) * (wp.dot(force, arm) + wp.length(force) * wp.length(arm))
+    joints.added[b] = joints.added[b] + wp.vec2d(wp.float64(0.0), wp.float64(0.25) * dt * dt * stiffness)
+
+
+@wp.func
+def stabilize(j: int, dt: float, bodies: Bodies, joints: Joints):
+    """Add mass and inertia to the bodies of a joint, so that fast vibrations under its force are stable.
+
+    A joint's force F at an arm r resists small rotations with a stiffness of at most k = (F . r + |F| |r|) / 2, and a
+    string of length l under tension T resists lateral motion with T / l. Vibrations of links under a large tension can
+    be faster than the time step resolves. M + dt^2 k / 4 in place of M keeps them stable at any step without damping
+    (Newmark's method with beta = 1/4; geometric stiffness after Tournier et al. 2015 and Andrews et al. 2017).
+    """
+    step = wp.float64(dt)
+    force = wp.vec3d(joints.impulse[j]) / step
+    if wp.length(force) == wp.float64(0.0) or joints.broken[j] == 1:
+        return
+    ends = ends_of(j, joints)
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    point_b = ends.point_a
+    lateral = wp.float64(0.0)
+    if joints.coordinate[j] == Coordinate.LENGTH:
+        point_b = ends.point_b
+        apart = ends.point_a - ends.point_b
+        lateral = wp.max(-wp.dot(force, apart), wp.float64(0.0)) / wp.max(wp.length_sq(apart), wp.float64(1.0e-12))
+    mass = wp.vec2d(wp.float64(0.5) * step * step * lateral, wp.float64(0.0))
+    joints.added[a] = joints.added[a] + mass
+    add_stiffness(a, ends.point_a - center_of(a, bodies, joints), force, step, joints)
+    if joints.to_world[j] == 0:
+        joints.added[b] = joints.added[b] + mass
+        add_stiffness(b, point_b - center_of(b, bodies, joints), -force, step, joints)
+
+
+@wp.func
+def store_masses(b: int, motions: Motions, joints: Joints):
+    """Inverse mass and inertia of a body with what is added for stability; 0 unless it is free to move."""
+    joints.inverse_mass[b] = wp.float64(0.0)
+    joints.inverse_inertia[b] = mat33d()
+    if motions.role[b] != Role.FREE:
+        return
+    one = wp.float64(1.0)
+    added = joints.added[b]
+    joints.inverse_mass[b] = one / (one / wp.float64(inverse_mass_of(b, motions)) + added[0])
+    inverse = mat33d(inverse_inertia_of(b, motions))
+    if added[1] > wp.float64(0.0):
+        inverse = wp.inverse(wp.inverse(inverse) + added[1] * wp.identity(n=3, dtype=wp.float64))
+    joints.inverse_inertia[b] = inverse
+
+
+@wp.func
+def row_velocities(j: int, which: int, motions: Motions, joints: Joints):
+    """Velocities along all rows of a joint [m/s, rad/s]; `which`: VELOCITY or PUSH."""
+    a = joints.body_a[j]
+    linear = wp.vec3d(load_velocity(a, which, motions))
+    speeds = joints.angular_a[j] * wp.vec3d(load_velocity(a, which + 1, motions))
+    if joints.to_world[j] == 0:
+        b = joints.body_b[j]
+        linear = linear - wp.vec3d(load_velocity(b, which, motions))
+        speeds = speeds + joints.angular_b[j] * wp.vec3d(load_velocity(b, which + 1, motions))
+    return speeds + joints.linear[j] * linear
+
+
+@wp.func
+def add_velocity(b: int, which: int, linear: wp.vec3d, angular: wp.vec3d, motions: Motions):
+    """Change one of the velocities of a body: VELOCITY or PUSH."""
+    body = motions.solver_bodies[b]
+    if which == PUSH:
+        motions.solver_bodies[b].push_linear = wp.vec3(wp.vec3d(body.push_linear) + linear)
+        motions.solver_bodies[b].push_angular = wp.vec3(wp.vec3d(body.push_angular) + angular)
+    else:
+        motions.solver_bodies[b].linear = wp.vec3(wp.vec3d(body.linear) + linear)
+        motions.solver_bodies[b].angular = wp.vec3(wp.vec3d(body.angular) + angular)
+
+
+@wp.func
+def apply_impulses(j: int, which: int, impulses: vec6d, motions: Motions, joints: Joints):
+    """Apply impulses along the rows of a joint to the velocities of its bodies."""
+    a = joints.body_a[j]
+    linear = wp.transpose(joints.linear[j]) * impulses
+    if motions.role[a] == Role.FREE:
+        angular = wp.transpose(joints.angular_a[j]) * impulses
+        add_velocity(a, which, joints.inverse_mass[a] * linear, joints.inverse_inertia[a] * angular, motions)
+    b = joints.body_b[j]
+    if joints.to_world[j] == 0 and motions.role[b] == Role.FREE:
+        angular = wp.transpose(joints.angular_b[j]) * impulses
+        add_velocity(b, which, -joints.inverse_mass[b] * linear, joints.inverse_inertia[b] * angular, motions)
+
+
+@wp.func
+def present_rows(j: int, motions: Motions, joints: Joints):
+    """Rows that a joint prevents in this step; 0 if it is broken or one of its bodies is switched off."""
+    absent = motions.role[joints.body_a[j]] == Role.ABSENT or motions.role[joints.body_b[j]] == Role.ABSENT
+    if joints.broken[j] == 1 or absent:
+        return 0
+    return joints.locked[j]
+
+
+@wp.func
+def has_coordinate(j: int, motions: Motions, joints: Joints):
+    """Whether limits, drive and friction of a joint act in this step."""
+    absent = motions.role[joints.body_a[j]] == Role.ABSENT or motions.role[joints.body_b[j]] == Role.ABSENT
+    return joints.broken[j] == 0 and not absent and free_row(joints.coordinate[j]) >= 0

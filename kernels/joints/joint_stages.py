@@ -1,0 +1,233 @@
+"""Kernels of joints, in the order of a step: start, sweeps with contacts, projections, end."""
+
+import warp as wp
+
+from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
+from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.constraints.rows import Rows
+from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
+from warp_rigid.kernels.graph.islands import join
+from warp_rigid.kernels.joints.arrays import Joints
+from warp_rigid.kernels.joints.factor import factorize
+from warp_rigid.kernels.joints.mechanism import (
+    is_awake,
+    project,
+    settle_mechanism,
+    solve_mechanism,
+    start_mechanism,
+)
+from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
+from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, SleepState, State
+from warp_rigid.kernels.solve.gauss_seidel import (
+    find_shock_ineffective,
+    report_sweeps,
+    spare_sweeps,
+    sweep,
+    sweeps_of,
+    tolerance_without_shock,
+)
+from warp_rigid.kernels.solve.line_search import accepted_share, searched
+from warp_rigid.kernels.solve.schedule import CONVERGED
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+AFTER_PASSES = wp.constant(2)
+"""Value of `after_shock` right after the passes of shock propagation, which leave the joints out."""
+
+FORGOTTEN = wp.constant(0)
+"""Value of `Graph.active_before` with which the next step computes islands, levels and colours again."""
+
+
+@wp.kernel
+def start_joints(dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One thread per mechanism: rows and factors at the start of the step; velocities along locked rows are removed."""
+    m = wp.tid()
+    if not is_awake(m, motions, joints):
+        return
+    start_mechanism(m, dt, bodies, state, motions, joints)
+    factorize(m, dt, motions, joints)
+    project(m, VELOCITY, motions, joints)
+
+
+@wp.kernel
+def join_joined_islands(bodies: Bodies, joints: Joints, graph: Graph):
+    """One thread per joint: the islands of its bodies become one, which is solved in sweeps."""
+    j = wp.tid()
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    if joints.broken[j] == 1:
+        return
+    graph.tied[a] = 1
+    graph.tied[b] = 1
+    if bodies.motion[a] == Motion.DYNAMIC and bodies.motion[b] == Motion.DYNAMIC:
+        join(a, b, graph.island)
+
+
+@wp.func
+def is_propagated(env: int, envs: Environments, graph: Graph):
+    """Whether the passes of shock propagation are executed in an environment."""
+    return graph.converged[env] == 0 and envs.shock_propagation[env] != ShockMode.OFF
+
+
+@wp.func
+def solve_joints(team: Team, dt: float, motions: Motions, joints: Joints):
+    """Solve all mechanisms of an environment. Returns a lane's largest residual [m/s]."""
+    change = float(0.0)
+    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
+        if is_awake(m, motions, joints):
+            change = wp.max(change, solve_mechanism(m, dt, False, motions, joints))
+    sync_team(team)
+    return change
+
+
+@wp.kernel
+def sweep_with_joints(
+    after_shock: int,
+    dt: float,
+    lanes: int,
+    envs: Environments,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    rows: Rows,
+    joints: Joints,
+):
+    """One team per environment: as `sweep_constraints`, with a direct solution of each mechanism after each sweep.
+
+    After the passes of shock propagation, it is the direct solution alone.
+    """
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    spare = int(0)
+    if after_shock == 0:
+        find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
+        spare = spare_sweeps(env, envs, graph)
+    left = wp.where(is_propagated(env, envs, graph), 1, 0)
+    if after_shock != AFTER_PASSES:
+        left = sweeps_of(env, after_shock, envs, graph)
+    layered = wp.where(envs.shock_propagation[env] == ShockMode.ONE_PASS, 1, 0)
+    unsolved = int(1)
+    calm = int(0)
+    done = int(0)
+    residual = float(0.0)
+    while left > 0:
+        change = float(0.0)
+        if after_shock != AFTER_PASSES:
+            for level in range(layered, layered * graph.level_count[env] + 1):
+                change = wp.max(change, sweep(level, team, order, graph, motions, rows))
+        change = wp.max(change, solve_joints(team, dt, motions, joints))
+        done += 1
+        residual = change
+        unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)
+        left = unsolved * (left - 1)
+        if left == 0 and unsolved * spare > 0:
+            calm = 1 - any_of_team(wp.where(change > tolerance_without_shock(env, graph), 1, 0), team)
+            left = calm * spare
+            spare = 0
+    if after_shock == 0:
+        graph.converged[env] = wp.max(1 - unsolved, calm)
+    if after_shock != AFTER_PASSES:
+        report_sweeps(done, residual, after_shock, team, envs, graph)
+
+
+@wp.kernel
+def store_joint_start(lanes: int, envs: Environments, graph: Graph, joints: Joints):
+    """One team per environment: store the impulses of joints before shock propagation."""
+    team = team_of(wp.tid(), lanes)
+    if not is_propagated(team.env, envs, graph):
+        return
+    for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
+        joints.start[j] = joints.total[j]
+
+
+@wp.kernel
+def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
+    """One team per environment: apply the step length of the line search to the impulses of joints."""
+    team = team_of(wp.tid(), lanes)
+    if not searched(team.env, envs, graph):
+        return
+    for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
+        free = wp.where(motions.role[joints.body_a[j]] == Role.FREE, joints.body_a[j], joints.body_b[j])
+        t = wp.float64(accepted_share(graph.island[free], graph))
+        joints.total[j] = joints.start[j] + t * (joints.total[j] - joints.start[j])
+
+
+@wp.kernel
+def settle_joints(after_push: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One thread per mechanism: the joints hold at the predicted poses.
+
+    Before the sweeps, this is the first solution with the forces of the step. After the push-out (`after_push`), its
+    motion obeys the joints, too.
+    """
+    m = wp.tid()
+    if not is_awake(m, motions, joints):
+        return
+    if after_push == 1:
+        project(m, PUSH, motions, joints)
+    settle_mechanism(m, 1 - after_push, dt, bodies, state, motions, joints)
+
+
+@wp.kernel
+def share_time_of_impact(motions: Motions, joints: Joints):
+    """One thread per mechanism: its bodies stop together, at the earliest time of impact of any of them."""
+    m = wp.tid()
+    earliest = float(1.0)
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            earliest = wp.min(earliest, motions.next_time_of_impact[b])
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            motions.next_time_of_impact[b] = earliest
+
+
+@wp.kernel
+def end_joints(dt: float, envs: Environments, bodies: Bodies, motions: Motions, joints: Joints, graph: Graph):
+    """One thread per joint, after the position update: its coordinate and impulse, and whether it breaks."""
+    j = wp.tid()
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    free = motions.role[a] == Role.FREE or motions.role[b] == Role.FREE
+    if not free or joints.broken[j] == 1 or envs.failed[bodies.env[a]] == 1:
+        return
+    linear = wp.vec3d()
+    angular = wp.vec3d()
+    for k in range(3):
+        for i in range(3):
+            linear[i] = linear[i] + joints.total[j][k] * joints.linear[j][k, i]
+            angular[i] = angular[i] + joints.total[j][3 + k] * joints.angular_a[j][3 + k, i]
+    joints.impulse[j] = wp.vec3(linear)
+    joints.angular_impulse[j] = wp.vec3(angular)
+    force = float(wp.length(linear)) / dt
+    torque = float(wp.length(angular)) / dt
+    if force > joints.numbers[j, JointNumber.BREAK_FORCE] or torque > joints.numbers[j, JointNumber.BREAK_TORQUE]:
+        joints.broken[j] = 1
+        graph.active_before[bodies.env[a]] = FORGOTTEN
+
+
+@wp.kernel
+def note_coordinates(state: State, joints: Joints):
+    """One thread per mechanism, after the position update: the coordinates of its joints; angles count full turns."""
+    m = wp.tid()
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        take_pose(joints.member[i], state, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        joints.position[j] = float(coordinate_of(joints.coordinate[j], ends_of(j, joints), joints.position[j]))
+
+
+@wp.kernel
+def support_joined(bodies: Bodies, motions: Motions, graph: Graph, joints: Joints, sleep_state: SleepState):
+    """One thread per joint: an island that hangs from the world or a static body counts as supported."""
+    j = wp.tid()
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    upper = wp.where(bodies.motion[a] == Motion.DYNAMIC, a, b)
+    fixed = joints.to_world[j] == 1 or bodies.motion[a] != Motion.DYNAMIC or bodies.motion[b] != Motion.DYNAMIC
+    if joints.broken[j] == 1 or not fixed or motions.role[upper] != Role.FREE:
+        return
+    if motions.role[a] == Role.KINEMATIC or motions.role[b] == Role.KINEMATIC:
+        sleep_state.keeps_awake[graph.island[upper]] = 1
+    else:
+        sleep_state.supported[graph.island[upper]] = 1

@@ -1,0 +1,263 @@
+"""Direct solution of a mechanism: impulses of all its joints at once, for velocities or for the push-out.
+
+A locked row requires (error at the predicted pose - allowed error) / dt = 0. The prediction is linear in the velocities
+between two calls of `predict_mechanism`; after a few of them, the joints hold at the pose that the step ends with
+(Weinstein, Teran and Fedkiw 2006). The rows are those of the pose at the start of the step, as in SHAKE.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.solver_body import VELOCITY
+from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.joints.arrays import Joints, vec6d
+from warp_rigid.kernels.joints.coordinate import (
+    IDLE,
+    drive_slope,
+    excess_of,
+    first_mode,
+    held_residual,
+    is_held,
+    law_impulse,
+    mode_before_forces,
+    next_mode,
+)
+from warp_rigid.kernels.joints.factor import active_rows, factorize, substitute
+from warp_rigid.kernels.joints.joint_rows import (
+    apply_impulses,
+    build_rows,
+    has_coordinate,
+    is_locked,
+    row_velocities,
+    stabilize,
+    store_masses,
+)
+from warp_rigid.kernels.joints.poses import ends_of, errors_of, free_row, predict_pose, take_pose
+from warp_rigid.kernels.schema import Bodies, Motions, State
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+MOST_CHANGES = wp.constant(8)
+"""Maximum changes of modes in one solution, each with a new factorization."""
+
+MOST_PREDICTIONS = wp.constant(10)
+"""Maximum solutions at newly predicted poses, at the start and at the end of a step. Two are enough for slow bodies."""
+
+KEPT_ERROR = wp.constant(wp.float64(0.5))
+"""Fraction of an error at the start of a step that may remain after it."""
+
+FASTEST = wp.constant(wp.float64(1.0))
+"""Largest speed at which errors are corrected [m/s, rad/s]."""
+
+FINE = wp.constant(1.0e-5)
+"""Residual of a joint below which it counts as solved [m/s, rad/s]: less than 0.1 micrometres per step."""
+
+
+@wp.func
+def is_awake(m: int, motions: Motions, joints: Joints):
+    """Whether a mechanism has a body that is free to move."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        if motions.role[joints.member[i]] == Role.FREE:
+            return True
+    return False
+
+
+@wp.func
+def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joints):
+    """Rows of a joint at the start of a step, and the errors that may remain after it."""
+    build_rows(j, bodies, joints)
+    errors = errors_of(j, ends_of(j, joints), joints)
+    joints.mode[j] = wp.vec3i(IDLE, 0, 0)
+    row = free_row(joints.coordinate[j])
+    if row >= 0:
+        speed = row_velocities(j, VELOCITY, motions, joints)[row]
+        joints.mode[j] = mode_before_forces(j, errors[row], speed, joints)
+        errors[row] = excess_of(j, errors[row], joints)
+    most = FASTEST * wp.float64(dt)
+    allowed = vec6d()
+    for k in range(6):
+        allowed[k] = errors[k] - wp.clamp((wp.float64(1.0) - KEPT_ERROR) * errors[k], -most, most)
+    joints.allowed[j] = allowed
+    joints.total[j] = vec6d()
+    joints.bias[j] = vec6d()
+
+
+@wp.func
+def start_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Rows and allowed errors of all joints of a mechanism."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        take_pose(joints.member[i], state, joints)
+        joints.added[joints.member[i]] = wp.vec2d()
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        stabilize(joints.sequence[place], dt, bodies, joints)
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        store_masses(joints.member[i], motions, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        start_joint(joints.sequence[place], dt, bodies, motions, joints)
+
+
+@wp.func
+def predict_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Errors of all joints at the predicted poses, as a bias of the velocities along their rows."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        predict_pose(joints.member[i], dt, bodies, state, motions, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        errors = errors_of(j, ends_of(j, joints), joints)
+        joints.bias[j] = errors / wp.float64(dt) - row_velocities(j, VELOCITY, motions, joints)
+
+
+@wp.func
+def apply_constant(j: int, dt: float, motions: Motions, joints: Joints):
+    """Apply the impulse of a coordinate that does not depend on the velocities: saturated drive, sliding friction."""
+    row = free_row(joints.coordinate[j])
+    if not has_coordinate(j, motions, joints) or is_locked(joints.active[j], row):
+        return
+    change = law_impulse(j, wp.float64(dt), wp.float64(0.0), wp.float64(0.0), joints) - joints.total[j][row]
+    if joints.mode[j][1] == 0 and joints.mode[j][2] == 0:
+        change = -joints.total[j][row]
+    if change != wp.float64(0.0):
+        impulses = vec6d()
+        impulses[row] = change
+        joints.total[j] = joints.total[j] + impulses
+        apply_impulses(j, VELOCITY, impulses, motions, joints)
+
+
+@wp.func
+def coordinate_residual(j: int, row: int, dt: float, speeds: vec6d, joints: Joints):
+    """Velocity to be removed from an active coordinate."""
+    step = wp.float64(dt)
+    value = step * (speeds[row] + joints.bias[j][row])
+    if is_held(joints.mode[j]):
+        return held_residual(j, step, value, speeds[row], joints)
+    law = law_impulse(j, step, value, speeds[row], joints)
+    return (joints.total[j][row] - law) / drive_slope(j, step, joints)
+
+
+@wp.func
+def residual_of(j: int, dt: float, motions: Motions, joints: Joints):
+    """Velocities to be removed from the active rows of a joint."""
+    speeds = row_velocities(j, VELOCITY, motions, joints)
+    row = free_row(joints.coordinate[j])
+    residual = vec6d()
+    for k in range(6):
+        if is_locked(joints.active[j], k):
+            if k == row:
+                residual[k] = coordinate_residual(j, row, dt, speeds, joints)
+            else:
+                residual[k] = speeds[k] + joints.bias[j][k] - joints.allowed[j][k] / wp.float64(dt)
+    return residual
+
+
+@wp.func
+def largest_of(v: vec6d):
+    """Largest absolute value of the components."""
+    most = wp.float64(0.0)
+    for k in range(6):
+        most = wp.max(most, wp.abs(v[k]))
+    return float(most)
+
+
+@wp.func
+def solve_once(m: int, dt: float, motions: Motions, joints: Joints):
+    """One direct solution in the present modes. Returns the largest residual that it removed [m/s, rad/s]."""
+    change = float(0.0)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        apply_constant(joints.sequence[place], dt, motions, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        residual = residual_of(j, dt, motions, joints)
+        joints.solution[j] = residual
+        change = wp.max(change, largest_of(residual))
+    substitute(m, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        impulses = -joints.solution[j]
+        joints.total[j] = joints.total[j] + impulses
+        apply_impulses(j, VELOCITY, impulses, motions, joints)
+    return change
+
+
+@wp.func
+def update_modes(m: int, dt: float, motions: Motions, joints: Joints):
+    """Check the modes of all coordinates after a solution. Returns whether any changed."""
+    step = wp.float64(dt)
+    changed = bool(False)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        if has_coordinate(j, motions, joints):
+            row = free_row(joints.coordinate[j])
+            speed = row_velocities(j, VELOCITY, motions, joints)[row]
+            mode = next_mode(j, step, step * (speed + joints.bias[j][row]), speed, joints)
+            if not (mode == joints.mode[j]):
+                joints.mode[j] = mode
+                changed = True
+    return changed
+
+
+@wp.func
+def solve_mechanism(m: int, dt: float, is_stale: bool, motions: Motions, joints: Joints):
+    """Solve all joints of a mechanism for the velocities. Returns the largest residual [m/s], 0 below FINE.
+
+    `is_stale`: whether the factors are not those of the present modes.
+    """
+    change = float(0.0)
+    left = int(MOST_CHANGES)
+    stale = is_stale
+    while left > 0 or stale:
+        if stale:
+            factorize(m, dt, motions, joints)
+            stale = False
+        if left > 0:
+            change = wp.max(change, solve_once(m, dt, motions, joints))
+            left -= 1
+            if update_modes(m, dt, motions, joints):
+                stale = True
+            else:
+                left = 0
+    return wp.where(change > FINE, change, 0.0)
+
+
+@wp.func
+def choose_modes(m: int, dt: float, motions: Motions, joints: Joints):
+    """Modes of all coordinates from their predicted values. Returns whether the active rows differ from the factors."""
+    differ = bool(False)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        if has_coordinate(j, motions, joints):
+            row = free_row(joints.coordinate[j])
+            speed = row_velocities(j, VELOCITY, motions, joints)[row]
+            joints.mode[j] = first_mode(j, wp.float64(dt) * (speed + joints.bias[j][row]), joints)
+            differ = differ or joints.active[j] != active_rows(j, dt, motions, joints)
+    return differ
+
+
+@wp.func
+def settle_mechanism(m: int, first: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Solve a mechanism at newly predicted poses; modes are chosen anew if it is the first time in a step."""
+    k = int(0)
+    while k < MOST_PREDICTIONS:
+        predict_mechanism(m, dt, bodies, state, motions, joints)
+        is_stale = bool(False)
+        if first + k == 1:
+            is_stale = choose_modes(m, dt, motions, joints)
+        change = solve_mechanism(m, dt, is_stale, motions, joints)
+        k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
+
+
+@wp.func
+def project(m: int, which: int, motions: Motions, joints: Joints):
+    """Remove the velocities along the active rows: those that are locked or held; `which`: VELOCITY or PUSH."""
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        speeds = row_velocities(j, which, motions, joints)
+        row = free_row(joints.coordinate[j])
+        for k in range(6):
+            if not is_locked(joints.active[j], k) or (k == row and not is_held(joints.mode[j])):
+                speeds[k] = wp.float64(0.0)
+        joints.solution[j] = speeds
+    substitute(m, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        if which == VELOCITY:
+            joints.total[j] = joints.total[j] - joints.solution[j]
+        apply_impulses(j, which, -joints.solution[j], motions, joints)

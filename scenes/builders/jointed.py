@@ -1,0 +1,68 @@
+"""Parts of scenes with joints: ragdolls, and how far joints are open."""
+
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.kernels.enums import Coordinate
+from warp_rigid.rotations import rotate
+from warp_rigid.scene.joints import RevoluteJoint, SphericalJoint
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Capsule, Sphere
+
+X = (1.0, 0.0, 0.0)
+
+
+def anchor_errors(sim: Any) -> np.ndarray:
+    """Distances between the two anchors of each joint that holds them together, (envs, joints) [m]; else 0."""
+    position = sim.get("position").astype(np.float64)
+    orientation = sim.get("orientation").astype(np.float64)
+
+    def point(body: int | None, local: Any) -> np.ndarray:
+        if body is None:
+            return np.broadcast_to(np.array(local), position[:, 0].shape)
+        return position[:, body] + rotate(orientation[:, body], np.array(local))
+
+    apart = [
+        np.linalg.norm(point(e.body_a, e.frame_a.position) - point(e.body_b, e.frame_b.position), axis=-1)
+        * (e.joint.coordinate not in (Coordinate.LENGTH, Coordinate.SLIDE))
+        for e in sim.scene.joints
+    ]
+    return np.stack(apart, axis=1)
+
+
+def add_ragdoll(scene: Scene, place: Any, name: str) -> None:
+    """Add a ragdoll of fifteen bodies that stands upright with its hip at a point [m]."""
+    x, y, z = place
+    friction = 0.6
+
+    def part(shape, offset, label):
+        at = (x + offset[0], y + offset[1], z + offset[2])
+        return scene.add_body(shape, position=at, friction=friction, name=f"{name}_{label}")
+
+    def joined(joint, body, other, offset):
+        scene.add_joint(joint, body, other, anchor=(x + offset[0], y + offset[1], z + offset[2]))
+
+    hip = part(Box((0.14, 0.08, 0.07)), (0, 0, 0), "hip")
+    belly = part(Box((0.12, 0.07, 0.06)), (0, 0, 0.15), "belly")
+    chest = part(Box((0.16, 0.09, 0.11)), (0, 0, 0.34), "chest")
+    head = part(Sphere(0.1), (0, 0, 0.57), "head")
+    joined(SphericalJoint(0.4), belly, hip, (0, 0, 0.08))
+    joined(SphericalJoint(0.4), chest, belly, (0, 0, 0.22))
+    joined(SphericalJoint(0.7), head, chest, (0, 0, 0.46))
+    for side, label in ((-1, "left"), (1, "right")):
+        _add_limb(part, joined, chest, (0.22 * side, 0, 0.42), (0.04, 0.09, 0.28), f"{label}_arm", (-0.1, 2.4))
+        _add_limb(part, joined, hip, (0.09 * side, 0, -0.08), (0.055, 0.14, 0.42), f"{label}_leg", (-2.4, 0.1))
+        heel = (0.09 * side, -0.06, -0.96)
+        foot = part(Box((0.05, 0.12, 0.03)), heel, f"{label}_foot")
+        joined(RevoluteJoint(X, (-0.6, 0.6)), foot, foot - 1, (0.09 * side, 0, -0.92))
+
+
+def _add_limb(part, joined, body, start, size, label, limits):
+    """An upper and a lower capsule below a point of a body."""
+    radius, half, length = size
+    x, y, z = start
+    upper = part(Capsule(radius, half), (x, y, z - 0.5 * length), f"{label}_upper")
+    lower = part(Capsule(0.9 * radius, half), (x, y, z - 1.5 * length), f"{label}_lower")
+    joined(SphericalJoint(1.3), upper, body, start)
+    joined(RevoluteJoint(X, limits), lower, upper, (x, y, z - length))

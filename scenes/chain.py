@@ -1,0 +1,75 @@
+"""A chain of a hundred links carries a ball a thousand times heavier than a link."""
+
+import numpy as np
+
+from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene.joints import SphericalJoint
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Capsule, Sphere
+from warp_rigid.scenes.builders.jointed import anchor_errors
+from warp_rigid.scenes.demo import Demo, below
+
+LENGTH = 0.1
+LINK_MASS = 0.1
+
+
+def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
+    """Chain that hangs from the world and swings.
+
+    Args:
+        links: number of links, 1 to 200.
+        ratio: mass of the ball over that of a link, 0.1 to 10000.
+        speed: of the ball at the start [m/s], 0 to 5.
+    """
+    links = whole_in("links", links, 1, 200)
+    ratio = number_in("ratio", ratio, 0.1, 10_000.0)
+    speed = number_in("speed", speed, 0.0, 5.0)
+    scene = Scene()
+    above = None
+    for k in range(links):
+        share = (k + 0.5) / links
+        body = scene.add_body(
+            Capsule(0.015, 0.03),
+            position=(0, 0, -LENGTH * (k + 0.5)),
+            linear_velocity=(share * speed, 0, 0),
+            angular_velocity=(0, -speed / (LENGTH * links), 0),
+            mass=LINK_MASS,
+            name=f"link_{k}",
+        )
+        scene.add_joint(SphericalJoint(), body, above, anchor=(0, 0, -LENGTH * k))
+        above = body
+    end = -LENGTH * links
+    ball = scene.add_body(
+        Sphere(0.08), position=(0, 0, end - 0.1), linear_velocity=(speed, 0, 0), mass=ratio * LINK_MASS, name="ball"
+    )
+    scene.add_joint(SphericalJoint(), ball, above, anchor=(0, 0, end))
+    return scene
+
+
+class ChainOutcome:
+    """How far the joints open."""
+
+    def __init__(self, scene):
+        """Nothing has been seen yet."""
+        self.opened = None
+
+    def observe(self, sim):
+        """Record the largest gap of a joint."""
+        now = anchor_errors(sim).max(axis=1)
+        self.opened = now if self.opened is None else np.maximum(self.opened, now)
+
+    def verdicts(self, sim):
+        """The largest gap so far."""
+        if self.opened is None:
+            return []
+        return [below("opened", self.opened, 1e-4, "no joint open by 0.1 mm", {"default": True})]
+
+
+DEMO = Demo(
+    name="chain",
+    summary="a hundred links carry a ball a thousand times heavier than one of them",
+    build=build,
+    outcome=ChainOutcome,
+    duration=4.0,
+    variants={"default": {}},
+)

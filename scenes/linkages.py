@@ -1,0 +1,119 @@
+"""Driven linkages with closed loops: a four-bar linkage and a slider-crank."""
+
+import math
+
+import numpy as np
+
+from warp_rigid.checks import number_in
+from warp_rigid.rotations import rotate
+from warp_rigid.scene.joints import PrismaticJoint, RevoluteJoint
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.demo import Demo, below, indices
+
+CRANK, COUPLER, ROCKER, BASE = 0.3, 0.9, 0.7, 1.0
+ROD, AWAY = 0.8, 2.0
+LAYER = 0.06
+"""Distance of the planes in which bars move, so that they do not meet [m]."""
+
+
+def third_corner(b, d, to_b, to_d):
+    """Intersection of circles around b (..., 2) and d, on the left of the line from b to d."""
+    line = d - b
+    distance = np.linalg.norm(line, axis=-1, keepdims=True)
+    along = (to_b**2 - to_d**2 + distance**2) / (2.0 * distance)
+    left = np.stack([-line[..., 1], line[..., 0]], axis=-1)
+    return b + (along * line + np.sqrt(to_b**2 - along**2) * left) / distance
+
+
+def build(speed: float = 2.0) -> Scene:
+    """Both cranks turn about vertical axes at a speed, without gravity.
+
+    Args:
+        speed: of the cranks [rad/s], 0.1 to 5.
+    """
+    speed = number_in("speed", speed, 0.1, 5.0)
+    scene = Scene(gravity=(0, 0, 0))
+    a, d = np.zeros(2), np.array([BASE, 0.0])
+    b = CRANK * np.array([math.cos(1.0), math.sin(1.0)])
+    c = third_corner(b, d, COUPLER, ROCKER)
+    crank, coupler = _bar(scene, "crank", a, b, 0), _bar(scene, "coupler", b, c, 1)
+    rocker = _bar(scene, "rocker", d, c, 2)
+    _drive(scene, _hinge(scene, crank, None, a), speed)
+    for body, other, point in ((coupler, crank, b), (rocker, coupler, c), (rocker, None, d)):
+        _hinge(scene, body, other, point)
+    origin = np.array([0.0, AWAY])
+    b, c = origin + (0.0, CRANK), origin + (math.sqrt(ROD**2 - CRANK**2), 0.0)
+    crank, rod = _bar(scene, "second_crank", origin, b, 0), _bar(scene, "rod", b, c, 1)
+    slider = scene.add_body(Box((0.06, 0.04, 0.02)), position=(*c, 2 * LAYER), name="slider")
+    _drive(scene, _hinge(scene, crank, None, origin), speed)
+    _hinge(scene, rod, crank, b)
+    _hinge(scene, slider, rod, c)
+    scene.add_joint(PrismaticJoint((1, 0, 0)), slider, anchor=(*c, 2 * LAYER))
+    return scene
+
+
+def _bar(scene, name, p, q, layer):
+    """A bar between two points of the plane, in one of the layers."""
+    length, angle = np.linalg.norm(q - p), math.atan2(*(q - p)[::-1])
+    turn = (0, 0, math.sin(angle / 2), math.cos(angle / 2))
+    return scene.add_body(
+        Box((0.5 * length, 0.02, 0.02)), position=(*(p + q) / 2, layer * LAYER), orientation=turn, name=name
+    )
+
+
+def _hinge(scene, body, other, point):
+    return scene.add_joint(RevoluteJoint((0, 0, 1)), body, other, anchor=(*point, 0))
+
+
+def _drive(scene, joint, speed):
+    scene.add_drive(joint, damping=1e4, target_velocity=speed)
+
+
+class LinkageOutcome:
+    """Distance of the coupler and of the slider from their closed forms, for the angles of the cranks."""
+
+    def __init__(self, scene):
+        """Find the bodies."""
+        self.bodies = {name: indices(scene, name)[0] for name in ("crank", "coupler", "second", "slider")}
+        self.coupler = self.slider = None
+
+    def observe(self, sim):
+        """Record the largest distances."""
+        place = sim.get("position").astype(np.float64)
+        turn = sim.get("orientation").astype(np.float64)
+        tips = {
+            name: CRANK * rotate(turn[:, self.bodies[name]], np.array([1.0, 0, 0]))[:, :2]
+            for name in ("crank", "second")
+        }
+        b = tips["crank"]
+        middle = (b + third_corner(b, np.array([BASE, 0.0]), COUPLER, ROCKER)) / 2.0
+        x, y = tips["second"].T
+        expected = np.stack([x + np.sqrt(ROD**2 - y**2), np.full_like(x, AWAY)], axis=-1)
+        self.coupler = _largest(self.coupler, place[:, self.bodies["coupler"], :2] - middle)
+        self.slider = _largest(self.slider, place[:, self.bodies["slider"], :2] - expected)
+
+    def verdicts(self, sim):
+        """Both distances so far."""
+        if self.coupler is None:
+            return []
+        expected = {"default": True}
+        return [
+            below("coupler", self.coupler, 1e-4, "coupler within 0.1 mm of its curve", expected),
+            below("slider", self.slider, 1e-4, "slider within 0.1 mm of its place", expected),
+        ]
+
+
+def _largest(before, difference):
+    now = np.linalg.norm(difference, axis=-1)
+    return now if before is None else np.maximum(before, now)
+
+
+DEMO = Demo(
+    name="linkages",
+    summary="a four-bar linkage and a slider-crank turn; both follow their closed forms",
+    build=build,
+    outcome=LinkageOutcome,
+    duration=4.0,
+    variants={"default": {}},
+)

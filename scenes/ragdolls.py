@@ -1,0 +1,67 @@
+"""Ragdolls fall into a pit and come to rest."""
+
+import numpy as np
+
+from warp_rigid.checks import whole_in
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.shapes import Box, Plane
+from warp_rigid.scenes.builders.jointed import add_ragdoll, anchor_errors
+from warp_rigid.scenes.demo import Demo, below
+
+WIDTH = 3.0
+STANDING = 1.05
+
+
+def build(dolls: int = 4) -> Scene:
+    """Ragdolls of fifteen bodies above a pit of 3 m.
+
+    Args:
+        dolls: number of ragdolls, 1 to 160; nine of them in a layer.
+    """
+    dolls = whole_in("dolls", dolls, 1, 160)
+    scene = Scene()
+    scene.add_static(Plane(), friction=0.6, name="ground")
+    for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        half = (0.1, WIDTH / 2 + 0.2, 2.0) if x else (WIDTH / 2 + 0.2, 0.1, 2.0)
+        at = ((WIDTH / 2 + 0.1) * x, (WIDTH / 2 + 0.1) * y, 2.0)
+        scene.add_static(Box(half), position=at, friction=0.6, name="wall")
+    for k in range(dolls):
+        layer, row, column = k // 9, k // 3 % 3, k % 3
+        place = (0.8 * (column - 1), 0.8 * (row - 1), STANDING + 0.1 + 1.9 * layer)
+        add_ragdoll(scene, place, f"doll_{k}")
+    return scene
+
+
+class RagdollOutcome:
+    """How far joints open, and whether any body leaves the pit."""
+
+    def __init__(self, scene):
+        """Find the bodies."""
+        self.bodies = [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
+        self.opened = None
+
+    def observe(self, sim):
+        """Record the largest gap of a joint."""
+        now = anchor_errors(sim).max(axis=1)
+        self.opened = now if self.opened is None else np.maximum(self.opened, now)
+
+    def verdicts(self, sim):
+        """Joints closed, and all bodies in the pit."""
+        if self.opened is None:
+            return []
+        place = sim.get("position")[:, self.bodies]
+        out = np.maximum(np.abs(place[..., :2]).max(-1) - WIDTH / 2, -place[..., 2]).max(axis=1)
+        return [
+            below("opened", self.opened, 1e-3, "no joint open by 1 mm", {"default": True}),
+            below("outside", out, 0.0, "all bodies within the pit", {"default": True}, "m"),
+        ]
+
+
+DEMO = Demo(
+    name="ragdolls",
+    summary="ragdolls fall into a pit; no joint opens and none escapes",
+    build=build,
+    outcome=RagdollOutcome,
+    duration=4.0,
+    variants={"default": {}},
+)

@@ -1,0 +1,344 @@
+"""Joints against closed forms: every kind, limits, drives, friction, breaking, and bad input."""
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from warp_rigid import rotations
+
+DT = 1.0 / 240.0
+G = 9.81
+
+
+def simulator(scene, device, num_envs=1, **settings):
+    return wr.Simulator(scene, num_envs=num_envs, settings=wr.Settings(dt=DT, **settings), device=device)
+
+
+def anchor_errors(sim, env=0):
+    """Distances of the two anchors of each joint [m], from the poses of the bodies."""
+    position = sim.get("position")[env].astype(np.float64)
+    orientation = sim.get("orientation")[env].astype(np.float64)
+
+    def point(body, frame):
+        local = np.array(frame.position)
+        return local if body is None else position[body] + rotations.rotate(orientation[body], local)
+
+    joints = sim.scene.joints
+    return np.array(
+        [np.linalg.norm(point(j.body_a, j.frame_a) - point(j.body_b, j.frame_b)) for j in joints], np.float64
+    )
+
+
+def one_body(joint, gravity=(0, 0, 0), anchor=(0.0, 0.0, 0.0), **more):
+    """A box of 2 kg that a joint holds to the world."""
+    scene = wr.Scene(gravity=gravity)
+    body = scene.add_body(wr.Box((0.2, 0.1, 0.1)), mass=2.0, **more)
+    scene.add_joint(joint, body, anchor=anchor)
+    return scene
+
+
+INERTIA = 2.0 / 3.0 * (0.2**2 + 0.1**2)
+
+
+def test_a_saturated_motor_speeds_up_evenly_and_then_keeps_its_speed(device):
+    scene = one_body(wr.RevoluteJoint(axis=(0, 0, 1)))
+    scene.add_drive(0, damping=1e6, max_force=0.5, target_velocity=5.0)
+    sim = simulator(scene, device)
+    sim.step(60)
+    assert sim.get("joint_velocity")[0, 0] == pytest.approx(0.5 / INERTIA * 60 * DT, rel=1e-4)
+    assert sim.get("joint_force")[0, 0, 5] == pytest.approx(0.5, rel=1e-4)
+    sim.step(240)
+    assert sim.get("joint_velocity")[0, 0] == pytest.approx(5.0, rel=1e-4)
+    assert sim.get("joint_position")[0, 0] > 2.0 * np.pi - 3.0, "angles count full turns"
+    sim.set("joint_target_velocity", -1.0)
+    sim.step(480)
+    assert sim.get("joint_velocity")[0, 0] == pytest.approx(-1.0, rel=1e-4)
+
+
+def test_friction_of_a_hinge_stops_it(device):
+    sim = simulator(one_body(wr.RevoluteJoint((0, 0, 1), friction=0.1), angular_velocity=(0, 0, 4)), device)
+    sim.step(120)
+    assert sim.get("joint_velocity")[0, 0] == pytest.approx(4.0 - 0.1 / INERTIA * 0.5, rel=1e-4)
+    sim.step(400)
+    assert sim.get("joint_velocity")[0, 0] == 0.0
+    assert sim.get("joint_position")[0, 0] == pytest.approx(16.0 * INERTIA / 0.2, rel=0.01)
+
+
+def test_a_spring_drive_oscillates_and_settles(device):
+    """Against the damped oscillator; the drive is implicit, so it damps somewhat more."""
+    scene = one_body(wr.PrismaticJoint((0, 1, 0)))
+    scene.add_drive(0, stiffness=50.0, damping=4.0, target_position=0.3)
+    sim = simulator(scene, device)
+    omega, ratio = 5.0, 0.2
+    damped = omega * np.sqrt(1 - ratio**2)
+    for _ in range(3):
+        sim.step(60)
+        t = sim.time
+        wave = np.cos(damped * t) + ratio * omega / damped * np.sin(damped * t)
+        assert sim.get("joint_position")[0, 0] == pytest.approx(0.3 * (1 - np.exp(-ratio * omega * t) * wave), abs=6e-3)
+    sim.step(2400)
+    assert sim.get("joint_position")[0, 0] == pytest.approx(0.3, rel=1e-4)
+    assert np.abs(sim.get("position")[0, 0, [0, 2]]).max() < 1e-7
+
+
+def test_a_limit_holds_a_pendulum(device):
+    scene = one_body(wr.RevoluteJoint((0, 1, 0), limits=(-0.2, 0.7)), (0, 0, -G), (-0.5, 0, 0))
+    sim = simulator(scene, device)
+    sim.step(480)
+    assert sim.get("joint_position")[0, 0] == pytest.approx(0.7, abs=1e-6)
+    assert abs(sim.get("joint_velocity")[0, 0]) < 1e-6
+    force = sim.get("joint_force")[0, 0]
+    assert force[2] == pytest.approx(2.0 * G, rel=1e-4)
+    assert force[4] == pytest.approx(-2.0 * G * 0.5 * np.cos(0.7), rel=1e-4)
+
+
+def test_a_slider_with_friction_on_an_incline(device):
+    axis = (np.cos(0.5), 0.0, -np.sin(0.5))
+    sim = simulator(one_body(wr.PrismaticJoint(axis, friction=4.0), (0, 0, -G)), device)
+    sim.step(240)
+    acceleration = G * np.sin(0.5) - 2.0
+    assert sim.get("joint_velocity")[0, 0] == pytest.approx(acceleration, rel=1e-4)
+    assert sim.get("joint_position")[0, 0] == pytest.approx(0.5 * acceleration, rel=0.01)
+    stuck = simulator(one_body(wr.PrismaticJoint(axis, friction=10.0), (0, 0, -G)), device)
+    stuck.step(240)
+    assert abs(stuck.get("joint_position")[0, 0]) < 1e-9
+
+
+def test_a_cone_holds_a_ball_joint(device):
+    scene = wr.Scene(gravity=(0, 0, -G))
+    body = scene.add_body(wr.Capsule(0.03, 0.2), position=(0, 0, 0.2), orientation=(0.01, 0, 0, 1), mass=1.0)
+    scene.add_joint(wr.SphericalJoint(cone_limit=0.6), body, anchor=(0, 0, 0))
+    sim = simulator(scene, device)
+    sim.step(1200)
+    assert sim.get("joint_position")[0, 0] == pytest.approx(0.6, abs=1e-5)
+    assert anchor_errors(sim).max() < 1e-6
+
+
+def test_a_string_is_slack_and_then_taut(device):
+    scene = wr.Scene(gravity=(0, 0, -G))
+    body = scene.add_body(wr.Sphere(0.05), position=(0, 0, -0.3), mass=1.0)
+    scene.add_joint(wr.DistanceJoint(maximum=1.0), body, anchor=(0, 0, -0.3), anchor_b=(0, 0, 0))
+    sim = simulator(scene, device)
+    sim.step(80)
+    assert sim.get("joint_velocity")[0, 0] == pytest.approx(G * sim.time, rel=1e-4)
+    assert np.abs(sim.get("joint_force")).max() == 0.0
+    sim.step(240)
+    assert sim.get("joint_position")[0, 0] == pytest.approx(1.0, abs=1e-6)
+    assert sim.get("joint_force")[0, 0, 2] == pytest.approx(G, rel=1e-3)
+
+
+def test_a_chain_under_a_thousandfold_load_stays_closed(device):
+    """100 links of 0.1 kg and 100 kg at the end, let go with a lateral speed, for a second."""
+    links, length = 100, 0.1
+    scene = wr.Scene(gravity=(0, 0, -G))
+    above = None
+    for k in range(links):
+        body = scene.add_body(
+            wr.Capsule(0.02, 0.03),
+            position=(0, 0, -length * (k + 0.5)),
+            linear_velocity=((k + 0.5) / links, 0, 0),
+            mass=0.1,
+        )
+        scene.add_joint(wr.SphericalJoint(), body, above, anchor=(0, 0, -length * k))
+        above = body
+    ball = scene.add_body(wr.Sphere(0.05), position=(0, 0, -length * links), linear_velocity=(1, 0, 0), mass=100.0)
+    scene.add_joint(wr.SphericalJoint(), ball, above, anchor=(0, 0, -length * links))
+    sim = simulator(scene, device)
+    for _ in range(4):
+        sim.step(60)
+        assert anchor_errors(sim).max() < 2e-6
+    assert np.linalg.norm(sim.get("joint_force")[0, 0, :3]) == pytest.approx(110.0 * G, rel=0.05)
+
+
+def pendulum_period(angle, device):
+    """Period of a small sphere on a rod of 1 m, from its crossings of the vertical."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    start = (np.sin(angle), 0.0, -np.cos(angle))
+    body = scene.add_body(wr.Sphere(0.05), position=start)
+    scene.add_joint(wr.DistanceJoint(1.0, 1.0), body, anchor=start, anchor_b=(0, 0, 0))
+    sim = simulator(scene, device)
+    x = []
+    for _ in range(1100):
+        sim.step()
+        x.append(float(sim.get("position")[0, 0, 0]))
+    x = np.array(x)
+    before = np.flatnonzero((x[:-1] > 0) & (x[1:] <= 0))
+    return DT * np.diff(before + x[before] / (x[before] - x[before + 1])).mean()
+
+
+@pytest.mark.parametrize("degrees", [5.0, 90.0])
+def test_periods_of_a_pendulum(degrees, device):
+    """Against the arithmetic-geometric mean."""
+    angle = np.radians(degrees)
+    a, b = 1.0, np.cos(angle / 2.0)
+    for _ in range(8):
+        a, b = (a + b) / 2.0, np.sqrt(a * b)
+    assert pendulum_period(angle, device) == pytest.approx(2.0 * np.pi / np.sqrt(G) / a, rel=2e-4)
+
+
+def tumbling():
+    """Two boxes in a fixed joint without gravity, and a third on a ball joint."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    a = scene.add_body(wr.Box((0.1, 0.2, 0.3)), linear_velocity=(0.5, 0.2, 0), angular_velocity=(1, 2, 0.5))
+    b = scene.add_body(wr.Box((0.2, 0.1, 0.1)), position=(0.3, 0, 0.1), angular_velocity=(-2, 0, 1))
+    c = scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0.6, 0, 0.1), angular_velocity=(0, 0, 3))
+    scene.add_joint(wr.FixedJoint(), a, b, anchor=(0.1, 0, 0.1))
+    scene.add_joint(wr.SphericalJoint(), c, b, anchor=(0.5, 0, 0.1))
+    return scene
+
+
+def momenta(sim):
+    place, v, w = (sim.get(n)[0].astype(float) for n in ("center_of_mass", "linear_velocity", "angular_velocity"))
+    p = sim.get("mass")[0][:, None] * v
+    spin = np.einsum("bij,bj->bi", sim.get("inertia")[0].astype(float), w)
+    return np.array([p.sum(0), (np.cross(place, p) + spin).sum(0)])
+
+
+def test_momenta_are_kept(device):
+    sim = simulator(tumbling(), device)
+    before = momenta(sim)
+    sim.step(480)
+    assert anchor_errors(sim).max() < 1e-6
+    assert np.abs(momenta(sim) - before).max() < 2e-3 * np.abs(before).max()
+
+
+def bits(sim, env=0):
+    names = ("position", "orientation", "linear_velocity", "angular_velocity", "joint_force", "joint_broken")
+    return b"".join(sim.get(name)[env].tobytes() for name in names)
+
+
+def test_a_batch_and_a_reset_give_the_same_bits(device):
+    alone = simulator(tumbling(), device)
+    alone.step(50)
+    many = simulator(tumbling(), device, num_envs=24)
+    many.set("angular_velocity", (0, 0, 0), envs=[5])
+    many.step(50)
+    assert [env for env in range(24) if bits(many, env) != bits(alone)] == [5]
+    many.reset([5])
+    many.step(50)
+    assert bits(many, 5) == bits(alone)
+
+
+def test_a_weld_breaks_at_its_limit(device):
+    """A box hangs from a weld; its weight grows slowly until the weld breaks, and it falls freely then."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(wr.Box((0.1, 0.1, 0.1)), mass=2.0)
+    scene.add_joint(wr.FixedJoint(), body, anchor=(0, 0, 0.1), break_force=100.0)
+    sim = simulator(scene, device)
+    for load in np.arange(99.0, 102.0, 0.1):
+        sim.set("force", (0, 0, -load))
+        sim.step(2)
+        if sim.get("joint_broken")[0, 0]:
+            break
+    assert load == pytest.approx(100.0, rel=0.01)
+    sim.set("force", (0, 0, -20.0))
+    before = sim.get("linear_velocity")[0, 0, 2]
+    sim.step(24)
+    assert sim.get("linear_velocity")[0, 0, 2] - before == pytest.approx(-10.0 * 24 * DT, rel=1e-4)
+    sim.reset()
+    assert not sim.get("joint_broken").any()
+
+
+def test_jointed_bodies_do_not_collide_unless_told(device):
+    scene = wr.Scene()
+    a, b = (scene.add_body(wr.Sphere(0.1), position=(x, 0, 0)) for x in (0.0, 0.1))
+    scene.add_joint(wr.SphericalJoint(), a, b, anchor=(0.05, 0, 0))
+    assert scene.filtered_pairs == {(a, b)}
+    other = wr.Scene()
+    a, b = (other.add_body(wr.Sphere(0.1), position=(x, 0, 0)) for x in (0.0, 0.3))
+    other.add_joint(wr.SphericalJoint(), a, b, anchor=(0.15, 0, 0), collide=True)
+    assert other.filtered_pairs == set()
+
+
+def add(joint=None, a=1, b=None, **more):
+    """Add a joint to a scene of a static and two dynamic bodies."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    for x in (0.0, 1.0):
+        scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(x, 0, 1))
+    return scene, scene.add_joint(joint or wr.FixedJoint(), a, b, **more)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: wr.RevoluteJoint((0, 0, 0)), "axis: must be a vector of length > 0, got (0, 0, 0)"),
+        (lambda: wr.RevoluteJoint((0, 0, 1), (1, -1)), "limits: lower must be at most upper, got (1, -1)"),
+        (lambda: wr.PrismaticJoint((0, 0, 1), 3), "limits: must be (lower, upper) or None, got 3"),
+        (lambda: wr.RevoluteJoint((0, 0, 1), friction=-1), "friction: must be a finite number >= 0, got -1"),
+        (lambda: wr.SphericalJoint(4.0), "cone_limit: must be a number with 0 < number <= 3.14159, got 4.0"),
+        (lambda: wr.DistanceJoint(2.0, 1.0), "maximum: must be at least the minimum 2, got 1"),
+        (lambda: add(a=1, b=1), "body_b: must be another body than body_a, got 1 for both"),
+        (lambda: add(a=7), "body_a: must be a whole number from 0 to 2, got 7"),
+        (lambda: add(a=0), "body_b: one of the two bodies must be dynamic, got static and the world"),
+        (lambda: add(joint="glue"), "joint: must be a DistanceJoint, FixedJoint, PrismaticJoint, "
+         "RevoluteJoint, SphericalJoint, got 'glue'"),
+        (lambda: add(b=2, anchor=(0, 0, 1), anchor_b=(0, 0, 1.1)), "anchor: the anchors must be at most 0.02 m apart, "
+         "a tenth of the smaller body's size, got 0.1 m"),
+        (lambda: add(break_force=0), "break_force: must be a finite number > 0, got 0"),
+        (lambda: add(collide=1), "collide: must be True or False, got 1"),
+        (lambda: add()[0].add_drive(0), "joint: a drive needs a RevoluteJoint or a PrismaticJoint, got a FixedJoint"),
+        (lambda: add(wr.RevoluteJoint((1, 0, 0)))[0].add_drive(0, stiffness=-1),
+         "stiffness: must be a finite number >= 0, got -1"),
+        (lambda: add()[0].add_drive(1), "joint: must be a whole number from 0 to 0, got 1"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_rejected_in_one_line(call, text):
+    with pytest.raises(ValueError) as caught:
+        call()
+    assert str(caught.value) == text
+
+
+def test_bad_values_are_rejected_and_change_nothing(device):
+    sim = simulator(add(wr.RevoluteJoint((1, 0, 0), (-1, 1)))[0], device)
+    for name, value, text in (
+        ("joint_position", 1.0, "name: must be one of position, "),
+        ("joint_lower", 2.0, "joint_lower: the lower limit must be at most the upper one"),
+        ("joint_damping", -1.0, "joint_damping: must be finite numbers >= 0"),
+        ("joint_target_position", np.inf, "joint_target_position: must be finite numbers"),
+        ("joint_broken", 1, "joint_broken: must be True or False, got 1"),
+        ("joint_stiffness", [1, 2, 3], "joint_stiffness: must be numbers that broadcast to (1, 1), got shape (3,)"),
+    ):
+        before = [sim.get(key).tobytes() for key in ("joint_lower", "joint_damping", "joint_broken")]
+        with pytest.raises(ValueError) as caught:
+            sim.set(name, value)
+        assert str(caught.value).startswith(text)
+        assert [sim.get(key).tobytes() for key in ("joint_lower", "joint_damping", "joint_broken")] == before
+
+
+def test_a_saved_simulation_continues_bit_for_bit(device, tmp_path):
+    scene = tumbling()
+    lever = scene.add_body(wr.Box((0.2, 0.05, 0.05)), position=(0, 3, 0), angular_velocity=(0, 0, 1))
+    hinge = scene.add_joint(
+        wr.RevoluteJoint((0, 0, 1), limits=(-4.0, 9.0), friction=0.1), lever, anchor=(-0.2, 3, 0), break_torque=1e4
+    )
+    scene.add_drive(hinge, stiffness=3.0, damping=1.0, max_force=2.0, target_position=8.0)
+    sim = simulator(scene, device, num_envs=2)
+    sim.set("joint_target_position", 2.0, envs=[1], joints=[hinge])
+    sim.set("joint_broken", True, envs=[1], joints=[0])
+    sim.step(100)
+    sim.save(tmp_path / "joints.ckpt")
+    loaded = wr.Simulator.load(tmp_path / "joints.ckpt", device)
+    assert loaded.scene.joints == scene.joints
+    for name in ("joint_position", "joint_velocity", "joint_force", "joint_target_position", "joint_broken"):
+        assert loaded.get(name).tobytes() == sim.get(name).tobytes()
+    sim.step(100)
+    loaded.step(100)
+    assert [bits(loaded, env) for env in (0, 1)] == [bits(sim, env) for env in (0, 1)]
+    assert bits(sim, 0) != bits(sim, 1)
+
+
+def test_hanging_bodies_sleep_and_wake_as_one(device):
+    """Two boxes hang from the world by a chain; a push of the lower one wakes both."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    upper = scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, -0.2))
+    lower = scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(0, 0, -0.6))
+    scene.add_joint(wr.SphericalJoint(), upper, anchor=(0, 0, 0))
+    scene.add_joint(wr.SphericalJoint(), lower, upper, anchor=(0, 0, -0.4))
+    sim = simulator(scene, device, sleeping=True)
+    sim.step(180)
+    assert sim.get("asleep").all()
+    sim.apply_impulse((0.1, 0, 0), (0, 0, -0.6), lower)
+    sim.step()
+    assert not sim.get("asleep").any()
+    assert anchor_errors(sim).max() < 1e-6

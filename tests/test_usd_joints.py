@@ -1,0 +1,91 @@
+"""Joints of UsdPhysics: every kind out and in again, and files by hand in other units and axes."""
+
+import math
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from tests.usd_tools import moved, rigid, start_of, validator_errors, write_stage
+
+TURNED = (0.1, 0.2, 0.3, 0.9)
+
+
+def joined():
+    """A scene with every kind of joint."""
+    scene = wr.Scene()
+    ground = scene.add_static(wr.Plane(), name="ground")
+    bodies = [
+        scene.add_body(wr.Box((0.1, 0.2, 0.3)), position=(k, 0, 1), orientation=TURNED, name=f"box_{k}")
+        for k in range(5)
+    ]
+    scene.add_joint(wr.FixedJoint(), bodies[0], ground, anchor=(0, 0, 0.5), break_force=100.0, break_torque=20.0)
+    hinge = scene.add_joint(
+        wr.RevoluteJoint((0, 1, 1), (-1.0, 0.5), 0.25), bodies[1], bodies[0], anchor=(0.5, 0, 1), name="elbow"
+    )
+    scene.add_drive(hinge, stiffness=5.0, damping=0.5, max_force=3.0, target_position=0.25, target_velocity=0.1)
+    slider = scene.add_joint(wr.PrismaticJoint((1, 0, 0), (-math.inf, 0.5)), bodies[2], bodies[1], anchor=(1.5, 0, 1))
+    scene.add_drive(slider, damping=2.0)
+    scene.add_joint(wr.SphericalJoint(0.6, (0, 0, 1)), bodies[3], bodies[2], anchor=(2.5, 0, 1), collide=True)
+    scene.add_joint(wr.DistanceJoint(maximum=1.0), bodies[4], bodies[3], anchor=(4, 0, 1), anchor_b=(3, 0, 1))
+    scene.add_joint(wr.RevoluteJoint((0, 0, 1)), bodies[4], anchor=(4, 0, 2))
+    return scene
+
+
+def test_every_kind_comes_back_from_a_file(tmp_path):
+    scene = joined()
+    path = tmp_path / "joined.usda"
+    wr.export_usd(start_of(scene), path, profile="scene")
+    assert validator_errors(path) == []
+    found = wr.import_usd(path, root="/World/env_0000")
+    given, back = ({entry.name: entry for entry in some.joints} for some in (scene, found))
+    assert back.keys() == given.keys()
+    for name, entry in given.items():
+        other = back[name]
+        assert type(other.joint) is type(entry.joint)
+        assert other.joint.range == pytest.approx(entry.joint.range, rel=1e-6)
+        assert other.joint.resistance == entry.joint.resistance
+        assert found.bodies[other.body_a].name == scene.bodies[entry.body_a].name
+        assert (other.body_b is None) == (entry.body_b is None)
+        for side in ("frame_a", "frame_b"):
+            own, theirs = getattr(entry, side), getattr(other, side)
+            assert theirs.position == pytest.approx(own.position, abs=1e-6)
+            assert abs(np.dot(theirs.orientation, own.orientation)) == pytest.approx(1.0, abs=1e-6)
+        assert (other.break_force, other.break_torque) == (entry.break_force, entry.break_torque)
+        assert other.collide == entry.collide
+        assert (other.drive is None) == (entry.drive is None)
+        if entry.drive is not None:
+            assert list(vars(other.drive).values()) == pytest.approx(list(vars(entry.drive).values()), rel=1e-6)
+    assert found.filtered_pairs == scene.filtered_pairs
+
+
+def test_a_file_in_other_units_hangs_the_same_pendulum(tmp_path):
+    """Centimetres, y up, axis Z, the world as the second body: the angle is that of the world relative to the body."""
+    joint = (
+        'def PhysicsRevoluteJoint "Hinge" (prepend apiSchemas = ["PhysicsDriveAPI:angular"]) {\n'
+        " rel physics:body0 = </World/A>\n"
+        " point3f physics:localPos0 = (0, 50, 0)\n point3f physics:localPos1 = (100, 250, 0)\n"
+        ' uniform token physics:axis = "Z"\n float physics:lowerLimit = -90\n float physics:upperLimit = 45\n'
+        " float drive:angular:physics:stiffness = 10000\n float drive:angular:physics:targetPosition = 30\n}\n"
+    )
+    body = rigid("A", "Cube", f"double size = 20; {moved(100, 200, 0)}")
+    scene = wr.import_usd(write_stage(tmp_path / "hinge.usda", body + joint, up="Y", meters=0.01))
+    (entry,) = scene.joints
+    assert entry.body_a == 0 and entry.body_b is None
+    assert entry.frame_a.position == pytest.approx((0, 0.5, 0))
+    assert entry.frame_b.position == pytest.approx((1.0, 0.0, 2.5))
+    assert entry.joint.limits == pytest.approx((-math.pi / 2, math.pi / 4))
+    assert entry.drive.stiffness == pytest.approx(10000 * 1e-4 * 180 / math.pi)
+    assert entry.drive.target_position == pytest.approx(math.pi / 6)
+
+
+def test_a_disabled_joint_and_one_without_bodies_are_told(tmp_path):
+    body = rigid("A", "Cube") + (
+        'def PhysicsFixedJoint "Off" {\n rel physics:body0 = </World/A>\n bool physics:jointEnabled = 0\n}\n'
+        'def PhysicsFixedJoint "Loose" {\n}\n'
+    )
+    scene = wr.import_usd(write_stage(tmp_path / "loose.usda", body))
+    told = {finding.path: finding.reason for finding in scene.import_report.left_out}
+    assert scene.joints == []
+    assert told["/World/Off"] == "the joint is disabled"
+    assert "/World/Loose" in told

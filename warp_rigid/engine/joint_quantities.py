@@ -1,0 +1,175 @@
+"""Reading and writing the quantities of joints by their names."""
+
+from typing import Any
+
+import numpy as np
+
+from warp_rigid import rotations
+from warp_rigid.checks import shown
+from warp_rigid.engine.joints import NAME, definitions
+from warp_rigid.engine.layout import concatenated, spread_rows
+from warp_rigid.engine.selection import existing
+from warp_rigid.engine.world import World
+from warp_rigid.kernels.enums import Coordinate, JointNumber
+
+NUMBERS = {f"joint_{number.name.lower()}": number for number in JointNumber}
+WRITABLE = (*NUMBERS, "joint_broken")
+DERIVED = ("joint_position", "joint_velocity", "joint_force")
+READABLE = (*DERIVED, *WRITABLE)
+
+INFINITE = ("joint_lower", "joint_upper", "joint_max_force", "joint_break_force", "joint_break_torque")
+NEGATIVE = ("joint_lower", "joint_upper", "joint_target_position", "joint_target_velocity")
+"""Names whose values may be infinite, and negative."""
+
+
+def read(world: World, name: str) -> np.ndarray:
+    """A copy of a quantity of the joints, (envs, most joints, ...), NaN or False where an environment has fewer.
+
+    See Simulator.get.
+    """
+    return spread_rows(_values(world, name), world.layout.table(NAME))
+
+
+def _values(world: World, name: str) -> np.ndarray:
+    """A quantity of all joints of all environments, (joints, ...)."""
+    if name in NUMBERS:
+        return _array(world, "numbers")[:, NUMBERS[name]]
+    if name == "joint_broken":
+        return _array(world, "broken").astype(bool)
+    if name == "joint_force":
+        return np.concatenate([_array(world, "impulse"), _array(world, "angular_impulse")], axis=-1) / world.settings.dt
+    motion = _Motion(world)
+    return motion.positions() if name == "joint_position" else motion.velocities()
+
+
+def check(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """The value as an array of the shape, in its range."""
+    if name == "joint_broken" and np.asarray(value).dtype != bool:
+        raise ValueError(f"{name}: must be True or False, got {shown(value)}")
+    try:
+        values = np.broadcast_to(np.asarray(value, np.float32), shape)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got shape {np.shape(value)}") from error
+    return values
+
+
+def _check_range(name: str, values: np.ndarray) -> None:
+    finite = not np.isnan(values).any() if name in INFINITE else np.isfinite(values).all()
+    if not finite or (name not in NEGATIVE and (values < 0.0).any()):
+        kind = "numbers" if name in NEGATIVE else "numbers >= 0"
+        raise ValueError(f"{name}: must be {kind if name in INFINITE else 'finite ' + kind}")
+
+
+def write(world: World, name: str, value: Any, rows: np.ndarray) -> None:
+    """Change a quantity of joints by their rows (n, m); see Simulator.set."""
+    if not world.layout.sizes[NAME]:
+        raise ValueError(f"{name}: the scene has no joints")
+    present = existing(rows)
+    values = check(name, value, rows.shape)[present]
+    _check_range(name, values)
+    column = "broken" if name == "joint_broken" else "numbers"
+    host = _array(world, column)
+    if column == "broken":
+        host[rows[present]] = values
+        for shard in world.shards:
+            shard.pools.forget_graph()
+    else:
+        host[rows[present], NUMBERS[name]] = values
+        if (host[:, JointNumber.LOWER] > host[:, JointNumber.UPPER]).any():
+            raise ValueError(f"{name}: the lower limit must be at most the upper one")
+    getattr(world.model.constraint_rows[NAME], column).assign(host)
+
+
+def bodies_of(world: World, rows: np.ndarray) -> np.ndarray:
+    """Rows of the bodies of joints by their rows (n, m), (n, 2 m); LACKING where there is no joint."""
+    both = [getattr(world.model.constraint_rows[NAME], name).numpy() for name in ("body_a", "body_b")]
+    return np.concatenate([spread_rows(some, rows) for some in both], axis=1)
+
+
+def _array(world: World, name: str) -> np.ndarray:
+    """A copy of an array of the joints, (joints, ...)."""
+    return getattr(world.model.constraint_rows[NAME], name).numpy()[: world.layout.sizes[NAME]].copy()
+
+
+class _Motion:
+    """Frames of all joints in the world and their relative motion, in float64.
+
+    Args:
+        world: that of the simulator.
+    """
+
+    def __init__(self, world: World) -> None:
+        """Compute the frames and velocities of both sides."""
+        self._world = world
+        entries, lengths = concatenated(definitions, world.layout.scenes)
+        source = world.layout.copies(lengths)
+        self._coordinate = np.array([int(entry.joint.coordinate) for entry in entries], int)[source]
+        fixed = np.array([entry.body_b is None for entry in entries], bool)[source]
+        self._a = self._side("body_a", [entry.frame_a for entry in entries], source, np.zeros_like(fixed))
+        self._b = self._side("body_b", [entry.frame_b for entry in entries], source, fixed)
+        self._apart = self._a[0] - self._b[0]
+        self._axis_a, self._axis_b = (rotations.matrix(side[1])[..., 0] for side in (self._a, self._b))
+
+    def _side(self, bodies: str, frames: list, source: np.ndarray, fixed: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Origins, orientations, velocities of the origins and angular velocities, (joints, ...) each."""
+        world = self._world
+        index, to_world = _array(world, bodies), fixed[:, None]
+
+        def rows(array: Any) -> np.ndarray:
+            return array.numpy().astype(np.float64)[index]
+
+        origin = np.array([frame.position for frame in frames]).reshape(-1, 3)[source]
+        turn = np.array([frame.orientation for frame in frames]).reshape(-1, 4)[source]
+        body_turn = rows(world.state.orientation)
+        arm = rotations.rotate(body_turn, origin)
+        center = rotations.rotate(body_turn, rows(world.model.bodies.center_of_mass))
+        spin = np.where(to_world, 0.0, rows(world.state.angular_velocity))
+        speed = rows(world.state.linear_velocity) + np.cross(spin, arm - center)
+        return (
+            np.where(to_world, origin, rows(world.state.position) + arm),
+            np.where(to_world, turn, rotations.multiply(body_turn, turn)),
+            np.where(to_world, 0.0, speed),
+            spin,
+        )
+
+    def positions(self) -> np.ndarray:
+        """Coordinates (joints,) [m or rad], 0 for joints without one."""
+        between = rotations.multiply(rotations.inverse(self._b[1]), self._a[1])
+        angle = 2.0 * np.arctan2(between[..., 0], between[..., 3])
+        near = _array(self._world, "position")
+        cross = np.linalg.norm(np.cross(self._axis_b, self._axis_a), axis=-1)
+        return self._chosen(
+            {
+                Coordinate.ANGLE: angle + 2.0 * np.pi * np.round((near - angle) / (2.0 * np.pi)),
+                Coordinate.SLIDE: (self._apart * self._axis_b).sum(-1),
+                Coordinate.CONE: np.arctan2(cross, (self._axis_a * self._axis_b).sum(-1)),
+                Coordinate.LENGTH: np.linalg.norm(self._apart, axis=-1),
+            }
+        )
+
+    def velocities(self) -> np.ndarray:
+        """Rates of the coordinates (joints,) [m/s or rad/s], 0 for joints without one."""
+        relative, spin = self._a[2] - self._b[2], self._a[3] - self._b[3]
+        cross = np.cross(self._axis_b, self._axis_a)
+        sliding = relative - np.cross(self._b[3], self._apart)
+        return self._chosen(
+            {
+                Coordinate.ANGLE: (spin * self._axis_b).sum(-1),
+                Coordinate.SLIDE: (sliding * self._axis_b).sum(-1),
+                Coordinate.CONE: _along(spin, cross),
+                Coordinate.LENGTH: _along(relative, self._apart),
+            }
+        )
+
+    def _chosen(self, values: dict[Coordinate, np.ndarray]) -> np.ndarray:
+        """For each joint the value of its own coordinate."""
+        result = np.zeros(len(self._coordinate))
+        for coordinate, own in values.items():
+            result = np.where(self._coordinate == coordinate, own, result)
+        return result.astype(np.float32)
+
+
+def _along(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Component of vectors along directions of any length; 0 along zero."""
+    lengths = np.linalg.norm(directions, axis=-1)
+    return (vectors * directions).sum(-1) / np.where(lengths > 0.0, lengths, np.inf)

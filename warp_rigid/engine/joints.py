@@ -1,0 +1,245 @@
+"""Joints on the device: their arrays, and the launches of their kernels in a step."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warp_rigid.engine import loading
+from warp_rigid.engine.mechanisms import Mechanisms, find_mechanisms
+from warp_rigid.kernels import declare
+from warp_rigid.kernels.common import team
+from warp_rigid.kernels.enums import JointNumber
+from warp_rigid.kernels.joints.arrays import Joints
+from warp_rigid.scene.joints.joint import Drive, JointEntry
+from warp_rigid.scene.scene import Motion, Scene
+
+NAME = "joints"
+ROWS = Joints
+KEPT = ("broken", "position", "impulse", "angular_impulse")
+"""Arrays that one step leaves for the next; a reset clears them."""
+
+FROM_BODIES = "joined"
+"""The symbol of the bodies that joints may join: all bodies if any environment has joints."""
+
+
+def definitions(scene: Scene) -> list[JointEntry]:
+    """The joints of a scene."""
+    return scene.joints
+
+
+def mechanisms_of(scene: Scene) -> Mechanisms:
+    """The mechanisms of a scene."""
+    ends = tuple((entry.body_a, entry.body_b) for entry in scene.joints)
+    return find_mechanisms(ends, tuple(body.motion == Motion.DYNAMIC for body in scene.bodies))
+
+
+def counts(scene: Scene) -> dict[str, int]:
+    """Rows of an environment, by the symbol that counts them, but for FROM_BODIES."""
+    found = mechanisms_of(scene)
+    return {
+        "joints": len(scene.joints),
+        "mechanisms": len(found.members),
+        "members": sum(len(bodies) for bodies in found.members),
+        "blocks": len(found.row),
+        "eliminations": len(found.products),
+    }
+
+
+def numbers_of(entry: JointEntry) -> list[float]:
+    """The parameters of a joint, by JointNumber."""
+    drive = entry.drive or Drive()
+    values = {
+        JointNumber.LOWER: entry.joint.range[0],
+        JointNumber.UPPER: entry.joint.range[1],
+        JointNumber.FRICTION: entry.joint.resistance,
+        JointNumber.STIFFNESS: drive.stiffness,
+        JointNumber.DAMPING: drive.damping,
+        JointNumber.MAX_FORCE: drive.max_force,
+        JointNumber.TARGET_POSITION: drive.target_position,
+        JointNumber.TARGET_VELOCITY: drive.target_velocity,
+        JointNumber.BREAK_FORCE: entry.break_force,
+        JointNumber.BREAK_TORQUE: entry.break_torque,
+    }
+    return [values[number] for number in JointNumber]
+
+
+def upload(layout: Any, device: Any) -> Any:
+    """The arrays of all environments.
+
+    Args:
+        layout: the engine.layout.Layout of the environments.
+        device: the Warp device.
+    """
+    arrays = declare.allocate(Joints, layout.sizes, device)
+    if not layout.sizes["joints"]:
+        return arrays
+    fields = declare.LAYOUTS["Joints"]
+    parts = [{**_attributes(scene), **_indices(scene)} for scene in layout.scenes]
+    for name in parts[0]:
+        values = _of_environments(layout, [part[name] for part in parts], fields[name])
+        if len(values):
+            getattr(arrays, name).assign(values)
+    return arrays
+
+
+def _of_environments(layout: Any, parts: Sequence[np.ndarray], field: declare.Field) -> np.ndarray:
+    """Rows of each scene copied to its environments; indices count from the first row of the environment.
+
+    An array with one row more than its symbol counts holds sums, and ends with their total.
+    """
+    symbol, _, is_sum = field.shape.split(",")[0].partition(" + ")
+    parts = [rows[:-1] for rows in parts] if is_sum else parts
+    lengths = [len(rows) for rows in parts]
+    values = np.concatenate(parts)[layout.copies(lengths)]
+    if not field.index_of:
+        return values
+    first = np.repeat(layout.starts[field.index_of][:-1], np.array(lengths)[layout.scene_of])
+    values = values + np.where(values >= 0, first, 0)
+    if is_sum:
+        values = np.append(values, layout.sizes[field.index_of])
+    return values.astype(np.int32)
+
+
+def _attributes(scene: Scene) -> dict[str, np.ndarray]:
+    """What the joints of one environment consist of."""
+    entries = scene.joints
+
+    def vectors(values: list, length: int) -> np.ndarray:
+        return np.array(values, np.float32).reshape(-1, length)
+
+    return {
+        "to_world": np.array([entry.body_b is None for entry in entries], np.int32),
+        "locked": np.array([entry.joint.locked for entry in entries], np.int32),
+        "coordinate": np.array([int(entry.joint.coordinate) for entry in entries], np.int32),
+        "anchor_a": vectors([entry.frame_a.position for entry in entries], 3),
+        "anchor_b": vectors([entry.frame_b.position for entry in entries], 3),
+        "turn_a": vectors([entry.frame_a.orientation for entry in entries], 4),
+        "turn_b": vectors([entry.frame_b.orientation for entry in entries], 4),
+        "numbers": vectors([numbers_of(entry) for entry in entries], len(JointNumber)),
+    }
+
+
+def _indices(scene: Scene) -> dict[str, np.ndarray]:
+    """Indices of one environment."""
+    found = mechanisms_of(scene)
+    shared = np.array(found.shared, np.int32).reshape(-1, 2)
+    products = np.array(found.products, np.int32).reshape(-1, 3)
+    lists = {
+        "body_a": [entry.body_a for entry in scene.joints],
+        "body_b": [entry.body_a if entry.body_b is None else entry.body_b for entry in scene.joints],
+        "first_joint": [0, len(scene.joints)],
+        "first_mechanism": [0, len(found.members)],
+        "first_place": found.first_place,
+        "first_member": np.cumsum([0, *map(len, found.members)]),
+        "member": [body for bodies in found.members for body in bodies],
+        "sequence": found.sequence,
+        "column": found.column,
+        "elimination": found.elimination,
+        "row": found.row,
+        "shared": shared[:, 0],
+        "shared_too": shared[:, 1],
+        "left": products[:, 0],
+        "right": products[:, 1],
+        "target": products[:, 2],
+    }
+    return {name: np.array(values, np.int32) for name, values in lists.items()}
+
+
+class JointStages:
+    """The launches of the kernels of joints; none where no scene has joints, and their module is not imported either.
+
+    Args:
+        of_step: the Stages of the step.
+    """
+
+    def __init__(self, of_step: Any) -> None:
+        """Look up the arrays."""
+        self._step = of_step
+        model = of_step.model
+        self.arrays = model.constraint_rows[NAME]
+        sizes = model.layout.sizes
+        self._joints, self._mechanisms = sizes["joints"], sizes["mechanisms"]
+        self.present = self._joints > 0
+        self.kernels: Any = import_module(loading.JOINTS) if self.present else None
+
+    def join_islands(self) -> None:
+        """Joints make one island of those of their bodies."""
+        step = self._step
+        if self.present:
+            inputs = [step.model.bodies, self.arrays]
+            self._launch(self.kernels.join_joined_islands, self._joints, inputs, [step.pools.graph])
+
+    def start(self) -> None:
+        """Rows and factors of the step."""
+        step = self._step
+        if self.present:
+            inputs = [step.dt, step.model.bodies, step.state]
+            self._per_mechanism(self.kernels.start_joints, inputs, [step.motions, self.arrays])
+
+    def sweep(self, after_shock: int) -> None:
+        """Sweeps over the contacts, with a direct solution of the mechanisms after each."""
+        step = self._step
+        if after_shock == 0:
+            self.settle(after_push=0)
+        inputs = [step.pools.order, step.pools.graph, step.motions]
+        inputs = [*inputs, step.constraint_rows, self.arrays]
+        self._per_team(self.kernels.sweep_with_joints, inputs, [after_shock, step.dt])
+
+    def before_shock(self) -> None:
+        """Store the impulses."""
+        if self.present:
+            self._per_team(self.kernels.store_joint_start, [self._step.pools.graph, self.arrays])
+
+    def after_passes(self) -> None:
+        """Solve the mechanisms after the passes of shock propagation."""
+        if self.present:
+            self.sweep(self.kernels.AFTER_PASSES)
+
+    def after_line_search(self) -> None:
+        """Apply the step length."""
+        step = self._step
+        if self.present:
+            self._per_team(self.kernels.blend_joints, [step.pools.graph, step.motions, self.arrays])
+
+    def settle(self, after_push: int) -> None:
+        """Solve the mechanisms for the pose that the step ends with, before the sweeps or after the push-out."""
+        step = self._step
+        if self.present:
+            inputs = [after_push, step.dt, step.model.bodies, step.state]
+            self._per_mechanism(self.kernels.settle_joints, inputs, [step.motions, self.arrays])
+
+    def limit_motion(self) -> None:
+        """Stop the bodies of a mechanism together."""
+        if self.present:
+            self._per_mechanism(self.kernels.share_time_of_impact, [], [self._step.motions, self.arrays])
+
+    def end(self) -> None:
+        """Coordinates, forces and breaking, after the position update."""
+        step = self._step
+        if self.present:
+            inputs = [step.dt, step.envs, step.model.bodies, step.motions]
+            self._launch(self.kernels.end_joints, self._joints, inputs, [self.arrays, step.pools.graph])
+            self._per_mechanism(self.kernels.note_coordinates, [step.state], [self.arrays])
+
+    def support(self) -> None:
+        """Sleeping: islands that hang from the world are supported."""
+        step = self._step
+        if self.present:
+            inputs = [step.model.bodies, step.motions, step.pools.graph, self.arrays]
+            self._launch(self.kernels.support_joined, self._joints, inputs, [step.sleep_state])
+
+    def _per_mechanism(self, kernel: Any, inputs: Sequence, outputs: Sequence) -> None:
+        self._launch(kernel, self._mechanisms, inputs, outputs)
+
+    def _per_team(self, kernel: Any, inputs: Sequence, before: Sequence = ()) -> None:
+        step = self._step
+        inputs = [*before, step.lanes, step.envs, *inputs]
+        self._launch(kernel, step.num_envs * step.lanes, inputs, [])
+
+    def _launch(self, kernel: Any, dim: int, inputs: Sequence, outputs: Sequence) -> None:
+        block = team.block_of(self._step.lanes)
+        inputs, outputs = [*inputs], [*outputs]
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self._step.device)

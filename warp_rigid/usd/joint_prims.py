@@ -1,0 +1,256 @@
+"""Joints of UsdPhysics: reading and writing.
+
+A joint of UsdPhysics has a frame on each of two bodies; its second body moves relative to the first. It becomes the
+first body of a joint of a scene. An axis Y or Z is turned to the x axis of both frames. Angles in files are in degrees.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdPhysics
+
+from warp_rigid import rotations
+from warp_rigid.kernels.enums import Coordinate
+from warp_rigid.scene.joints import (
+    DistanceJoint,
+    FixedJoint,
+    Joint,
+    JointEntry,
+    JointFrame,
+    PrismaticJoint,
+    RevoluteJoint,
+    SphericalJoint,
+)
+from warp_rigid.scene.joints.placing import turn_to
+from warp_rigid.scene.scene import Scene
+from warp_rigid.usd.geometry import MARK, gf_quaternion
+from warp_rigid.usd.prims import custom_data
+from warp_rigid.usd.specs import define, set_attribute, set_relationship
+
+__all__ = ["JOINT_KINDS", "JOINT_SCHEMAS", "JointReader", "write_joint"]
+
+Types = UsdPhysics.ObjectType
+NAMES = Sdf.ValueTypeNames
+JOINT_KINDS = (Types.FixedJoint, Types.RevoluteJoint, Types.PrismaticJoint, Types.SphericalJoint, Types.DistanceJoint)
+JOINT_SCHEMAS = {"PhysicsDriveAPI", "PhysicsLimitAPI"}
+AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+HALF_TURN = np.array([0.0, 1.0, 0.0, 0.0])
+"""Rotation that reverses the x axis."""
+
+Report = Callable[[Any, str], None]
+
+
+class JointReader:
+    """Adds the joints of a stage to a scene.
+
+    Args:
+        stage: the stage.
+        scene: the scene, with its bodies.
+        body_of: body index by collider path.
+        frame_of: returns the position, rotation and stretch of a prim in the scene; the root's for None.
+        kilogram: mass unit of the stage [kg].
+        meter: length unit of the stage [m].
+        leave_out: called with a path and a reason for a joint that cannot be imported.
+        change: called with a prim and a reason for a property that cannot.
+    """
+
+    def __init__(
+        self,
+        stage: Usd.Stage,
+        scene: Scene,
+        body_of: dict[str, int],
+        frame_of: Callable[[Usd.Prim | None], tuple[np.ndarray, np.ndarray, np.ndarray]],
+        kilogram: float,
+        meter: float,
+        leave_out: Report,
+        change: Report,
+    ):
+        """Store the arguments."""
+        self._stage, self._scene, self._body_of, self._frame_of = stage, scene, body_of, frame_of
+        self._kilogram, self._meter, self._leave_out, self._change = kilogram, meter, leave_out, change
+
+    def read(self, objects: dict) -> None:
+        """Add all joints, in the order of their paths."""
+        found = [
+            (str(path), description)
+            for kind in JOINT_KINDS
+            for path, description in zip(*objects.get(kind, ([], [])), strict=True)
+        ]
+        for path, description in sorted(found, key=lambda pair: pair[0]):
+            if not description.jointEnabled:
+                self._leave_out(path, "the joint is disabled")
+                continue
+            try:
+                self._add(self._stage.GetPrimAtPath(path), description)
+            except ValueError as error:
+                self._leave_out(path, str(error))
+
+    def _add(self, prim: Usd.Prim, description: Any) -> None:
+        first, second = self._side(prim, "0", description.rel0), self._side(prim, "1", description.rel1)
+        axis = turn_to(AXES[str(getattr(description, "axis", "X"))[-1].upper()])
+        frames = [(point, rotations.multiply(turn, axis)) for _, point, turn in (second, first)]
+        body_a, body_b = second[0], first[0]
+        if body_a is None:
+            body_a, body_b = body_b, body_a
+            frames = [(point, rotations.multiply(turn, HALF_TURN)) for point, turn in reversed(frames)]
+        if body_a is None:
+            raise ValueError("the joint holds no rigid body")
+        force = self._kilogram * self._meter
+        index = self._scene.add_joint(
+            self._joint(prim, description),
+            body_a,
+            body_b,
+            frame_a=self._local(body_a, *frames[0]),
+            frame_b=self._local(body_b, *frames[1]),
+            name=prim.GetDisplayName() or prim.GetName(),
+            break_force=_limit(description.breakForce * force),
+            break_torque=_limit(description.breakTorque * force * self._meter),
+            collide=bool(description.collisionEnabled),
+        )
+        self._add_drive(index, prim, description)
+
+    def _side(self, prim: Usd.Prim, end: str, path: Any) -> tuple[int | None, np.ndarray, np.ndarray]:
+        """The body of one end, None for the world, and the frame of the joint in the world."""
+        target = self._stage.GetPrimAtPath(path) if str(path) else None
+        body = self._body(target)
+        position, rotation, stretch = self._frame_of(target)
+        local = np.array(prim.GetAttribute(f"physics:localPos{end}").Get() or (0, 0, 0), dtype=np.float64)
+        given = prim.GetAttribute(f"physics:localRot{end}").Get() or Gf.Quatf(1.0)
+        turn = np.array([*given.GetImaginary(), given.GetReal()], dtype=np.float64)
+        own = Gf.Matrix3d(*rotation.T.ravel().tolist()).ExtractRotation().GetQuat()
+        base = np.array([*own.GetImaginary(), own.GetReal()])
+        return body, position + rotation @ (stretch @ local), rotations.multiply(base, turn / np.linalg.norm(turn))
+
+    def _body(self, prim: Usd.Prim | None) -> int | None:
+        """Index of the body to which a prim belongs; None if it belongs to none."""
+        while prim and not prim.IsPseudoRoot():
+            path = str(prim.GetPath())
+            found = {body for collider, body in self._body_of.items() if f"{collider}/".startswith(f"{path}/")}
+            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and not found:
+                raise ValueError(f"its body {path} was left out")
+            if prim.HasAPI(UsdPhysics.RigidBodyAPI) or len(found) == 1:
+                return min(found)
+            prim = prim.GetParent()
+        return None
+
+    def _local(self, body: int | None, point: np.ndarray, turn: np.ndarray) -> JointFrame:
+        """A frame of the world in the frame of a body."""
+        if body is not None:
+            own = np.array(self._scene.bodies[body].orientation)
+            point = rotations.rotate(rotations.inverse(own), point - self._scene.bodies[body].position)
+            turn = rotations.multiply(rotations.inverse(own), turn)
+        x, y, z, w = turn.tolist()
+        return JointFrame((float(point[0]), float(point[1]), float(point[2])), (x, y, z, w))
+
+    def _joint(self, prim: Usd.Prim, description: Any) -> Joint:
+        """The joint with its limits."""
+        kind = description.type
+        friction = float(custom_data(prim).get("friction", 0.0))
+        if kind == Types.RevoluteJoint:
+            return RevoluteJoint(AXES["X"], _range(description.limit, math.pi / 180.0), friction)
+        if kind == Types.PrismaticJoint:
+            return PrismaticJoint(AXES["X"], _range(description.limit, self._meter), friction)
+        if kind == Types.DistanceJoint:
+            low, high = (float(x) * self._meter for x in (description.limit.lower, description.limit.upper))
+            return DistanceJoint(low if description.minEnabled else None, high if description.maxEnabled else None)
+        if kind == Types.FixedJoint:
+            return FixedJoint()
+        angles = [prim.GetAttribute(f"physics:coneAngle{k}Limit").Get() for k in (0, 1)]
+        given = [angle for angle in angles if angle is not None and angle > 0.0]
+        if len(set(given)) > 1:
+            self._change(prim, "both cone angles are the smaller one")
+        return SphericalJoint(math.radians(min(given)) if given else None, AXES["X"])
+
+    def _add_drive(self, joint: int, prim: Usd.Prim, description: Any) -> None:
+        """Add the drive of a revolute or prismatic joint, in SI units."""
+        drive = getattr(description, "drive", None)
+        if drive is None or not drive.enabled:
+            return
+        if drive.acceleration:
+            self._change(prim, "its drive is a force, not an acceleration")
+        angular = description.type == Types.RevoluteJoint
+        unit = math.pi / 180.0 if angular else self._meter
+        force = self._kilogram * self._meter * (self._meter if angular else 1.0)
+        self._scene.add_drive(
+            joint,
+            stiffness=drive.stiffness * force / unit,
+            damping=drive.damping * force / unit,
+            max_force=_limit(drive.forceLimit * force),
+            target_position=drive.targetPosition * unit,
+            target_velocity=drive.targetVelocity * unit,
+        )
+
+
+def _limit(value: float) -> float:
+    """A positive limit; the largest float32 stands for infinity."""
+    return value if 0.0 < value < 1.0e37 else math.inf
+
+
+def _range(limit: Any, unit: float) -> tuple[float, float] | None:
+    """Limits in SI units; None if there are none."""
+    if not limit.enabled:
+        return None
+    low, high = (
+        value if abs(value) < 1.0e37 else math.copysign(math.inf, value) for value in (limit.lower, limit.upper)
+    )
+    return low * unit, high * unit
+
+
+def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, paths: list[str]) -> None:
+    """Define a joint.
+
+    Args:
+        layer: receives the prim.
+        path: of the prim.
+        entry: the joint.
+        paths: paths of the bodies.
+    """
+    drive = entry.drive
+    angular = entry.joint.coordinate == Coordinate.ANGLE
+    kind = "angular" if angular else "linear"
+    prim = define(layer, path, f"Physics{type(entry.joint).__name__}", [f"PhysicsDriveAPI:{kind}"] if drive else [])
+    for end, body, frame in (("0", entry.body_b, entry.frame_b), ("1", entry.body_a, entry.frame_a)):
+        if body is not None:
+            set_relationship(prim, f"physics:body{end}", paths[body])
+        set_attribute(prim, f"physics:localPos{end}", NAMES.Point3f, Gf.Vec3f(*frame.position))
+        set_attribute(prim, f"physics:localRot{end}", NAMES.Quatf, gf_quaternion(frame.orientation))
+    set_attribute(prim, "physics:collisionEnabled", NAMES.Bool, entry.collide)
+    set_attribute(prim, "physics:breakForce", NAMES.Float, entry.break_force)
+    set_attribute(prim, "physics:breakTorque", NAMES.Float, entry.break_torque)
+    _write_limits(prim, entry.joint)
+    if entry.joint.resistance > 0.0:
+        prim.SetInfo("customData", {MARK: {"friction": entry.joint.resistance}})
+    if drive is not None:
+        unit = math.pi / 180.0 if angular else 1.0
+        values = {
+            "stiffness": drive.stiffness * unit,
+            "damping": drive.damping * unit,
+            "maxForce": drive.max_force,
+            "targetPosition": drive.target_position / unit,
+            "targetVelocity": drive.target_velocity / unit,
+        }
+        for name, value in values.items():
+            set_attribute(prim, f"drive:{kind}:physics:{name}", NAMES.Float, value)
+
+
+def _write_limits(prim: Sdf.PrimSpec, joint: Joint) -> None:
+    """Write the axis and the limits of a joint."""
+    if joint.coordinate == Coordinate.NONE:
+        return
+    low, high = joint.range
+    if joint.coordinate == Coordinate.LENGTH:
+        set_attribute(prim, "physics:minDistance", NAMES.Float, low if math.isfinite(low) else -1.0)
+        set_attribute(prim, "physics:maxDistance", NAMES.Float, high if math.isfinite(high) else -1.0)
+        return
+    set_attribute(prim, "physics:axis", NAMES.Token, "X", uniform=True)
+    if joint.coordinate == Coordinate.CONE:
+        angle = math.degrees(high) if math.isfinite(high) else -1.0
+        for k in (0, 1):
+            set_attribute(prim, f"physics:coneAngle{k}Limit", NAMES.Float, angle)
+        return
+    unit = math.pi / 180.0 if joint.coordinate == Coordinate.ANGLE else 1.0
+    if math.isfinite(low) or math.isfinite(high):
+        set_attribute(prim, "physics:lowerLimit", NAMES.Float, low / unit)
+        set_attribute(prim, "physics:upperLimit", NAMES.Float, high / unit)
