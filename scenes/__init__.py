@@ -26,6 +26,9 @@ _FILES = (
     "cradle",
     "ragdolls",
     "linkages",
+    "bridge",
+    "crane",
+    "demolition",
 )
 """Files of this folder that define a DEMO, in the order of `names()`."""
 

@@ -6,7 +6,13 @@ import pytest
 from warp_rigid import scenes
 from warp_rigid.runs.runner import execute, plan_run
 
-SMALL = {"showcase": ["bodies=40"], "terrain": ["bodies=6"], "carpet": ["bodies=8"], "planet": ["bodies=32"]}
+SMALL = {
+    "showcase": ["bodies=40"],
+    "terrain": ["bodies=6"],
+    "carpet": ["bodies=8"],
+    "planet": ["bodies=32"],
+    "demolition": ["rows=5", "columns=6"],
+}
 """What makes the larger scenes quick enough here."""
 
 
