@@ -6,6 +6,12 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs-ready
 OUT := out
+# A command that prints a lock file: with its hashes where they are those of the platform's wheels.
+HASHED := $(filter Linux-x86_64-%,$(shell $(PYTHON) -c 'import platform as p, sys; \
+	print(p.system(), p.machine(), "%d.%d" % sys.version_info[:2], sep="-")'))
+WITHOUT_HASHES := sed 's/ --hash=[^ ]*//g'
+LOCKED := $(if $(filter %-3.11 %-3.12,$(HASHED)),cat,$(WITHOUT_HASHES))
+DOCS_LOCKED := $(if $(filter %-3.12 %-3.13,$(HASHED)),cat,$(WITHOUT_HASHES))
 PYTEST := $(BIN)/python -m pytest -q
 # One worker a core; the tests of a file stay together, for they share what is costly to make.
 WORKERS := -n auto --dist loadfile
@@ -69,11 +75,13 @@ clean:
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "python3 must be 3.11 or newer")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(LOCKED) requirements.lock >$(VENV)/requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/requirements.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .
 	@touch $@
 
 $(DOCS_READY): $(READY) docs/requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r docs/requirements.lock
+	$(DOCS_LOCKED) docs/requirements.lock >$(VENV)/docs-requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r $(VENV)/docs-requirements.txt
 	@touch $@

@@ -46,7 +46,7 @@ def shrink(source: Path, target: Path) -> None:
         size = (round(scale * width), round(scale * height))
         if source.suffix == ".png":
             small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-            palette = shared_palette([small], 128)
+            palette = shared_palette([small], 256)
             small.quantize(palette=palette, dither=Image.Dither.NONE).save(target, optimize=True)
             return
         duration = picture.info["duration"]

@@ -69,6 +69,19 @@ class ShockMode(IntEnum):
     TWO_PASS = 2
 
 
+class WarningKind(IntEnum):
+    """What a health check finds in an environment that is still simulated."""
+
+    OVERLAP = 0
+    """An overlap that does not shrink."""
+    ENERGY = 1
+    """Energy that was gained without work."""
+    PRECISION = 2
+    """A position that single precision resolves too coarsely for the size of the body."""
+    LOAD = 3
+    """A contact force that is too large for the mass of the body."""
+
+
 class OutOfBounds(IntEnum):
     """What happens to a body whose centre of mass leaves the bounds of its environment."""
 

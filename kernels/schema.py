@@ -9,6 +9,7 @@ environment `e` are rows `first_body[e]` to `first_body[e + 1] - 1`.
 import warp as wp
 
 from warp_rigid.kernels.declare import Field, layout, packed_record, record
+from warp_rigid.kernels.symbols import SYMBOLS as SYMBOLS
 
 COLORS = 32
 """Maximum number of colours of the constraints; those of the last colour are solved serially."""
@@ -27,32 +28,6 @@ BALL_PLACES = 4
 
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples kept for each pair before duplicates are removed."""
-
-SYMBOLS = {
-    "envs": "environments",
-    "bodies": "bodies of all environments",
-    "filtered": "bodies that a body never touches, over all bodies",
-    "shapes": "shapes in the pool",
-    "parts": "signed distance functions in the pool",
-    "clusters": "sample clusters in the pool",
-    "samples": "surface samples in the pool",
-    "hull_vertices": "vertices of convex meshes in the pool",
-    "nodes": "grid nodes in the pool",
-    "tree_nodes": "nodes of trees of triangles in the pool",
-    "triangles": "triangles of meshes in the pool",
-    "vertices": "vertices of moving height fields",
-    "watches": "watches of each environment",
-    "fields": "force fields besides gravity, over all environments",
-    "field_parameters": "parameters of the force field that has most",
-    "boxed": "bodies with fat boxes; 0 if every pair is tested",
-    "buckets": "buckets of the hash grid, over all environments",
-    "candidates": "capacity for candidate pairs",
-    "pairs": "capacity for pairs of bodies",
-    "contacts": "capacity for contacts",
-    "constraints": "capacity for pairs and for constraints of other kinds than contact",
-}
-"""What the symbols in the shapes of arrays count."""
-
 
 PartRecord = record(
     "PartRecord",
@@ -209,6 +184,13 @@ State = layout(
         "",
         "steps in which shock propagation was ineffective for its island; negative: steps in free flight",
     ),
+    health=Field(
+        wp.vec4d,
+        "bodies",
+        "",
+        "kinetic energy gained without work [J], for a kinematic body 1 if it moved; and at the last health check: "
+        "kinetic energy [J], deep overlap [m], number of checks in which that did not shrink",
+    ),
 )
 
 SolverBodyRecord = packed_record(
@@ -246,6 +228,7 @@ Motions = layout(
     next_time_of_impact=Field(
         float, "bodies", "", "time of impact after the current round; the body moves for this fraction of the step"
     ),
+    overlap=Field(float, "bodies", "m", "deepest of the deep overlaps; 0 outside a health check"),
 )
 
 Environments = layout(
@@ -277,6 +260,15 @@ Environments = layout(
         int, "envs", "", "rank of the first non-finite body in this step (integrate.find_non_finite); 0 if none"
     ),
     strayed=Field(int, "envs", "", "rank of the first body that left the bounds in this step; 0 if none"),
+    passive=Field(int, "envs", "", "1: no constraints besides contacts: only forces and kinematic bodies do work"),
+    health=Field(
+        wp.vec2d, "envs", "J", "least sum of the energies gained without work, and largest kinetic energy of late"
+    ),
+    stuck=Field(int, "envs", "", "rank of the first body whose overlap does not shrink; 0 outside a health check"),
+    coarse=Field(int, "envs", "", "the same for a body whose position is coarse"),
+    overloaded=Field(int, "envs", "", "the same for a body with a load that is too heavy"),
+    warned_step=Field(wp.vec4i, "envs", "", "for each WarningKind the step of the first warning, 0 if there is none"),
+    warned_body=Field(wp.vec4i, "envs", "", "bodies of these warnings"),
     step=Field(int, "envs", "", "number of completed steps"),
 )
 

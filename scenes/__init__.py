@@ -7,7 +7,7 @@ from warp_rigid.scenes.demo import Demo, Outcome, Verdict
 
 __all__ = ["Demo", "Outcome", "Verdict", "get", "load", "names"]
 
-_FILES = (
+_NAMES = (
     "box_stack",
     "leaning_tower",
     "incline",
@@ -21,6 +21,10 @@ _FILES = (
     "rings_on_poles",
     "bone_pile",
     "bunny_pile",
+    "domino_spiral",
+    "balance_bird",
+    "nut_and_bolt",
+    "wrecking_ball",
     "chain",
     "pallet",
     "cradle",
@@ -30,14 +34,12 @@ _FILES = (
     "crane",
     "demolition",
 )
-"""Files of this folder that define a DEMO, in the order of `names()`."""
-
-_DEMOS: dict[str, Demo] = {demo.name: demo for demo in (import_module(f"{__name__}.{file}").DEMO for file in _FILES)}
+"""Files of this folder; each defines a DEMO of this name, and is imported when it is needed."""
 
 
 def names() -> list[str]:
     """Names of the built-in scenes."""
-    return list(_DEMOS)
+    return list(_NAMES)
 
 
 def get(name: str) -> Demo:
@@ -46,9 +48,9 @@ def get(name: str) -> Demo:
     Raises:
         ValueError: There is no such scene.
     """
-    if name not in _DEMOS:
-        raise ValueError(f"scene: must be one of {', '.join(_DEMOS)}, got {name!r}")
-    return _DEMOS[name]
+    if name not in _NAMES:
+        raise ValueError(f"scene: must be one of {', '.join(_NAMES)}, got {name!r}")
+    return import_module(f"{__name__}.{name}").DEMO
 
 
 def load(name: str, **parameters) -> Scene:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from warp_rigid.engine.health_checks import WARNING_RECORD
 from warp_rigid.engine.settings import Settings
 from warp_rigid.scene.scene import Motion
 
@@ -44,6 +45,9 @@ class FakeSimulator:
     def status(self):
         record = np.dtype([("status", "U10"), ("step", np.int64), ("body", np.int64)])
         return np.array([("ok", -1, -1)] * self.num_envs, dtype=record)
+
+    def warnings(self):
+        return np.zeros(0, WARNING_RECORD)
 
     def counts(self):
         return {"pairs": 0, "contacts": 0, "levels": 0}

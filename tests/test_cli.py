@@ -123,7 +123,8 @@ def test_verdicts_name_what_is_not_as_expected(capsys):
     summary = {
         "scene": "s", "envs": 3, "bodies": 1, "frames": 1, "time": 1.0, "device": "cpu",
         "contacts": 0, "levels": 0, "penetration": [0.0], "deepest_penetration": [0.001],
-        "env_frames_per_second": 1.0, "setup_seconds": 0.0, "failed": [], "out_of_bounds": [], "files": [],
+        "env_frames_per_second": 1.0, "setup_seconds": 0.0, "failed": [], "out_of_bounds": [], "warnings": [],
+        "files": [],
         "labels": ["default", "off", "on"],
         "verdicts": [
             {
@@ -254,7 +255,7 @@ def without_device(err: str) -> list[str]:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("def scene():\n    return 5\n", "mine.py: scene() must return a Scene, got 5"),
+        ("def scene():\n    return 5\n", "mine.py:1: scene() must return a Scene, got 5"),
         ("def scene():\n    x = 3 +\n", "mine.py:2: SyntaxError: invalid syntax"),
         ("import warp_rigid as wr\ndef scene():\n    return wr.Box((-1, 1, 1))\n", "mine.py:3: half_extents: must be"),
         ("import not_there\n", "mine.py:1: ModuleNotFoundError: No module named 'not_there'"),

@@ -133,5 +133,5 @@ def test_bad_definitions_are_named(path, more, message):
 def test_a_bad_outcome_is_named(path, value):
     with open(path, "a") as file:
         file.write(f"\n\ndef outcome(sim):\n    return {value}\n")
-    with pytest.raises(ValueError, match=r"kick.py: outcome\(\) must return"):
+    with pytest.raises(ValueError, match=r"kick.py:\d+: outcome\(\) must return"):
         execute(plan_run(find_scene(path), frames=1, device="cpu"))

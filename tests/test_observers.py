@@ -5,6 +5,7 @@ import pytest
 
 import warp_rigid as wr
 from warp_rigid.commands import cli
+from warp_rigid.commands.sweep import split_names
 from warp_rigid.sweep import read, read_series
 from warp_rigid.sweep.table import ResultFile
 
@@ -78,6 +79,18 @@ def test_functions_and_classes_of_the_user():
         assert row["height_on_device"] == own[-1] and row["Highest"] == own.max()
 
 
+def height(sim):
+    """Has the name of a parameter."""
+
+
+def drift(sim):
+    """Has the name of a metric."""
+
+
+def status(sim):
+    """Has the name of a standard column."""
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -85,6 +98,15 @@ def test_functions_and_classes_of_the_user():
         ({"observe": ["peak_impulse[a,b,c]"]}, "observe: must be functions"),
         ({"observe": ["peak_impulse[lid]"]}, "peak_impulse\\[lid\\]: no scene has the bodies lid"),
         ({"observe": ["energy", "energy"]}, "observe: energy is given twice"),
+        ({"observe": 3}, "observe: must be functions, .* got 3"),
+        ({"observe": ["peak_impulse[ball"]}, "observe: must be functions, .* got 'peak_impulse\\[ball'"),
+        ({"observe": [height]}, "observer height: is also the name of a parameter"),
+        ({"observe": [drift]}, "observer drift: is also the name of a metric"),
+        ({"observe": [status]}, "observer status: is also the name of a standard column"),
+        ({"metrics": [height]}, "metric height: is also the name of a parameter"),
+        ({"metrics": 3}, "metrics: must be functions, .py files or names .* got 3"),
+        ({"series": 3}, "series: must be functions, .* got 3"),
+        ({"workers": 2}, "workers: applies to cluster local only"),
         ({"series": ["position"]}, "series: must be functions"),
         ({"series": [height_on_device]}, "series: must be names, with their functions in observe"),
     ],
@@ -108,15 +130,31 @@ def test_an_observer_that_fails_loses_nothing_else(caplog):
     result = quick({"height": [0.1, 0.3]}, observe=[fails_late, "impacts"], series=["fails_late", "energy"])
     assert [row["status"] for row in result.rows] == ["error"] * 2
     for row in result.rows:
-        assert row["reason"] == "observer fails_late: RuntimeError: no more of this"
+        line = fails_late.__code__.co_firstlineno + 2
+        assert row["reason"] == f"observer fails_late: tests/test_observers.py:{line}: RuntimeError: no more of this"
         assert row["fails_late"] is None and row["drift"] > 0.0 and row["impacts"] >= 1
     series = result.series().to_pandas()
     assert np.isfinite(series["energy"]).all()
     assert np.isfinite(series["fails_late"][series["time"] < 0.2]).all()
     assert series["fails_late"][series["time"] > 0.21].isna().all()
     result = quick({"height": [0.1, 0.3]}, observe=[wrong_shape])
-    reason = "observer wrong_shape: ValueError: must return (2,) or (2, n) numbers, got shape (3,) of float64"
-    assert [row["reason"] for row in result.rows] == [f"ValueError: {reason}"] * 2
+    reason = "must return (2,) or (2, n) numbers, got shape (3,) of float64"
+    line = wrong_shape.__code__.co_firstlineno
+    for row in result.rows:
+        assert row["reason"] == f"observer wrong_shape: tests/test_observers.py:{line}: {reason}"
+        assert row["wrong_shape"] is None and row["drift"] > 0.0
+
+
+def test_a_metric_and_an_observer_of_the_same_quantity_share_a_column():
+    (row,) = quick(
+        {"height": [0.1]}, metrics=["kinetic_energy"], observe=["kinetic_energy", "energy"], duration=0.1
+    ).rows
+    assert 0.0 < row["kinetic_energy"] < row["energy"]
+
+
+def test_names_are_split_outside_brackets():
+    assert split_names("energy,peak_impulse[a,b],my.py") == ["energy", "peak_impulse[a,b]", "my.py"]
+    assert split_names("peak_impulse[a,b") == ["peak_impulse[a,b"]
 
 
 def test_series_on_disk_survive_an_interruption(tmp_path, monkeypatch):

@@ -1,12 +1,16 @@
 """What is installed, and what importing it costs."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from docs import make_sbom
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = [
@@ -57,7 +61,7 @@ def test_links_make_the_checkout_importable(name):
 def test_lock_holds_every_requirement(pyproject):
     locks = [ROOT / "requirements.lock", ROOT / "docs" / "requirements.lock"]
     lines = [line for lock in locks for line in lock.read_text().splitlines()]
-    locked = dict(line.lower().split("==") for line in lines if not line.startswith("#"))
+    locked = dict(line.lower().split()[0].split("==") for line in lines if not line.startswith("#"))
     project = pyproject["project"]
     wanted = project["dependencies"] + [
         requirement
@@ -67,6 +71,24 @@ def test_lock_holds_every_requirement(pyproject):
     ]
     missing = [r for r in wanted if r.split(">")[0].lower() not in locked]
     assert missing == []
+
+
+def test_every_locked_version_has_hashes():
+    for lock in (ROOT / "requirements.lock", ROOT / "docs" / "requirements.lock"):
+        for line in lock.read_text().splitlines():
+            assert line.startswith("#") or re.fullmatch(r"[\w.-]+==[\w.+]+( --hash=sha256:[0-9a-f]{64})+", line), line
+
+
+def test_the_bill_of_materials_is_that_of_the_lock():
+    made = json.loads((ROOT / "sbom.json").read_text())
+    assert made == json.loads(make_sbom.bill_of_materials())
+    assert made["bomFormat"] == "CycloneDX" and len(made["components"]) > 80
+
+
+def test_the_notice_names_every_dependency(pyproject):
+    notice = (ROOT / "NOTICE").read_text()
+    for requirement in pyproject["project"]["dependencies"]:
+        assert f"- {requirement.split('>')[0]} (" in notice
 
 
 def test_version_is_told_once(pyproject):

@@ -179,6 +179,17 @@ def test_camera_looks_over_hills():
     assert is_colourful(picture).mean() > 0.02
 
 
+def test_a_body_inside_a_ring_that_moves_is_not_cut_open():
+    """A post through a falling ring: the ring's middle is in the post, the ring is not."""
+    post, ring = trimesh.creation.cylinder(1.0, 6.0), trimesh.creation.annulus(r_min=1.2, r_max=2.4, height=1.0)
+    scene = Scene()
+    scene.add_static(Mesh(post.vertices, post.faces, sdf_resolution=16))
+    scene.add_body(Mesh(ring.vertices, ring.faces, sdf_resolution=16), position=(0, 0, 1))
+    film = replace(film_of(scene, 1), view=(-90.0, 5.0))
+    caster = RayCaster(film, CameraPath([film], [0], 160, 90).at(0))
+    assert caster._instances.cut.numpy()[0] != CUT
+
+
 def test_a_hollow_body_is_cut_open_and_a_solid_one_is_not():
     """Balls in a bowl with a high rim, and balls around a large ball."""
     bowl = trimesh.creation.annulus(r_min=3.0, r_max=3.4, height=8.0)

@@ -103,6 +103,12 @@ def test_sign_of_solids_of_revolution(name):
 
 
 @pytest.mark.parametrize("name", SOLIDS)
+def test_the_inner_ball_touches_the_surface_from_inside(name):
+    center, radius = SOLIDS[name].inner_ball
+    assert -SOLIDS[name].signed_distance(center[None])[0][0] == pytest.approx(radius, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
 def test_gradient_is_that_of_the_distance(name):
     shape = SOLIDS[name]
     points = points_around(*shape.bounds, 1.6, 3000, np.random.default_rng(2))

@@ -90,7 +90,7 @@ def test_compilation_prints_no_warning(tmp_path):
         text=True,
         check=True,
     )
-    assert done.stdout.count("(compiled)") >= len(STEP), "the cache was not empty, or nothing is printed at all"
+    assert len([*tmp_path.glob("*/wp_*/*.meta")]) >= len(STEP), "the kernels were not compiled into the empty cache"
     # Warp itself prints this one where no GPU is.
     lines = [line for line in done.stdout.splitlines() if "CUDA driver" not in line]
     assert [line for line in lines if "warning:" in line] == []

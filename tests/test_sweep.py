@@ -156,7 +156,7 @@ def test_a_run_that_fails_is_a_row_and_harms_no_other():
 
 
 def test_metrics_can_be_functions_and_files(tmp_path):
-    def speed(sim):
+    def measured_speed(sim):
         return np.linalg.norm(sim.get("linear_velocity")[:, 1], axis=-1)
 
     (tmp_path / "mine.py").write_text(
@@ -164,8 +164,8 @@ def test_metrics_can_be_functions_and_files(tmp_path):
         "def place(sim):\n    return sim.get('position')[:, 1]\n"
     )
     axes = {"speed": [1.0, 2.0], "gravity": [(0, 0, 0)]}
-    rows = quick(axes, metrics=[speed, str(tmp_path / "mine.py"), "drift"]).rows
-    assert [row["speed"] for row in rows] == [1.0, 2.0]
+    rows = quick(axes, metrics=[measured_speed, str(tmp_path / "mine.py"), "drift"]).rows
+    assert [row["measured_speed"] for row in rows] == [1.0, 2.0]
     assert rows[1]["place"] == pytest.approx([0.2, 0, 1])
 
 

@@ -213,6 +213,11 @@ def test_a_reset_of_some_environments(device):
     ("act", "message"),
     [
         (lambda: wr.Simulator([]), "scene: must be a Scene or a list of at least one Scene, got []"),
+        (
+            lambda: wr.Simulator([pile(), pile()], settings=[0.01, 0.02], device="cpu"),
+            "settings: must be one Settings for all environments, got [0.01, 0.02]; all but dt are set per environment "
+            "with Simulator.set",
+        ),
         (lambda: wr.Simulator([wr.Scene()]), "scene 0.bodies: must hold at least one body"),
         (lambda: wr.Simulator([pile(), 3]), "scene 1: must be a Scene, got 3"),
         (

@@ -34,10 +34,7 @@ STEPS_AHEAD = wp.constant(3.0)
 
 LEVELS = 24
 TOP = wp.constant(LEVELS - 1)
-"""The highest level, of bodies too large for any other."""
-
-TOP_WIDTH = wp.constant(1.6e10)
-"""Cell width of the highest level [m], more than the extent of a plane."""
+"""The highest level, of bodies too large for any other. It has one cell, since a box of it may have any extent."""
 
 FINER_LEVELS = 8
 """Levels below that of ordinary bodies."""
@@ -59,16 +56,16 @@ FURTHEST_CELL = wp.constant(1.0e9)
 
 @wp.func
 def cell_width(level: int, smallest: float):
-    """Width of the cells of a level [m]."""
-    if level == TOP:
-        return TOP_WIDTH
+    """Width of the cells of a level below the highest [m]."""
     return smallest * float(1 << level)
 
 
 @wp.func
-def cell_along(x: float, width: float):
-    """Index of the cell at a coordinate along an axis."""
-    return int(wp.floor(wp.clamp(x / width, -FURTHEST_CELL, FURTHEST_CELL)))
+def cell_along(x: float, level: int, smallest: float):
+    """Index of the cell of a level at a coordinate along an axis."""
+    if level == TOP:
+        return int(0)
+    return int(wp.floor(wp.clamp(x / cell_width(level, smallest), -FURTHEST_CELL, FURTHEST_CELL)))
 
 
 @wp.func
@@ -85,10 +82,24 @@ def bucket_of(env: int, cell: wp.vec4i, cells: Cells):
 
 
 @wp.func
+def cell_at(p: wp.vec3, level: int, smallest: float):
+    """The cell (x, y, z, level) of a level at a point."""
+    return wp.vec4i(
+        cell_along(p[0], level, smallest), cell_along(p[1], level, smallest), cell_along(p[2], level, smallest), level
+    )
+
+
+@wp.func
 def level_of(lower: wp.vec3, upper: wp.vec3, smallest: float):
-    """The first level whose cells are as wide as a box, with room for the rounding of its centre."""
+    """The first level whose cells are as wide as a box, with room for the rounding of its centre.
+
+    A box that is not finite, as of a body with an infinite velocity, belongs to the highest level.
+    """
     rounding = 1.0e-6 * wp.max(wp.max(wp.abs(lower)), wp.max(wp.abs(upper)))
-    extent = wp.max(upper - lower) + 2.0 * rounding
+    extents = upper - lower
+    extent = wp.max(extents) + 2.0 * rounding
+    if not wp.isfinite(extents[0] + extents[1] + extents[2]):
+        return TOP
     level = int(0)
     while level < TOP and cell_width(level, smallest) < extent:
         level += 1
@@ -135,9 +146,7 @@ def enlarge_boxes(
     cells.upper[i] = upper
     smallest = cells.width[env]
     level = level_of(lower, upper, smallest)
-    width = cell_width(level, smallest)
-    x = 0.5 * (lower + upper)
-    cell = wp.vec4i(cell_along(x[0], width), cell_along(x[1], width), cell_along(x[2], width), level)
+    cell = cell_at(0.5 * (lower + upper), level, smallest)
     cells.cell[i] = cell
     cells.listed[i] = 0
     bit = 1 << level
@@ -219,16 +228,16 @@ def search_cells(
     if cells.stale[env] == 0:
         return
     here = cells.cell[i]
+    smallest = cells.width[env]
     levels = wp.where(bodies.motion[i] == Motion.DYNAMIC, cells.levels[env], cells.dynamic_levels[env])
     for level in range(here[3], LEVELS):
         if ((levels >> level) & 1) == 1:
-            width = cell_width(level, cells.width[env])
-            around = wp.vec3(0.5 * width, 0.5 * width, 0.5 * width)
-            lower = cells.lower[i] - around
-            upper = cells.upper[i] + around
-            for x in range(cell_along(lower[0], width), cell_along(upper[0], width) + 1):
-                for y in range(cell_along(lower[1], width), cell_along(upper[1], width) + 1):
-                    for z in range(cell_along(lower[2], width), cell_along(upper[2], width) + 1):
+            half = 0.5 * cell_width(level, smallest)
+            first = cell_at(cells.lower[i] - wp.vec3(half, half, half), level, smallest)
+            last = cell_at(cells.upper[i] + wp.vec3(half, half, half), level, smallest)
+            for x in range(first[0], last[0] + 1):
+                for y in range(first[1], last[1] + 1):
+                    for z in range(first[2], last[2] + 1):
                         cell = wp.vec4i(x, y, z, level)
                         if level > here[3] or not precedes(cell, here):
                             visit_cell(i, cell, bucket_of(env, cell, cells), room, bodies, cells)

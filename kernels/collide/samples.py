@@ -32,6 +32,10 @@ OVERLAP = wp.constant(1.05)
 BEYOND = wp.constant(1.01)
 """Points beyond this many half-lengths belong to the next segment, or lie past the end of the edge."""
 
+ALL_OF_EDGE = wp.constant(2.2)
+"""If an edge touches, all of it is within this number of half-lengths of the surface, besides its radius. The axis of a
+rod needs exact distances up to there: it may end outside a grid, where the slope of the bound is wrong."""
+
 STEEP = wp.constant(0.05)
 """Slope of the distance above which an edge crosses another edge instead of lying along it."""
 
@@ -172,11 +176,8 @@ def edge_again(search: Search):
 
 
 @wp.func
-def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
-    """With both ends known, test whether the distance has an inner minimum or the edge leaves a face.
-
-    The distance to a convex shape lies above its tangents. If they meet out of reach, there is no contact.
-    """
+def edge_has_ends(search: Search, d: wp.vec4):
+    """With both ends known, test whether the distance has an inner minimum or the edge leaves a face."""
     search.high = d
     search.slope_high = slope(d, search.along)
     search.slope_low = slope(search.low, search.along)
@@ -189,10 +190,13 @@ def edge_has_ends(search: Search, d: wp.vec4, reach: float, convex: int):
         search.turning = 0.0
         search.crossing = 1
     search.stage = EDGE_INSIDE
-    search = next_inside(search, False)
-    if convex == 1 and search.low[3] + low * (search.t - search.left) > reach:
-        return nowhere(search)
-    return search
+    return next_inside(search, False)
+
+
+@wp.func
+def stays_above(search: Search, reach: float, convex: int):
+    """Whether an edge is out of reach: the distance to a convex shape lies above its tangents, which meet there."""
+    return convex == 1 and search.low[3] + search.slope_low * (search.t - search.left) > reach
 
 
 @wp.func
@@ -299,9 +303,11 @@ def edge_next(search: Search, d: wp.vec4, reach: float, radius: float, size: flo
         return look_at(search, search.right)
     if search.stage == EDGE_HIGH:
         deepest = wp.where(d[3] < search.low[3], d, search.low)
-        search = edge_has_ends(search, d, reach + radius, convex)
+        search = edge_has_ends(search, d)
         if search.stage == DONE and came_elsewhere(search, deepest[3], gradient(deepest), size, weight):
-            search = edge_again(search)
+            return edge_again(search)
+        if search.stage == EDGE_INSIDE and stays_above(search, reach + radius, convex):
+            return nowhere(search)
         return search
     if search.stage == EDGE_BEFORE:
         search.before = d
@@ -480,10 +486,14 @@ def bring_to_touch(
         exact = 1
     choice = shapes.samples[s].choice
     corners = choice > 0 and has_triangles(shapes, shape)
-    near = radius + wp.min(reach, shapes.shapes[shape].cell)
+    near = radius + shapes.shapes[shape].cell
+    if kind != SampleKind.EDGE:
+        near = radius + wp.min(reach, shapes.shapes[shape].cell)
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, shape, turn, shift, weight)
+    if radius > 0.0:
+        near += ALL_OF_EDGE * search.half
     while search.stage >= 0:
         d = wp.vec4(0.0, 0.0, 1.0, FAR)
         if corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER)):

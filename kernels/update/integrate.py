@@ -197,6 +197,44 @@ def without_added_speed(v: wp.vec3, a: wp.vec3, time: float):
     return v - (time * wp.dot(a, v) / squared) * v
 
 
+@wp.func
+def rotational_energy(turn: wp.quatd, spin: wp.vec3d, inertia: wp.mat33):
+    """Kinetic energy of a rotation [J], for an angular velocity in the world frame."""
+    w = wp.quat_rotate_inv(turn, spin)
+    return wp.float64(0.5) * wp.dot(w, mat33d(inertia) * w)
+
+
+@wp.func
+def energy_without_work(
+    b: int,
+    time: wp.float64,
+    linear: wp.vec3,
+    spin: wp.vec3d,
+    turn_change: wp.float64,
+    bodies: Bodies,
+    motions: Motions,
+    state: State,
+):
+    """Kinetic energy that a dynamic body gained in a step beyond the work of accelerations and torques [J].
+
+    Args:
+        b: the body.
+        time: in which it moved [s].
+        linear: its velocity after the step.
+        spin: its angular velocity before the free rotation of the step.
+        turn_change: rotational energy after the step less that before the step [J].
+        bodies: the bodies.
+        motions: their accelerations in the step.
+        state: their state before the step.
+    """
+    before = wp.vec3d(state.linear_velocity[b])
+    after = wp.vec3d(linear)
+    mass = wp.float64(bodies.mass[b])
+    gain = mass * wp.dot(before + after, after - before - time * wp.vec3d(motions.acceleration[b]))
+    work = time * wp.dot(wp.vec3d(state.angular_velocity[b]) + spin, wp.vec3d(state.torque[b]))
+    return wp.float64(0.5) * (gain - work) + turn_change
+
+
 @wp.kernel
 def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Environments, state: State):
     """One thread per body: integrate position and orientation with the velocity and the push-out.
@@ -216,17 +254,27 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     turn = precise(state.orientation[b], state.orientation_remainder[b])
     spin = wp.vec3d(motions.solver_bodies[b].angular) + wp.vec3d(state.angular_velocity_remainder[b])
     push_turn = step * wp.vec3d(motions.solver_bodies[b].push_angular)
+    stopped = dt * (1.0 - motions.next_time_of_impact[b])
+    linear = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], stopped)
     kept = rotate_by(turn, step * spin)
+    health = state.health[b]
     if bodies.motion[b] == Motion.DYNAMIC:
-        kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
+        spin_before = wp.vec3d(state.angular_velocity[b]) + wp.vec3d(state.angular_velocity_remainder[b])
+        change = -rotational_energy(turn, spin_before, bodies.inertia[b])
+        kept, free_spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
+        change += rotational_energy(kept, free_spin, bodies.inertia[b])
+        health[0] += energy_without_work(b, step, linear, spin, change, bodies, motions, state)
+        spin = free_spin
+    else:
+        health[0] = wp.float64(1.0)
+    state.health[b] = health
     push = rotate_by(wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0)), push_turn)
     after = wp.normalize(push * kept)
     spin = wp.quat_rotate(push, spin)
     state.angular_velocity[b] = wp.vec3(spin)
     state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
     travel = step * wp.vec3d(motions.solver_bodies[b].linear + motions.solver_bodies[b].push_linear)
-    stopped = dt * (1.0 - motions.next_time_of_impact[b])
-    state.linear_velocity[b] = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], stopped)
+    state.linear_velocity[b] = linear
     center = wp.vec3d(bodies.center_of_mass[b])
     center_shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
     state.position[b] = wp.vec3(wp.vec3d(state.position[b]) + travel - center_shift)

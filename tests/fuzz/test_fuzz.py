@@ -15,7 +15,7 @@ from tests.fuzz import harness
 
 GIVEN_CASES = int(os.environ.get("FUZZ_CASES", "0"))
 CASES = [GIVEN_CASES] if GIVEN_CASES else [300, pytest.param(1500, marks=pytest.mark.long)]
-MODULES = sorted(p.stem for p in Path(__file__).parent.glob("*.py") if p.stem not in ("harness", "test_fuzz"))
+MODULES = sorted({p.stem for p in Path(__file__).parent.glob("*.py")} - {"harness", "test_fuzz", "test_corpus"})
 TARGETS = [target for name in MODULES for target in import_module(f"tests.fuzz.{name}").TARGETS]
 
 

@@ -22,6 +22,7 @@ from warp_rigid.commands.terminal import (
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
+from warp_rigid.runs.user_code import UserCodeError
 from warp_rigid.scenes.demo import shown_value
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
@@ -115,15 +116,25 @@ def run_command(
     _print_import_report(plan.scene.import_report)
     # A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
     streamed = output if to_usd and checkpoint_every is None and not resume else None
-    done = _FramesDone(plan.frames)
-    with told_if_interrupted(lambda: done.kept(streamed, checkpoints, context)):
-        if streamed:
-            result = _execute_to_usd(plan, streamed, chosen, usd, done)
-        else:
-            with progress(plan.demo.name, plan.frames) as advance:
-                result = runner.execute(
-                    plan, chosen, done.then(advance), checkpoints, velocities=color == "speed", contacts=usd_contacts
-                )
+    done, failure = _FramesDone(plan.frames), None
+    with told_if_interrupted(lambda: done.kept(streamed, checkpoints, context), lambda: done.count > 0):
+        try:
+            if streamed:
+                result = _execute_to_usd(plan, streamed, chosen, usd, done)
+            else:
+                with progress(plan.demo.name, plan.frames) as advance:
+                    result = runner.execute(
+                        plan,
+                        chosen,
+                        done.then(advance),
+                        checkpoints,
+                        velocities=color == "speed",
+                        contacts=usd_contacts,
+                    )
+        except UserCodeError as error:
+            if error.kept is None or not error.kept.summary["frames"]:
+                raise
+            result, failure = error.kept, error
     if output and not streamed:
         _export(result.recording, output, usd)
     if picture or film or contact_sheet or html:
@@ -134,6 +145,8 @@ def run_command(
         print(json.dumps(summary))
     else:
         _print_summary(summary)
+    if failure is not None:
+        raise failure
     return _status(summary["failed"]) or (0 if all(_judged(summary["verdicts"])) else UNEXPECTED)
 
 
@@ -151,27 +164,27 @@ class _FramesDone:
     """Counts the finished frames, for the message after an interruption."""
 
     def __init__(self, total: int):
-        self._done, self._total = 0, total
+        self.count, self._total = 0, total
 
     def then(self, advance: Callable[[int], None]) -> Callable[[int], None]:
         """A function for runner.execute that counts the frame and calls another function."""
 
         def on_frame(done: int) -> None:
-            self._done = done
+            self.count = done
             advance(done)
 
         return on_frame
 
     def kept(self, streamed: str | None, checkpoints: Checkpoints, context: typer.Context) -> str:
         """What an interrupted run has kept, and how to continue it."""
-        text = f"after {self._done} of {self._total} frames; "
+        text = f"after {self.count} of {self._total} frames; "
         every = checkpoints.every
-        if every is not None and self._done >= every:
-            frame = self._done - self._done % every
+        if every is not None and self.count >= every:
+            frame = self.count - self.count % every
             return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(context)}"
         if streamed:
             return (
-                text + f"kept {streamed} with {self._done + 1} frames; to be able to continue, use --checkpoint-every N"
+                text + f"kept {streamed} with {self.count + 1} frames; to be able to continue, use --checkpoint-every N"
             )
         return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
 
@@ -260,6 +273,10 @@ def _print_summary(summary: dict[str, Any]) -> None:
     lines += [
         f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
         for record in summary["failed"] + summary["out_of_bounds"]
+    ]
+    lines += [
+        f"environment {record['env']}: warning: {record['warning']} since step {record['step']}, body {record['body']}"
+        for record in summary["warnings"]
     ]
     for line in lines:
         out.print(line, highlight=False, markup=False)

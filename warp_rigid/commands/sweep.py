@@ -91,7 +91,7 @@ def sweep_command(
             return "nothing was kept; to be able to continue, use -o FILE.parquet"
         return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(context)}"
 
-    with told_if_interrupted(kept), progress(scene, 1) as advance:
+    with told_if_interrupted(kept, lambda: finished[0] > 0), progress(scene, 1) as advance:
         result = sweep(
             scene,
             axes,
@@ -186,7 +186,7 @@ def _batch(text: str) -> int | str:
 
 def split_names(text: str | None) -> list[str] | None:
     """Split at commas outside brackets."""
-    return re.findall(r"[^,\[]+(?:\[[^\]]*\])?", text) if text else None
+    return re.findall(r"(?:[^,\[]|\[[^\]]*(?:\]|$))+", text) if text else None
 
 
 def _shard(text: str | None) -> tuple[int, int] | None:

@@ -52,12 +52,16 @@ def console(stderr: bool = False) -> Console:
 
 
 @contextlib.contextmanager
-def told_if_interrupted(describe):
-    """Print the text that `describe` returns if Ctrl-C interrupts the block."""
+def told_if_interrupted(describe, begun):
+    """Print the text that `describe` returns if Ctrl-C, or an error after `begun()`, ends the block."""
     try:
         yield
     except KeyboardInterrupt:
         note(f"interrupted: {describe()}")
+        raise
+    except Exception:
+        if begun():
+            note(f"stopped: {describe()}")
         raise
 
 

@@ -195,7 +195,7 @@ class Shards:
     def _try(self, shards: list[Shard], count: int) -> None:
         """Step the shards, starting with those that were slowest last time, to balance the load of the cores."""
         slowest_first = sorted(shards, key=lambda shard: -shard.seconds)
-        spread(lambda shard: shard.advance(count, self._attempt), slowest_first, self._threads)
+        spread(lambda shard: shard.advance(count, self.steps, self._attempt), slowest_first, self._threads)
 
     def _go_to_overflow(self, tally: Tally) -> None:
         """Undo the attempt, repeat the valid steps, and execute the overflowing step, which can be undone."""

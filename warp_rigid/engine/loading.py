@@ -22,24 +22,23 @@ from warp_rigid.kernels.solve import (
     rounds,
     shock,
 )
-from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
+from warp_rigid.kernels.update import ground_motion, health, integrate, predict, sleep, watch
 
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
-ROUND_MODULES = (rounds, push_rounds)
-"""Modules whose rounds are launched in small blocks."""
+HEAPS = (rounds, push_rounds, impact_rounds)
+"""Kernel modules for heaps, which exist in environments of many bodies only."""
 
 STEP = (
     narrowphase,
     ccd,
     *TEAM_MODULES,
     integrate,
+    health,
     predict,
     islands,
-    *ROUND_MODULES,
     effectiveness,
-    impact_rounds,
     broadphase,
     build_contacts,
     records,
@@ -59,7 +58,7 @@ as this takes a tenth as long as the import of the package."""
 
 def everything() -> tuple[Any, ...]:
     """All kernel modules; the slowest to compile come first."""
-    others = (*OVERLAP, *GRIDS, *STEP[2:], *SLEEP, *GROUND, *CANDIDATES, *WATCH)
+    others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
     return (import_module(JOINTS), narrowphase, ccd, *others)
 
 
@@ -86,7 +85,7 @@ def load_kernels(
             return [1]
         if module in TEAM_MODULES or module.__name__ == JOINTS:
             return sorted({team.block_of(size) for size in lanes})
-        return [team.BLOCK, team.SMALL_BLOCK] if module in ROUND_MODULES else [team.BLOCK]
+        return [team.BLOCK, team.SMALL_BLOCK] if module in HEAPS else [team.BLOCK]
 
     jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:

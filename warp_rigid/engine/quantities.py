@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_rigid import rotations
 from warp_rigid.checks import LARGEST, shown, whole_in
-from warp_rigid.engine import field_values, joint_quantities, watching
+from warp_rigid.engine import field_values, health_checks, joint_quantities, watching
 from warp_rigid.engine.layout import KINDS, spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
@@ -43,7 +43,9 @@ CONTACT_RECORD = np.dtype(
         ("impulse", np.float32, 3),
     ]
 )
-STATUS_RECORD = np.dtype([("status", "U13"), ("step", np.int64), ("time", np.float64), ("body", np.int64)])
+STATUS_RECORD = np.dtype(
+    [("status", "U13"), ("step", np.int64), ("time", np.float64), ("body", np.int64), ("warning", "U32")]
+)
 
 
 def owner_of(name: str) -> str:
@@ -421,7 +423,15 @@ def status_records(world: World) -> np.ndarray:
         records["step"][found] = getattr(envs, f"{flag}_step").numpy()[found]
         records["body"][found] = getattr(envs, f"{flag}_body").numpy()[found]
     records["time"] = np.where(records["step"] >= 0, records["step"] * world.settings.dt, -1.0)
+    warned = warnings(world)
+    for env in np.unique(warned["env"]):
+        records["warning"][env] = ", ".join(warned["warning"][warned["env"] == env])
     return records
+
+
+def warnings(world: World) -> np.ndarray:
+    """Warnings of the health checks; see Simulator.warnings."""
+    return health_checks.warning_records(world.envs, world.settings.dt)
 
 
 def counts(world: World) -> dict[str, int]:
@@ -536,4 +546,6 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps"} == set(declare.field_names(schema.State))
+assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps", "health"} == set(
+    declare.field_names(schema.State)
+)

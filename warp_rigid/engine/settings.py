@@ -53,6 +53,18 @@ PER_ENVIRONMENT = tuple(field.name for field in fields(Settings) if field.name !
 """Names of the settings that can differ between environments."""
 
 
+def check_settings(settings: Any) -> Settings:
+    """Check that a simulator is given one Settings, and return it; None is the default."""
+    if settings is None:
+        return Settings()
+    if not isinstance(settings, Settings):
+        raise ValueError(
+            f"settings: must be one Settings for all environments, got {shown(settings)}; all but dt are set per "
+            "environment with Simulator.set"
+        )
+    return settings
+
+
 def check_setting(name: str, value: Any) -> int:
     """Check one per-environment setting and return it as the device stores it."""
     if name == "shock_propagation":

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine import health_checks
 from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.loading import OVERLAP, load_kernels
 from warp_rigid.engine.model import Model
@@ -19,7 +20,18 @@ from warp_rigid.engine.step import Stages
 from warp_rigid.kernels import declare, schema
 from warp_rigid.threads import exclusive
 
-WATCHED = ("failed", "failed_step", "failed_body", "outside", "outside_step", "outside_body", "step")
+WATCHED = (
+    "failed",
+    "failed_step",
+    "failed_body",
+    "outside",
+    "outside_step",
+    "outside_body",
+    "health",
+    "warned_step",
+    "warned_body",
+    "step",
+)
 """Status of an environment that a step records; it is undone with the step and cleared by a reset."""
 
 
@@ -91,7 +103,10 @@ class Shard:
             for array, saved in kept:
                 wp.copy(saved, array)
             pools.begin()
+        with wp.ScopedCapture(self._device, force_module_load=False) as checking:
+            health_checks.check(stages)
         self.pools, self.stages, self._kept, self._keeping = pools, stages, kept, capture.graph
+        self._checking = checking.graph
         self._measuring: Any = None
         self.recorded = (dt, repetitions, sleeping)
 
@@ -101,12 +116,14 @@ class Shard:
         self.watches = declare.part(watches, {"envs": (self.first, self.end)})
         self.record(*self.recorded)
 
-    def advance(self, steps: int, attempt: int) -> None:
-        """Execute steps that can be undone, at most CHUNK of them."""
+    def advance(self, steps: int, done: int, attempt: int) -> None:
+        """Execute steps that can be undone, at most CHUNK of them; `done` were executed before."""
         begin = time.perf_counter()
         self.save(attempt)
-        for _ in range(steps):
+        for step in range(done + 1, done + steps + 1):
             self.stages.replay()
+            if step % health_checks.EVERY == 0:
+                wp.capture_launch(self._checking)
         self.seconds = time.perf_counter() - begin
 
     def save(self, attempt: int) -> None:

@@ -14,7 +14,7 @@ from warp_rigid.checks import whole_in
 from warp_rigid.engine import checkpoint, quantities, spawning, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
-from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.settings import Settings, check_settings
 from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
 from warp_rigid.scene.scene import Scene
@@ -102,7 +102,7 @@ class Simulator:
         with exclusive():
             self._world = World(
                 layout,
-                settings or Settings(),
+                check_settings(settings),
                 chosen,
                 seed,
                 on_overflow,
@@ -305,11 +305,33 @@ class Simulator:
 
     @guarded
     def status(self) -> np.ndarray:
-        """Return records (envs,): the status, and the step, time [s] and body at which it began (-1 if ok).
+        """Return records (envs,): status, step, time, body, warning.
 
-        The status is "ok", "non-finite" (the environment is halted) or "out of bounds" (a body left `Scene.bounds`).
+        The status is "ok", "non-finite" (the environment is halted) or "out of bounds" (a body left `Scene.bounds`),
+        with the step, time [s] and body at which it began (-1 if ok). The warning names what `warnings` returns for
+        the environment, such as "overlap" or "overlap, energy"; it is "" if there is nothing.
         """
         return quantities.status_records(self._world)
+
+    @guarded
+    def warnings(self) -> np.ndarray:
+        """Return what the health checks have found since the last reset: records env, warning, step, time, body.
+
+        An environment with a warning is simulated further, but its results are doubtful. Every 64 steps it is checked
+        for each of these, and the first occurrence is recorded:
+
+        - "overlap": a body overlaps another one by more than 5 % of the smaller one's size, and this has not shrunk
+          by 5 % between checks, four times in a row.
+        - "energy": the bodies gained more energy than gravity, force fields, forces and torques gave them, by 2 % of
+          their kinetic energy and 1 % of the energy that lifts each by its size. The body is the one with the largest
+          kinetic energy. Environments with kinematic bodies that move, moving ground, or constraints other than
+          contacts are not checked.
+        - "precision": neighbouring positions at a body are farther apart than 0.5 % of its largest or 100 % of its
+          smallest extent, because it is far from the origin.
+        - "load": the force of another body on a body is more than 100 000 times its weight, as under a body that is so
+          much heavier. The error of the force then exceeds what the body weighs, and it can be squeezed out.
+        """
+        return quantities.warnings(self._world)
 
     @guarded
     def watch(self, watched: Sequence[Any]) -> None:

@@ -102,6 +102,7 @@ class Stages:
         self.device = device
         self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
+        self.crowded = model.layout.most_bodies > islands.CROWDED
         self.lanes = team_lanes(self.device, self.num_envs, model.layout.most_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
@@ -115,6 +116,7 @@ class Stages:
             (loading.SLEEP, sleeping),
             (loading.GROUND, model.surface_vertices > 0),
             (loading.CANDIDATES, self.grid.buckets > 0),
+            (loading.HEAPS, self.crowded),
             (loading.WATCH, watches),
             ((self.joints.kernels,), self.joints.present),
         )
@@ -258,7 +260,8 @@ class Stages:
         self.joints.join_islands()
         self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
         self._per_body(islands.choose_solver, [bodies, self.envs], [graph])
-        self._list_heaps()
+        if self.crowded:
+            self._list_heaps()
         own = [self.lanes, self.envs, bodies, constraints]
         self._per_team(support.find_structure, own, [graph])
         self._per_team(coloring.color_constraints, own, [graph])
@@ -279,7 +282,8 @@ class Stages:
     def solve_impacts(self) -> None:
         """Restitution: solve impacts."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
-        self.solve_impacts_of_heaps()
+        if self.crowded:
+            self.solve_impacts_of_heaps()
 
     def solve_impacts_of_heaps(self) -> None:
         """Rounds of impacts, as many as the setting allows, until there are none."""
@@ -307,7 +311,8 @@ class Stages:
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
-        self.solve_heaps()
+        if self.crowded:
+            self.solve_heaps()
         found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
         self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
@@ -348,7 +353,8 @@ class Stages:
             [self.motions, pools.graph, self.constraint_rows],
         )
         self._color_by_color(push_out.push_apart)
-        self.push_heaps()
+        if self.crowded:
+            self.push_heaps()
         self.joints.settle(after_push=1)
 
     def push_heaps(self) -> None:

@@ -463,17 +463,35 @@ class RayCaster:
             hiding = hidden.numpy()
             for k, i in enumerate(candidates):
                 size = np.sort(np.ptp(self._corners[i], axis=0))
-                local = rotate(inverse(self._film.orientation[0][i]), places - self._film.position[0][i])
-                inside = within_hull(local, self._film.meshes[self._film.mesh[i]].vertices)
                 thin = size[0] < WALL_THICKNESS * size[1]
                 if thin and hiding[k].mean() * len(self._film.labels) > HIDDEN_PART:
                     cut[i] = REMOVED
-                elif not thin and (hiding[k] & inside).reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
-                    cut[i] = CUT
+                elif not thin and hiding[k].reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
+                    inside = self._mostly_inside(i, times)
+                    if (hiding[k] & inside).reshape(len(times), -1).mean(axis=1).max() > HIDDEN_INSIDE:
+                        cut[i] = CUT
             toward = np.array(self._camera.forward) * (-1.0, -1.0, 0.0)
             self._instances.section_normal = wp.vec3(*(toward / max(np.linalg.norm(toward), 1e-9)))
             self._instances.section_point = wp.vec3(*np.median(places, axis=0))
             self._instances.cut = wp.array(cut, dtype=int)
+
+    def _mostly_inside(self, fixed: int, times: np.ndarray) -> np.ndarray:
+        """Whether moving bodies are in the hull of a fixed one: their middle, and half of the corners of their bounds.
+
+        A body around the fixed one, such as a nut on a bolt, has its middle there, but not its corners.
+
+        Args:
+            fixed: index of the fixed body.
+            times: (times, moving bodies, 3) positions [m].
+        """
+        film = self._film
+        spacing = max(1, film.num_frames // HIDDEN_TIMES)
+        orientation = film.orientation[::spacing, film.moving]
+        corners = rotate(orientation[:, :, None], self._corners[film.moving][None]) + times[:, :, None]
+        points = np.concatenate([times[:, :, None], corners], axis=2).reshape(-1, 3)
+        local = rotate(inverse(film.orientation[0][fixed]), points - film.position[0][fixed])
+        inside = within_hull(local, film.meshes[film.mesh[fixed]].vertices).reshape(-1, 9)
+        return inside[:, 0] & (inside[:, 1:].mean(axis=1) >= 0.5)
 
     def _move_vertices(self, frame: int) -> None:
         """Update the meshes that change their shape."""

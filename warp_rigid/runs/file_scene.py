@@ -15,7 +15,7 @@ import inspect
 import math
 from collections.abc import Callable
 from dataclasses import fields
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,7 +24,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in, shown
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
-from warp_rigid.runs.user_code import module_of_file, scene_function
+from warp_rigid.runs.user_code import errors_of, module_of_file, scene_function
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.scenes.demo import no_events
@@ -55,30 +55,32 @@ class NoOutcome:
 class FunctionOutcome(NoOutcome):
     """Outcome of a user's function, which is called once at the end."""
 
-    def __init__(self, path: str, function: Callable, scene: Scene):
+    def __init__(self, function: Callable, scene: Scene):
         """Remember nothing of the scene; the function sees the simulator."""
-        self._path, self._function = path, function
+        self._function = function
 
     def verdicts(self, sim: Any) -> list[Verdict]:
         """Return what the function measured.
 
         Raises:
-            ValueError: the function does not return values for each environment by name.
+            UserCodeError: the function fails, or does not return values for each environment by name.
         """
-        found = self._function(sim)
-        if not isinstance(found, dict):
-            raise ValueError(f"{self._path}: outcome() must return a dictionary, got {shown(found)}")
-        return [self._verdict(name, value, sim.num_envs) for name, value in found.items()]
+        with errors_of(self._function):
+            found = self._function(sim)
+            if not isinstance(found, dict):
+                raise ValueError(f"outcome() must return a dictionary, got {shown(found)}")
+            return [self._verdict(name, value, sim.num_envs) for name, value in found.items()]
 
     def _verdict(self, name: str, value: Any, count: int) -> Verdict:
-        values, passed = value if isinstance(value, tuple) else (value, value)
+        values, passed = value if isinstance(value, tuple) and len(value) == 2 else (value, value)
         values, passed = np.atleast_1d(np.asarray(values)), np.atleast_1d(np.asarray(passed))
         if passed.dtype != bool and not isinstance(value, tuple):
             passed = np.ones(len(values), bool)
         numbers = values.shape == passed.shape == (count,) and values.dtype.kind in "biuf"
         if not numbers or passed.dtype != bool:
             raise ValueError(
-                f"{self._path}: outcome() must return ({count},) numbers for {name}, or a pair of numbers and booleans"
+                f"outcome() must return ({count},) numbers for {name}, or a pair of numbers and booleans, "
+                f"got shape {values.shape} of {values.dtype}"
             )
         return Verdict(str(name), values.astype(np.float64), "", passed, {})
 
@@ -95,15 +97,12 @@ def scene_of_file(path: Path) -> Demo:
     for name, parameter in inspect.signature(build).parameters.items():
         if parameter.default is inspect.Parameter.empty:
             raise ValueError(f"{path}: parameter {name} of scene() must have a default")
-    events, outcome = _function(path, module, "events"), _function(path, module, "outcome")
-    made: Any = NoOutcome
-    if outcome is not None:
-        made = outcome if inspect.isclass(outcome) else partial(FunctionOutcome, str(path), outcome)
+    events = _function(path, module, "events")
     return Demo(
         name=path.stem,
         summary=(module.__doc__ or "").partition("\n")[0],
         build=build,
-        outcome=made,
+        outcome=_outcome(path, getattr(module, "outcome", None)),
         duration=number_in(f"{path}: DURATION", getattr(module, "DURATION", FILE_SCENE_DURATION), above=0.0),
         variants=_variants(path, module),
         events=no_events if events is None else partial(_every_frame, events),
@@ -126,11 +125,59 @@ def _frame_event(events: Callable, frame: int, sim: Any) -> tuple[float, Callabl
 
 
 def _function(path: Path, module: ModuleType, name: str) -> Any:
-    """A function or class of the file, None if it has none of that name."""
+    """A function of the file, None if it has none of that name."""
     found = getattr(module, name, None)
-    if found is not None and not callable(found):
+    if found is None:
+        return None
+    if not callable(found):
         raise ValueError(f"{path}: {name} must be a function, got {shown(found)}")
-    return found
+    return _checked(found)
+
+
+def _checked(function: Callable) -> Callable:
+    """A function of the file with errors as one line."""
+
+    @wraps(function)
+    def checked(*arguments: Any, **named: Any) -> Any:
+        with errors_of(function):
+            return function(*arguments, **named)
+
+    return checked
+
+
+def _checked_verdicts(method: Callable) -> Callable:
+    """The method `verdicts` of a user's outcome with errors as one line."""
+
+    @wraps(method)
+    def checked(outcome: Any, sim: Any) -> list[Verdict]:
+        with errors_of(method):
+            found, shape = method(outcome, sim), (sim.num_envs,)
+            whole = isinstance(found, list) and all(isinstance(verdict, Verdict) for verdict in found)
+            if not whole or any(not np.shape(one.values) == np.shape(one.passed) == shape for one in found):
+                raise ValueError(f"verdicts() must return a list of Verdict with {shape} values, got {shown(found)}")
+            return found
+
+    return checked
+
+
+def _outcome(path: Path, found: Any) -> Any:
+    """The outcome of the file: function(scene) -> Outcome."""
+    if found is None:
+        return NoOutcome
+    if not callable(found):
+        raise ValueError(f"{path}: outcome must be a function or a class, got {shown(found)}")
+    return _class_outcome(path, found) if inspect.isclass(found) else partial(FunctionOutcome, found)
+
+
+def _class_outcome(path: Path, found: Any) -> type:
+    """A user's class with errors as one line."""
+    missing = [name for name in ("observe", "verdicts") if not callable(getattr(found, name, None))]
+    if missing:
+        raise ValueError(f"{path}: class outcome must have a method {missing[0]}")
+    methods = {name: _checked(getattr(found, name)) for name in ("__init__", "observe")}
+    methods["verdicts"] = _checked_verdicts(found.verdicts)
+    # A subclass, so that checkpoints find the attributes of the user's class.
+    return type(found.__name__, (found,), methods)
 
 
 def _variants(path: Path, module: ModuleType) -> dict[str, dict[str, Any]]:

@@ -13,12 +13,14 @@ import numpy as np
 
 from warp_rigid import scenes
 from warp_rigid.engine import field_values
+from warp_rigid.engine.health_checks import WARNING_NAMES
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.assignments import BODY_PROPERTIES, Assignments, sort_assignments
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_file
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
+from warp_rigid.runs.user_code import UserCodeError
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
@@ -182,6 +184,7 @@ def execute(
     Raises:
         ValueError: An environment does not exist, fps does not divide the step rate, or the checkpoint belongs to a
             different run.
+        UserCodeError: The events or the outcome of a user's scene failed; `kept` is the Result up to there.
     """
     sim, scene = plan.sim, plan.scene
     per_frame = steps_per_frame(sim.settings.dt, plan.fps)
@@ -192,23 +195,45 @@ def execute(
     progress = Progress(recorder, outcome, events, np.zeros(sim.num_envs))
     if not (checkpoints and checkpoints.resume(plan, progress)):
         recorder.capture(sim)
-    seconds = []
+    seconds: list[float] = []
+    try:
+        _run_frames(plan, progress, per_frame, seconds, checkpoints, on_frame)
+        verdicts = outcome.verdicts(sim)
+    except UserCodeError as error:
+        error.kept = _result(plan, progress, seconds, [])
+        raise
+    return _result(plan, progress, seconds, verdicts)
+
+
+def _run_frames(
+    plan: Plan,
+    progress: Progress,
+    per_frame: int,
+    seconds: list[float],
+    checkpoints: Checkpoints | None,
+    on_frame: Callable[[int], None] | None,
+) -> None:
+    """Simulate the frames after those of the progress, and append the time of each to `seconds`."""
+    sim, recorder = plan.sim, progress.recorder
     for frame in range(progress.frame, plan.frames):
         start = time.perf_counter()
-        step_frame(sim, per_frame, events)
+        step_frame(sim, per_frame, progress.events)
         seconds.append(time.perf_counter() - start)
         recorder.capture(sim)
         progress.deepest = np.maximum(progress.deepest, sim.penetration())
-        outcome.observe(sim)
+        progress.outcome.observe(sim)
         progress.frame = frame + 1
         if checkpoints:
             checkpoints.write(plan, progress)
         if on_frame is not None:
             on_frame(frame + 1)
-    verdicts = outcome.verdicts(sim)
-    status = sim.status()
-    summary = _summary(plan, seconds, progress.deepest, status, verdicts)
-    return Result(recorder.recording(), verdicts, status, summary)
+
+
+def _result(plan: Plan, progress: Progress, seconds: list[float], verdicts: list[Verdict]) -> Result:
+    """The result of the frames so far."""
+    status = plan.sim.status()
+    summary = _summary(plan, progress.frame, seconds, progress.deepest, status, verdicts)
+    return Result(progress.recorder.recording(), verdicts, status, summary)
 
 
 def _scene_of_usd(path: Path) -> Demo:
@@ -351,7 +376,7 @@ def step_frame(sim: Simulator, steps: int, events: list) -> None:
 
 
 def _summary(
-    plan: Plan, seconds: list, deepest: np.ndarray, status: np.ndarray, verdicts: list[Verdict]
+    plan: Plan, frames: int, seconds: list, deepest: np.ndarray, status: np.ndarray, verdicts: list[Verdict]
 ) -> dict[str, Any]:
     """Summary of a run as plain data."""
     sim = plan.sim
@@ -363,7 +388,7 @@ def _summary(
         "device": str(sim.device),
         "envs": sim.num_envs,
         "bodies": sim.num_bodies,
-        "frames": plan.frames,
+        "frames": frames,
         "fps": plan.fps,
         "time": sim.time,
         "set": plan.parameters,
@@ -374,6 +399,7 @@ def _summary(
         "deepest_penetration": _numbers(deepest),
         "failed": _records(status, ~np.isin(status["status"], ("ok", "out of bounds"))),
         "out_of_bounds": _records(status, status["status"] == "out of bounds"),
+        "warnings": [dict(zip(WARNING_NAMES, record.item(), strict=True)) for record in sim.warnings()],
         "setup_seconds": plan.setup_seconds,
         "seconds": sum(seconds),
         "env_frames_per_second": sim.num_envs * len(warm) / sum(warm) if warm else 0.0,
@@ -384,7 +410,7 @@ def _summary(
 def _records(status: np.ndarray, chosen: np.ndarray) -> list[dict[str, Any]]:
     """Status records of the selected environments."""
     return [
-        {"env": int(env)} | {name: status[name][env].item() for name in status.dtype.names or ()}
+        {"env": int(env)} | {name: status[name][env].item() for name in ("status", "step", "time", "body")}
         for env in np.flatnonzero(chosen)
     ]
 

@@ -1,17 +1,29 @@
-"""Users' .py files: import, and errors as one line with the file and the line of code."""
+"""Code of users, in .py files or passed as functions: import, and errors as one line with the file and the line."""
 
 import contextlib
 import functools
 import importlib.util
+import inspect
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from warp_rigid.checks import shown
+from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["errors_of", "module_of_file", "scene_function"]
+__all__ = ["UserCodeError", "errors_of", "module_of_file", "scene_function"]
+
+
+class UserCodeError(ValueError):
+    """An error of a user's code: one line with the file and the line of code.
+
+    Attributes:
+        kept: what was computed before the error; None if nothing was.
+    """
+
+    kept: Any = None
 
 
 def module_of_file(path: Path) -> Any:
@@ -45,29 +57,64 @@ def scene_function(path: Path, build: Any) -> Callable[..., Scene]:
 
     @functools.wraps(build)
     def checked(*arguments: Any, **parameters: Any) -> Scene:
-        with errors_of(path):
+        with errors_of(build):
             made = build(*arguments, **parameters)
-        if not isinstance(made, Scene):
-            raise ValueError(f"{path}: scene() must return a Scene, got {shown(made)}")
+            if not isinstance(made, Scene):
+                raise ValueError(f"scene() must return a Scene, got {shown(made)}")
         return made
 
     return checked
 
 
 @contextlib.contextmanager
-def errors_of(path: Path) -> Iterator[None]:
-    """Convert every error of the code in a file to a ValueError that names the file and the line."""
+def errors_of(code: Path | Callable) -> Iterator[None]:
+    """Convert the errors of a user's code to a UserCodeError.
+
+    Exhausted memory and a simulation that fails are no errors of the code.
+
+    Args:
+        code: a .py file, or a function, class or callable object.
+    """
     try:
         yield
+    except (UserCodeError, CapacityError, NonFiniteError, MemoryError):
+        raise
     except SyntaxError as error:
-        file = path if _is_same(error.filename, path) else error.filename
-        raise ValueError(f"{file}:{error.lineno}: {type(error).__name__}: {error.msg}") from error
+        own = isinstance(code, Path) and _is_same(error.filename, code)
+        file = code if own else error.filename
+        raise UserCodeError(f"{file}:{error.lineno}: {type(error).__name__}: {error.msg}") from error
     except Exception as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        own = [frame.lineno for frame in frames if _is_same(frame.filename, path)]
-        place = f"{path}:{own[-1]}" if own else str(path)
         kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
-        raise ValueError(f"{place}: {kind}{error}") from error
+        text = " ".join(f"{kind}{error}".split())
+        raise UserCodeError(f"{_place(error, code)}{text}") from error
+
+
+def _place(error: Exception, code: Path | Callable) -> str:
+    """File and line of the last call of the code before the error, or where the code begins; "" if unknown."""
+    file, first = (code, None) if isinstance(code, Path) else _source(code)
+    if file is None:
+        return ""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if _is_same(frame.filename, file)]
+    line = lines[-1] if lines else first
+    return f"{file}: " if line is None else f"{file}:{line}: "
+
+
+def _source(code: Any) -> tuple[Path | None, int | None]:
+    """File and first line of a function, of the function in a functools.partial, or of the class of an object."""
+    while isinstance(code, functools.partial):
+        code = code.func
+    known = inspect.unwrap(code) if inspect.isroutine(code) or inspect.isclass(code) else type(code)
+    try:
+        file = inspect.getsourcefile(known)
+        return (None, None) if file is None else (_short(Path(file)), inspect.getsourcelines(known)[1])
+    except (OSError, TypeError):
+        return None, None
+
+
+def _short(path: Path) -> Path:
+    """The path relative to the current folder if it is inside."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def _is_same(name: str | None, path: Path) -> bool:

@@ -18,6 +18,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
+from warp_rigid.sweep.failures import Failures
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
 from warp_rigid.sweep.observers import Observers
@@ -136,11 +137,12 @@ def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | Non
 def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     prepared = prepare(job, runs)
     sim = prepared.sim
-    outcomes = [job.demo.outcome(view.scene) for view in prepared.views] if OUTCOME in job.metrics else []
+    failures = Failures(sim.num_envs)
+    outcomes = _Outcomes(job, prepared, failures)
     recorder = MetricRecorder(sim, [metric for metric in job.metrics if isinstance(metric, str) and metric != OUTCOME])
-    observers = Observers(sim, job.observers)
+    observers = Observers(sim, job.observers, failures)
     looks: dict[str, list] = {name: [] for name in ("time", *job.series)}
-    events = _events(job, prepared.views)
+    events = _events(job, prepared.views, failures)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
     frames: dict[str, list] = {"time": [], "position": [], "orientation": []}
     remaining = round(job.duration / sim.settings.dt)
@@ -153,20 +155,16 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
         recorder.observe()
         with sim.in_use():
             peak_counts = np.maximum(peak_counts, counts_of_environments(sim._world))
-        for outcome, view in zip(outcomes, prepared.views, strict=False):
-            outcome.observe(view)
+        outcomes.observe()
         observers.look()
         _append_look(sim, observers, looks)
         _append_frame(job, sim, frames)
     columns = recorder.values()
-    columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)])
-    columns |= _verdicts(prepared, outcomes)
+    columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)], failures)
+    columns |= outcomes.values()
     missing = np.full(sim.num_envs, None, object)
     columns |= {name: observers.latest.get(name, missing) for name in job.observe}
-    rows = _rows(sim, runs, columns, peak_counts)
-    if observers.errors:
-        log.error("%s", observers.errors[0])
-        rows = [_with_error(row, observers.errors[0]) for row in rows]
+    rows = _rows(sim, runs, columns, peak_counts, failures)
     seconds = (time.perf_counter() - start) / len(runs)
     kept = _trajectories(prepared, runs, rows, frames) if job.trajectories else []
     series = [(runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
@@ -178,28 +176,57 @@ def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -
     looks["time"].append(sim.time)
     for name, values in looks.items():
         if name != "time":
+            like = values[-1] if values else np.empty(sim.num_envs)
             now = observers.latest.get(name)
-            values.append(np.full_like(values[-1], np.nan, float) if now is None else now)
+            values.append(np.full_like(like, np.nan, float) if now is None else now)
 
 
-def _with_error(row: dict[str, Any], error: str) -> dict[str, Any]:
-    """A finished row whose observer failed; its other columns stay."""
-    return row | {"status": "error", "reason": error[:MAX_REASON_LENGTH]} if row["status"] in FINISHED else row
-
-
-def _measured(prepared: Prepared, metrics: list[Callable]) -> dict[str, np.ndarray]:
+def _measured(prepared: Prepared, metrics: list[Callable], failures: Failures) -> dict[str, np.ndarray]:
     """The columns of metrics of the user, which get environments of the same structure at once."""
     if not metrics:
         return {}
-    if len(prepared.sim.scenes) == 1:
-        return {metric_name(metric): measure(metric, prepared.sim) for metric in metrics}
-    columns: dict[str, np.ndarray] = {}
-    for view in prepared.views_of_structures():
+    views: list[Any] = [prepared.sim] if len(prepared.sim.scenes) == 1 else prepared.views_of_structures()
+    columns = {metric_name(metric): np.full(prepared.sim.num_envs, None, object) for metric in metrics}
+    for view in views:
+        envs = view.envs if isinstance(view, EnvironmentView) else np.arange(view.num_envs)
         for metric in metrics:
-            column = columns.setdefault(metric_name(metric), np.full(prepared.sim.num_envs, None, object))
-            for env, value in zip(view.envs, measure(metric, view).tolist(), strict=True):
-                column[env] = value
+            name = metric_name(metric)
+            with failures.of(metric, f"metric {name}", envs):
+                for env, value in zip(envs, measure(metric, view).tolist(), strict=True):
+                    columns[name][env] = value
     return columns
+
+
+class _Outcomes:
+    """The outcomes of the scenes of a batch; one that fails has no columns."""
+
+    def __init__(self, job: Job, prepared: Prepared, failures: Failures) -> None:
+        """Make the outcome of each scene."""
+        self._num_envs, self._failures = prepared.sim.num_envs, failures
+        self._outcomes: list[tuple[Any, EnvironmentView]] = []
+        for view in prepared.views if OUTCOME in job.metrics else []:
+            with failures.of(job.demo.outcome, "outcome", view.envs):
+                self._outcomes.append((job.demo.outcome(view.scene), view))
+
+    def observe(self) -> None:
+        """Let each outcome record the present state."""
+        working = []
+        for outcome, view in self._outcomes:
+            with self._failures.of(outcome, "outcome", view.envs):
+                outcome.observe(view)
+                working.append((outcome, view))
+        self._outcomes = working
+
+    def values(self) -> dict[str, np.ndarray]:
+        """The measured value of each verdict as "outcome_NAME", and whether it passed as "outcome_NAME_ok"."""
+        found: dict[str, np.ndarray] = {}
+        for outcome, view in self._outcomes:
+            with self._failures.of(outcome, "outcome", view.envs):
+                for verdict in outcome.verdicts(view):
+                    for name, values in ((verdict.name, verdict.values), (f"{verdict.name}_ok", verdict.passed)):
+                        column = found.setdefault(f"outcome_{name}", np.full(self._num_envs, None, object))
+                        column[view.envs] = np.asarray(values)
+        return found
 
 
 def _trajectories(prepared: Prepared, runs: Sequence[Run], rows: list[dict], frames: dict[str, list]) -> list:
@@ -226,19 +253,24 @@ def _set_all(sim: Simulator, inputs: list[RunInputs]) -> None:
         set_each(sim, name, [run_input.properties[name] for run_input in inputs])
 
 
-def _events(job: Job, views: list[EnvironmentView]) -> list:
+def _events(job: Job, views: list[EnvironmentView], failures: Failures) -> list:
     """Events of all scenes, each applied to the environments of its scene, sorted by time."""
-    events = [_on_view(event, view) for view in views for event in job.demo.events(view.scene)]
+    events = []
+    for view in views:
+        with failures.of(job.demo.events, "events", view.envs, void=True):
+            events += [_on_view(event, view, failures) for event in job.demo.events(view.scene)]
     return sorted(events, key=lambda event: event[0])
 
 
-def _on_view(event: tuple[float, Callable], view: EnvironmentView) -> tuple[float, Callable]:
-    """An event, and those that follow it, applied to a view instead of the simulator."""
+def _on_view(event: tuple[float, Callable], view: EnvironmentView, failures: Failures) -> tuple[float, Callable]:
+    """An event, and those that follow it, applied to a view instead of the simulator; an error ends them."""
     when, act = event
 
     def act_on_view(_: Simulator) -> tuple[float, Callable] | None:
-        following = act(view)
-        return None if following is None else _on_view(following, view)
+        following = None
+        with failures.of(act, "events", view.envs, void=True):
+            following = act(view)
+        return None if following is None else _on_view(following, view, failures)
 
     return when, act_on_view
 
@@ -251,25 +283,19 @@ def _append_frame(job: Job, sim: Simulator, frames: dict[str, list]) -> None:
             frames[name].append(sim.get(name))
 
 
-def _verdicts(prepared: Prepared, outcomes: list) -> dict[str, np.ndarray]:
-    """Verdicts of the scene: the measured value as "outcome_NAME", and whether it passed as "outcome_NAME_ok"."""
-    count = prepared.sim.num_envs
-    found: dict[str, np.ndarray] = {}
-    for outcome, view in zip(outcomes, prepared.views, strict=False):
-        for verdict in outcome.verdicts(view):
-            for name, values in ((verdict.name, verdict.values), (f"{verdict.name}_ok", verdict.passed)):
-                column = found.setdefault(f"outcome_{name}", np.full(count, None, object))
-                column[view.envs] = np.asarray(values)
-    return found
-
-
-def _rows(sim: Simulator, runs: Sequence[Run], columns: dict, peak_counts: np.ndarray) -> list[dict[str, Any]]:
-    """One row per run; the metrics of a failed run are None."""
+def _rows(
+    sim: Simulator, runs: Sequence[Run], columns: dict, peak_counts: np.ndarray, failures: Failures
+) -> list[dict[str, Any]]:
+    """One row per run; the metrics of a failed simulation are None."""
     lists = {name: _plain_list(values) for name, values in columns.items()}
     rows = []
     for env, (run, record) in enumerate(zip(runs, sim.status(), strict=True)):
-        ok = record["status"] in FINISHED
-        row = _row(run, env, str(record["status"]), None if record["status"] == "ok" else _reason(sim, env, record))
+        status, raised = str(record["status"]), failures.reasons[env]
+        ok = status in FINISHED and not failures.void[env]
+        reason = _reason(sim, env, record)
+        if raised is not None and status in FINISHED:
+            status, reason = "error", raised[:MAX_REASON_LENGTH]
+        row = _row(run, env, status, reason)
         row |= {"most_pairs": int(peak_counts[0, env]), "most_contacts": int(peak_counts[1, env])}
         rows.append(row | {name: values[env] if ok else None for name, values in lists.items()})
     return rows
@@ -287,7 +313,10 @@ def _row(run: Run, env: int, status: str, reason: str | None) -> dict[str, Any]:
     }
 
 
-def _reason(sim: Simulator, env: int, record: Any) -> str:
+def _reason(sim: Simulator, env: int, record: Any) -> str | None:
+    """Why the status is not ok, or else what the warnings are of; None if there is neither."""
+    if record["status"] == "ok":
+        return f"warning: {record['warning']}" if record["warning"] else None
     body = int(record["body"])
     name = sim.scenes[sim.scene_of[env]].bodies[body].name if body >= 0 else "none"
     return f"{record['status']} since step {record['step']}, body {body} ({name})"

@@ -11,7 +11,7 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.engine.cores import shared_by
-from warp_rigid.runs.user_code import module_of_file
+from warp_rigid.runs.user_code import errors_of, module_of_file
 from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.design import Run
@@ -62,7 +62,8 @@ def cluster_of_file(path: str) -> Any:
     function = getattr(module_of_file(Path(path)), "cluster", None)
     if not callable(function):
         raise ValueError(f"{path}: has no function cluster()")
-    return function()
+    with errors_of(function):
+        return function()
 
 
 @contextmanager

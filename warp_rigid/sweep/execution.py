@@ -33,6 +33,8 @@ __all__ = ["sweep"]
 log = logging.getLogger("warp_rigid")
 
 MAX_BATCH = 10_000_000
+MAX_REPORTED = 10
+"""Maximum number of different errors that are logged while a sweep runs."""
 
 
 def sweep(
@@ -130,7 +132,7 @@ def sweep(
     points = make_points(clean, design, samples, repeats, seed or 0)
     all_runs = make_runs(job, points, seed)
     runs = shard_of(all_runs, shard)
-    _check_reserved_names(all_runs)
+    _check_names(job, all_runs)
     axis_values = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
     about = _about(job, scene, axis_values, all_runs) | {
         "design": {"kind": design, "samples": samples, "repeats": repeats, "seed": seed, "axes": axis_values},
@@ -156,6 +158,7 @@ def sweep(
         log.info("%d of %d runs are already finished", len(runs) - len(missing), len(runs))
     book.write(state="running")
     done = len(runs) - len(missing)
+    reported: set[str] = set()
     try:
         for part, result in _results(job, groups, batch, cluster, workers):
             if trajectory_store is not None:
@@ -165,6 +168,7 @@ def sweep(
                 for own_runs, looks in result.series:
                     book.series.add(own_runs, looks)
             book.add(result.rows)
+            _report_errors(result.rows, reported)
             done += len(part)
             if on_progress is not None:
                 on_progress(done, len(runs))
@@ -172,6 +176,14 @@ def sweep(
         finished = {"state": "finished", "finished": _now()} if done == len(runs) else {"state": "interrupted"}
         book.write(**finished)
     return book.result()
+
+
+def _report_errors(rows: list[dict[str, Any]], reported: set[str]) -> None:
+    """Log each reason of an error when it first occurs, at most MAX_REPORTED of them."""
+    for row in rows:
+        if row["status"] == "error" and row["reason"] not in reported and len(reported) < MAX_REPORTED:
+            reported.add(row["reason"])
+            log.error("run %d: %s", row["run"], row["reason"])
 
 
 def _results(
@@ -193,8 +205,10 @@ def _machines(device: Any, cluster: Any, workers: int | None) -> tuple[Any, Any,
     """Device, cluster and workers of the arguments; "all" is a worker for each GPU if there are several.
 
     Raises:
-        ValueError: "all" is combined with a cluster or workers.
+        ValueError: "all" is combined with a cluster or workers, or there are workers without a cluster.
     """
+    if workers is not None and cluster is None and device != "all":
+        raise ValueError("workers: applies to cluster local only")
     if device != "all":
         return device, cluster, workers
     if cluster is not None or workers is not None:
@@ -211,13 +225,10 @@ def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], t
     """
     columns = check_observers(observe)
     names = [observer_name(observer) for observer in columns]
-    kept = [series] if isinstance(series, str) else list(series or ())
+    kept = list(series) if isinstance(series, list | tuple) else [] if series is None else [series]
     more = check_observers([name for name in kept if name not in names], "series")
     if any(not isinstance(observer, str) for observer in more):
         raise ValueError(f"series: must be names, with their functions in observe, got {shown(kept)}")
-    taken = [name for name in (*names, *more) if name in COLUMNS]
-    if taken:
-        raise ValueError(f"observe: {taken[0]} is the name of a standard column")
     return (*columns, *more), tuple(names), tuple(kept)
 
 
@@ -243,11 +254,23 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
     }
 
 
-def _check_reserved_names(runs: list[Run]) -> None:
-    """Check that no parameter has the name of a standard column; "seed" has the same meaning in both."""
-    taken = [name for name in (runs[0].parameters if runs else ()) if name in COLUMNS and name != "seed"]
-    if taken:
-        raise ValueError(f"axis {taken[0]}: is the name of a standard column; rename the scene parameter")
+def _check_names(job: Job, runs: list[Run]) -> None:
+    """Check that no two columns have the same name.
+
+    A parameter "seed" means the same as the standard column, and an observer the same as the ready-made metric of its
+    name.
+    """
+    names = [("axis", name) for name in (runs[0].parameters if runs else ()) if name != "seed"]
+    names += [("metric", metric_name(metric)) for metric in job.metrics]
+    ready_made = [observer for observer in job.observers if observer in job.metrics]
+    names += [("observer", name) for name in job.observe if name not in ready_made]
+    taken = dict.fromkeys(COLUMNS, "standard column")
+    for kind, name in names:
+        if name in taken:
+            raise ValueError(f"{kind} {name}: is also the name of a {taken[name]}; rename it")
+        taken[name] = "parameter" if kind == "axis" else kind
+    if any(name in ("run", "time") for name in job.series):
+        raise ValueError("series: run and time are columns of every series; rename the observer")
 
 
 @functools.cache

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid.checks import shown
 from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import module_of_file
@@ -158,14 +159,14 @@ def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
     if metrics is None:
         return DEFAULT
     found: list[str | Callable] = []
-    for metric in [metrics] if isinstance(metrics, str) or callable(metrics) else metrics:
+    for metric in metrics if isinstance(metrics, list | tuple) else [metrics]:
         if isinstance(metric, str) and metric.endswith(".py"):
             found += _functions_of(Path(metric))
-        elif callable(metric) or metric in METRICS or metric == OUTCOME:
+        elif callable(metric) or (isinstance(metric, str) and metric in (*METRICS, OUTCOME)):
             found.append(metric)
         else:
             known = ", ".join((*METRICS, OUTCOME))
-            raise ValueError(f"metrics: must be functions, .py files or names ({known}), got {metric!r}")
+            raise ValueError(f"metrics: must be functions, .py files or names ({known}), got {shown(metric)}")
     names = [metric_name(metric) for metric in found]
     if len(set(names)) < len(names):
         raise ValueError(f"metrics: {max(names, key=names.count)} is given twice")
@@ -185,10 +186,7 @@ def measure(function: Callable, sim: Any) -> np.ndarray:
     """
     values = np.asarray(function(sim))
     if values.shape[:1] != (sim.num_envs,) or values.ndim > 2:
-        raise ValueError(
-            f"metric {metric_name(function)}: must return ({sim.num_envs},) or ({sim.num_envs}, n) values, "
-            f"got shape {values.shape}"
-        )
+        raise ValueError(f"must return ({sim.num_envs},) or ({sim.num_envs}, n) values, got shape {values.shape}")
     return values
 
 

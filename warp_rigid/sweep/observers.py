@@ -20,6 +20,7 @@ from warp_rigid.engine.selection import names_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import module_of_file
 from warp_rigid.scene.scene import Scene
+from warp_rigid.sweep.failures import Failures
 
 __all__ = ["ENERGIES", "WATCHED", "Observers", "check_observers", "observer_name"]
 
@@ -42,39 +43,40 @@ class Observers:
     Args:
         sim: the simulator, before its first step.
         observers: from check_observers.
+        failures: where errors of the user's observers are stored.
 
     Attributes:
         latest: values of every observer at the last look, (envs, ...); none of an observer that failed.
-        errors: why an observer failed, one line each.
-
-    Raises:
-        ValueError: an observer fails at the first look.
     """
 
-    def __init__(self, sim: Simulator, observers: Sequence[str | Callable]) -> None:
+    def __init__(self, sim: Simulator, observers: Sequence[str | Callable], failures: Failures) -> None:
         """Start to watch, make the observers of the user, and look once."""
-        self.sim, self.errors, self.latest = sim, [], {}
+        self.sim, self.latest, self._failures = sim, {}, failures
         self._names = [name for name in observers if isinstance(name, str)]
         self._watched = list(dict.fromkeys(_bodies(name) for name in self._names if _quantity(name) in WATCHED))
         if self._watched:
             sim.watch([bodies or None for bodies in self._watched])
         self._functions: dict[str, Callable] = {}
+        self._shapes: dict[str, tuple[int, ...]] = {}
         for observer in observers:
             if not isinstance(observer, str):
-                self._functions[observer_name(observer)] = _made(observer, sim)
+                name = observer_name(observer)
+                with failures.of(observer, f"observer {name}"):
+                    self._functions[name] = _made(observer, sim)
         self.look()
-        if self.errors:
-            raise ValueError(self.errors[0])
 
     def look(self) -> None:
         """Read the current values. An observer that fails is left out from now on, and has no values."""
         self.latest = self._ready_made()
         for name, function in list(self._functions.items()):
-            try:
-                self.latest[name] = _values(function(self.sim), self.sim.num_envs)
-            except Exception as error:
+            with self._failures.of(function, f"observer {name}"):
+                values = _values(function(self.sim), self.sim.num_envs)
+                shape = self._shapes.setdefault(name, values.shape)
+                if values.shape != shape:
+                    raise ValueError(f"must return shape {shape} at every sample, as at the first, got {values.shape}")
+                self.latest[name] = values
+            if name not in self.latest:
                 del self._functions[name]
-                self.errors.append(" ".join(f"observer {name}: {type(error).__name__}: {error}".split()))
 
     def _ready_made(self) -> dict[str, np.ndarray]:
         """Values of the observers that are names."""
@@ -106,7 +108,7 @@ def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callab
     if observers is None:
         return ()
     found: list[str | Callable] = []
-    for observer in [observers] if isinstance(observers, str) or callable(observers) else observers:
+    for observer in observers if isinstance(observers, list | tuple) else [observers]:
         if isinstance(observer, str) and observer.endswith(".py"):
             found += _functions_of(Path(observer), name)
         elif callable(observer) or (isinstance(observer, str) and _is_ready_made(observer)):

@@ -90,6 +90,8 @@ def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest:
     failed = sim.status()
     for env in np.flatnonzero(failed["status"] != "ok")[:3]:
         lines.append(f"environment {env}: **{failed['status'][env]}** since step {failed['step'][env]}")
+    for env in np.flatnonzero(failed["warning"] != "")[:3]:
+        lines.append(f"environment {env}: warning: **{failed['warning'][env]}**")
     for verdict in session.verdicts:
         shown = [
             f"{'yes' if passed else 'no'} ({shown_value(value, verdict.unit)})"

@@ -133,11 +133,13 @@ class Shape:
     def inner_ball(self) -> tuple[np.ndarray, float]:
         """Centre (3,) and radius [m] of a large ball inside the shape; radius 0 if it has no inside.
 
-        For a convex shape the ball about its centre of mass.
+        By default the ball about the centre of mass that touches the closest of six planes, as in boxes, balls,
+        capsules and cylinders.
         """
         if self.static_only:
             return np.zeros(3), 0.0
-        return self.center_of_mass, float(-self.signed_distance(self.center_of_mass)[0][0])
+        axes = np.concatenate([np.eye(3), -np.eye(3)])
+        return self.center_of_mass, float((self.support(axes) - axes @ self.center_of_mass).min())
 
     def signed_distance(self, points) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the surface and its gradient, in float64.

@@ -1,0 +1,189 @@
+"""Health checks every few steps: overlaps that do not shrink, energy gained without work, loads, and lost precision.
+
+They are not a stage of the recorded step: they read what it left, and change only `health` and the warnings.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.enums import Motion, Role, WarningKind
+from warp_rigid.kernels.schema import Bodies, Environments, History, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.update.integrate import rotational_energy
+from warp_rigid.kernels.update.predict import smaller_size
+
+wp.set_module_options({"enable_backward": False})
+
+DEEP = wp.constant(0.05)
+"""Overlap from which a contact is watched, as a fraction of the smaller body's size."""
+
+SHRINKING = wp.constant(wp.float64(0.95))
+"""An overlap that is less than this fraction of that of the last check shrinks."""
+
+STUCK_CHECKS = wp.constant(wp.float64(4.0))
+"""Consecutive checks without shrinking that make a warning."""
+
+GAIN = wp.constant(wp.float64(0.02))
+"""Gain of energy that makes a warning, as a fraction of the largest kinetic energy of late."""
+
+LIFT = wp.constant(wp.float64(0.01))
+"""The same as a height to which all bodies could be lifted, as a fraction of their size."""
+
+FADING = wp.constant(wp.float64(0.9))
+"""Factor for the largest kinetic energy from one check to the next."""
+
+COARSE = wp.constant(5.0e-3)
+"""Distance of neighbouring positions that makes a warning, as a fraction of a body's largest extent."""
+
+HEAVIEST_LOAD = wp.constant(1.0e5)
+"""Contact force on a body that makes a warning, as a multiple of its weight."""
+
+SPACING = wp.constant(2.0**-23)
+"""Largest distance of neighbouring numbers in single precision, relative to them."""
+
+GAINED, KINETIC, DEPTH, CHECKS = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
+"""Components of State.health."""
+
+
+@wp.func
+def is_overloaded(b: int, impulse: float, dt: float, bodies: Bodies, motions: Motions):
+    """Whether the impulse of a pair in a step is too large for a dynamic body: its error exceeds the weight."""
+    weight = bodies.mass[b] * wp.length(motions.acceleration[b])
+    return weight > 0.0 and impulse > HEAVIEST_LOAD * weight * dt
+
+
+@wp.kernel
+def check_pairs(
+    dt: float,
+    threads: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    pairs: Pairs,
+    history: History,
+    motions: Motions,
+    envs: Environments,
+):
+    """The threads share the pairs: the deepest of the deep overlaps of each body, and overloaded bodies."""
+    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
+        depth = float(0.0)
+        impulse = wp.vec3(0.0, 0.0, 0.0)
+        for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
+            depth = wp.max(depth, -history.gap[c])
+            impulse += history.impulse[c]
+        a = pairs.body_a[pair]
+        b = pairs.body_b[pair]
+        if depth > DEEP * smaller_size(a, b, shapes, bodies):
+            wp.atomic_max(motions.overlap, a, depth)
+            wp.atomic_max(motions.overlap, b, depth)
+        env = bodies.env[a]
+        if is_overloaded(a, wp.length(impulse), dt, bodies, motions):
+            wp.atomic_max(envs.overloaded, env, envs.first_body[env + 1] - a)
+        if is_overloaded(b, wp.length(impulse), dt, bodies, motions):
+            wp.atomic_max(envs.overloaded, env, envs.first_body[env + 1] - b)
+
+
+@wp.func
+def is_coarse(center: wp.vec3, shape: int, shapes: Shapes):
+    """Whether neighbouring positions are too far apart for a shape: for its largest extent, or for its thickness."""
+    extent = shapes.shapes[shape].upper - shapes.shapes[shape].lower
+    step = SPACING * wp.max(wp.abs(center))
+    return step > COARSE * wp.max(extent) or step > shapes.shapes[shape].size
+
+
+@wp.kernel
+def check_bodies(shapes: Shapes, bodies: Bodies, motions: Motions, state: State, envs: Environments):
+    """One thread per body: its kinetic energy, and whether its overlap does not shrink or its position is coarse."""
+    b = wp.tid()
+    depth = wp.float64(motions.overlap[b])
+    motions.overlap[b] = 0.0
+    health = state.health[b]
+    if bodies.motion[b] != Motion.DYNAMIC:
+        return
+    if motions.role[b] != Role.FREE:
+        state.health[b] = wp.vec4d(health[GAINED], wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
+        return
+    env = bodies.env[b]
+    rank = envs.first_body[env + 1] - b
+    checks = wp.float64(0.0)
+    if depth > wp.float64(0.0) and depth > SHRINKING * health[DEPTH] and health[DEPTH] > wp.float64(0.0):
+        checks = health[CHECKS] + wp.float64(1.0)
+    v = wp.vec3d(state.linear_velocity[b])
+    w = wp.vec3d(state.angular_velocity[b])
+    kinetic = wp.float64(0.5 * bodies.mass[b]) * wp.dot(v, v) + rotational_energy(
+        wp.quatd(state.orientation[b]), w, bodies.inertia[b]
+    )
+    state.health[b] = wp.vec4d(health[GAINED], kinetic, depth, checks)
+    if checks >= STUCK_CHECKS:
+        wp.atomic_max(envs.stuck, env, rank)
+    if is_coarse(motions.center[b], bodies.shape[b], shapes):
+        wp.atomic_max(envs.coarse, env, rank)
+
+
+@wp.func
+def warn(env: int, kind: int, body: int, envs: Environments):
+    """Record the first warning of a kind: the number of completed steps, and the body."""
+    steps = envs.warned_step[env]
+    bodies = envs.warned_body[env]
+    if steps[kind] == 0:
+        steps[kind] = envs.step[env]
+        bodies[kind] = body
+        envs.warned_step[env] = steps
+        envs.warned_body[env] = bodies
+
+
+@wp.func
+def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, state: State, envs: Environments):
+    """Compare the energy gained without work, summed over the bodies, with its least value.
+
+    Contacts only take energy, so the sum only falls, apart from rounding and the errors of the solver. Bodies and
+    ground that are moved do work on others; then the sum starts anew.
+    """
+    gained = wp.float64(0.0)
+    kinetic = wp.float64(0.0)
+    lift = wp.float64(0.0)
+    driven = int(1 - envs.passive[env])
+    fastest = int(0)
+    most = wp.float64(-1.0)
+    first = envs.first_body[env]
+    for b in range(first, envs.first_body[env + 1]):
+        health = state.health[b]
+        if bodies.motion[b] != Motion.DYNAMIC:
+            if health[GAINED] > wp.float64(0.0) or shapes.shapes[bodies.shape[b]].rise > 0.0:
+                driven = 1
+            state.health[b] = wp.vec4d()
+        else:
+            gained += health[GAINED]
+            kinetic += health[KINETIC]
+            weight = bodies.mass[b] * wp.length(motions.acceleration[b])
+            lift += wp.float64(weight * shapes.shapes[bodies.shape[b]].size)
+            if health[KINETIC] > most:
+                most = health[KINETIC]
+                fastest = b - first
+    before = envs.health[env]
+    largest = wp.max(kinetic, FADING * before[1])
+    least = wp.min(gained, before[0])
+    if driven == 1:
+        least = gained
+    elif gained - least > GAIN * largest + LIFT * lift:
+        warn(env, WarningKind.ENERGY, fastest, envs)
+    envs.health[env] = wp.vec2d(least, largest)
+
+
+@wp.kernel
+def check_environments(shapes: Shapes, bodies: Bodies, motions: Motions, state: State, envs: Environments):
+    """One thread per environment: record the warnings."""
+    env = wp.tid()
+    count = envs.first_body[env + 1] - envs.first_body[env]
+    stuck = envs.stuck[env]
+    coarse = envs.coarse[env]
+    overloaded = envs.overloaded[env]
+    envs.stuck[env] = 0
+    envs.coarse[env] = 0
+    envs.overloaded[env] = 0
+    if envs.failed[env] == 1:
+        return
+    if stuck > 0:
+        warn(env, WarningKind.OVERLAP, count - stuck, envs)
+    if coarse > 0:
+        warn(env, WarningKind.PRECISION, count - coarse, envs)
+    if overloaded > 0:
+        warn(env, WarningKind.LOAD, count - overloaded, envs)
+    check_energy(env, shapes, bodies, motions, state, envs)
