@@ -13,6 +13,7 @@ SMALL = {
     "terrain": ["bodies=6"],
     "carpet": ["bodies=8"],
     "planet": ["bodies=32"],
+    "demolition": ["rows=5", "columns=6"],
 }
 """What makes the larger scenes quick enough here."""
 
