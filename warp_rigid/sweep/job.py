@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
-from warp_rigid.engine import field_values
+from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.quantities import check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.runs.assignments import assignment_target
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome
-from warp_rigid.runs.runner import chosen_bodies, find_scene
+from warp_rigid.runs.runner import find_scene, selected
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
@@ -165,6 +165,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
         ValueError: A name is unknown or a value is out of range.
     """
     footprints: dict[str, Footprint] = {}
+    of_structure: dict[Any, Footprint] = {}
     shape_bytes: dict[str, int] = {}
     bodies: dict[str, Any] = {}
     known: dict[Any, Scene] = {}
@@ -175,7 +176,10 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
         key = inputs.scene_key
         if key not in footprints:
             scene = build_scene(job, inputs)
-            footprints[key] = footprint_of(scene, shape_bytes)
+            content = structure(scene)
+            if content not in of_structure:
+                of_structure[content] = footprint_of(scene, shape_bytes)
+            footprints[key] = of_structure[content]
             bodies[key] = tuple((body.name, body.motion) for body in scene.bodies)
             known.setdefault(bodies[key], scene)
         settings = tuple(inputs.settings.items())
@@ -237,8 +241,10 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
             field_values.check(field, plain, value)
         return
     if plain != "gravity":
-        chosen_bodies(scene, name, plain, choice.rstrip("]"))
-    if plain in COEFFICIENTS:
+        selected(scene, name, plain, choice.rstrip("]"))
+    if plain in joint_quantities.WRITABLE:
+        joint_quantities.check_range(plain, joint_quantities.check(plain, value, ()))
+    elif plain in COEFFICIENTS:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
         number_in(name, value, above=0.0)
