@@ -30,6 +30,9 @@ _NAMES = (
     "cradle",
     "ragdolls",
     "linkages",
+    "bridge",
+    "crane",
+    "demolition",
 )
 """Files of this folder; each defines a DEMO of this name, and is imported when it is needed."""
 

@@ -5,6 +5,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.test_joints import DT, G, anchor_errors, bits, simulator, tumbling
+from warp_rigid.sweep.structure import structure
 
 HALF = 0.1
 
@@ -157,3 +158,37 @@ def test_a_heap_beside_a_mechanism_is_solved_in_rounds(device):
     sim.step(120)
     assert sim.stats()["islands_rounds"][0] >= 1
     assert anchor_errors(sim).max() < 1e-6
+
+
+def swing(length: float = 0.5, hinges: int = 1):
+    """A driven arm; with a second hinge, another arm at its end."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    arm = scene.add_body(wr.Box((length / 2, 0.05, 0.05)), position=(length / 2, 0, 0), mass=1.0, name="arm")
+    shoulder = scene.add_joint(wr.RevoluteJoint((0, 0, 1)), arm, name="shoulder")
+    scene.add_drive(shoulder, stiffness=40.0, damping=8.0)
+    if hinges == 2:
+        hand = scene.add_body(wr.Sphere(0.05), position=(length + 0.05, 0, 0), mass=0.1, name="hand")
+        scene.add_joint(wr.FixedJoint(), hand, arm, anchor=(length, 0, 0), name="wrist")
+    return scene
+
+
+def test_quantities_of_joints_are_axes_and_columns_of_sweeps():
+    axes = {"hinges": [1, 2], "joint_target_position[shoulder]": [0.25, -0.5], "joint_break_force[wr*]": [1e6]}
+    with pytest.raises(ValueError, match=r"joint_break_force\[wr\*\]: selects no joint; joints are shoulder"):
+        wr.sweep(swing, axes, duration=0.1, metrics=["drift"], device="cpu")
+    del axes["joint_break_force[wr*]"]
+    observe = ["joint_position[shoulder]", "joint_force[wrist]"]
+    result = wr.sweep(swing, axes, duration=4.0, metrics=["drift"], device="cpu", observe=observe)
+    assert not result.failed
+    for row in result.rows:
+        aim = row["joint_target_position[shoulder]"]
+        assert row["joint_position[shoulder]"] == pytest.approx(aim, abs=1e-4)
+    with pytest.raises(ValueError, match="joint_damping: must be finite numbers >= 0"):
+        wr.sweep(swing, {"joint_damping[shoulder]": [-1.0]}, duration=0.1, metrics=["drift"], device="cpu")
+
+
+def test_scenes_that_differ_in_joints_have_different_structures():
+    assert structure(swing()) == structure(swing())
+    changed = swing()
+    changed.add_drive(0, stiffness=41.0, damping=8.0)
+    assert structure(changed) != structure(swing())

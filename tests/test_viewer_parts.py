@@ -9,7 +9,8 @@ from warp_rigid.render.appearance import corner_normals
 from warp_rigid.render.film import DrawnMesh
 from warp_rigid.rotations import rotate
 from warp_rigid.viewer.instances import creased
-from warp_rigid.viewer.overlays import box_lines
+from warp_rigid.viewer.overlays import box_lines, joint_lines
+from warp_rigid.viewer.panel import parameter_range
 from warp_rigid.viewer.picking import trace
 from warp_rigid.viewer.slicing import cut
 
@@ -138,3 +139,35 @@ def test_swept_boxes_hold_the_bodies_and_their_way():
     assert (upper[0, 0] < [1.25, 2.35, 3.45]).all()
     sim.penetration()
     assert sim.swept_boxes()[1, 0, 0] == pytest.approx([1.0, 1.8, 2.7], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("default", "expected"),
+    [
+        (10, (0, 30, 1)),
+        (0, (0, 10, 1)),
+        (0.15, (0, 0.45, 0.001)),
+        (0.0, (0, 1.0, 0.01)),
+        (-2.0, (-6.0, 0, 0.01)),
+    ],
+)
+def test_sliders_of_parameters_span_three_times_the_default(default, expected):
+    assert parameter_range(default) == pytest.approx(expected)
+
+
+def test_joints_are_drawn_at_their_anchors_and_along_their_axes():
+    """A string between two points, and a hinge whose body has turned by a right angle about z."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    ball = scene.add_body(wr.Sphere(0.1), position=(0, 0, -1))
+    box = scene.add_body(wr.Box((0.1, 0.1, 0.1)), position=(1, 0, 0))
+    scene.add_joint(wr.DistanceJoint(maximum=2.0), ball, anchor=(0, 0, -0.9), anchor_b=(0, 0, 1))
+    scene.add_joint(wr.RevoluteJoint((0, 1, 0)), ball, box, anchor=(0, 0, -1), anchor_b=(0, 0, -1))
+    sim = wr.Simulator(scene, num_envs=2, device="cpu")
+    sim.set("position", (3, 0, 0), envs=[1], bodies=[1])
+    sim.set("orientation", (0, 0, 2**-0.5, 2**-0.5), envs=[1], bodies=[1])
+    points, axes = joint_lines(sim, np.array([1, 0]), 0.4)
+    np.testing.assert_allclose(points[:, 0], [[[0, 0, -0.9], [0, 0, 1]]] * 2, atol=1e-6)
+    np.testing.assert_allclose(axes[:, 0], points[:, 0])
+    np.testing.assert_allclose(points[:, 1, 1], [[3, -1, -1], [0, 0, -1]], atol=1e-6)
+    np.testing.assert_allclose(axes[1, 1], [[0, -0.2, -1], [0, 0.2, -1]], atol=1e-6)
+    np.testing.assert_allclose(axes[0, 1], [[0.2, 0, -1], [-0.2, 0, -1]], atol=1e-6)

@@ -180,3 +180,13 @@ def test_paced_keeps_to_its_share_but_not_beyond_its_patience(patience, least, m
         paced(lambda: (runs.append(0), busy(0.005)))
         time.sleep(0.001)
     assert least <= len(runs) <= most
+
+
+def test_joints_stay_as_they_were_set_through_a_change_of_the_step():
+    session = Session("crane", device="cpu")
+    session.sim.set("joint_target_velocity", 0.1, joints="winch")
+    session.sim.set("joint_broken", True, joints="rope")
+    before = {name: session.sim.get(name) for name in ("joint_target_velocity", "joint_broken", "joint_damping")}
+    session.change("dt", 1.0 / 480.0)
+    for name, value in before.items():
+        assert np.array_equal(session.sim.get(name), value)

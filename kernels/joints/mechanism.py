@@ -39,8 +39,16 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MOST_CHANGES = wp.constant(8)
 """Maximum changes of modes in one solution, each with a new factorization."""
 
-MOST_PREDICTIONS = wp.constant(10)
+MOST_PREDICTIONS = wp.constant(16)
 """Maximum solutions at newly predicted poses, at the start and at the end of a step. Two are enough for slow bodies."""
+
+SLOW = wp.constant(0.1)
+"""Ratio of two successive residuals from which on the rows become those of the predicted poses.
+
+With the rows of the pose at the start of the step, the solutions converge slowly, or diverge, if light links between
+heavy bodies turn by a larger angle in a step than the square root of the ratio of masses. With those of the predicted
+poses, each solution is a projection of the pose: they converge as Newton's method does, and lose some energy.
+"""
 
 KEPT_ERROR = wp.constant(wp.float64(0.5))
 """Fraction of an error at the start of a step that may remain after it."""
@@ -96,12 +104,17 @@ def start_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: Mo
 
 
 @wp.func
-def predict_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """Errors of all joints at the predicted poses, as a bias of the velocities along their rows."""
+def predict_mechanism(m: int, dt: float, anew: bool, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Errors of all joints at the predicted poses, as a bias of the velocities along their rows.
+
+    `anew`: whether the rows become those of the predicted poses; the factors are stale then.
+    """
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
         predict_pose(joints.member[i], dt, bodies, state, motions, joints)
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         j = joints.sequence[place]
+        if anew:
+            build_rows(j, bodies, joints)
         errors = errors_of(j, ends_of(j, joints), joints)
         joints.bias[j] = errors / wp.float64(dt) - row_velocities(j, VELOCITY, motions, joints)
 
@@ -232,15 +245,32 @@ def choose_modes(m: int, dt: float, motions: Motions, joints: Joints):
 
 
 @wp.func
+def take_back(m: int, motions: Motions, joints: Joints):
+    """Take the impulses back that `settle_mechanism` has applied."""
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        apply_impulses(j, VELOCITY, joints.start[j] - joints.total[j], motions, joints)
+        joints.total[j] = joints.start[j]
+
+
+@wp.func
 def settle_mechanism(m: int, first: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """Solve a mechanism at newly predicted poses; modes are chosen anew if it is the first time in a step."""
     k = int(0)
+    anew = bool(False)
+    last = float(0.0)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        joints.start[joints.sequence[place]] = joints.total[joints.sequence[place]]
     while k < MOST_PREDICTIONS:
-        predict_mechanism(m, dt, bodies, state, motions, joints)
-        is_stale = bool(False)
+        predict_mechanism(m, dt, anew, bodies, state, motions, joints)
+        is_stale = anew
         if first + k == 1:
             is_stale = choose_modes(m, dt, motions, joints)
         change = solve_mechanism(m, dt, is_stale, motions, joints)
+        if k > 0 and change > SLOW * last and not anew:
+            take_back(m, motions, joints)
+            anew = True
+        last = change
         k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
 
 

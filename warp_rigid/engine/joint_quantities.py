@@ -43,7 +43,7 @@ def _values(world: World, name: str) -> np.ndarray:
 
 
 def check(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """The value as an array of the shape, in its range."""
+    """The value as an array of the shape."""
     if name == "joint_broken" and np.asarray(value).dtype != bool:
         raise ValueError(f"{name}: must be True or False, got {shown(value)}")
     try:
@@ -53,7 +53,12 @@ def check(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     return values
 
 
-def _check_range(name: str, values: np.ndarray) -> None:
+def check_range(name: str, values: np.ndarray) -> None:
+    """Check numbers of a quantity.
+
+    Raises:
+        ValueError: one of them is out of its range.
+    """
     finite = not np.isnan(values).any() if name in INFINITE else np.isfinite(values).all()
     if not finite or (name not in NEGATIVE and (values < 0.0).any()):
         kind = "numbers" if name in NEGATIVE else "numbers >= 0"
@@ -66,7 +71,7 @@ def write(world: World, name: str, value: Any, rows: np.ndarray) -> None:
         raise ValueError(f"{name}: the scene has no joints")
     present = existing(rows)
     values = check(name, value, rows.shape)[present]
-    _check_range(name, values)
+    check_range(name, values)
     column = "broken" if name == "joint_broken" else "numbers"
     host = _array(world, column)
     if column == "broken":

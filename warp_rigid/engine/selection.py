@@ -69,21 +69,20 @@ def _indices_in_scene(layout: Layout, scene: int, given: Any, name: str, symbol:
     whose = (
         "" if len(layout.scenes) == 1 else f" of scene {scene} ({_listed(layout.environments(scene), 'environment')})"
     )
-    entries = getattr(layout.scenes[scene], symbol)
-    if not entries:
+    place = names_of(layout.scenes[scene], symbol)
+    if not place:
         raise ValueError(f"{name}: there are no {symbol}{whose or ' in the scene'}")
     if names is None:
-        return _whole_indices(name, given, len(entries), whose)
-    place = {entry.name: index for index, entry in enumerate(entries)}
+        return _whole_indices(name, given, len(place), whose)
     for one in names:
         if one not in place:
             raise ValueError(f"{name}: must be names of {symbol}{whose} ({_listed(list(place))}), got {shown(one)}")
     return np.array([place[one] for one in names], np.int64)
 
 
-def names_of(scene: Scene) -> dict[str, int]:
-    """Index of each body by its name."""
-    return {body.name: index for index, body in enumerate(scene.bodies)}
+def names_of(scene: Scene, symbol: str = "bodies") -> dict[str, int]:
+    """Index of each body, or joint, by its name; `symbol`: "bodies" or "joints"."""
+    return {entry.name: index for index, entry in enumerate(getattr(scene, symbol))}
 
 
 def named(bodies: Any) -> list[str] | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from warp_rigid.checks import shown
-from warp_rigid.engine import field_values
+from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.quantities import STATE_NAMES, VECTOR_LENGTHS, check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -19,8 +19,11 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 __all__ = ["BODY_PROPERTIES", "PROPERTIES", "Assignments", "parse_assignment", "assignment_target", "sort_assignments"]
 
 BODY_PROPERTIES = (*COEFFICIENTS, "mass", *STATE_NAMES, "active")
-PROPERTIES = (*BODY_PROPERTIES, "gravity", *field_values.names())
-"""Quantities that can be set in a simulation besides the settings; all bodies or force fields get the same value."""
+SELECTING = (*BODY_PROPERTIES, *joint_quantities.WRITABLE)
+"""Properties of bodies and of joints, which can be selected by name."""
+PROPERTIES = (*SELECTING, "gravity", *field_values.names())
+"""Quantities that can be set in a simulation besides the settings; all bodies, joints or force fields get the same
+value."""
 
 SETTINGS = tuple(f.name for f in fields(Settings))
 
@@ -109,8 +112,8 @@ def assignment_target(name: str, parameters, flag: str = "--set") -> str:
     """
     plain, bracket, _ = name.partition("[")
     if bracket:
-        if plain not in BODY_PROPERTIES:
-            raise ValueError(f"{flag} {name}: is not a body property, so it cannot select bodies")
+        if plain not in SELECTING:
+            raise ValueError(f"{flag} {name}: is not a property of bodies or joints, so it cannot select bodies")
         return "property"
     if name in parameters:
         return "scene"

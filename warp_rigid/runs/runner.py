@@ -14,10 +14,12 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.engine import field_values
 from warp_rigid.engine.health_checks import WARNING_NAMES
+from warp_rigid.engine.quantities import owner_of
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.assignments import BODY_PROPERTIES, Assignments, sort_assignments
+from warp_rigid.runs.assignments import SELECTING, Assignments, sort_assignments
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_file
+from warp_rigid.runs.following import follow_paths
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.runs.user_code import UserCodeError
@@ -258,6 +260,7 @@ def _scene_of_usd(path: Path) -> Demo:
         outcome=NoOutcome,
         duration=film_duration(path) or FILE_SCENE_DURATION,
         variants={},
+        events=follow_paths,
     )
 
 
@@ -311,41 +314,44 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
 
     Args:
         sim: the simulator.
-        name: a name accepted by Simulator.set. A body property may select bodies by name, pattern or index:
-            "mass[box_3]", "mass[box_*]", "mass[4]". Without a selection a coefficient applies to all bodies, any other
-            property to the dynamic ones.
-        values: one value per environment, shared by its selected bodies.
+        name: a name accepted by Simulator.set. A property of bodies or joints may select them by name, pattern or
+            index: "mass[box_3]", "mass[box_*]", "mass[4]", "joint_friction[elbow]". Without a selection, a coefficient
+            applies to all bodies, a property of joints to all joints, any other property to the dynamic bodies.
+        values: one value per environment, shared by what is selected.
 
     Raises:
-        ValueError: No body is selected, or a value is out of range.
+        ValueError: No body or joint is selected, or a value is out of range.
     """
     plain, _, choice = name.partition("[")
     if plain in field_values.names():
         sim.set(plain, np.asarray(values)[:, None])
-    elif plain not in BODY_PROPERTIES:
+    elif plain not in SELECTING:
         sim.set(plain, values)
     else:
         # One value per environment, (envs, 1) or (envs, 1, 3), broadcast over its bodies.
         columns = np.asarray(values)[:, None]
         groups: dict[tuple[int, ...], list[int]] = {}
         for index, scene in enumerate(sim.scenes):
-            groups.setdefault(tuple(chosen_bodies(scene, name, plain, choice.rstrip("]"))), []).append(index)
-        for bodies, scenes_of_group in groups.items():
+            groups.setdefault(tuple(selected(scene, name, plain, choice.rstrip("]"))), []).append(index)
+        for rows, scenes_of_group in groups.items():
             envs = np.flatnonzero(np.isin(sim.scene_of, scenes_of_group))
-            sim.set(plain, columns[envs], envs=envs, bodies=bodies)
+            sim.set(plain, columns[envs], envs=envs, **{owner_of(plain): list(rows)})
 
 
-def chosen_bodies(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
-    """Indices of the bodies selected by a property name; see set_each."""
-    bodies = list(enumerate(scene.bodies))
+def selected(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
+    """Indices of the bodies or joints selected by a property name; see set_each."""
+    owner = owner_of(plain)
+    entries = list(enumerate(getattr(scene, owner)))
     if choice.isdigit():
-        found = [index for index, _ in bodies if index == int(choice)]
+        found = [index for index, _ in entries if index == int(choice)]
     elif choice:
-        found = [index for index, body in bodies if fnmatch.fnmatchcase(body.name, choice)]
+        found = [index for index, entry in entries if fnmatch.fnmatchcase(entry.name, choice)]
     else:
-        found = [index for index, body in bodies if plain in COEFFICIENTS or body.motion == Motion.DYNAMIC]
+        anyone = owner == "joints" or plain in COEFFICIENTS
+        found = [index for index, entry in entries if anyone or entry.motion == Motion.DYNAMIC]
     if not found:
-        raise ValueError(f"{name}: selects no body; bodies are {', '.join(body.name for _, body in bodies)}")
+        noun = {"bodies": "body", "joints": "joint"}[owner]
+        raise ValueError(f"{name}: selects no {noun}; {owner} are {', '.join(entry.name for _, entry in entries)}")
     return found
 
 

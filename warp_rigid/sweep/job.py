@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
-from warp_rigid.engine import field_values
+from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.quantities import check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.runs.assignments import assignment_target
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome
-from warp_rigid.runs.runner import chosen_bodies, find_scene
+from warp_rigid.runs.runner import find_scene, selected
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo
@@ -241,8 +241,10 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
             field_values.check(field, plain, value)
         return
     if plain != "gravity":
-        chosen_bodies(scene, name, plain, choice.rstrip("]"))
-    if plain in COEFFICIENTS:
+        selected(scene, name, plain, choice.rstrip("]"))
+    if plain in joint_quantities.WRITABLE:
+        joint_quantities.check_range(plain, joint_quantities.check(plain, value, ()))
+    elif plain in COEFFICIENTS:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
         number_in(name, value, above=0.0)

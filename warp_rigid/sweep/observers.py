@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
-from warp_rigid.engine.quantities import is_of_bodies, is_readable
+from warp_rigid.engine.quantities import is_readable, owner_of
 from warp_rigid.engine.selection import names_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import module_of_file
@@ -33,6 +33,9 @@ ENERGIES = {
     "energy": ("kinetic_energy", "potential_energy"),
 }
 """Energies of an environment, or of a body, at the look."""
+
+NAMED = ("bodies", "joints")
+"""What the quantities of observers may belong to."""
 
 PATTERN = re.compile(r"(\w+)(?:\[(.+)\])?")
 
@@ -58,7 +61,7 @@ class Observers:
             sim.watch([bodies or None for bodies in self._watched])
         self._functions: dict[str, Callable] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
-        self._places: dict[str, np.ndarray] = {}
+        self._places: dict[tuple[str, str], np.ndarray] = {}
         for observer in observers:
             if not isinstance(observer, str):
                 name = observer_name(observer)
@@ -90,7 +93,7 @@ class Observers:
             elif quantity in ENERGIES:
                 found[name] = self._energy(ENERGIES[quantity], bodies)
             else:
-                found[name] = self._of_body(self.sim.get(quantity), bodies[0])
+                found[name] = self._of_row(self.sim.get(quantity), bodies[0], _owner(name))
         return found
 
     def _energy(self, parts: tuple[str, ...], bodies: tuple[str, ...]) -> np.ndarray:
@@ -98,17 +101,18 @@ class Observers:
         sim = self.sim
         values = np.sum([sim.get(part) for part in parts], axis=0)
         if bodies:
-            return self._of_body(values, bodies[0])
+            return self._of_row(values, bodies[0])
         env = np.nonzero(sim.exists)[0]
         # Added one after another, so that the sum does not depend on the number of bodies of other environments.
         return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
 
-    def _of_body(self, values: np.ndarray, body: str) -> np.ndarray:
-        """The rows of a body, (envs, ...); NaN where an environment has no such body."""
+    def _of_row(self, values: np.ndarray, name: str, owner: str = "bodies") -> np.ndarray:
+        """The rows of a body or joint, (envs, ...); NaN where an environment has no such body or joint."""
         sim = self.sim
-        if body not in self._places:
-            self._places[body] = np.array([names_of(scene).get(body, -1) for scene in sim.scenes])[sim.scene_of]
-        place = self._places[body]
+        if (owner, name) not in self._places:
+            rows = [names_of(scene, owner).get(name, -1) for scene in sim.scenes]
+            self._places[owner, name] = np.array(rows)[sim.scene_of]
+        place = self._places[owner, name]
         found = values[np.arange(sim.num_envs), np.maximum(place, 0)].astype(np.float64)
         found[place < 0] = np.nan
         return found
@@ -137,8 +141,8 @@ def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callab
         else:
             known = ", ".join((*WATCHED, *ENERGIES))
             raise ValueError(
-                f"{name}: must be functions, .py files, {known}, or a quantity of a body such as position[box], "
-                f"got {shown(observer)}"
+                f"{name}: must be functions, .py files, {known}, or a quantity of a body or joint such as "
+                f"position[box], got {shown(observer)}"
             )
     names = [observer_name(observer) for observer in found]
     if len(set(names)) < len(names):
@@ -152,11 +156,12 @@ def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -
     Raises:
         ValueError: no scene has the bodies.
     """
-    places = {id(scene): names_of(scene) for scene in scenes}
+    places = {(id(scene), owner): names_of(scene, owner) for scene in scenes for owner in NAMED}
     for name in observers:
         bodies = _bodies(name) if isinstance(name, str) else ()
-        if not any(all(body in place for body in bodies) for place in places.values()):
-            raise ValueError(f"{name}: no scene has the bodies {', '.join(bodies)}")
+        owner = _owner(name) if isinstance(name, str) else "bodies"
+        if not any(all(body in place for body in bodies) for (_, whose), place in places.items() if whose == owner):
+            raise ValueError(f"{name}: no scene has the {owner} {', '.join(bodies)}")
 
 
 def observer_name(observer: str | Callable) -> str:
@@ -188,7 +193,12 @@ def _is_ready_made(name: str) -> bool:
         return count <= 2
     if quantity in ENERGIES:
         return count <= 1
-    return count == 1 and is_readable(quantity) and is_of_bodies(quantity)
+    return count == 1 and is_readable(quantity) and owner_of(quantity) in NAMED
+
+
+def _owner(name: str) -> str:
+    """Whether a ready-made observer is of "bodies" or of "joints"."""
+    return "joints" if owner_of(_quantity(name)) == "joints" else "bodies"
 
 
 def _values(result: Any, num_envs: int) -> np.ndarray:

@@ -1,18 +1,20 @@
-"""Overlays of the simulator's data: boxes, cells, contacts, samples and clusters."""
+"""Overlays of the simulator's data: boxes, cells, contacts, joints, samples and clusters."""
 
 import numpy as np
 import trimesh
 
 from warp_rigid.engine.quantities import CONTACT_RECORD
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.rotations import inverse, rotate
+from warp_rigid.scene.joints.joint import JointFrame
 from warp_rigid.scene.scene import Motion
 
 __all__ = ["CONTACTS", "OVERLAYS", "Overlays"]
 
 BOXES, CELLS, CONTACTS = "Swept boxes", "Hash cells", "Contacts and impulses"
-SAMPLES, CLUSTERS = "Samples", "Clusters of the chosen body"
-OVERLAYS = (BOXES, CELLS, CONTACTS, SAMPLES, CLUSTERS)
+JOINTS, SAMPLES, CLUSTERS = "Joints", "Samples", "Clusters of the chosen body"
+OVERLAYS = (BOXES, CELLS, CONTACTS, JOINTS, SAMPLES, CLUSTERS)
 
 MOST = 20_000
 """Largest number of items drawn of each kind."""
@@ -20,6 +22,7 @@ MOST = 20_000
 BOX_COLOR = (46, 110, 190)
 CELL_COLOR = (150, 90, 190)
 CONTACT_COLOR = (205, 40, 40)
+JOINT_COLOR = (20, 140, 90)
 SAMPLE_COLOR = (20, 20, 20)
 KEPT_COLOR, REJECTED_COLOR = (235, 120, 20), (150, 155, 160)
 
@@ -77,6 +80,7 @@ class Overlays:
             BOXES: lambda: self._boxes(sim, rows, offsets, size),
             CELLS: lambda: self._cells(sim, rows, offsets, size),
             CONTACTS: lambda: self._contacts(sim, rows, offsets, size),
+            JOINTS: lambda: self._joints(sim, rows, offsets, size),
             SAMPLES: lambda: self._samples(sim, rows, offsets, size),
             CLUSTERS: lambda: self._clusters(sim, rows, offsets, chosen),
         }
@@ -121,6 +125,14 @@ class Overlays:
         length = size * np.clip(np.sqrt(strength[pushes] / usual), 0.0, 3.0)
         ends = points[pushes] + impulse[pushes] / strength[pushes] * length
         self._arrows(f"{CONTACTS}: arrows", np.stack([points[pushes], ends], axis=1), size)
+
+    def _joints(self, sim, rows, offsets, size) -> None:
+        """A ball at both anchors of each joint that is not broken, and a line between them or along its axis."""
+        points, axes = joint_lines(sim, rows, size)
+        points, axes = (some + offsets[:, None, None] for some in (points, axes))
+        whole = ~sim.get("joint_broken")[rows][:, : points.shape[1]]
+        self._points(JOINTS, points[whole].reshape(-1, 3)[:MOST], JOINT_COLOR, 0.12 * size)
+        self._lines(f"{JOINTS}: axes", axes[whole][:MOST], JOINT_COLOR, 2.0 * size)
 
     def _samples(self, sim, rows, offsets, size) -> None:
         position, orientation = sim.get("position"), sim.get("orientation")
@@ -209,6 +221,30 @@ class Overlays:
     def _hide(self, name: str) -> None:
         if name in self._nodes:
             self._nodes[name].visible = False
+
+
+def joint_lines(sim: Simulator, rows: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Both anchors of each joint, and the segment that is drawn for it, two (rows, joints, 2, 3) arrays [m].
+
+    The segment is the axis of a revolute or prismatic joint, of length `size`; else it connects the anchors.
+    """
+    position, orientation = sim.get("position")[rows], sim.get("orientation")[rows]
+
+    def ends(body: int | None, frame: JointFrame) -> tuple[np.ndarray, np.ndarray]:
+        point, axis = np.array(frame.position), rotate(np.array(frame.orientation), np.array([1.0, 0, 0]))
+        if body is None:
+            return tuple(np.broadcast_to(some, (len(rows), 3)) for some in (point, axis))
+        return position[:, body] + rotate(orientation[:, body], point), rotate(orientation[:, body], axis)
+
+    points = np.zeros((len(rows), len(sim.scene.joints), 2, 3))
+    axes = points.copy()
+    for k, entry in enumerate(sim.scene.joints):
+        (first, _), (second, axis) = ends(entry.body_a, entry.frame_a), ends(entry.body_b, entry.frame_b)
+        points[:, k] = np.stack([first, second], axis=1)
+        turning = entry.joint.coordinate in (Coordinate.ANGLE, Coordinate.SLIDE)
+        half = 0.5 * size * axis
+        axes[:, k] = np.stack([first - half, first + half], axis=1) if turning else points[:, k]
+    return points, axes
 
 
 def box_lines(boxes: np.ndarray) -> np.ndarray:

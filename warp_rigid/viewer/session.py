@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
+from warp_rigid.engine import joint_quantities
 from warp_rigid.engine.quantities import WRITABLE
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -280,6 +281,9 @@ class Session:
             elif not np.array_equal(value, new.get(name)[:, : old.num_bodies]):
                 bodies = dynamic if name == "mass" else list(range(old.num_bodies))
                 new.set(name, value[:, bodies], bodies=bodies)
+        if old.scene.joints:
+            for name in joint_quantities.WRITABLE:
+                new.set(name, old.get(name))
         self._events = [(when - old.time, act) for when, act in self._events]
         self._time_before += old.time
         self._sim = new
