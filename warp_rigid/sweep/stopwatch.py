@@ -45,4 +45,4 @@ class Stopwatch:
 
     def __str__(self) -> str:
         """The phases that took time, in one line."""
-        return ", ".join(f"{PHASES[phase]} {value:.2g} s" for phase, value in self.seconds.items() if value >= 0.005)
+        return ", ".join(f"{PHASES[phase]} {value:.2g} s" for phase, value in self.seconds.items() if value > 0.0)
