@@ -31,7 +31,7 @@ SHADE_REACH = 0.06
 STILL = 0.1
 """Speed below which a body is still, in its own sizes per second."""
 SIDES = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
-LONELY_ROOM = 0.25
+LONELY_ROOM = 0.5
 """Space around a single body, in its own sizes; less is added around several bodies."""
 STRAY = 6.0
 """Bodies farther from the others than this multiple of the distance within which most are do not guide the camera."""
