@@ -11,6 +11,7 @@ from warp_rigid.validation import (
     impact,
     many_bodies,
     mass_and_distance,
+    mechanisms,
     nonconvex,
     rolling,
     sliding,
@@ -30,6 +31,7 @@ SECTIONS = (
     arches,
     contact_search,
     sliding,
+    mechanisms,
 )
 CPU = "cpu"
 
