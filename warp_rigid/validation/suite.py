@@ -5,13 +5,13 @@ from typing import Any
 
 from warp_rigid.validation import (
     arches,
+    articulated,
     contact_search,
     free_motion,
     friction,
     impact,
     many_bodies,
     mass_and_distance,
-    mechanisms,
     nonconvex,
     rolling,
     sliding,
@@ -31,7 +31,7 @@ SECTIONS = (
     arches,
     contact_search,
     sliding,
-    mechanisms,
+    articulated,
 )
 CPU = "cpu"
 
