@@ -16,7 +16,7 @@ PYTEST := $(BIN)/python -m pytest -q
 # One worker a core; the tests of a file stay together, for they share what is costly to make.
 WORKERS := -n auto --dist loadfile
 
-.PHONY: demo test test-all browser-test fuzz pins validate lint docs format clean
+.PHONY: demo test test-all browser-test fuzz dist pins validate lint docs format clean
 
 # Two scenes: films, pictures and a contact sheet in out/.
 demo: $(READY)
@@ -39,9 +39,13 @@ test-all: $(READY)
 browser-test: $(READY)
 	$(PYTEST) tests/browser
 
-# 10 000 new cases of wild input.
+# 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks.
 fuzz: $(READY)
 	FUZZ_CASES=10000 $(PYTEST) tests/fuzz
+
+# Wheel and sdist of the last commit, of the same bytes every time: out/dist.
+dist: $(READY)
+	$(BIN)/python docs/make_dist.py $(OUT)/dist
 
 # Renew the pinned results of ten scenes.
 pins: $(READY)

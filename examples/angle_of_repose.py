@@ -74,8 +74,8 @@ def main(arguments=None):
         resume=True,
     )
     (axis,) = result.axes
-    if axis == "friction":
-        result.plot(options.out / "repose.png", x="friction", y="slope")
+    name = "repose" if axis == "friction" else "repose_shapes"
+    result.plot(options.out / f"{name}.png", x=axis, y="slope")
     for row in result.rows:
         print(f"{axis} {row[axis]}, seed {row['seed']}: {row['slope']:.1f} degrees")
     return result

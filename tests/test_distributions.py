@@ -8,6 +8,7 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from hashlib import sha256
 from importlib import metadata
 from pathlib import Path
 
@@ -15,8 +16,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from docs import make_dist
+
 ROOT = Path(__file__).resolve().parents[1]
-BUILD = "import sys; from setuptools import build_meta; print('\\n' + getattr(build_meta, sys.argv[1])(sys.argv[2]))"
 
 
 def build(source, target):
@@ -24,7 +26,7 @@ def build(source, target):
     target.mkdir()
     made = []
     for what in ("build_sdist", "build_wheel"):
-        command = [sys.executable, "-c", BUILD, what, str(target)]
+        command = [sys.executable, "-c", make_dist.BUILD, what, str(target)]
         done = subprocess.run(command, cwd=source, check=True, capture_output=True, text=True)
         made.append(target / done.stdout.splitlines()[-1])
     return made
@@ -59,6 +61,26 @@ def test_a_wheel_from_the_sdist_is_the_same(built, tmp_path):
     (source,) = tmp_path.iterdir()
     again = build(source, tmp_path / "dist")[1]
     assert contents(again) == contents(built[1])
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="builds a commit")
+def test_two_builds_of_a_commit_have_the_same_bytes(tmp_path, monkeypatch):
+    """On another day, in another time zone, with other default permissions."""
+    first = make_dist.build(tmp_path / "first")
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    monkeypatch.setenv("PYTHONHASHSEED", "1")
+    before = os.umask(0o077)
+    try:
+        second = make_dist.build(tmp_path / "second")
+    finally:
+        os.umask(before)
+    assert [path.name for path in first] == [path.name for path in second]
+    assert [sha256(path.read_bytes()).hexdigest() for path in first] == [
+        sha256(path.read_bytes()).hexdigest() for path in second
+    ]
+    with tarfile.open(first[0]) as file:
+        assert {member.mode & 0o777 for member in file if member.isfile()} <= {0o644, 0o755}
 
 
 def test_the_wheel_runs_in_a_clean_environment(built, tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
+from benchmarks import price_of_checks
 from warp_rigid.commands import cli
 from warp_rigid.engine import health_checks
 
@@ -202,3 +203,26 @@ def test_the_command_prints_warnings(capsys, tmp_path):
     assert cli.main(["run", str(path), "--frames", "240", "--device", "cpu"]) == 0
     line = f"environment 0: warning: overlap since step {warning['step']}, body 2"
     assert line in capsys.readouterr().out
+
+
+def test_energy_that_a_motor_gives_is_not_reported(device):
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_body(CUBE, name="wheel")
+    axle = scene.add_joint(wr.RevoluteJoint(axis=(0, 0, 1)), "wheel")
+    scene.add_drive(axle, damping=10.0, target_velocity=50.0)
+    sim = wr.Simulator(scene, device=device)
+    sim.step(600)
+    assert sim.get("angular_velocity")[0, 0, 2] > 40.0 and found(sim) == []
+
+
+def test_the_price_of_checks_is_that_of_the_same_motion(device, monkeypatch):
+    monkeypatch.setattr(price_of_checks, "ROUNDS", 1)
+    checked, unchecked = price_of_checks.measure(1, {"height": 2}, device)
+    assert checked > 0.0 and unchecked > 0.0
+    with price_of_checks.without_checks():
+        sim = wr.Simulator(squeezed(), device=device)
+        sim.step(960)
+    assert found(sim) == []
+    same = wr.Simulator(squeezed(), device=device)
+    same.step(960)
+    assert same.get("position").tobytes() == sim.get("position").tobytes() and found(same) != []

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import zarr
 
 import warp_rigid as wr
 from warp_rigid.commands import cli
@@ -180,6 +181,54 @@ def test_series_on_disk_survive_an_interruption(tmp_path, monkeypatch):
     assert set(read_series(tmp_path / "t.series")["run"].to_pylist()) == {0}
 
 
+def test_series_in_zarr_are_those_in_parquet(tmp_path, monkeypatch):
+    """Also with time steps that have other samples, with vectors, and after an interruption."""
+    axes = {"height": np.linspace(0.05, 0.3, 5), "dt": [1 / 240, 1 / 100]}
+    options = {"series": ["kinetic_energy", "position[ball]", "impacts"], "batch": 2}
+    whole = quick(axes, **options).series().to_pandas()
+    path, folder = tmp_path / "t.parquet", tmp_path / "s.zarr"
+    options |= {"output": path, "series_output": folder}
+
+    def interrupted(self, rows, add=ResultFile.add):
+        if len(self.rows) >= 4:
+            raise KeyboardInterrupt
+        add(self, rows)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ResultFile, "add", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            quick(axes, **options)
+    assert set(read_series(folder)["run"].to_pylist()) > {row["run"] for row in read(path).rows}
+    result = quick(axes, resume=True, **options)
+    for series in (result.series(), read_series(folder)):
+        found = series.to_pandas()
+        for name in ("run", "time", "kinetic_energy", "impacts"):
+            np.testing.assert_array_equal(found[name], whole[name])
+        np.testing.assert_array_equal(np.stack(found["position[ball]"]), np.stack(whole["position[ball]"]))
+    root = zarr.open_group(folder, mode="r")
+    assert root["position[ball]"].shape == (10, 11, 3) and root["time"].shape == (10, 11)
+    assert not (tmp_path / "t.series").exists()
+    more = {**axes, "height": np.linspace(0.05, 0.3, 9)}
+    with pytest.raises(ValueError, match="s.zarr: already exists; resume it, overwrite it"):
+        quick(more, **options | {"output": tmp_path / "u.parquet"})
+    with pytest.raises(ValueError, match="s.zarr: holds the series of a different sweep"):
+        quick(axes, **options | {"output": None, "duration": 0.25, "resume": True})
+    quick({"height": [0.1]}, overwrite=True, **options)
+    assert read_series(folder).num_rows == 11
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"series": ["energy"], "series_output": "s.h5"}, "series_output: must end in .zarr, got s.h5"),
+        ({"series_output": "s.zarr"}, "series_output: requires series"),
+    ],
+)
+def test_bad_outputs_of_series_are_named(options, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        quick({"height": [0.1]}, **options)
+
+
 def test_the_command_observes(tmp_path, capsys):
     scene, mine = tmp_path / "ball.py", tmp_path / "mine.py"
     scene.write_text(
@@ -201,8 +250,13 @@ def test_the_command_observes(tmp_path, capsys):
         "-o",
         str(table),
     ]
-    observe = ["--observe", f"peak_impulse[ball,ground],{mine}", "--series", "energy"]
-    assert cli.main([*command, *observe, "--metrics", "drift"]) == 0
+    observe = ["--observe", f"peak_impulse[ball,ground],{mine}", "--series", "energy", "--metrics", "drift"]
+    zarr_folder = tmp_path / "s.zarr"
+    assert cli.main([*command, *observe]) == 0
+    out, err = capsys.readouterr()
+    assert err.splitlines()[-1].startswith("time: ") and f"wrote {table}" in out
+    assert cli.main([*command, *observe, "--overwrite", "--series-output", str(zarr_folder)]) == 0
+    assert f"wrote {zarr_folder}" in capsys.readouterr().out
     rows = read(table).rows
     assert all(row["peak_impulse[ball,ground]"] > 0.0 and 0.1 < row["twice"] < 0.9 for row in rows)
-    assert read_series(tmp_path / "t.series").num_rows == 4
+    assert read_series(tmp_path / "t.series").num_rows == read_series(zarr_folder).num_rows == 4

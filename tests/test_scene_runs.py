@@ -34,10 +34,7 @@ def surprises(result):
     return found
 
 
-SINKS = pytest.mark.xfail(reason="a ring sinks 73 mm into a pole without a contact", strict=True)
-
-
-MARKS = {"rings_on_poles": SINKS, "nut_and_bolt": pytest.mark.long}
+MARKS = {"nut_and_bolt": pytest.mark.long}
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, ())) for name in scenes.names()])

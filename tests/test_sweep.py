@@ -105,6 +105,11 @@ def test_only_time_steps_split_a_batch(monkeypatch):
     assert sizes == [6, 6] and not result.failed
     assert {(row["count"], len(row["final_position"])) for row in result.rows} == {(1, 6), (2, 9)}
     assert structure(ball(height=1.0)) == structure(ball(height=2.0, mass=3.0)) != structure(ball(count=2))
+    jointed, driven = ball(), ball()
+    for scene in (jointed, driven):
+        hinge = scene.add_joint(wr.RevoluteJoint(axis=(0, 1, 0)), 1, None, anchor=(0, 0, 2.0))
+    driven.add_drive(hinge, stiffness=1.0)
+    assert len({structure(scene) for scene in (ball(), jointed, driven)}) == 3
 
 
 def test_free_fall_and_flight_have_closed_forms():

@@ -2,15 +2,18 @@
 
 import os
 import signal
+from pathlib import Path
 
 import distributed
+import numpy as np
 import pytest
 from distributed import LocalCluster
 
 import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
+from warp_rigid.commands import cli
 from warp_rigid.engine.cores import usable_cores
-from warp_rigid.sweep import execution
+from warp_rigid.sweep import execution, read
 from warp_rigid.sweep.cluster import cluster_of_file
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
@@ -34,6 +37,22 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path, monkeypatch):
     assert killed and not result.failed
     alone = values(quick(AXES, **OPTIONS))
     assert [{name: row[name] for name in alone[0]} for row in values(result)] == alone
+
+
+def test_the_example_of_a_cluster_gives_the_same_rows(tmp_path, monkeypatch):
+    made = []
+
+    def in_threads(**options):
+        made.append(LocalCluster(**options | {"processes": False, "n_workers": 1}))
+        return made[-1]
+
+    monkeypatch.setattr(distributed, "LocalCluster", in_threads)
+    example, table = Path(__file__).resolve().parents[1] / "examples" / "local_cluster.py", tmp_path / "t.parquet"
+    command = ["sweep", "leaning_tower", "--vary", "offset=0.05:0.45:4", "--duration", "0.1", "--metrics", "drift"]
+    assert cli.main([*command, "--cluster", str(example), "-o", str(table)]) == 0
+    made[0].close()
+    alone = wr.sweep("leaning_tower", {"offset": np.linspace(0.05, 0.45, 4)}, duration=0.1, metrics=["drift"])
+    assert [row["drift"] for row in read(table).rows] == [row["drift"] for row in alone.rows]
 
 
 def test_what_fails_on_a_worker_is_a_row_with_its_reason():

@@ -68,7 +68,10 @@ def test_scattered_points_make_a_matrix(tmp_path, figures):
 
 def test_words_are_an_axis_too(tmp_path, figures):
     plot(table(["mode"], [("u",), ("w",), ("v",)]), tmp_path / "p.png")
-    assert [tick.get_text() for tick in figures[0].axes[0].get_xticklabels()] == ["u", "v", "w"]
+    panel = figures[0].axes[0]
+    assert [tick.get_text() for tick in panel.get_xticklabels()] == ["u", "v", "w"]
+    # Words have no order, so no line joins them.
+    assert panel.lines[0].get_linestyle() == "None"
 
 
 @pytest.mark.parametrize(

@@ -302,3 +302,20 @@ def test_slow_scenes_pay_nearly_nothing(device):
 
     if not sim.device.is_cuda:
         assert best(stages.detect_continuous_collisions) < 0.02 * best(stages.step)
+
+
+def test_a_body_that_is_hit_does_not_enter_its_neighbour(device):
+    """Two balls 5 mm apart whose boxes overlap: when the first is hit by a third, they have no contact.
+
+    It moves 30 mm in the step, less than a quarter of its size.
+    """
+    along = np.array([1, 1, 0]) / 2**0.5
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(Sphere(0.2), linear_velocity=20 * along, mass=10.0, restitution=0.0)
+    for k in range(2):
+        scene.add_body(Sphere(0.2), position=(0.45 + 0.405 * k) * along, mass=1.0, restitution=0.0)
+    sim = Simulator(scene, device=device)
+    for _ in range(24):
+        sim.step()
+        assert sim.penetration().max() < 0.025 * 0.4
+    np.testing.assert_allclose(sim.get("linear_velocity")[0] @ along, 200 / 12, rtol=1e-3)

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pxr import Sdf
 
 import warp_rigid as wr
 from tests.oracles import rotation_matrix
 from tests.usd_tools import moved, rigid, start_of, write_stage
 from warp_rigid.commands import cli
+from warp_rigid.runs.runner import execute, find_scene, plan_run
 from warp_rigid.scenes.builders import meshes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -264,8 +266,44 @@ def test_an_animated_body_starts_with_its_first_pose(tmp_path, units):
         path.write_text(path.read_text().replace("upAxis", "startTimeCode = 12\n    endTimeCode = 20\n    upAxis", 1))
     scene = wr.import_usd(path)
     (belt,) = scene.bodies
-    assert "animated motion is ignored" in str(scene.import_report.findings[0])
     np.testing.assert_allclose(belt.position, (2.0 if units else 0.0, 0, 1), atol=1e-9)
+
+
+MOVING = """
+double3 xformOp:translate.timeSamples = {{ 0: (0, 0, 1), 24: (1, 0, 1), 48: (1, 2, 1) }}
+float xformOp:rotateZ.timeSamples = {{ 0: 0, 24: 0, 48: 90 }}
+uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]
+{flag}
+"""
+
+
+def test_an_animated_kinematic_body_follows_its_animation(tmp_path):
+    """An off-centre hammer moves along x for a second, then along y while it turns, and stays where it ends."""
+    head = 'def Sphere "Head" (\n prepend apiSchemas = ["PhysicsCollisionAPI"]\n)\n{\n double radius = 0.2\n'
+    head += ' double3 xformOp:translate = (0.5, 0, 0)\n uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+    text = 'def Xform "Hammer" (\n prepend apiSchemas = ["PhysicsRigidBodyAPI"]\n)\n{\n'
+    text += MOVING.format(flag="bool physics:kinematicEnabled = 1") + head + "}\n"
+    path = write_stage(tmp_path / "file.usda", text)
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.timeCodesPerSecond, layer.startTimeCode, layer.endTimeCode = 24.0, 0.0, 48.0
+    layer.Save()
+    assert wr.import_usd(path, strict=True).import_report.paths[0].time[-1] == 2.0
+    result = execute(plan_run(find_scene(str(path)), frames=150, device="cpu"), [0])
+    position, orientation = result.recording.position[:, 0, 0], result.recording.orientation[:, 0, 0]
+    np.testing.assert_allclose(position[30], (0.5, 0, 1), atol=1e-5)
+    np.testing.assert_allclose(position[60], (1, 0, 1), atol=1e-5)
+    np.testing.assert_allclose(position[90], (1, 1, 1), atol=1e-5)
+    half = np.radians(22.5)
+    np.testing.assert_allclose(orientation[90], (0, 0, np.sin(half), np.cos(half)), atol=1e-4)
+    np.testing.assert_allclose(position[[120, 150]], [(1, 2, 1)] * 2, atol=1e-5)
+    np.testing.assert_allclose(orientation[[120, 150]], [(0, 0, 0.5**0.5, 0.5**0.5)] * 2, atol=1e-5)
+
+
+def test_animation_of_a_static_body_is_reported(stage):
+    text = rigid("Wall", "Cube", MOVING.format(flag="bool physics:rigidBodyEnabled = 0").replace("\n", ";"))
+    scene = stage(text, strict=False)
+    assert "animated motion is ignored" in str(scene.import_report.findings[0])
+    assert scene.import_report.paths == {}
 
 
 GROUP = """

@@ -10,6 +10,7 @@ from warp_rigid.render.film import DrawnMesh
 from warp_rigid.rotations import rotate
 from warp_rigid.viewer.instances import creased
 from warp_rigid.viewer.overlays import box_lines, joint_lines
+from warp_rigid.viewer.panel import parameter_range
 from warp_rigid.viewer.picking import trace
 from warp_rigid.viewer.slicing import cut
 
@@ -138,6 +139,20 @@ def test_swept_boxes_hold_the_bodies_and_their_way():
     assert (upper[0, 0] < [1.25, 2.35, 3.45]).all()
     sim.penetration()
     assert sim.swept_boxes()[1, 0, 0] == pytest.approx([1.0, 1.8, 2.7], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("default", "expected"),
+    [
+        (10, (0, 30, 1)),
+        (0, (0, 10, 1)),
+        (0.15, (0, 0.45, 0.001)),
+        (0.0, (0, 1.0, 0.01)),
+        (-2.0, (-6.0, 0, 0.01)),
+    ],
+)
+def test_sliders_of_parameters_span_three_times_the_default(default, expected):
+    assert parameter_range(default) == pytest.approx(expected)
 
 
 def test_joints_are_drawn_at_their_anchors_and_along_their_axes():

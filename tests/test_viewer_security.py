@@ -322,11 +322,13 @@ def test_upload_cannot_set_a_control_and_no_tunnel_opens(served, page, monkeypat
         "text",
     ],
 )
-def test_message_that_cannot_be_read_ends_its_connection_only(served, page, data):
+def test_message_that_cannot_be_read_ends_its_connection_only(served, page, caplog, data):
     with open_page(served) as broken:
         broken.send(data)
         until(lambda: len(served.viewer.server.get_clients()) == 1)
     served.alive()
+    lines = [record for record in caplog.records if record.name == "websockets.server"]
+    assert "Traceback" not in caplog.text and all("\n" not in record.getMessage() for record in lines)
 
 
 @pytest.mark.parametrize(
@@ -506,3 +508,27 @@ def test_host_beyond_this_machine_is_told(capsys, monkeypatch):
     assert "other machines" in told and "token" in told and "http://127.0.0.1:" in told
     assert cli.main(["view", "seesaw", "--device", "cpu", "--port", "8670"]) == 0
     assert "other machines" not in capsys.readouterr().err
+
+
+def test_sliders_of_the_scene_restart_it_and_refuse_what_it_does_not_allow():
+    served = Served(LiveViewer(Session("leaning_tower", device="cpu"), port=8690))
+    try:
+        with open_page(served) as page:
+            sliders = served.viewer._panel._inputs
+            assert {name: (slider.min, slider.max) for name, slider in sliders.items()} == {
+                "height": (0, 30),
+                "offset": (0, pytest.approx(0.45)),
+            }
+            update(page, sliders["height"], 4)
+            until(lambda: sliders["height"].value == 4)
+            served.viewer.ask(served.viewer._panel._restart_with_parameters)
+            served.done()
+            assert served.viewer.session.plan.parameters["height"] == 4
+            assert len(served.viewer.session.plan.scene.bodies) == 6
+            update(page, sliders["height"], 1)
+            until(lambda: sliders["height"].value == 1)
+            served.viewer.ask(served.viewer._panel._restart_with_parameters)
+            served.alive()
+            assert served.viewer.session.plan.parameters["height"] == 4, "2 boxes are the fewest"
+    finally:
+        served.close()

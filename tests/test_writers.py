@@ -59,12 +59,13 @@ def test_a_package_that_is_incomplete_is_an_error(tmp_path, recording, monkeypat
     assert (tmp_path / "a.usdz").read_bytes() == before
 
 
+@pytest.mark.parametrize("size", [0, 10, 1000])
 @pytest.mark.parametrize("suffix", [".usdc", ".usda", ".usdz", ".usd"])
-def test_an_export_onto_a_full_disk_leaves_the_old_film(tmp_path, recording, suffix):
+def test_an_export_onto_a_full_disk_leaves_the_old_film(tmp_path, recording, suffix, size):
     path = tmp_path / f"a{suffix}"
     wr.export_usd(recording, path)
     before = path.read_bytes()
-    with full_disk(), pytest.raises(OSError) as error:
+    with full_disk(size), pytest.raises(OSError) as error:
         wr.export_usd(recording, path)
     assert str(path) in str(error.value)
     assert [file.name for file in tmp_path.iterdir()] == [path.name] and path.read_bytes() == before

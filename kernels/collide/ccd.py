@@ -63,6 +63,7 @@ class Passage:
     `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
     `reach`: upper bound of the motion of points that can meet the other body.
     `size`: the smaller size of the two bodies.
+    `near`: samples that start closer are handled by the solver, and may penetrate deeper by as much [m].
     `rotation`: angle by which both bodies together turn in the step.
     """
 
@@ -71,6 +72,7 @@ class Passage:
     end: wp.transform
     reach: float
     size: float
+    near: float
     dt: float
     rotation: float
 
@@ -145,6 +147,7 @@ def passage_of(own: Course, other: Course, dt: float, size: float):
     passage.end = pose_in(own, other, dt)
     passage.reach = largest_motion(own, other, dt)
     passage.size = size
+    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR, DEPTH) * size
     passage.dt = dt
     passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
     return passage
@@ -406,7 +409,7 @@ def trace_samples(shapes: Shapes, own: Course, other: Course, ball: Ball, begin:
         if s >= 0:
             p = shapes.samples[s].point
             radius = shapes.samples[s].radius
-            near = NEAR * passage.size
+            near = passage.near
             kind = shapes.samples[s].kind
         if kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
             earliest = trace_segment(shapes, own, other, s, near, begin, earliest, passage.size)
@@ -483,6 +486,43 @@ def limit_travel(dt: float, motions: Motions):
     motions.next_time_of_impact[b] = share
 
 
+@wp.func
+def change_of(b: int, course: Course, bodies: Bodies, state: State, motions: Motions):
+    """The change of a body's velocities in this step, as a motion."""
+    change = course_of(b, 0.0, bodies, state, motions)
+    change.linear = course.linear - state.linear_velocity[b]
+    change.angular = course.angular - state.angular_velocity[b]
+    return change
+
+
+@wp.func
+def was_hit(
+    pair: int,
+    again: int,
+    first: Course,
+    second: Course,
+    size: float,
+    dt: float,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Whether a body of a pair without contacts was hit by a third one, so that it moves otherwise than was expected.
+
+    A body that was stopped may be hit from behind by one with which it is in contact.
+    """
+    if relative_motion(first, second, dt) < DEPTH * size:
+        return False
+    if again == 1:
+        return True
+    if pairs.contact_count[pair] > 0:
+        return False
+    change_a = change_of(pairs.body_a[pair], first, bodies, state, motions)
+    change_b = change_of(pairs.body_b[pair], second, bodies, state, motions)
+    return relative_motion(change_a, change_b, dt) > DEPTH * size
+
+
 @wp.kernel
 def list_fast_pairs(
     again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
@@ -500,7 +540,9 @@ def list_fast_pairs(
             size = smaller_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
-            if relative_motion(first, second, dt) > FAST * size and may_touch(shapes, first, second, dt):
+            fast = relative_motion(first, second, dt) > FAST * size
+            fast = fast or was_hit(pair, again, first, second, size, dt, bodies, state, motions, pairs)
+            if fast and may_touch(shapes, first, second, dt):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
 
 

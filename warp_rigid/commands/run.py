@@ -64,7 +64,10 @@ def run_command(
     ] = "auto",
     usd_layout: Annotated[
         str,
-        typer.Option(help="single (one file), payloads (one file per environment) or clips (one file per 24 frames)."),
+        typer.Option(
+            help="single (one file), payloads (one file per environment), clips (one file per 24 frames) or override "
+            "(a layer over the imported stage that animates its own prims)."
+        ),
     ] = "single",
     usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Include contact points and impulses.")] = False,
     picture: Annotated[str | None, typer.Option(help="Image of the last frame, .png.")] = None,
@@ -115,7 +118,12 @@ def run_command(
     chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
     _print_import_report(plan.scene.import_report)
     # A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
-    streamed = output if to_usd and checkpoint_every is None and not resume else None
+    override = usd_layout == "override"
+    if override and plan.scene.import_report is None:
+        raise ValueError(f"--usd-layout: override requires a scene from a USD file, got {scene}")
+    if override and (plan.sim.num_envs if chosen is None else len(chosen)) != 1:
+        raise ValueError("--usd-envs: must name one environment for --usd-layout override")
+    streamed = output if to_usd and not override and checkpoint_every is None and not resume else None
     done, failure = _FramesDone(plan.frames), None
     with told_if_interrupted(lambda: done.kept(streamed, checkpoints, context), lambda: done.count > 0):
         try:
@@ -138,7 +146,9 @@ def run_command(
     if output and not streamed:
         _export(result.recording, output, usd)
     if picture or film or contact_sheet or html:
-        drawn = replace(_film(result.recording, output if to_usd else None, color), view=plan.demo.view)
+        drawn = replace(
+            _film(result.recording, output if to_usd and not override else None, color), view=plan.demo.view
+        )
         _draw(drawn, picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:

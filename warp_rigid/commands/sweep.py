@@ -39,6 +39,9 @@ def sweep_command(
         str | None,
         typer.Option(help="Observers whose time series are kept in the folder TABLE.series: A,B[BODY]."),
     ] = None,
+    series_output: Annotated[
+        str | None, typer.Option(help="Folder of the time series, .zarr. Default: Parquet files in TABLE.series.")
+    ] = None,
     design: Annotated[str, typer.Option(help="Design: grid, zip, random or lhs.")] = "grid",
     samples: Annotated[int | None, typer.Option(help="Number of points of the designs random and lhs.")] = None,
     repeats: Annotated[int, typer.Option(help="Runs per point, with consecutive seeds.")] = 1,
@@ -111,6 +114,7 @@ def sweep_command(
             trajectories=trajectories,
             observe=split_names(observe),
             series=split_names(series),
+            series_output=series_output,
             shard=_shard(shard),
             cluster=_cluster(cluster),
             workers=workers,
@@ -120,7 +124,7 @@ def sweep_command(
     seconds = time.perf_counter() - start
     if plot:
         result.plot(plot, plot_x, plot_y, plot_kind)
-    print_result(result, [path for path in (output, trajectories, plot) if path], as_json, seconds)
+    print_result(result, [path for path in (output, trajectories, series_output, plot) if path], as_json, seconds)
     return FAILED_RUNS if result.failed else 0
 
 

@@ -78,12 +78,15 @@ def build_pool(layout: Layout, device: Any) -> Pool:
 
 
 def distinct_shapes(layout: Layout) -> list[tuple[Shape, int]]:
-    """The shapes that differ, each with the number of copies that the pool holds of it."""
+    """The shapes that differ, each the first of its content, with the number of copies that the pool holds of it."""
     copies: dict[str, int] = {}
     shapes: dict[str, Shape] = {}
     envs = np.bincount(layout.scene_of, minlength=len(layout.scenes)).tolist()
     for scene, count in zip(layout.scenes, envs, strict=True):
-        for shape in {body.shape.key: body.shape for body in scene.bodies}.values():
+        own: dict[str, Shape] = {}
+        for body in scene.bodies:
+            own.setdefault(body.shape.key, body.shape)
+        for shape in own.values():
             shapes.setdefault(shape.key, shape)
             copies[shape.key] = copies.get(shape.key, 0) + count if moves(shape) else 1
     return [(shape, copies[key]) for key, shape in shapes.items()]

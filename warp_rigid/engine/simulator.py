@@ -324,7 +324,7 @@ class Simulator:
           by 5 % between checks, four times in a row.
         - "energy": the bodies gained more energy than gravity, force fields, forces and torques gave them, by 2 % of
           their kinetic energy and 1 % of the energy that lifts each by its size. The body is the one with the largest
-          kinetic energy. Environments with kinematic bodies that move, moving ground, or constraints other than
+          kinetic energy. Environments with kinematic bodies that move, moving ground, joints, or constraints other than
           contacts are not checked.
         - "precision": neighbouring positions at a body are farther apart than 0.5 % of its largest or 100 % of its
           smallest extent, because it is far from the origin.

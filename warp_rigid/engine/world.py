@@ -1,5 +1,6 @@
 """World: what a simulator consists of, its scenes, settings and device arrays."""
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,6 +39,7 @@ class World:
         envs: settings and status of the environments.
         shards: ranges of environments with their pools and recorded steps.
         watches: what the steps record for observers, None for nothing.
+        seconds: time to "load" the kernels and to "record" the first step [s].
     """
 
     def __init__(
@@ -67,7 +69,9 @@ class World:
         self.memory_limit.check(0, needed, f"simulating {self.num_envs} environment(s)")
         baking = any(isinstance(body.shape, Mesh | Compound) for body in layout.scene_bodies)
         lanes = team_lanes(device, self.num_envs, layout.most_bodies)
+        start = time.perf_counter()
         load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes])
+        self.seconds = {"load": time.perf_counter() - start}
         self.model = build_model(layout, device)
         self.state = initial_state(layout, device)
         self.start = initial_state(layout, device)
@@ -77,7 +81,9 @@ class World:
         arrays = (self.model, self.state, self.sleep_state, self.envs)
         limits = sizes if on_overflow == "raise" else None
         self.shards = Shards(ranges, *arrays, limits, self.memory_limit, other_bytes)
+        start = time.perf_counter()
         self.record()
+        self.seconds["record"] = time.perf_counter() - start
 
     def record(self) -> None:
         """Record the step again where settings require it."""

@@ -19,6 +19,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.assignments import SELECTING, Assignments, sort_assignments
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_file
+from warp_rigid.runs.following import follow_paths
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.runs.user_code import UserCodeError
@@ -259,6 +260,7 @@ def _scene_of_usd(path: Path) -> Demo:
         outcome=NoOutcome,
         duration=film_duration(path) or FILE_SCENE_DURATION,
         variants={},
+        events=follow_paths,
     )
 
 

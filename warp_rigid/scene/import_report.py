@@ -1,6 +1,8 @@
 """Report of the differences between an imported scene and its file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from warp_rigid.scene.pose_path import PosePath
 
 __all__ = ["ImportFinding", "ImportReport"]
 
@@ -31,10 +33,17 @@ class ImportReport:
     Attributes:
         file: path of the imported file.
         findings: the differences, in file order.
+        root: path of the prim below which was read; None for the whole stage.
+        prims: indices of the movable bodies in the scene, by the paths of their prims.
+        paths: motion of the kinematic bodies that the file animates, by their indices; `run`, `view` and `sweep`
+            follow it.
     """
 
     file: str
     findings: tuple[ImportFinding, ...] = ()
+    root: str | None = None
+    prims: dict[str, int] = field(default_factory=dict)
+    paths: dict[int, PosePath] = field(default_factory=dict)
 
     @property
     def left_out(self) -> list[ImportFinding]:

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +22,7 @@ from warp_rigid.sweep.failures import Failures
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
 from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
 from warp_rigid.sweep.observers import Observers
+from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.structure import structure
 
 __all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
@@ -40,11 +41,13 @@ class Batch:
         rows: one row per run.
         trajectories: for each group of runs the arguments of Trajectories.add; empty if they are not recorded.
         series: the arguments of Series.add; empty if there are no series.
+        seconds: wall-clock time by phase, see Stopwatch.
     """
 
     rows: list[dict[str, Any]]
     trajectories: list[tuple[list[Run], dict[str, Any]]] = field(default_factory=list)
     series: list[tuple[Sequence[Run], dict[str, np.ndarray]]] = field(default_factory=list)
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +121,11 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
     for row in second.rows:
         row["environment"] += middle
+    watch = Stopwatch()
+    watch.add(first.seconds)
+    watch.add(second.seconds)
     trajectories, series = first.trajectories + second.trajectories, first.series + second.series
-    return Batch(first.rows + second.rows, trajectories, series)
+    return Batch(first.rows + second.rows, trajectories, series, watch.seconds)
 
 
 def _is_memory_error(error: Exception) -> bool:
@@ -137,6 +143,9 @@ def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | Non
 def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     prepared = prepare(job, runs)
     sim = prepared.sim
+    watch = Stopwatch()
+    watch.add({"build": time.perf_counter() - start - sum(sim._world.seconds.values()), **sim._world.seconds})
+    measuring = time.perf_counter()
     failures = Failures(sim.num_envs)
     outcomes = _Outcomes(job, prepared, failures)
     recorder = MetricRecorder(sim, [metric for metric in job.metrics if isinstance(metric, str) and metric != OUTCOME])
@@ -150,7 +159,8 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     _append_frame(job, sim, frames)
     _append_look(sim, observers, looks)
     while remaining > 0:
-        step_frame(sim, min(steps_per_sample, remaining), events)
+        with watch.of("step"):
+            step_frame(sim, min(steps_per_sample, remaining), events)
         remaining -= steps_per_sample
         recorder.observe()
         with sim.in_use():
@@ -166,9 +176,10 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     columns |= {name: observers.latest.get(name, missing) for name in job.observe}
     rows = _rows(sim, runs, columns, peak_counts, failures)
     seconds = (time.perf_counter() - start) / len(runs)
+    watch.add({"measure": time.perf_counter() - measuring - watch.seconds["step"]})
     kept = _trajectories(prepared, runs, rows, frames) if job.trajectories else []
     series = [(runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
-    return Batch([row | {"wall_time": seconds} for row in rows], kept, series)
+    return Batch([row | {"wall_time": seconds} for row in rows], kept, series, watch.seconds)
 
 
 def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -> None:

@@ -24,7 +24,8 @@ from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
 from warp_rigid.sweep.metrics import check_metrics, metric_name
 from warp_rigid.sweep.observers import check_observers, observer_name
-from warp_rigid.sweep.series import Series
+from warp_rigid.sweep.series import open_series
+from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.version import __version__
 
@@ -57,6 +58,7 @@ def sweep(
     trajectories: Any = None,
     observe: Sequence[str | Callable] | None = None,
     series: Sequence[str] | None = None,
+    series_output: Any = None,
     shard: tuple[int, int] | None = None,
     cluster: Any = None,
     workers: int | None = None,
@@ -96,6 +98,7 @@ def sweep(
             every sample; their values at the end are columns. See warp_rigid.sweep.observers.
         series: names of ready-made observers, or of functions of `observe`, whose values at every sample are kept, in
             the folder TABLE.series beside `output`, or in memory. `SweepResult.series` reads them.
+        series_output: a .zarr folder for the series instead.
         shard: (i, n) runs every n-th run of the design, starting with the i-th, 1 <= i <= n.
         cluster: "local" for worker processes on this machine, the address of a Dask scheduler, a Dask cluster or
             client, or a function that returns one; None runs in this process.
@@ -129,8 +132,9 @@ def sweep(
     both = [name for name in clean if name in job.fixed]
     if both:
         raise ValueError(f"{both[0]}: must be either fixed or an axis, not both")
-    points = make_points(clean, design, samples, repeats, seed or 0)
-    all_runs = make_runs(job, points, seed)
+    watch = Stopwatch()
+    with watch.of("plan"):
+        all_runs = make_runs(job, make_points(clean, design, samples, repeats, seed or 0), seed)
     runs = shard_of(all_runs, shard)
     _check_names(job, all_runs)
     axis_values = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
@@ -147,13 +151,17 @@ def sweep(
         if run.id in book.rows:
             book.rows[run.id]["run"] = run.index
     missing = [run for run in runs if run.id not in book.rows]
-    groups = group_runs(job, missing)
+    with watch.of("plan"):
+        groups = group_runs(job, missing)
     trajectory_store = None
     if trajectories is not None:
         from warp_rigid.sweep.trajectories import Trajectories
 
         trajectory_store = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
-    book.series = Series(output, resume) if job.series else None
+    if job.series:
+        book.series = open_series(output, series_output, about, resume, overwrite)
+    elif series_output is not None:
+        raise ValueError("series_output: requires series")
     if len(missing) < len(runs):
         log.info("%d of %d runs are already finished", len(runs) - len(missing), len(runs))
     book.write(state="running")
@@ -161,21 +169,28 @@ def sweep(
     reported: set[str] = set()
     try:
         for part, result in _results(job, groups, batch, cluster, workers):
-            if trajectory_store is not None:
-                for own, frames in result.trajectories:
-                    trajectory_store.add(own, frames)
-            if book.series is not None:
-                for own_runs, looks in result.series:
-                    book.series.add(own_runs, looks)
-            book.add(result.rows)
+            watch.add(result.seconds)
+            with watch.of("write"):
+                _store(result, book, trajectory_store)
             _report_errors(result.rows, reported)
             done += len(part)
             if on_progress is not None:
                 on_progress(done, len(runs))
     finally:
         finished = {"state": "finished", "finished": _now()} if done == len(runs) else {"state": "interrupted"}
-        book.write(**finished)
+        with watch.of("write"):
+            book.write(**finished, seconds=dict(watch.seconds))
+        log.info("time: %s", watch)
     return book.result()
+
+
+def _store(result: Batch, book: ResultFile, trajectories: Any) -> None:
+    """Store a batch; its rows come last, so that no row lacks its trajectory or series after an interruption."""
+    for recorded, frames in result.trajectories:
+        trajectories.add(recorded, frames)
+    for observed, looks in result.series:
+        book.series.add(observed, looks)
+    book.add(result.rows)
 
 
 def _report_errors(rows: list[dict[str, Any]], reported: set[str]) -> None:

@@ -165,6 +165,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
         ValueError: A name is unknown or a value is out of range.
     """
     footprints: dict[str, Footprint] = {}
+    of_structure: dict[Any, Footprint] = {}
     shape_bytes: dict[str, int] = {}
     bodies: dict[str, Any] = {}
     known: dict[Any, Scene] = {}
@@ -175,7 +176,10 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
         key = inputs.scene_key
         if key not in footprints:
             scene = build_scene(job, inputs)
-            footprints[key] = footprint_of(scene, shape_bytes)
+            content = structure(scene)
+            if content not in of_structure:
+                of_structure[content] = footprint_of(scene, shape_bytes)
+            footprints[key] = of_structure[content]
             bodies[key] = tuple((body.name, body.motion) for body in scene.bodies)
             known.setdefault(bodies[key], scene)
         settings = tuple(inputs.settings.items())

@@ -61,6 +61,7 @@ class Observers:
             sim.watch([bodies or None for bodies in self._watched])
         self._functions: dict[str, Callable] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
+        self._places: dict[tuple[str, str], np.ndarray] = {}
         for observer in observers:
             if not isinstance(observer, str):
                 name = observer_name(observer)
@@ -90,9 +91,30 @@ class Observers:
             if quantity in WATCHED:
                 found[name] = watched[quantity][:, self._watched.index(bodies)]
             elif quantity in ENERGIES:
-                found[name] = _energy(self.sim, ENERGIES[quantity], bodies)
+                found[name] = self._energy(ENERGIES[quantity], bodies)
             else:
-                found[name] = _of_row(self.sim, self.sim.get(quantity), bodies[0], _owner(name))
+                found[name] = self._of_row(self.sim.get(quantity), bodies[0], _owner(name))
+        return found
+
+    def _energy(self, parts: tuple[str, ...], bodies: tuple[str, ...]) -> np.ndarray:
+        """Energy of a body, or of all bodies of each environment, (envs,) [J]."""
+        sim = self.sim
+        values = np.sum([sim.get(part) for part in parts], axis=0)
+        if bodies:
+            return self._of_row(values, bodies[0])
+        env = np.nonzero(sim.exists)[0]
+        # Added one after another, so that the sum does not depend on the number of bodies of other environments.
+        return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
+
+    def _of_row(self, values: np.ndarray, name: str, owner: str = "bodies") -> np.ndarray:
+        """The rows of a body or joint, (envs, ...); NaN where an environment has no such body or joint."""
+        sim = self.sim
+        if (owner, name) not in self._places:
+            rows = [names_of(scene, owner).get(name, -1) for scene in sim.scenes]
+            self._places[owner, name] = np.array(rows)[sim.scene_of]
+        place = self._places[owner, name]
+        found = values[np.arange(sim.num_envs), np.maximum(place, 0)].astype(np.float64)
+        found[place < 0] = np.nan
         return found
 
 
@@ -177,24 +199,6 @@ def _is_ready_made(name: str) -> bool:
 def _owner(name: str) -> str:
     """Whether a ready-made observer is of "bodies" or of "joints"."""
     return "joints" if owner_of(_quantity(name)) == "joints" else "bodies"
-
-
-def _energy(sim: Simulator, parts: tuple[str, ...], bodies: tuple[str, ...]) -> np.ndarray:
-    """Energy of a body, or of all bodies of each environment, (envs,) [J]."""
-    values = np.sum([sim.get(part) for part in parts], axis=0)
-    if bodies:
-        return _of_row(sim, values, bodies[0])
-    env = np.nonzero(sim.exists)[0]
-    # Added one after another, so that the sum does not depend on the number of bodies of other environments.
-    return np.bincount(env, weights=values[sim.exists], minlength=sim.num_envs)
-
-
-def _of_row(sim: Simulator, values: np.ndarray, name: str, owner: str = "bodies") -> np.ndarray:
-    """The rows of a body or joint, (envs, ...); NaN where an environment has no such body or joint."""
-    place = np.array([names_of(scene, owner).get(name, -1) for scene in sim.scenes])[sim.scene_of]
-    found = values[np.arange(sim.num_envs), np.maximum(place, 0)].astype(np.float64)
-    found[place < 0] = np.nan
-    return found
 
 
 def _values(result: Any, num_envs: int) -> np.ndarray:

@@ -113,7 +113,10 @@ def _kind(result: Table, x: str, others: list[str]) -> str:
 
 
 def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> None:
-    """One line per combination of the other axes; repeats are drawn as their mean with a min-max band."""
+    """One line per combination of the other axes; repeats are drawn as their mean with a min-max band.
+
+    Over words, which have no order, the means are points and the band is a bar.
+    """
     axes = figure.subplots()
     place, height = result.column(x), result.column(y).astype(float)
     words = not _is_number(place)
@@ -127,11 +130,14 @@ def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> Non
         ticks = np.arange(len(stops)) if words else np.array(stops, float)
         # Decreasing widths keep coincident lines visible.
         width = 1.5 + 1.5 * max(0, min(len(groups), 4) - 1 - rank)
-        line = axes.plot(ticks, mean, linewidth=width, marker="o", markersize=2.0 * width, label=label)[0]
-        if any(len(part) > 1 for part in parts):
-            axes.fill_between(ticks, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+        style: Any = {"linestyle": "none"} if words else {"linewidth": width}
+        line = axes.plot(ticks, mean, **style, marker="o", markersize=2.0 * width, label=label)[0]
+        color = line.get_color()
         if words:
+            axes.vlines(ticks, low, high, color=color, alpha=0.3, linewidth=2.0 * width)
             axes.set_xticks(ticks, stops)
+        elif any(len(part) > 1 for part in parts):
+            axes.fill_between(ticks, low, high, color=color, alpha=0.15, linewidth=0)
     axes.set(xlabel=x, ylabel=y, title=_title(result))
     axes.grid(alpha=0.3)
     if len(groups) > 1:

@@ -1,4 +1,4 @@
-"""Time series of a sweep: in memory, or in a folder to which each batch adds a file."""
+"""Time series of a sweep: in memory, in a folder to which each batch adds a Parquet file, or in a zarr folder."""
 
 import hashlib
 import shutil
@@ -11,14 +11,28 @@ import numpy as np
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.design import Run
 
-__all__ = ["Series", "read_series", "series_folder"]
+__all__ = ["Series", "ZarrSeries", "open_series", "read_series", "series_folder"]
 
 SUFFIX = ".series"
+ZARR = ".zarr"
+
+RUNS_PER_CHUNK = 64
+"""Runs of a chunk of a zarr array, which is one file."""
 
 
 def series_folder(output: Any) -> Path:
     """The folder of the time series beside a table."""
     return Path(output).with_suffix(SUFFIX)
+
+
+def open_series(output: Any, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> "Series | ZarrSeries":
+    """The time series of a sweep: a zarr folder if a path is given, else beside the table.
+
+    Raises:
+        ValueError: The path has another suffix, or exists and is neither resumed nor overwritten, or holds series of a
+            different sweep.
+    """
+    return Series(output, resume) if path is None else ZarrSeries(path, about, resume, overwrite)
 
 
 class Series:
@@ -61,11 +75,79 @@ class Series:
         return read_series(self.folder) if self.folder is not None else _in_order(self.parts)
 
 
+class ZarrSeries:
+    """The time series of a sweep in a zarr folder.
+
+    It holds `time` (runs, samples) [s] and one array (runs, samples, ...) for each series, indexed by the column `run`
+    of the table. What a run lacks is NaN. Chunks are replaced atomically; as in `Series`, the series of a run are
+    complete before its row is written.
+
+    Args:
+        path: the folder; must end in .zarr.
+        about: metadata of the sweep.
+        resume: add to an existing folder.
+        overwrite: replace an existing folder.
+
+    Raises:
+        ValueError: See open_series.
+    """
+
+    def __init__(self, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
+        """Open or create the folder."""
+        import zarr
+
+        self.folder = Path(path)
+        if self.folder.suffix != ZARR:
+            raise ValueError(f"series_output: must end in {ZARR}, got {path}")
+        if self.folder.exists() and overwrite and not resume:
+            shutil.rmtree(self.folder)
+        elif self.folder.exists() and not resume:
+            raise ValueError(f"{path}: already exists; resume it, overwrite it or choose another name")
+        self._root = zarr.open_group(self.folder, mode="a")
+        own = {name: about[name] for name in ("scene", "duration", "fps", "version", "series")}
+        before = self._root.attrs.get("warp_rigid", own)
+        if before != own:
+            raise ValueError(f"{path}: holds the series of a different sweep; choose another name")
+        self._root.attrs["warp_rigid"] = own
+        self._runs = about["runs"]
+
+    def add(self, runs: Sequence[Run], looks: dict[str, np.ndarray]) -> None:
+        """See Series.add."""
+        rows = np.array([run.index for run in runs])
+        time = np.tile(looks["time"], (len(runs), 1))
+        values = {name: np.swapaxes(looks[name], 0, 1) for name in looks if name != "time"}
+        for name, of_runs in {"time": time, **values}.items():
+            array = self._array(name, of_runs.shape[1:])
+            array.set_orthogonal_selection((rows, slice(0, of_runs.shape[1])), of_runs.astype(np.float64))
+
+    def table(self) -> Any:
+        """All series as a pyarrow.Table; see read_series."""
+        return read_series(self.folder)
+
+    def _array(self, name: str, shape: tuple[int, ...]) -> Any:
+        """The array of a series, for at least these samples of every run."""
+        if name not in self._root:
+            names = ["run", "sample", "component"]
+            self._root.create_array(
+                name,
+                shape=(self._runs, *shape),
+                chunks=(RUNS_PER_CHUNK, *shape),
+                dtype=np.float64,
+                fill_value=np.nan,
+                dimension_names=names[: 1 + len(shape)],
+            )
+        array: Any = self._root[name]
+        wanted = (max(array.shape[0], self._runs), max(array.shape[1], shape[0]), *array.shape[2:])
+        if wanted != array.shape:
+            array.resize(wanted)
+        return array
+
+
 def read_series(folder: Any) -> Any:
     """Read the time series of a sweep.
 
     Args:
-        folder: the folder that the sweep wrote, `TABLE.series`.
+        folder: the folder that the sweep wrote, `TABLE.series` or a .zarr folder.
 
     Returns:
         A pyarrow.Table with the columns run, time [s] and one for each series, ordered by run and time.
@@ -77,7 +159,26 @@ def read_series(folder: Any) -> Any:
 
     if not Path(folder).is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
+    if Path(folder).suffix == ZARR:
+        return _table_of_zarr(Path(folder))
     return _in_order([pyarrow.parquet.read_table(path) for path in sorted(Path(folder).glob("*.parquet"))])
+
+
+def _table_of_zarr(folder: Path) -> Any:
+    """The finished samples of all runs."""
+    import pyarrow
+    import zarr
+
+    root: Any = zarr.open_group(folder, mode="r")
+    if "time" not in root:
+        return _in_order([])
+    time = root["time"][:]
+    done = np.isfinite(time)
+    columns: dict[str, Any] = {"run": np.nonzero(done)[0], "time": time[done]}
+    for name in root.attrs["warp_rigid"]["series"]:
+        values = root[name][:][done]
+        columns[name] = values if values.ndim == 1 else list(values)
+    return pyarrow.table(columns)
 
 
 def _table(runs: Sequence[Run], looks: dict[str, np.ndarray]) -> Any:
@@ -103,5 +204,8 @@ def _in_order(tables: list[Any]) -> Any:
     if not tables:
         return pyarrow.table({"run": pyarrow.array([], pyarrow.int64()), "time": pyarrow.array([], pyarrow.float64())})
     table = pyarrow.concat_tables(tables, promote_options="permissive")
-    keys = np.stack([table.column("run").to_numpy(), table.column("time").to_numpy()], axis=1)
-    return table.take(np.unique(keys, axis=0, return_index=True)[1])
+    run, time = (table.column(name).to_numpy() for name in ("run", "time"))
+    order = np.lexsort((time, run))
+    run, time = run[order], time[order]
+    first = np.concatenate([[True], (run[1:] != run[:-1]) | (time[1:] != time[:-1])])
+    return table.take(order[first])

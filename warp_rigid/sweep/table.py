@@ -23,7 +23,7 @@ from warp_rigid.sweep.columns import (
 )
 from warp_rigid.sweep.design import MAX_RUNS
 from warp_rigid.sweep.result_plots import plot
-from warp_rigid.sweep.series import Series
+from warp_rigid.sweep.series import Series, ZarrSeries
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
 
@@ -44,7 +44,11 @@ class SweepResult:
     """
 
     def __init__(
-        self, rows: Sequence[dict[str, Any]], about: dict[str, Any], source: Any = None, series: Series | None = None
+        self,
+        rows: Sequence[dict[str, Any]],
+        about: dict[str, Any],
+        source: Any = None,
+        series: Series | ZarrSeries | None = None,
     ) -> None:
         """Sort the rows by their position in the design."""
         self._series = series
@@ -163,7 +167,7 @@ class ResultFile:
         self.path = None if path is None else Path(path)
         self.about = about
         self.source = source
-        self.series: Series | None = None
+        self.series: Any = None
         self.rows: dict[str, dict[str, Any]] = {}
         self._written = self._cost = 0.0
         self._changed = False

@@ -34,7 +34,8 @@ def export_usd(
             body with UsdPhysics, readable by import_usd and other simulators; "auto": a scene for up to 2000 bodies.
         color: colouring of the bodies: "body", "environment", "level", "speed" or "asleep".
         layout: "single": one file; "payloads": an additional file per environment, loaded on demand; "clips": an
-            additional file per 24 frames.
+            additional file per 24 frames; "override": a layer over the stage from which the scene was imported, which
+            animates the stage's own prims; the other options do not apply to it.
         contacts: whether to write contact points and impulses, which must have been recorded.
         velocities: whether to write instance velocities for motion blur, which must have been recorded.
 
@@ -48,6 +49,13 @@ def export_usd(
     options.check_path(path)
     options.check_film(recording)
     rows = recording.rows(envs)
+    if layout == "override":
+        from warp_rigid.usd.override import write_override
+
+        if len(rows) != 1:
+            raise ValueError(f"envs: must be one environment for the layout override, got {len(rows)}")
+        write_override(recording, path, int(rows[0]))
+        return
 
     from warp_rigid.usd.specs import reload_layer
     from warp_rigid.usd.writer import UsdWriter
@@ -92,6 +100,8 @@ class UsdStream:
         chosen = UsdOptions(**options)
         path = Path(path)
         chosen.check_path(path)
+        if chosen.layout == "override":
+            raise ValueError("layout: override is written at the end, by export_usd, and not by a stream")
         velocities = chosen.velocities or chosen.color == "speed"
         self._recorder = Recorder(sim, fps, envs, labels, velocities=velocities, contacts=chosen.contacts)
         self._recorder.capture(sim)

@@ -2,11 +2,25 @@
 
 from typing import NamedTuple
 
+import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 
 from warp_rigid.checks import number_in, one_of
 
-__all__ = ["MAX_FRAMES", "TimeCodes", "is_y_up", "kilograms_per_unit", "meters_per_unit", "time_codes"]
+__all__ = [
+    "FROM_Y_UP",
+    "MAX_FRAMES",
+    "TimeCodes",
+    "animation_codes",
+    "first_time",
+    "is_y_up",
+    "kilograms_per_unit",
+    "meters_per_unit",
+    "time_codes",
+]
+
+FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+"""Rotation from a stage with y up to the scene, `matrix @ vector`."""
 
 MAX_FRAMES = 100_000
 """Maximum number of time codes of a film."""
@@ -33,6 +47,29 @@ def time_codes(stage: Usd.Stage) -> TimeCodes:
     rate = number_in("timeCodesPerSecond", stage.GetTimeCodesPerSecond(), above=0.0)
     number_in("framesPerSecond", stage.GetFramesPerSecond(), above=0.0)
     return TimeCodes(first, last, rate)
+
+
+def first_time(stage: Usd.Stage) -> Usd.TimeCode:
+    """Time at which poses are read: an animated transform may have no value at the default time."""
+    return Usd.TimeCode(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.EarliestTime()
+
+
+def animation_codes(stage: Usd.Stage, prim: Usd.Prim) -> list[float]:
+    """Time codes at which the motion of a prim is read: every frame of the stage, or of its samples if it has no range.
+
+    Raises:
+        ValueError: The range is not that of a film.
+    """
+    if stage.HasAuthoredTimeCodeRange():
+        first, last, _ = time_codes(stage)
+    else:
+        samples: list[float] = []
+        while prim and not prim.IsPseudoRoot():
+            samples += UsdGeom.Xformable(prim).GetTimeSamples() if UsdGeom.Xformable(prim) else []
+            prim = prim.GetParent()
+        first, last = min(samples), max(samples)
+        number_in("time samples", last, first, first + MAX_FRAMES)
+    return [*np.arange(first, last, 1.0).tolist(), last]
 
 
 def meters_per_unit(stage: Usd.Stage) -> float:

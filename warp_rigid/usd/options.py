@@ -11,7 +11,7 @@ __all__ = ["LAYOUTS", "MAX_SCENE_BODIES", "PROFILES", "SUFFIXES", "UsdOptions"]
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PROFILES = ("auto", "animation", "scene")
-LAYOUTS = ("single", "payloads", "clips")
+LAYOUTS = ("single", "payloads", "clips", "override")
 MAX_SCENE_BODIES = 2000
 """Maximum number of bodies in all environments for which the profile "auto" writes a scene with physics."""
 
@@ -25,7 +25,8 @@ class UsdOptions:
             or "auto": a scene for up to MAX_SCENE_BODIES bodies.
         color: colouring of the bodies, one of COLORINGS.
         layout: "single" (one file), "payloads" (one file per environment, loaded on demand by viewers) or "clips" (one
-            file per time interval, so that neither writer nor reader holds the whole animation in memory).
+            file per time interval, so that neither writer nor reader holds the whole animation in memory) or "override"
+            (a layer over the imported stage, in which its own prims are animated).
         contacts: whether to write contact points and impulses.
         velocities: whether to write instance velocities, for motion blur.
 

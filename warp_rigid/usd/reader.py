@@ -10,7 +10,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from warp_rigid import rotations
+from warp_rigid.render.appearance import continuous_signs
 from warp_rigid.scene.import_report import ImportFinding
+from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.field_data import fields_from_data
@@ -19,7 +21,7 @@ from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.materials import read_material
-from warp_rigid.usd.metadata import is_y_up, kilograms_per_unit, meters_per_unit
+from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 
@@ -83,6 +85,8 @@ class Reader:
 
     Attributes:
         findings: differences between the file and the scene.
+        prims: indices of the movable bodies by the paths of their prims.
+        paths: motion of the animated kinematic bodies by their indices.
 
     Raises:
         ValueError: The file is not a USD file or does not have the root prim.
@@ -91,6 +95,8 @@ class Reader:
     def __init__(self, path: Path, root: str | None, sdf_resolution: int):
         """Open the file and expand its instancers in memory."""
         self.path, self.findings = path, []
+        self.prims: dict[str, int] = {}
+        self.paths: dict[int, PosePath] = {}
         self._sdf_resolution = sdf_resolution
         self._stage = open_stage(path)
         for error in self._stage.GetCompositionErrors():
@@ -99,16 +105,13 @@ class Reader:
         if root is not None and not (Sdf.Path.IsValidPathString(root) and self._stage.GetPrimAtPath(root)):
             raise ValueError(f"root: {path} has no prim {root}")
         self._root = self._stage.GetPrimAtPath(root) if root else self._stage.GetPseudoRoot()
-        # An animated transform may have no value at the default time.
-        authored = self._stage.HasAuthoredTimeCodeRange()
-        self._start = Usd.TimeCode(self._stage.GetStartTimeCode()) if authored else Usd.TimeCode.EarliestTime()
+        self._start = first_time(self._stage)
         expand_instancers(self._root, [self._start])
         self._transforms = UsdGeom.XformCache(self._start)
         self._names: set[str] = set()
         self._meter = meters_per_unit(self._stage)
         self._kilogram = kilograms_per_unit(self._stage)
-        y_up = is_y_up(self._stage)
-        self._to_z_up = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) if y_up else np.eye(3)
+        self._to_z_up = FROM_Y_UP if is_y_up(self._stage) else np.eye(3)
         self._shapes: dict[str, Shape] = {}
         self._body_of: dict[str, int] = {}
 
@@ -229,7 +232,7 @@ class Reader:
     def _add(self, scene: Scene, body: _Body) -> None:
         """Add one body, or several for static colliders of one prim that cannot form a compound."""
         try:
-            position, rotation, stretch = self._frame(body.prim)
+            position, rotation, stretch = self._frame(body.prim, self._transforms)
         except Unreadable as error:
             self._leave_out(body.prim.GetPath(), str(error))
             return
@@ -250,12 +253,14 @@ class Reader:
                     self._leave_out(collider.prim.GetPath(), "planes and height fields cannot be dynamic")
             groups = [[collider] for collider in kept]
             groups.append([collider for collider in found if not collider.shape.static_only])
-        self._note_motion(body)
+        motion = self._motion(body)
         for group in groups:
             if group:
-                self._add_group(scene, body, group, position, rotation)
+                self._add_group(scene, body, group, position, rotation, motion)
 
-    def _add_group(self, scene: Scene, body: _Body, group: list[_Collider], position, rotation) -> None:
+    def _add_group(
+        self, scene: Scene, body: _Body, group: list[_Collider], position, rotation, motion: PosePath | None
+    ) -> None:
         shape, where, turn = _joined(group, body.motion)
         common: dict[str, Any] = {
             "position": position + rotation @ where,
@@ -276,6 +281,10 @@ class Reader:
             self._leave_out(body.prim.GetPath(), str(error))
             return
         self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
+        if body.motion != Motion.STATIC and not body.prim.IsInstanceProxy():
+            self.prims.setdefault(str(body.prim.GetPath()), index)
+        if motion is not None:
+            self.paths[index] = motion
 
     def _unique_name(self, name: str) -> str:
         """The name, with a number if an earlier body has it."""
@@ -285,16 +294,16 @@ class Reader:
         self._names.add(found)
         return found
 
-    def _frame(self, prim: Usd.Prim) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _frame(self, prim: Usd.Prim, transforms: UsdGeom.XformCache) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Polar decomposition of the transform of a body: position [m], rotation (3, 3) and stretch (3, 3).
 
         The stretch, which includes the length unit of the stage, is applied to the shapes. It is exact for a pure
         rotation, so that equal bodies share one shape.
         """
         if self._root.IsPseudoRoot():
-            matrix = matrix_of(self._transforms.GetLocalToWorldTransform(prim))
+            matrix = matrix_of(transforms.GetLocalToWorldTransform(prim))
         else:
-            matrix = matrix_of(self._transforms.ComputeRelativeTransform(prim, self._root)[0])
+            matrix = matrix_of(transforms.ComputeRelativeTransform(prim, self._root)[0])
         left, sizes, right = np.linalg.svd(matrix[:3, :3])
         rotation, stretch = left @ right, right.T @ np.diag(sizes) @ right
         if np.linalg.det(rotation) < 0.0:
@@ -308,7 +317,7 @@ class Reader:
         """As `_frame`; for None that of the root."""
         if prim is None or prim.IsPseudoRoot() or prim == self._root:
             return np.zeros(3), self._to_z_up, self._meter * np.eye(3)
-        return self._frame(prim)
+        return self._frame(prim, self._transforms)
 
     def _collider(self, prim: Usd.Prim, body: _Body, stretch: np.ndarray) -> _Collider | None:
         """One collider in the frame of its body; None, with a finding, if it cannot be imported."""
@@ -386,18 +395,29 @@ class Reader:
             if np.abs(given - own).max() > TOLERANCE * own.max():
                 self._change(prim, "moments of inertia: those of its shape at uniform density are used")
 
-    def _note_motion(self, body: _Body) -> None:
-        """Report animated motion, which is not imported."""
-        if body.motion == Motion.DYNAMIC or custom_data(body.prim):
-            return
-        above = body.prim
-        while above and not above.IsPseudoRoot():
-            if UsdGeom.Xformable(above) and UsdGeom.Xformable(above).TransformMightBeTimeVarying():
-                self._change(
-                    body.prim, "its animated motion is ignored; it starts with the first pose of the animation"
-                )
-                return
-            above = above.GetParent()
+    def _motion(self, body: _Body) -> PosePath | None:
+        """The motion of an animated kinematic body; that of a static one is reported."""
+        if body.motion == Motion.DYNAMIC or custom_data(body.prim) or not _is_animated(body.prim):
+            return None
+        if body.motion == Motion.STATIC:
+            self._change(body.prim, "its animated motion is ignored; it stays at the first pose of the animation")
+            return None
+        codes = animation_codes(self._stage, body.prim)
+        frames = [self._frame(body.prim, UsdGeom.XformCache(code)) for code in codes]
+        if np.ptp([stretch for _, _, stretch in frames], axis=0).max() > TOLERANCE * self._meter:
+            self._change(body.prim, "its animated scale is ignored; it keeps the first one")
+        orientation = continuous_signs(np.array([quaternion_of_matrix(rotation) for _, rotation, _ in frames]))
+        time = (np.array(codes) - codes[0]) / self._stage.GetTimeCodesPerSecond()
+        return PosePath(time, np.array([position for position, _, _ in frames]), orientation)
+
+
+def _is_animated(prim: Usd.Prim) -> bool:
+    """Whether the transform of a prim, or of one above it, changes with time."""
+    while prim and not prim.IsPseudoRoot():
+        if UsdGeom.Xformable(prim) and UsdGeom.Xformable(prim).TransformMightBeTimeVarying():
+            return True
+        prim = prim.GetParent()
+    return False
 
 
 def _joined(group: list[_Collider], motion: Motion) -> tuple[Shape, np.ndarray, np.ndarray]:

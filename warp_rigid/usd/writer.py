@@ -60,12 +60,13 @@ class UsdWriter:
         self._parts = inner.parent / f"{inner.stem}_parts"
         self._profile = options.chosen_profile(film, len(rows))
         self._spread = Spread(film)
-        self._root = open_layer(inner)
+        self._failure: OSError | None = None
+        with self._writing():
+            self._root = open_layer(inner)
         self._layers = [self._root]
         self._writers: list[tuple[SampleWriter, Instancers | Bodies | ContactMarks]] = []
         self._clips: Clips | None = None
         self._frames = self._flushed = 0
-        self._failure: OSError | None = None
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:

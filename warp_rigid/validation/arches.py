@@ -134,7 +134,7 @@ def climbing(quick):
                     0.0,
                     at_most(1e-5),
                     [f"{name}, dt 1/{rate}" for name, _, _, rate in cells],
-                    Miss(CLIMBS, 1.8e-3),
+                    Miss(CLIMBS, 1.5e-3),
                 ),
             ),
             tuple(

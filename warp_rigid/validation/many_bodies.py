@@ -14,7 +14,7 @@ def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; only the bin, with fewer boxes, is quick."""
     if quick:
         return [bin_of_boxes(64)]
-    return [heap(), bin_of_boxes(1000, Miss(RESTLESS, 0.14), Miss(RESTLESS, 1.7e-3))]
+    return [heap(), bin_of_boxes(1000, Miss(RESTLESS, 1.2e-3))]
 
 
 def heap(base=6):
@@ -63,8 +63,8 @@ BIN_FRICTION, BIN_RESTING = 0.5, 1e-4
 """Friction in the bin, and speed below which all of its boxes rest [m/s]."""
 
 
-def bin_of_boxes(count, moves=None, overlaps=None):
-    """Cubes of 0.2 m that fall into a bin, at one step of 1/60 s per frame; known misses of speed and overlap."""
+def bin_of_boxes(count, moves=None):
+    """Cubes of 0.2 m that fall into a bin, at one step of 1/60 s per frame; known miss of the speed."""
 
     def scene():
         made = level_scene(friction=BIN_FRICTION)
@@ -86,9 +86,7 @@ def bin_of_boxes(count, moves=None, overlaps=None):
                 (),
                 moves,
             ),
-            ReferenceCheck(
-                "deepest overlap after 6 s", "m", each(lambda t: t.overlap[-1]), 0.0, at_most(2.5e-4), (), overlaps
-            ),
+            ReferenceCheck("deepest overlap after 6 s", "m", each(lambda t: t.overlap[-1]), 0.0, at_most(2.5e-4), ()),
         ),
         (Experiment(scene, 6.0, dt=1 / 60, every=30),),
         curve=Curve("largest speed", "m/s or rad/s", lambda t: t.speed),

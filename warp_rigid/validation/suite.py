@@ -16,6 +16,7 @@ from warp_rigid.validation import (
     rolling,
     sliding,
     towers,
+    walls_and_unions,
 )
 from warp_rigid.validation.case import CheckResult, ValidationCase, judge
 
@@ -29,6 +30,7 @@ SECTIONS = (
     nonconvex,
     many_bodies,
     arches,
+    walls_and_unions,
     contact_search,
     sliding,
     articulated,

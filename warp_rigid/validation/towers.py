@@ -401,7 +401,8 @@ def falling_piles(duration, count):
         f"piles of {count} boxes and balls that fall into a box",
         "conservation; a pile comes to rest",
         (
-            *energy_checks(warm, [3], names, 5e-7),
+            # A body that is hit is stopped at its time of impact, but gravity acts for the whole step: 5e-5.
+            *energy_checks(warm, [3], names, 1e-4),
             ReferenceCheck(
                 "largest speed in the last half second",
                 "m/s",

@@ -23,6 +23,8 @@ STEP_RATES = ("60", "120", "240", "480", "960")
 CUSTOM = "changed by hand"
 SPAWNED = ("box", "sphere", "capsule", "like the selected body")
 VELOCITIES = ("linear_velocity", "angular_velocity")
+PARAMETER_SPAN = 3
+"""Upper end of the slider for a parameter of a scene, as a multiple of its default."""
 
 SLIDERS = {
     "collision_iterations": (0, 40, 1),
@@ -40,6 +42,17 @@ SWITCHES = {
     "warm_starting": "Warm starting",
     "sleeping": "Sleeping",
 }
+
+
+def parameter_range(default: float) -> tuple[float, float, float]:
+    """Smallest value, largest value and step of the slider for a parameter of a scene; the scene checks the value.
+
+    Args:
+        default: of the parameter; an integer has whole steps.
+    """
+    far = PARAMETER_SPAN * default if default else 10 if isinstance(default, int) else 1.0
+    step = 1 if isinstance(default, int) else 10.0 ** (math.floor(math.log10(abs(far))) - 2)
+    return min(0, far), max(0, far), step
 
 
 class Panel:
@@ -197,10 +210,10 @@ class Panel:
         drop.on_click(lambda event: self._viewer.ask(self._viewer.spawn, self._widgets["spawned"].value))
 
     def _add_scene(self) -> None:
-        self._gui.add_markdown("Parameters of the scene; applying them builds it again.")
+        self._gui.add_markdown("Parameters of the scene, which is built again with them. `--set` takes values beyond.")
         self._parameters = self._gui.add_folder("Parameters")
         self._inputs: dict[str, Any] = {}
-        again = self._gui.add_button_group("", ("Apply",))
+        again = self._gui.add_button_group("", ("Restart with these",))
         again.on_click(lambda event: self._viewer.ask(self._restart_with_parameters))
 
     def _show_parameters(self, session: Session) -> None:
@@ -215,11 +228,18 @@ class Panel:
                 widget.remove()
             self._inputs = {}
             with self._parameters:
-                for name, value in known.items():
-                    add = self._gui.add_checkbox if isinstance(value, bool) else self._gui.add_number
-                    self._inputs[name] = add(_label(name), value)
+                for name in known:
+                    self._inputs[name] = self._add_parameter(name, session.plan.demo.parameters[name])
         for name, value in known.items():
+            if not isinstance(value, bool):
+                self._inputs[name].min = min(self._inputs[name].min, value)
+                self._inputs[name].max = max(self._inputs[name].max, value)
             self._inputs[name].value = value
+
+    def _add_parameter(self, name: str, default: float) -> Any:
+        if isinstance(default, bool):
+            return self._gui.add_checkbox(_label(name), default)
+        return self._gui.add_slider(_label(name), *parameter_range(default), default)
 
     def _restart_with_parameters(self) -> None:
         self._viewer.restart_with({name: widget.value for name, widget in self._inputs.items()})

@@ -50,6 +50,7 @@ class CheckedServer(viser.ViserServer):
     def __init__(self, host: str, port: int):
         """Start to listen."""
         self._guard = Guard(host)
+        logging.getLogger("websockets.server").addFilter(one_line)
         with _STARTING, _every_request(_Checks(self._guard)) as checks:
             super().__init__(host=host, port=check_address(host, port), label="warp_rigid", verbose=False)
         if not checks.installed:
@@ -66,6 +67,16 @@ class CheckedServer(viser.ViserServer):
         """Show a message on all open pages."""
         for client in self.get_clients().values():
             client.add_notification(title, text, color="red")
+
+
+def one_line(record: logging.LogRecord) -> bool:
+    """Log filter: the error that ended a connection as one line, without a traceback."""
+    if record.exc_info and record.exc_info[1] is not None:
+        error = record.exc_info[1]
+        reason = " ".join(str(error).split())[:200]
+        record.msg, record.args = "closed a connection: %s: %s", (type(error).__name__, reason)
+        record.levelno, record.levelname, record.exc_info = logging.WARNING, "WARNING", None
+    return True
 
 
 def check_address(host: str, port: int) -> int:

@@ -1,0 +1,101 @@
+"""Animation of an imported stage as a layer over it: prims keep their names, places, materials and children."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+
+from warp_rigid import rotations
+from warp_rigid.runs.recording import Recording
+from warp_rigid.usd.metadata import FROM_Y_UP, first_time, is_y_up, meters_per_unit
+from warp_rigid.usd.opening import open_stage
+from warp_rigid.usd.prims import matrix_of
+from warp_rigid.usd.specs import define, open_layer, save_layer, set_attribute
+
+__all__ = ["write_override"]
+
+OPERATION = "xformOp:transform:warp_rigid"
+RESET = "!resetXformStack!"
+"""Token by which a prim ignores the transforms above it: the samples are poses in the world of the stage."""
+
+
+def write_override(recording: Recording, path: Path, row: int) -> None:
+    """Write a layer that has the imported stage as its sublayer and animates the prims of its bodies.
+
+    The samples are in the units, the up axis and the time codes of the stage, from its first time code on.
+
+    Args:
+        recording: of a scene from `import_usd`.
+        path: output file, .usda, .usdc or .usd.
+        row: row of the environment in the recording.
+
+    Raises:
+        ValueError: The scene was not imported, or the stage has no prim that can be animated.
+        OSError: The file cannot be written.
+    """
+    scene = recording.scene
+    report = scene.import_report if scene is not None else None
+    if scene is None or report is None:
+        raise ValueError("layout: override requires a scene that was imported from a USD file")
+    source = Path(report.file).resolve()
+    if source == path.resolve():
+        raise ValueError(f"path: must not be the imported file itself, got {path}")
+    stage = open_stage(source)
+    paths = {at: body for at, body in report.prims.items() if stage.GetPrimAtPath(at)}
+    if not paths:
+        raise ValueError(f"layout: override requires bodies with prims of their own, {source} has only instances")
+    start, rate = stage.GetStartTimeCode(), stage.GetTimeCodesPerSecond()
+    times = start + np.arange(len(recording.position)) * (rate / recording.fps)
+    cache = UsdGeom.XformCache(first_time(stage))
+    to_scene = _conversion(stage, cache, report.root)
+    layer = open_layer(path)
+    with Sdf.ChangeBlock():
+        _copy_metadata(layer, stage, os.path.relpath(source, path.resolve().parent))
+        layer.startTimeCode, layer.endTimeCode = float(times[0]), float(times[-1])
+        for prim_path, body in paths.items():
+            then = scene.bodies[body]
+            first = _rigid(np.array(then.position)[None], np.array(then.orientation)[None])[0]
+            poses = _rigid(recording.position[:, row, body], recording.orientation[:, row, body])
+            world = matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim_path)))
+            before = np.linalg.inv(first) @ to_scene @ world
+            _animate(layer, prim_path, times, np.linalg.inv(to_scene) @ poses @ before)
+    save_layer(layer)
+
+
+def _copy_metadata(layer: Sdf.Layer, stage: Usd.Stage, source: str) -> None:
+    """Units, axis, rates and default prim of the stage, and the stage itself as the only sublayer."""
+    layer.subLayerPaths.append(source if source.startswith(".") else f"./{source}")
+    layer.pseudoRoot.SetInfo("upAxis", "Y" if is_y_up(stage) else "Z")
+    layer.pseudoRoot.SetInfo("metersPerUnit", meters_per_unit(stage))
+    layer.timeCodesPerSecond, layer.framesPerSecond = stage.GetTimeCodesPerSecond(), stage.GetFramesPerSecond()
+    layer.defaultPrim = stage.GetRootLayer().defaultPrim
+
+
+def _conversion(stage: Usd.Stage, cache: UsdGeom.XformCache, root: str | None) -> np.ndarray:
+    """Matrix (4, 4) from points of the stage to points of the scene, `matrix @ point`."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = meters_per_unit(stage) * (FROM_Y_UP if is_y_up(stage) else np.eye(3))
+    above = np.eye(4) if root is None else matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(root)))
+    return matrix @ np.linalg.inv(above)
+
+
+def _rigid(position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """Matrices (n, 4, 4) of poses, `matrix @ local = world`."""
+    matrices = np.tile(np.eye(4), (len(position), 1, 1))
+    unit = orientation.astype(np.float64)
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    matrices[:, :3, :3] = [rotations.matrix(q) for q in unit]
+    matrices[:, :3, 3] = position
+    return matrices
+
+
+def _animate(layer: Sdf.Layer, path: str, times: np.ndarray, matrices: np.ndarray) -> None:
+    """Override the transform of a prim by samples, and by the first of them as the default."""
+    prim = define(layer, path, specifier=Sdf.SpecifierOver)
+    values = [Gf.Matrix4d(matrix.T.tolist()) for matrix in matrices]
+    attribute = set_attribute(prim, OPERATION, Sdf.ValueTypeNames.Matrix4d, values[0])
+    for time, value in zip(times.tolist(), values, strict=True):
+        layer.SetTimeSample(attribute.path, time, value)
+    order = Vt.TokenArray([RESET, OPERATION])
+    set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
