@@ -89,3 +89,18 @@ def test_a_disabled_joint_and_one_without_bodies_are_told(tmp_path):
     assert scene.joints == []
     assert told["/World/Off"] == "the joint is disabled"
     assert "/World/Loose" in told
+
+
+@pytest.mark.parametrize(("axis", "found"), [("Y", ["/World/Second"]), ("X", [])])
+def test_hinges_that_prevent_each_other_are_named(tmp_path, axis, found):
+    """Two hinges between the same bodies, as converters write them for a joint of two rotations."""
+    hinges = "".join(
+        f'def PhysicsRevoluteJoint "{name}" {{\n rel physics:body0 = </World/A>\n rel physics:body1 = </World/B>\n'
+        f" point3f physics:localPos0 = (0, 0, 1)\n point3f physics:localPos1 = (0, 0, -1)\n"
+        f' uniform token physics:axis = "{along}"\n}}\n'
+        for name, along in (("First", "X"), ("Second", axis))
+    )
+    bodies = rigid("A", "Cube", "double size = 1") + rigid("B", "Cube", f"double size = 1; {moved(0, 0, 2)}")
+    scene = wr.import_usd(write_stage(tmp_path / "hinges.usda", bodies + hinges))
+    told = [finding.path for finding in scene.import_report.findings if "about another axis" in finding.reason]
+    assert told == found and len(scene.joints) == 2

@@ -23,7 +23,7 @@ from warp_rigid.scene.joints import (
     RevoluteJoint,
     SphericalJoint,
 )
-from warp_rigid.scene.joints.placing import turn_to
+from warp_rigid.scene.joints.placing import turn_to, world_frame
 from warp_rigid.scene.scene import Scene
 from warp_rigid.usd.geometry import MARK, gf_quaternion
 from warp_rigid.usd.prims import custom_data
@@ -36,6 +36,8 @@ NAMES = Sdf.ValueTypeNames
 JOINT_KINDS = (Types.FixedJoint, Types.RevoluteJoint, Types.PrismaticJoint, Types.SphericalJoint, Types.DistanceJoint)
 JOINT_SCHEMAS = {"PhysicsDriveAPI", "PhysicsLimitAPI"}
 AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
+PARALLEL = 0.9999
+"""Cosine from which on two axes count as parallel."""
 HALF_TURN = np.array([0.0, 1.0, 0.0, 0.0])
 """Rotation that reverses the x axis."""
 
@@ -110,6 +112,23 @@ class JointReader:
             collide=bool(description.collisionEnabled),
         )
         self._add_drive(index, prim, description)
+        if self._is_held_by_others(index):
+            self._change(prim, "another joint holds the same bodies about another axis, which prevents both rotations")
+
+    def _is_held_by_others(self, index: int) -> bool:
+        """Whether another hinge of the same bodies has an axis of another direction: files of robots have such ones."""
+        entry = self._scene.joints[index]
+        if entry.joint.coordinate != Coordinate.ANGLE:
+            return False
+        bodies = self._scene.bodies
+        axis = rotations.matrix(world_frame(bodies[entry.body_a], entry.frame_a)[1])[:, 0]
+        for other in self._scene.joints[:index]:
+            same = {other.body_a, other.body_b} == {entry.body_a, entry.body_b}
+            if same and other.joint.coordinate == Coordinate.ANGLE:
+                along = rotations.matrix(world_frame(bodies[other.body_a], other.frame_a)[1])[:, 0]
+                if abs(float(axis @ along)) < PARALLEL:
+                    return True
+        return False
 
     def _side(self, prim: Usd.Prim, end: str, path: Any) -> tuple[int | None, np.ndarray, np.ndarray]:
         """The body of one end, None for the world, and the frame of the joint in the world."""

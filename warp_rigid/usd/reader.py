@@ -39,7 +39,11 @@ COLLIDERS = {
     Types.Cylinder1Shape, Types.ConeShape, Types.MeshShape, Types.PlaneShape,
     Types.CustomShape, Types.SpherePointsShape,
 }  # fmt: skip
-SUPPORTED = {Types.Scene, Types.RigidBody, Types.RigidBodyMaterial, Types.CollisionGroup, *COLLIDERS, *JOINT_KINDS}
+SUPPORTED = {
+    Types.Scene, Types.RigidBody, Types.RigidBodyMaterial, Types.CollisionGroup, *COLLIDERS, *JOINT_KINDS,
+    Types.Articulation,
+}  # fmt: skip
+"""Kinds of objects with a counterpart in a scene. An articulation is no more than its joints."""
 
 SCHEMAS = {
     "PhysicsRigidBodyAPI", "PhysicsMassAPI", "PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "PhysicsMaterialAPI",

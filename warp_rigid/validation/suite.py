@@ -5,6 +5,7 @@ from typing import Any
 
 from warp_rigid.validation import (
     arches,
+    articulated,
     contact_search,
     free_motion,
     friction,
@@ -32,6 +33,7 @@ SECTIONS = (
     walls_and_unions,
     contact_search,
     sliding,
+    articulated,
 )
 CPU = "cpu"
 

@@ -1,0 +1,201 @@
+"""Section K: joints against closed forms, and mechanisms that carry loads much heavier than their links."""
+
+import math
+from functools import partial
+
+import numpy as np
+
+from warp_rigid import rotations, scenes
+from warp_rigid.kernels.enums import Coordinate
+from warp_rigid.scene.joints import DistanceJoint, FixedJoint
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.validation.case import OUTCOME, ReferenceCheck, ValidationCase, absolute, at_most, each, relative
+from warp_rigid.validation.experiment import Experiment, Start, Trace
+
+GRAVITY = 9.81
+AMPLITUDES = (5.0, 90.0)
+"""Amplitudes of the pendulum [degrees]."""
+WELD = 100.0
+"""Force that the weld withstands [N]."""
+LOADS = (0.99, 0.999, 1.001, 1.01)
+"""Loads of the weld as fractions of this force."""
+
+
+def cases(quick: bool) -> list[ValidationCase]:
+    """All cases of the section; shorter and with fewer bodies if quick."""
+    return [
+        pendulums(4.2 if quick else 60.0),
+        chain(20 if quick else 100, 1.0 if quick else 60.0),
+        pallet(1.0 if quick else 4.0),
+        crane(3.0),
+        bridge(10 if quick else 50, 4.0 if quick else 16.0),
+        cradle(),
+        welds(),
+    ]
+
+
+def opened(trace: Trace) -> np.ndarray:
+    """Largest distance of two anchors that a joint holds together, at any record, (envs,) [m]."""
+    largest = np.zeros(trace.position.shape[1])
+    for entry in trace.scene.joints:
+        if entry.joint.coordinate not in (Coordinate.LENGTH, Coordinate.SLIDE):
+            apart = _point(trace, entry.body_a, entry.frame_a) - _point(trace, entry.body_b, entry.frame_b)
+            largest = np.maximum(largest, np.linalg.norm(apart, axis=-1).max(axis=0))
+    return largest
+
+
+def _point(trace, body, frame):
+    """The origin of a joint's frame, (records, envs, 3) [m]."""
+    local = np.array(frame.position)
+    if body is None:
+        return np.broadcast_to(local, (*trace.position.shape[:2], 3))
+    return trace.position[:, :, body] + rotations.rotate(trace.orientation[:, :, body], local)
+
+
+def below(name: str, measure, limit: float, unit: str = "m") -> ReferenceCheck:
+    """A check that a quantity of each environment, which should be 0, is at most `limit`."""
+    return ReferenceCheck(name, unit, each(measure), 0.0, at_most(limit))
+
+
+def displaced(trace: Trace, bodies: slice) -> np.ndarray:
+    """Largest displacement of some bodies since the start, (envs,) [m]."""
+    moved = (trace.position - trace.position[0])[:, :, bodies]
+    return np.linalg.norm(moved, axis=-1).max(axis=(0, 2))
+
+
+def pendulum(degrees: float) -> Scene:
+    """A sphere on a rod of 1 m without mass, let go at an angle."""
+    angle = math.radians(degrees)
+    scene = Scene(gravity=(0, 0, -GRAVITY))
+    start = (math.sin(angle), 0.0, -math.cos(angle))
+    ball = scene.add_body(Sphere(0.05), position=start)
+    scene.add_joint(DistanceJoint(1.0, 1.0), ball, anchor=start, anchor_b=(0, 0, 0))
+    return scene
+
+
+def pendulums(duration: float) -> ValidationCase:
+    """Period and energy of a simple pendulum."""
+    experiments = tuple(Experiment(partial(pendulum, a), duration, label=f"{a:g} degrees") for a in AMPLITUDES)
+
+    def period(trace):
+        x = trace.position[:, 0, 0, 0]
+        before = np.flatnonzero((x[:-1] > 0.0) & (x[1:] <= 0.0))
+        crossings = trace.time[before] + trace.time[1] * x[before] / (x[before] - x[before + 1])
+        return [np.diff(crossings).mean()]
+
+    def energy(trace):
+        # Velocities are half a step older than positions, so the mean of two of them belongs to a position.
+        v = 0.5 * (trace.linear_velocity[1:] + trace.linear_velocity[:-1])[:, :, 0]
+        height = trace.position[:-1, :, 0, 2]
+        total = 0.5 * (v * v).sum(axis=-1) + GRAVITY * (height + 1.0)
+        return np.abs(total / total[0] - 1.0).max(axis=0)
+
+    def exact(degrees):
+        a, b = 1.0, math.cos(math.radians(degrees) / 2.0)
+        for _ in range(8):
+            a, b = (a + b) / 2.0, math.sqrt(a * b)
+        return 2.0 * math.pi / math.sqrt(GRAVITY) / a
+
+    labels = tuple(f"{a:g} degrees" for a in AMPLITUDES)
+    return ValidationCase(
+        "V90",
+        "Simple pendulum",
+        "arithmetic-geometric mean; conservation of energy",
+        (
+            ReferenceCheck("period", "s", each(period), [exact(a) for a in AMPLITUDES], relative(1e-3), labels),
+            ReferenceCheck("change of energy", "", each(energy), 0.0, at_most(1e-3), labels),
+        ),
+        experiments,
+    )
+
+
+def chain(links: int, duration: float) -> ValidationCase:
+    """A chain that swings with a ball a thousand times heavier than a link."""
+    experiment = Experiment(partial(scenes.load, "chain", links=links), duration, every=4)
+    checks = (below("largest gap of a joint", opened, 1e-4),)
+    return ValidationCase("V91", f"Chain of {links} links, 1000 : 1", "closed joints", checks, (experiment,))
+
+
+def pallet(duration: float) -> ValidationCase:
+    """Twelve boxes, welded in closed loops, fall and rest; mujoco_warp#1510 measured 8.6 mm in float32."""
+
+    def drift(trace):
+        own = trace.position[:, :, 1:] - trace.position[:, :, 1:2]
+        back = rotations.inverse(trace.orientation[:, :, 1])[:, :, None]
+        moved = rotations.rotate(back, own) - (trace.position[0, :, 1:] - trace.position[0, :, 1:2])
+        return np.linalg.norm(moved, axis=-1).max(axis=(0, 2))
+
+    experiment = Experiment(partial(scenes.load, "pallet"), duration)
+    checks = (below("displacement of a box relative to the first", drift, 4e-5),)
+    return ValidationCase("V92", "Pallet of twelve welded boxes", "mujoco_warp#1510", checks, (experiment,))
+
+
+def crane(duration: float) -> ValidationCase:
+    """A crane lifts the upper box of a pile: the others must not move."""
+
+    def others(trace):
+        return displaced(trace, slice(1, 6))
+
+    experiment = Experiment(partial(scenes.load, "crane"), duration)
+    checks = (below("displacement of the other boxes", others, 1e-4),)
+    return ValidationCase("V93", "Crane", "bodies at rest", checks, (experiment,))
+
+
+def bridge(planks: int, duration: float) -> ValidationCase:
+    """A rope bridge under a load a thousand times heavier than a plank."""
+
+    def speed(trace):
+        return np.linalg.norm(trace.linear_velocity[-1], axis=-1).max(axis=-1)
+
+    experiment = Experiment(partial(scenes.load, "bridge", planks=planks), duration, every=4)
+    checks = (below("largest gap of a joint", opened, 1e-4), below("speed at the end", speed, 0.05, "m/s"))
+    title = f"Rope bridge of {planks} planks, 1000 : 1"
+    return ValidationCase("V94", title, "closed joints, rest", checks, (experiment,))
+
+
+def cradle() -> ValidationCase:
+    """Newton's cradle on strings: speeds after the impact over that of the first ball before it."""
+
+    def speeds(trace):
+        speed = np.abs(trace.linear_velocity[:, 0, :, 0])
+        first = int(np.argmax(speed[:, -1] > 0.5 * speed.max()))
+        return speed[first + 2] / speed[:first, 0].max()
+
+    experiment = Experiment(partial(scenes.load, "cradle"), 0.6)
+    labels = tuple(f"ball {k}" for k in range(1, 6))
+    checks = (
+        ReferenceCheck(
+            "speed after the impact",
+            "",
+            lambda traces: speeds(traces[0]),
+            [0.0, 0.0, 0.0, 0.0, 1.0],
+            absolute(0.02),
+            labels,
+        ),
+    )
+    return ValidationCase(
+        "V95", "Newton's cradle on strings", "conservation of momentum and energy", checks, (experiment,)
+    )
+
+
+def welds() -> ValidationCase:
+    """A box hangs from a weld without gravity, under loads next to the force that the weld withstands."""
+
+    def scene():
+        made = Scene(gravity=(0, 0, 0))
+        body = made.add_body(Box((0.1, 0.1, 0.1)), mass=2.0)
+        made.add_joint(FixedJoint(), body, anchor=(0, 0, 0.1), break_force=WELD)
+        return made
+
+    load = np.array([[(0.0, 0.0, -WELD * share)] for share in LOADS])
+    labels = tuple(f"{share:g} of the limit" for share in LOADS)
+    experiment = Experiment(scene, 0.25, labels, (Start("force", load),))
+
+    def broken(trace):
+        return displaced(trace, slice(0, 1)) > 1e-3
+
+    checks = (
+        ReferenceCheck("weld breaks", "", each(broken), [float(share > 1.0) for share in LOADS], OUTCOME, labels),
+    )
+    return ValidationCase("V96", "Weld under a load", "its limit", checks, (experiment,))
