@@ -15,6 +15,7 @@ import warp_rigid
 from warp_rigid.commands import cli
 from warp_rigid.engine import hash_grid, step
 from warp_rigid.engine.step import Stages
+from warp_rigid.kernels.joints import joint_stages
 from warp_rigid.scene import fields
 from warp_rigid.validation import suite
 from warp_rigid.viewer.page import stop_server
@@ -113,9 +114,9 @@ def test_cases_that_prove_promises_exist():
 
 
 def test_every_stage_has_a_page_with_its_kernels():
-    """The headings of the step's pages are the code's names."""
+    """The headings of the step's pages are the code's names. Joints take part in several stages and have one page."""
     body = ast.parse(textwrap.dedent(inspect.getsource(Stages.step)))
-    stages = {node.func.attr for node in ast.walk(body) if isinstance(node, ast.Call)}
+    stages = {node.func.attr for node in ast.walk(body) if isinstance(node, ast.Call)} | {"joints"}
     overview = (DOCS / "step" / "index.md").read_text()
     assert stages == set(re.findall(r"^\| \[(\w+)\]", overview, flags=re.MULTILINE))
     shown = set()
@@ -132,6 +133,7 @@ def test_every_stage_has_a_page_with_its_kernels():
         for source in (step, hash_grid)
         if isinstance(getattr(getattr(source, m, None), name, None), wp.Kernel)
     }
+    launched |= {("joint_stages", name) for name, value in vars(joint_stages).items() if isinstance(value, wp.Kernel)}
     assert shown == launched - MEASURES
 
 
