@@ -486,20 +486,21 @@ def bring_to_touch(
         exact = 1
     choice = shapes.samples[s].choice
     corners = choice > 0 and has_triangles(shapes, shape)
-    near = radius + shapes.shapes[shape].cell
-    if kind != SampleKind.EDGE:
-        near = radius + wp.min(reach, shapes.shapes[shape].cell)
+    near = radius + wp.min(reach, shapes.shapes[shape].cell)
+    along_edge = radius + shapes.shapes[shape].cell
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
     thin = wp.where(weight > 0.0 and shapes.shapes[own_shape].convex == 0, 1, 0)
     search = begin_search(shapes, s, shape, turn, shift, weight)
     if radius > 0.0:
-        near += ALL_OF_EDGE * search.half
+        along_edge += ALL_OF_EDGE * search.half
     while search.stage >= 0:
         d = wp.vec4(0.0, 0.0, 1.0, FAR)
         if corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER)):
             d = ball_distance_to_mesh(shapes, part, search.query, radius, reach, choice)
         else:
-            d = contact_distance(shapes, shape, search.query, search.facing, near)
+            # The middle of an edge only shows whether the edge may touch.
+            exact_below = wp.where(kind == SampleKind.EDGE and search.stage > EDGE_MIDDLE, along_edge, near)
+            d = contact_distance(shapes, shape, search.query, search.facing, exact_below)
         search.evaluations += 1
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
