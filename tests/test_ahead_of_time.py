@@ -43,5 +43,5 @@ def test_every_stage_of_a_step_is_among_the_compiled():
     assert without_kernels == {"declare", "schema", "team"}
     loaded = {module.__name__.rpartition(".")[2] for module in loading.everything()}
     assert used - without_kernels <= loaded
-    assert {name for name in NAMES if kernels_of(name)} - loaded == {"host_distance"}, "compiled on first use"
+    assert {name for name in NAMES if kernels_of(name)} - loaded == {"host_distance", "probe"}, "compiled on first use"
     assert kernels_of("narrowphase") >= {"keep_contacts", "search_contacts", "build_contacts"}

@@ -185,8 +185,12 @@ def test_a_heap_rests(device):
     case = find_case("pile_box:140")
     sim = Simulator(case.build(), num_envs=5, settings=Settings(dt=DT), device=device)
     case.scatter(sim)
-    sim.step(720)
-    assert (sim.stats()["islands_rounds"] > 0).all()
+    sim.step(718)
+    islands = []
+    for _ in range(2):  # now and then shock propagation is tried for a step
+        sim.step(1)
+        islands.append(sim.stats()["islands_rounds"])
+    assert (np.max(islands, axis=0) > 0).all()
     before = sim.get("position")
     sim.step(120)
     moved = np.linalg.norm(sim.get("position") - before, axis=2)

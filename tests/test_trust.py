@@ -260,7 +260,7 @@ def test_status_tells_when(device):
     scene.add_body(Sphere(0.1), position=(0, 0, 1))
     sim = Simulator(scene, num_envs=2, device=device)
     sim.step(7)
-    assert sim.status().tolist() == [("ok", -1, -1.0, -1)] * 2
+    assert sim.status().tolist() == [("ok", -1, -1.0, -1, "")] * 2
     broken(sim, 0, 1, "position", np.nan)
     sim.step(2)
-    assert sim.status()[0].tolist() == ("non-finite", 7, pytest.approx(7 / 240), 1)
+    assert sim.status()[0].tolist() == ("non-finite", 7, pytest.approx(7 / 240), 1, "")
