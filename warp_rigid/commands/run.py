@@ -249,10 +249,10 @@ def _export(recording, path: str, options: UsdOptions) -> None:
 def _film(recording, usd: str | None, color: str):
     """The film to draw: read from the USD file if there is one, so that images show the file's content."""
     from warp_rigid.render.film import colored, film_from_recording, film_from_usd
+    from warp_rigid.render.strings import with_strings
 
-    if usd:
-        return film_from_usd(usd)
-    return colored(film_from_recording(recording), recording, color)
+    film = film_from_usd(usd) if usd else colored(film_from_recording(recording), recording, color)
+    return with_strings(film, recording)
 
 
 def _draw(drawn, picture, film, contact_sheet, html) -> None:

@@ -1,0 +1,75 @@
+"""Strings in pictures: tubes between the anchors of distance joints."""
+
+import numpy as np
+import trimesh
+
+import warp_rigid as wr
+from warp_rigid.render.film import colored, film_from_recording
+from warp_rigid.render.strings import SIDES, THICKNESS, with_strings
+
+RADIUS = THICKNESS * 0.2
+
+
+def pendulums():
+    """A ball on a string of 1 m, and one on a string that breaks at once."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane(normal=(0, 0, 1), offset=-3.0))
+    for k, strength in enumerate((np.inf, 1e-3)):
+        ball = scene.add_body(wr.Sphere(0.1), position=(2.0 * k + 1.0, 0, 0), mass=1.0)
+        joint = wr.DistanceJoint(maximum=1.0)
+        scene.add_joint(joint, ball, anchor=(2.0 * k + 1.0, 0, 0), anchor_b=(2.0 * k, 0, 0), break_force=strength)
+    return scene
+
+
+def recording(envs=2):
+    return wr.record(wr.Simulator(pendulums(), num_envs=envs, device="cpu"), frames=30)
+
+
+def test_strings_end_at_the_anchors():
+    found = recording()
+    film = with_strings(film_from_recording(found), found)
+    assert len(film.mesh) == 2 * 3 + 2 and film.env[-2:].tolist() == [0, 1]
+    for env in range(2):
+        mesh = film.meshes[film.mesh[-2 + env]]
+        for frame in (0, 12, 30):
+            tube = mesh.frames[frame][: 2 * SIDES].reshape(SIDES, 2, 3)
+            ends = tube.mean(axis=0)
+            np.testing.assert_allclose(ends, [found.position[frame, env, 1], (0, 0, 0)], atol=1e-6)
+            axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+            arms = tube - ends
+            np.testing.assert_allclose(np.linalg.norm(arms, axis=2), RADIUS, rtol=1e-4)
+            np.testing.assert_allclose(arms @ axis, 0.0, atol=1e-6)
+        np.testing.assert_array_equal(film.position[:, -2 + env], np.broadcast_to(film.offset[env], (31, 3)))
+
+
+def test_sides_face_outward():
+    found = recording(envs=1)
+    mesh = with_strings(film_from_recording(found), found).meshes[-1]
+    tube = trimesh.Trimesh(mesh.vertices[: 2 * SIDES], mesh.faces[: 2 * SIDES], process=False)
+    outward = tube.triangles_center - tube.vertices.mean(axis=0)
+    along = found.position[0, 0, 1] / np.linalg.norm(found.position[0, 0, 1])
+    outward -= (outward @ along)[:, None] * along
+    assert ((tube.face_normals * outward).sum(axis=1) > 0.0).all()
+
+
+def test_a_broken_string_is_not_drawn():
+    found = recording(envs=1)
+    assert np.linalg.norm(found.position[-1, 0, 2] - (2, 0, 0)) > 1.1
+    tube = with_strings(film_from_recording(found), found).meshes[-1].frames[-1][2 * SIDES :]
+    assert np.ptp(tube, axis=0).max() == 0.0
+
+
+def test_colors_of_bodies_stay():
+    found = wr.record(wr.Simulator(pendulums(), device="cpu"), frames=3, velocities=True)
+    plain = colored(film_from_recording(found), found, "speed")
+    film = with_strings(plain, found)
+    np.testing.assert_array_equal(film.color[:, :3], plain.color)
+    assert film.color.shape == (4, 4, 3)
+
+
+def test_a_scene_without_strings_is_not_changed():
+    scene = wr.Scene()
+    scene.add_body(wr.Sphere(0.1))
+    found = wr.record(wr.Simulator(scene, device="cpu"), frames=1)
+    film = film_from_recording(found)
+    assert with_strings(film, found) is film

@@ -1,0 +1,94 @@
+"""Strings: distance joints drawn as thin tubes between their anchors."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from warp_rigid.render.appearance import corner_normals
+from warp_rigid.render.film import DrawnMesh, Film
+from warp_rigid.rotations import rotate
+from warp_rigid.runs.recording import Recording
+from warp_rigid.scene.joints import DistanceJoint, JointFrame
+
+__all__ = ["with_strings"]
+
+SIDES = 6
+"""Sides of a tube."""
+THICKNESS = 0.02
+"""Radius of a tube, as a fraction of the size of the joint's first body."""
+STRETCH = 1.02
+"""A string that is longer than this, relative to the greatest distance of its joint, is broken and not drawn."""
+COLOR = (0.08, 0.08, 0.09)
+"""Linear RGB."""
+
+
+def with_strings(film: Film, recording: Recording) -> Film:
+    """Add the strings of all environments to a film of a recording: distance joints that have a maximum.
+
+    A recording that was read from a file has no scene; its film stays as it is.
+    """
+    scene = recording.scene
+    entries = [entry for entry in scene.joints if isinstance(entry.joint, DistanceJoint)] if scene else []
+    entries = [entry for entry in entries if entry.joint.maximum is not None]
+    if not entries:
+        return film
+    meshes = [_tubes(recording, entries, row) for row in range(len(film.offset))]
+    frames, count = film.num_frames, len(meshes)
+    color = np.broadcast_to(np.array(COLOR, np.float32), (*film.color.shape[:-2], count, 3))
+    still = np.broadcast_to(np.array((0, 0, 0, 1), np.float32), (frames, count, 4))
+    place = np.broadcast_to(film.offset.astype(np.float32), (frames, count, 3))
+    return replace(
+        film,
+        meshes=(*film.meshes, *meshes),
+        mesh=np.concatenate([film.mesh, len(film.meshes) + np.arange(count)]),
+        color=np.concatenate([film.color, color], axis=-2),
+        position=np.concatenate([film.position, place], axis=1),
+        orientation=np.concatenate([film.orientation, still], axis=1),
+        env=np.concatenate([film.env, np.arange(count)]),
+    )
+
+
+def _tubes(recording: Recording, entries: list, row: int) -> DrawnMesh:
+    """All strings of an environment as one mesh with the vertices of each frame."""
+    assert recording.scene is not None
+    vertices = []
+    for entry in entries:
+        first = _anchor(recording, row, entry.body_a, entry.frame_a)
+        second = _anchor(recording, row, entry.body_b, entry.frame_b)
+        length = np.linalg.norm(second - first, axis=1)
+        second = np.where((length <= STRETCH * entry.joint.maximum)[:, None], second, first)
+        radius = THICKNESS * recording.scene.bodies[entry.body_a].shape.size
+        vertices.append(_tube(first, second, radius))
+    shown = np.concatenate(vertices, axis=1).astype(np.float32)
+    k = np.arange(SIDES)
+    quads = np.stack([2 * k, 2 * ((k + 1) % SIDES), 2 * ((k + 1) % SIDES) + 1, 2 * k + 1], axis=1)
+    sides = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    faces = np.concatenate([2 * SIDES * number + sides for number in range(len(entries))]).astype(np.int32)
+    return DrawnMesh(shown[0], faces, corner_normals(shown[0], faces), tuple(shown))
+
+
+def _anchor(recording: Recording, row: int, body: int | None, frame: JointFrame) -> np.ndarray:
+    """Anchor of a joint in each frame, (frames, 3) [m]."""
+    local = np.array(frame.position)
+    if body is None:
+        return np.broadcast_to(local, (len(recording.time), 3))
+    return recording.position[:, row, body] + rotate(recording.orientation[:, row, body].astype(np.float64), local)
+
+
+def _tube(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:
+    """Corners of tubes between points (frames, 3): (frames, 2 SIDES, 3), the two ends of a side one after the other.
+
+    A string between two equal points has no extent.
+    """
+    along = second - first
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = np.where(length > 0.0, along / np.maximum(length, 1e-30), (0.0, 0.0, 1.0))
+    helper = np.where(np.abs(along[:, :1]) < 0.7, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    right = np.cross(along, helper)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    up = np.cross(along, right)
+    angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    around = np.cos(angle)[:, None] * right[:, None] + np.sin(angle)[:, None] * up[:, None]
+    around = np.where(length[:, None] > 0.0, radius * around, 0.0)
+    corners = np.stack([first[:, None] + around, second[:, None] + around], axis=2)
+    return corners.reshape(len(first), 2 * SIDES, 3)
