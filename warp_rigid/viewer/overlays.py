@@ -10,7 +10,7 @@ from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.joints.joint import JointFrame
 from warp_rigid.scene.scene import Motion
 
-__all__ = ["CONTACTS", "OVERLAYS", "Overlays"]
+__all__ = ["CONTACTS", "JOINTS", "OVERLAYS", "Overlays"]
 
 BOXES, CELLS, CONTACTS = "Swept boxes", "Hash cells", "Contacts and impulses"
 JOINTS, SAMPLES, CLUSTERS = "Joints", "Samples", "Clusters of the chosen body"
