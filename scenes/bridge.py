@@ -6,8 +6,8 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.joints import DistanceJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.scenes.builders.jointed import anchor_errors
-from warp_rigid.scenes.demo import Demo, Verdict, below, rest_verdict
+from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome
+from warp_rigid.scenes.demo import Demo, Verdict, rest_verdict
 
 PLANK = (0.09, 0.5, 0.02)
 SPACING = 0.2
@@ -69,22 +69,17 @@ def _arc(planks):
     return np.stack([x, np.zeros_like(x), HEIGHT + z - z[0]], axis=1)
 
 
-class BridgeOutcome:
+class BridgeOutcome(ClosedJointsOutcome):
     """Sag of the bridge, gaps of its joints, and rest."""
 
     def __init__(self, scene):
         """Find the load."""
+        super().__init__()
         self.load = len(scene.bodies) - 1
         planks = self.load
         span = planks * SPACING / SLACK
         # With a load that is much heavier than the bridge, its two halves are straight.
         self.deepest = HEIGHT - np.sqrt((0.5 * planks * SPACING) ** 2 - (0.5 * span) ** 2)
-        self.opened = None
-
-    def observe(self, sim):
-        """Record the largest gap of a joint."""
-        now = anchor_errors(sim).max(axis=1)
-        self.opened = now if self.opened is None else np.maximum(self.opened, now)
 
     def verdicts(self, sim):
         """Joints closed; the load in its place, and at rest."""
@@ -95,7 +90,7 @@ class BridgeOutcome:
         away = np.abs(height - self.deepest)
         text = f"load hangs within 0.1 m of the height of straight halves, {self.deepest:.3f} m"
         return [
-            below("opened", self.opened, 1e-3, "no joint open by 1 mm", expected),
+            self.closed_verdict(1e-3),
             Verdict("sag", away, text, away < 0.1, expected, "m"),
             rest_verdict(sim, list(range(self.load + 1)), expected),
         ]

@@ -1,13 +1,11 @@
 """A chain of a hundred links carries a ball a thousand times heavier than a link."""
 
-import numpy as np
-
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Capsule, Sphere
-from warp_rigid.scenes.builders.jointed import anchor_errors
-from warp_rigid.scenes.demo import Demo, below
+from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome
+from warp_rigid.scenes.demo import Demo
 
 LENGTH = 0.1
 LINK_MASS = 0.1
@@ -46,23 +44,18 @@ def build(links: int = 100, ratio: float = 1000.0, speed: float = 1.0) -> Scene:
     return scene
 
 
-class ChainOutcome:
+class ChainOutcome(ClosedJointsOutcome):
     """How far the joints open."""
 
     def __init__(self, scene):
         """Nothing has been seen yet."""
-        self.opened = None
-
-    def observe(self, sim):
-        """Record the largest gap of a joint."""
-        now = anchor_errors(sim).max(axis=1)
-        self.opened = now if self.opened is None else np.maximum(self.opened, now)
+        super().__init__()
 
     def verdicts(self, sim):
         """The largest gap so far."""
         if self.opened is None:
             return []
-        return [below("opened", self.opened, 1e-4, "no joint open by 0.1 mm", {"default": True})]
+        return [self.closed_verdict(1e-4)]
 
 
 DEMO = Demo(

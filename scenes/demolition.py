@@ -6,8 +6,8 @@ from warp_rigid.checks import number_in, whole_in
 from warp_rigid.scene.joints import SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Plane, Sphere
-from warp_rigid.scenes.builders.jointed import anchor_errors
-from warp_rigid.scenes.demo import Demo, Verdict, below, indices
+from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome
+from warp_rigid.scenes.demo import Demo, Verdict, indices
 
 BRICK = (0.1, 0.2, 0.1)
 LINKS, LINK = 12, 0.25
@@ -58,19 +58,14 @@ def build(rows: int = 25, columns: int = 20, angle: float = 60.0) -> Scene:
     return scene
 
 
-class DemolitionOutcome:
+class DemolitionOutcome(ClosedJointsOutcome):
     """Bricks that were displaced, and how far joints of the chain opened."""
 
     def __init__(self, scene):
         """Note the wall."""
+        super().__init__()
         self.bricks = indices(scene, "brick")
         self.start = np.array([scene.bodies[brick].position for brick in self.bricks])
-        self.opened = None
-
-    def observe(self, sim):
-        """Record the largest gap of a joint."""
-        now = anchor_errors(sim).max(axis=1)
-        self.opened = now if self.opened is None else np.maximum(self.opened, now)
 
     def verdicts(self, sim):
         """Chain closed, wall broken after the hit."""
@@ -79,7 +74,7 @@ class DemolitionOutcome:
         moved = np.linalg.norm(sim.get("position")[:, self.bricks] - self.start, axis=-1) > 2.0 * BRICK[0]
         share, hit = moved.mean(axis=1), {"default": True}
         return [
-            below("opened", self.opened, 1e-3, "no joint open by 1 mm", {"default": True}),
+            self.closed_verdict(1e-3),
             Verdict("displaced", share, "more than 5 % of the bricks displaced by their width", share > 0.05, hit, "%"),
         ]
 

@@ -5,7 +5,7 @@ import numpy as np
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Plane
-from warp_rigid.scenes.builders.jointed import add_ragdoll, anchor_errors
+from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome, add_ragdoll
 from warp_rigid.scenes.demo import Demo, below
 
 WIDTH = 3.0
@@ -32,18 +32,13 @@ def build(dolls: int = 4) -> Scene:
     return scene
 
 
-class RagdollOutcome:
+class RagdollOutcome(ClosedJointsOutcome):
     """How far joints open, and whether any body leaves the pit."""
 
     def __init__(self, scene):
         """Find the bodies."""
+        super().__init__()
         self.bodies = [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
-        self.opened = None
-
-    def observe(self, sim):
-        """Record the largest gap of a joint."""
-        now = anchor_errors(sim).max(axis=1)
-        self.opened = now if self.opened is None else np.maximum(self.opened, now)
 
     def verdicts(self, sim):
         """Joints closed, and all bodies in the pit."""
@@ -52,7 +47,7 @@ class RagdollOutcome:
         place = sim.get("position")[:, self.bodies]
         out = np.maximum(np.abs(place[..., :2]).max(-1) - WIDTH / 2, -place[..., 2]).max(axis=1)
         return [
-            below("opened", self.opened, 1e-3, "no joint open by 1 mm", {"default": True}),
+            self.closed_verdict(1e-3),
             below("outside", out, 0.0, "all bodies within the pit", {"default": True}, "m"),
         ]
 

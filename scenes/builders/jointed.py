@@ -1,4 +1,4 @@
-"""Parts of scenes with joints: ragdolls, and how far joints are open."""
+"""Parts of scenes with joints: ragdolls, how far joints are open, and its verdict."""
 
 from typing import Any
 
@@ -9,6 +9,7 @@ from warp_rigid.rotations import rotate
 from warp_rigid.scene.joints import RevoluteJoint, SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
+from warp_rigid.scenes.demo import Verdict, below
 
 X = (1.0, 0.0, 0.0)
 
@@ -29,6 +30,28 @@ def anchor_errors(sim: Any) -> np.ndarray:
         for e in sim.scene.joints
     ]
     return np.stack(apart, axis=1)
+
+
+class ClosedJointsOutcome:
+    """Base of the outcomes that judge how far joints open.
+
+    Attributes:
+        opened: largest gap of a joint of each environment so far, (envs,) [m]; None before the first frame.
+    """
+
+    def __init__(self) -> None:
+        """Nothing has been seen yet."""
+        self.opened: np.ndarray | None = None
+
+    def observe(self, sim: Any) -> None:
+        """Record the largest gap of a joint."""
+        now = anchor_errors(sim).max(axis=1)
+        self.opened = now if self.opened is None else np.maximum(self.opened, now)
+
+    def closed_verdict(self, limit: float) -> Verdict:
+        """Verdict: no joint has opened by `limit` [m]."""
+        assert self.opened is not None
+        return below("opened", self.opened, limit, f"no joint open by {1e3 * limit:g} mm", {"default": True})
 
 
 def add_ragdoll(scene: Scene, place: Any, name: str) -> None:

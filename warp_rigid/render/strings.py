@@ -28,8 +28,8 @@ def with_strings(film: Film, recording: Recording) -> Film:
     A recording that was read from a file has no scene; its film stays as it is.
     """
     scene = recording.scene
-    entries = [entry for entry in scene.joints if isinstance(entry.joint, DistanceJoint)] if scene else []
-    entries = [entry for entry in entries if entry.joint.maximum is not None]
+    joints = scene.joints if scene else []
+    entries = [e for e in joints if isinstance(e.joint, DistanceJoint) and np.isfinite(e.joint.range[1])]
     if not entries:
         return film
     meshes = [_tubes(recording, entries, row) for row in range(len(film.offset))]
@@ -56,7 +56,7 @@ def _tubes(recording: Recording, entries: list, row: int) -> DrawnMesh:
         first = _anchor(recording, row, entry.body_a, entry.frame_a)
         second = _anchor(recording, row, entry.body_b, entry.frame_b)
         length = np.linalg.norm(second - first, axis=1)
-        second = np.where((length <= STRETCH * entry.joint.maximum)[:, None], second, first)
+        second = np.where((length <= STRETCH * entry.joint.range[1])[:, None], second, first)
         radius = THICKNESS * recording.scene.bodies[entry.body_a].shape.size
         vertices.append(_tube(first, second, radius))
     shown = np.concatenate(vertices, axis=1).astype(np.float32)
