@@ -182,6 +182,7 @@ def factorize(m: int, dt: float, motions: Motions, joints: Joints):
         assemble(place, dt, joints)
     for place in range(first, end):
         eliminate(place, joints)
+    joints.factorizations[m] = joints.factorizations[m] + 1
 
 
 @wp.func

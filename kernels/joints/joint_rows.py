@@ -130,7 +130,10 @@ def stabilize(j: int, dt: float, bodies: Bodies, joints: Joints):
 
 @wp.func
 def store_masses(b: int, motions: Motions, joints: Joints):
-    """Inverse mass and inertia of a body with what is added for stability; 0 unless it is free to move."""
+    """Inverse mass and inertia of a body with what is added for stability; 0 unless it is free to move.
+
+    Contacts use the same ones in this step, so that both act on the same momentum.
+    """
     joints.inverse_mass[b] = wp.float64(0.0)
     joints.inverse_inertia[b] = mat33d()
     if motions.role[b] != Role.FREE:
@@ -141,6 +144,10 @@ def store_masses(b: int, motions: Motions, joints: Joints):
     inverse = mat33d(inverse_inertia_of(b, motions))
     if added[1] > wp.float64(0.0):
         inverse = wp.inverse(wp.inverse(inverse) + added[1] * wp.identity(n=3, dtype=wp.float64))
+        i = wp.mat33(inverse)
+        motions.solver_bodies[b].inverse_mass = float(joints.inverse_mass[b])
+        motions.solver_bodies[b].inverse_inertia_xx = wp.vec4(i[0, 0], i[0, 1], i[0, 2], i[1, 1])
+        motions.solver_bodies[b].inverse_inertia_yz = wp.vec3(i[1, 2], i[2, 2], 0.0)
     joints.inverse_inertia[b] = inverse
 
 

@@ -9,12 +9,14 @@ from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.factor import factorize
+from warp_rigid.kernels.joints.loads import find_loaded, leave_out_of_shock, solve_loads, sweep_others
 from warp_rigid.kernels.joints.mechanism import (
     is_awake,
     project,
     settle_mechanism,
     solve_mechanism,
     start_mechanism,
+    stop_mechanism,
 )
 from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, SleepState, State
@@ -102,6 +104,9 @@ def sweep_with_joints(
     if after_shock == 0:
         find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
         spare = spare_sweeps(env, envs, graph)
+    loaded = find_loaded(team, order, motions, joints)
+    if loaded == 1:
+        leave_out_of_shock(team, motions, joints, graph)
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
         left = sweeps_of(env, after_shock, envs, graph)
@@ -113,9 +118,14 @@ def sweep_with_joints(
     while left > 0:
         change = float(0.0)
         if after_shock != AFTER_PASSES:
-            for level in range(layered, layered * graph.level_count[env] + 1):
-                change = wp.max(change, sweep(level, team, order, graph, motions, rows))
+            if loaded == 1:
+                change = sweep_others(team, order, motions, rows, joints)
+            else:
+                for level in range(layered, layered * graph.level_count[env] + 1):
+                    change = wp.max(change, sweep(level, team, order, graph, motions, rows))
         change = wp.max(change, solve_joints(team, dt, motions, joints))
+        if loaded == 1:
+            change = wp.max(change, solve_loads(team, order, motions, rows, joints))
         done += 1
         residual = change
         unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)
@@ -164,7 +174,9 @@ def settle_joints(after_push: int, dt: float, bodies: Bodies, state: State, moti
         return
     if after_push == 1:
         project(m, PUSH, motions, joints)
-    settle_mechanism(m, 1 - after_push, dt, bodies, state, motions, joints)
+    else:
+        stop_mechanism(m, dt, state, motions, joints)
+    settle_mechanism(m, dt, bodies, state, motions, joints)
 
 
 @wp.kernel

@@ -50,6 +50,9 @@ heavy bodies turn by a larger angle in a step than the square root of the ratio 
 poses, each solution is a projection of the pose: they converge as Newton's method does, and lose some energy.
 """
 
+UNSETTLED = wp.constant(0.1)
+"""Residual of the last solution above which the solutions at predicted poses do not converge [m/s, rad/s]."""
+
 KEPT_ERROR = wp.constant(wp.float64(0.5))
 """Fraction of an error at the start of a step that may remain after it."""
 
@@ -117,6 +120,16 @@ def predict_mechanism(m: int, dt: float, anew: bool, bodies: Bodies, state: Stat
             build_rows(j, bodies, joints)
         errors = errors_of(j, ends_of(j, joints), joints)
         joints.bias[j] = errors / wp.float64(dt) - row_velocities(j, VELOCITY, motions, joints)
+
+
+@wp.func
+def extrapolate_mechanism(m: int, dt: float, state: State, joints: Joints):
+    """Errors of all joints at the start of the step as the bias: the prediction is linear in the velocities."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        take_pose(joints.member[i], state, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        joints.bias[j] = errors_of(j, ends_of(j, joints), joints) / wp.float64(dt)
 
 
 @wp.func
@@ -254,24 +267,41 @@ def take_back(m: int, motions: Motions, joints: Joints):
 
 
 @wp.func
-def settle_mechanism(m: int, first: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """Solve a mechanism at newly predicted poses; modes are chosen anew if it is the first time in a step."""
+def store_totals(m: int, joints: Joints):
+    """Store the impulses to which `take_back` returns."""
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        joints.start[joints.sequence[place]] = joints.total[joints.sequence[place]]
+
+
+@wp.func
+def stop_mechanism(m: int, dt: float, state: State, motions: Motions, joints: Joints):
+    """First solution in a step, with new modes and a prediction that is linear in the velocities.
+
+    The impulses with which contacts start may give light bodies high velocities, at which predicted poses mean nothing.
+    """
+    extrapolate_mechanism(m, dt, state, joints)
+    is_stale = choose_modes(m, dt, motions, joints)
+    solve_mechanism(m, dt, is_stale, motions, joints)
+
+
+@wp.func
+def settle_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Solve a mechanism at newly predicted poses until its joints hold."""
     k = int(0)
     anew = bool(False)
     last = float(0.0)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        joints.start[joints.sequence[place]] = joints.total[joints.sequence[place]]
+    store_totals(m, joints)
     while k < MOST_PREDICTIONS:
         predict_mechanism(m, dt, anew, bodies, state, motions, joints)
-        is_stale = anew
-        if first + k == 1:
-            is_stale = choose_modes(m, dt, motions, joints)
-        change = solve_mechanism(m, dt, is_stale, motions, joints)
+        change = solve_mechanism(m, dt, anew, motions, joints)
         if k > 0 and change > SLOW * last and not anew:
             take_back(m, motions, joints)
             anew = True
         last = change
         k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
+    if last > UNSETTLED:
+        # Velocities that obey the joints of the present pose leave an error to later steps, but add no energy.
+        take_back(m, motions, joints)
 
 
 @wp.func

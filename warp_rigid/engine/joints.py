@@ -135,6 +135,8 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
         "first_place": found.first_place,
         "first_member": np.cumsum([0, *map(len, found.members)]),
         "member": [body for bodies in found.members for body in bodies],
+        "anchored": [any(_is_anchor(scene, joint) for joint in joints) for joints in found.joints],
+        "of_body": _mechanism_of_each_body(scene, found),
         "sequence": found.sequence,
         "column": found.column,
         "elimination": found.elimination,
@@ -146,6 +148,20 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
         "target": products[:, 2],
     }
     return {name: np.array(values, np.int32) for name, values in lists.items()}
+
+
+def _is_anchor(scene: Scene, joint: int) -> bool:
+    """Whether a joint holds a body to the world, or to one that is not dynamic."""
+    ends = (scene.joints[joint].body_a, scene.joints[joint].body_b)
+    return any(body is None or scene.bodies[body].motion != Motion.DYNAMIC for body in ends)
+
+
+def _mechanism_of_each_body(scene: Scene, found: Mechanisms) -> list[int]:
+    """Mechanism of each body, -1 for those that are not dynamic or have no joint."""
+    mechanism = {body: m for m, members in enumerate(found.members) for body in members}
+    return [
+        mechanism.get(body, -1) if entry.motion == Motion.DYNAMIC else -1 for body, entry in enumerate(scene.bodies)
+    ]
 
 
 class JointStages:

@@ -7,7 +7,7 @@ trees this creates no additional blocks besides those of bodies with several joi
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from itertools import combinations, permutations
+from itertools import combinations, pairwise, permutations
 from typing import NamedTuple
 
 
@@ -33,6 +33,11 @@ class Mechanisms(NamedTuple):
     elimination: list[int]
     products: list[tuple[int, int, int]]
     members: list[list[int]]
+
+    @property
+    def joints(self) -> list[list[int]]:
+        """Joints of each mechanism, in the order of elimination."""
+        return [self.sequence[first:last] for first, last in pairwise(self.first_place)]
 
 
 Links = dict[int, set[int]]

@@ -1,0 +1,88 @@
+"""Heavy bodies that rest on much lighter bodies of mechanisms."""
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from warp_rigid.scenes import bridge
+from warp_rigid.scenes.builders.jointed import add_ragdoll, anchor_errors
+
+G = 9.81
+
+
+def shelf(ratio):
+    """Two boards welded to each other, on a hinge at the wall that is at its limit, with a box on the seam."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    board = wr.Box((0.3, 0.2, 0.02))
+    inner, outer = (scene.add_body(board, position=(x, 0, 1), mass=1.0) for x in (0.3, 0.9))
+    scene.add_joint(wr.RevoluteJoint((0, 1, 0), limits=(-1, 0)), inner, anchor=(0, 0, 1), name="hinge")
+    scene.add_joint(wr.FixedJoint(), outer, inner, anchor=(0.6, 0, 1))
+    scene.add_body(wr.Box((0.1,) * 3), position=(0.6, 0, 1.12), mass=ratio, name="load")
+    return scene
+
+
+def bridge_with_box(ratio, planks=10):
+    """A rope bridge with a box on its middle."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    corners, above = bridge._arc(planks), None
+    for first, second in zip(corners, corners[1:], strict=False):
+        lean = -0.5 * np.arctan2(second[2] - first[2], second[0] - first[0])
+        turn = (0, np.sin(lean), 0, np.cos(lean))
+        plank = scene.add_body(wr.Box(bridge.PLANK), position=0.5 * (first + second), orientation=turn, mass=1.0)
+        bridge._hinge(scene, plank, above, first, 20.0)
+        above = plank
+    bridge._hinge(scene, above, None, corners[-1], 20.0)
+    place = corners[planks // 2] + (0, 0, 0.131)
+    scene.add_body(wr.Box((0.25, 0.25, 0.1)), position=place, mass=ratio, name="load")
+    return scene
+
+
+def test_a_bridge_carries_a_box_of_a_thousand_times_the_mass_of_a_plank(device):
+    """It does not quite come to rest: ten sweeps leave centimetres per second."""
+    sim = wr.Simulator(bridge_with_box(1000.0), device=device)
+    start = sim.get("position")[0, -1, 2]
+    for _ in range(10):
+        sim.step(24)
+        assert anchor_errors(sim).max() < 2e-6 and sim.penetration()[0] < 2e-3
+        assert np.linalg.norm(sim.get("linear_velocity")[0, -1]) < 0.2
+    assert sim.get("position")[0, -1, 2] == pytest.approx(start, abs=0.02)
+
+
+@pytest.mark.parametrize("ratio", [10.0, 1000.0])
+def test_a_shelf_carries_a_load(device, ratio):
+    """The box stays where it is, and the hinge's limit holds the moment of all weights about the hinge."""
+    sim = wr.Simulator(shelf(ratio), device=device)
+    sim.step(120)
+    assert sim.get("position")[0, 2] == pytest.approx((0.6, 0, 1.12), abs=2e-5)
+    assert np.abs(sim.get("linear_velocity")[0]).max() < 1e-4
+    assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 4e-5
+    force = sim.get("joint_force")[0, 0]
+    assert force[2] == pytest.approx((ratio + 2.0) * G, rel=1e-3)
+    assert abs(force[4]) == pytest.approx(0.6 * (ratio + 2.0) * G, rel=2e-3)
+
+
+def test_a_bridge_carries_a_box_of_a_hundred_times_the_mass_of_a_plank(device):
+    """It sags, and comes to rest; the anchors at both ends carry all weights."""
+    scene = bridge_with_box(100.0)
+    sim = wr.Simulator(scene, device=device)
+    sim.step(300)
+    assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 2e-3
+    assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 1e-4
+    force = sim.get("joint_force")[0]
+    ends = abs(force[0, 2]) + abs(force[-1, 2])
+    assert ends == pytest.approx(110.0 * G, rel=5e-3)
+
+
+def test_ragdolls_that_fall_onto_each_other_at_high_speed_stay_in_one_piece(device):
+    """Two ragdolls meet at 14 m/s: no energy is gained, and the joints hold."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    add_ragdoll(scene, (0, 0, 1), "still")
+    count = len(scene.bodies)
+    add_ragdoll(scene, (0.05, 0.02, 3), "falling")
+    sim = wr.Simulator(scene, device=device)
+    sim.set("linear_velocity", (0, 0, -14.0), bodies=list(range(count, 2 * count)))
+    top = 14.0
+    for _ in range(40):
+        sim.step(2)
+        assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 2.5 * top
+        assert anchor_errors(sim).max() < 4e-3
