@@ -19,6 +19,7 @@ from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.narrowphase import matters, out_of_box
 from warp_rigid.kernels.collide.samples import gradient, slope
 from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
+from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, min_of_lanes
 from warp_rigid.kernels.enums import PartKind, Role, SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
@@ -398,10 +399,23 @@ def trace_sample(
 
 
 @wp.func
-def trace_samples(shapes: Shapes, own: Course, other: Course, ball: Ball, begin: float, end: float, passage: Passage):
-    """Time at which a sample of a ball would penetrate the other body too deep, not before `begin`, or `end`."""
+def trace_samples(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    ball: Ball,
+    begin: float,
+    end: float,
+    passage: Passage,
+    lane: int,
+    lanes: int,
+):
+    """Time at which a sample of a ball would penetrate the other body too deep, not before `begin`, or `end`.
+
+    The lanes of a team share the samples.
+    """
     earliest = float(end)
-    for s in range(ball.sample_start, ball.sample_end):
+    for s in range(ball.sample_start + lane, ball.sample_end, lanes):
         p = own.local_center
         radius = float(0.0)
         near = DEPTH * passage.size
@@ -436,31 +450,47 @@ def ball_of(own: Course, cluster: int, shapes: Shapes):
 
 
 @wp.func
+def trace_ball(shapes: Shapes, own: Course, other: Course, cluster: int, end: float, passage: Passage):
+    """Time at which the bounding sphere of a cluster, or of the body for the cluster -1, touches the other body."""
+    ball = ball_of(own, cluster, shapes)
+    kind = shapes.clusters[wp.max(cluster, 0)].kind
+    if cluster >= 0 and (kind == SampleKind.CORNER or not matters(kind, own.shape, other.shape, 1, shapes)):
+        return end
+    margin = ball.radius + passage.reach
+    if out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
+        return end
+    arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
+    slack = GRID_ERROR * shapes.shapes[other.shape].cell
+    return trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * passage.size, 0.0, end)
+
+
+@wp.func
 def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: float, size: float, lane: int, lanes: int):
     """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`.
 
-    The lanes of a team share the clusters; the earliest of their times is that of the pair.
+    The lanes of a team share the clusters, and the samples of each cluster that is reached. The earliest of their times
+    is that of the pair. The cluster before the first one is the body itself, with its centre as a sample.
     """
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
     passage = passage_of(own, other, dt, size)
-    slack = GRID_ERROR * shapes.shapes[other.shape].cell
     cluster = int(-1)
     while cluster < shapes.shapes[own.shape].cluster_end:
-        ball = ball_of(own, cluster, shapes)
-        kind = shapes.clusters[wp.max(cluster, 0)].kind
-        near = cluster < 0 or (kind != SampleKind.CORNER and matters(kind, own.shape, other.shape, 1, shapes))
-        margin = ball.radius + passage.reach
         at = float(earliest)
-        if near and not out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
-            arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
-            at = trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * size, 0.0, earliest)
-        if at < earliest and (cluster >= 0 or lane == 0):
-            earliest = trace_samples(shapes, own, other, ball, at, earliest, passage)
-        elif at >= end and cluster < 0:
+        if cluster < 0 or cluster + lane < shapes.shapes[own.shape].cluster_end:
+            at = trace_ball(shapes, own, other, wp.where(cluster < 0, -1, cluster + lane), earliest, passage)
+        if cluster < 0 and at >= end:
             return earliest
-        cluster = wp.where(cluster < 0, shapes.shapes[own.shape].cluster_start + lane, cluster + lanes)
+        reached = ballot(wp.where(at < earliest and (cluster >= 0 or lane == 0), 1, 0), lanes)
+        while reached != wp.uint32(0):
+            k = lowest_bit(reached)
+            reached = reached & (reached - wp.uint32(1))
+            ball = ball_of(own, wp.where(cluster < 0, -1, cluster + k), shapes)
+            begin = broadcast(at, k, lanes)
+            earliest = trace_samples(shapes, own, other, ball, begin, earliest, passage, lane, lanes)
+        earliest = min_of_lanes(earliest, lanes)
+        cluster = wp.where(cluster < 0, shapes.shapes[own.shape].cluster_start, cluster + lanes)
     return earliest
 
 
@@ -568,7 +598,7 @@ def limit_motion(
             first = second
             second = swapped
             side += 1
-        if t < dt:
+        if t < dt and lane == 0:
             wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
             wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
 

@@ -12,8 +12,9 @@ Bodies may overlap so deeply that no sample of one opposes the surface of the ot
 each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
 made with a large ball inside one body, which overlaps the other body only if the bodies overlap.
 
-A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of a cluster. Touching samples
-are broadcast to all lanes in sample order, and each lane updates its own slots.
+A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of each near cluster. Samples
+that are near are queued, and tested together when there is one for each lane: this takes most of the time. Touching
+samples are broadcast to all lanes in sample order, and each lane updates its own slots.
 """
 
 import warp as wp
@@ -32,9 +33,9 @@ from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
 from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.convex_pairs import border_of, check_by_axis, cut_by_axis, is_apart
-from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_nearer, signed_distance
+from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_near_grid, is_nearer, signed_distance
 from warp_rigid.kernels.collide.samples import OVERLAP, Search, gradient, place_sample
-from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
+from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
@@ -133,7 +134,10 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
 
 @wp.func
 def sample_is_near(s: int, approach: Approach, shapes: Shapes):
-    """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch."""
+    """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch.
+
+    The distance to a mesh is slow, so the bound from its grid is tested, too.
+    """
     lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
     if lowest - shapes.samples[s].radius > approach.level:
         return False
@@ -142,19 +146,21 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
     if shapes.samples[s].kind == SampleKind.EDGE:
         slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
         margin += border_of(approach.own_shape, approach.shape, shapes)
-        return segment_meets_box(p, slide, margin, approach.shape, shapes)
-    return not out_of_box(p, margin, approach.shape, shapes)
+        if not segment_meets_box(p, slide, margin, approach.shape, shapes):
+            return False
+        margin += wp.length(slide)
+    elif out_of_box(p, margin, approach.shape, shapes):
+        return False
+    return not has_triangles(shapes, approach.shape) or is_near_grid(shapes, approach.shape, p, margin)
 
 
 @wp.func
 def touching(
     s: int, side: int, approach: Approach, dt: float, size: float, shapes: Shapes, state: State, motions: Motions
 ):
-    """The contact point of a sample in the second body's frame; its gap is FAR if there is none."""
+    """The contact point of a near sample in the second body's frame; its gap is FAR if there is none."""
     result = Touch()
     result.gap = FAR
-    if not sample_is_near(s, approach, shapes):
-        return result
     placed = place_sample(shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.reach)
     if placed.distance >= approach.reach:
         return result
@@ -182,38 +188,105 @@ def broadcast_touch(touch: Touch, lane: int, lanes: int):
     return result
 
 
+@wp.struct
+class Progress:
+    """Progress of a team through the samples of a pair.
+
+    `side`: 0 in the samples of the first body, 1 in those of the second one, 2 after them. `group`: the clusters tested
+    next, one per lane, start here. `clusters`: bits of those tested last that are near and still to be visited.
+    `sample`, `sample_end`: samples to be tested next, of the cluster visited last. `near`: bits of those tested last that
+    are near and not in the queue. `queued`: number of samples in the queue; `key`: that of this lane.
+    """
+
+    side: int
+    group: int
+    clusters: wp.uint32
+    sample: int
+    sample_end: int
+    near: wp.uint32
+    queued: int
+    key: int
+
+
 @wp.func
-def try_cluster(
-    cluster: int,
-    pair: int,
-    side: int,
+def has_samples(progress: Progress):
+    """Whether samples of near clusters are left."""
+    untested = progress.sample < progress.sample_end or progress.clusters != wp.uint32(0)
+    return untested or progress.near != wp.uint32(0)
+
+
+@wp.func
+def test_clusters(progress: Progress, lane: int, lanes: int, approach: Approach, edges: int, shapes: Shapes):
+    """Test the next clusters of a body, one per lane."""
+    cluster = progress.group + lane
+    near = int(0)
+    if cluster < shapes.shapes[approach.own_shape].cluster_end:
+        near = cluster_is_near(cluster, approach, edges, shapes)
+    progress.clusters = ballot(near, lanes)
+    progress.group += lanes
+    return progress
+
+
+@wp.func
+def queue_samples(progress: Progress, lane: int, lanes: int, approach: Approach, shapes: Shapes):
+    """Test the next samples of a near cluster, one per lane, unless some are left from the last test; queue them."""
+    if progress.near == wp.uint32(0):
+        if progress.sample >= progress.sample_end:
+            cluster = progress.group - lanes + lowest_bit(progress.clusters)
+            progress.clusters = progress.clusters & (progress.clusters - wp.uint32(1))
+            progress.sample = shapes.clusters[cluster].sample_start
+            progress.sample_end = shapes.clusters[cluster].sample_end
+        s = progress.sample + lane
+        near = int(0)
+        if s < progress.sample_end and sample_is_near(s, approach, shapes):
+            near = 1
+        progress.near = ballot(near, lanes)
+        progress.sample += lanes
+    while progress.near != wp.uint32(0) and progress.queued < lanes:
+        if progress.queued == lane:
+            progress.key = 2 * (progress.sample - lanes + lowest_bit(progress.near)) + progress.side
+        progress.near = progress.near & (progress.near - wp.uint32(1))
+        progress.queued += 1
+    return progress
+
+
+@wp.func
+def touch_queued(
+    progress: Progress,
     lane: int,
-    lanes: int,
+    a: int,
+    b: int,
     approach: Approach,
     dt: float,
     size: float,
     shapes: Shapes,
+    bodies: Bodies,
     state: State,
     motions: Motions,
-    pairs: Pairs,
 ):
-    """Test the samples of a cluster, one per lane at a time. Returns 1 if one of the lane's own samples closes."""
-    closing = int(0)
-    end = shapes.clusters[cluster].sample_end
-    for base in range(shapes.clusters[cluster].sample_start, end, lanes):
-        touch = Touch()
-        touch.gap = FAR
-        if base + lane < end:
-            touch = touching(base + lane, side, approach, dt, size, shapes, state, motions)
-        closing |= touch.closing
-        hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
-        while hits != wp.uint32(0):
-            k = lowest_bit(hits)
-            hits = hits & (hits - wp.uint32(1))
-            hit = broadcast_touch(touch, k, lanes)
-            key = 2 * (base + k) + side
-            offer_sample(pair, key, hit.position, hit.normal, hit.gap, approach.weight, size, lane, lanes, pairs)
-    return closing
+    """The contact point of the lane's queued sample; its gap is FAR if there is none."""
+    touch = Touch()
+    touch.gap = FAR
+    if lane < progress.queued:
+        side = progress.key % 2
+        own = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), approach.reach, bodies, state)
+        own.rise = approach.rise
+        touch = touching(progress.key / 2, side, own, dt, size, shapes, state, motions)
+    return touch
+
+
+@wp.func
+def offer_touches(
+    pair: int, key: int, touch: Touch, weight: float, size: float, lane: int, lanes: int, pairs: Pairs
+):
+    """Offer the contact points of all lanes to the slots of their patches, in the order of the lanes."""
+    hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
+    while hits != wp.uint32(0):
+        k = lowest_bit(hits)
+        hits = hits & (hits - wp.uint32(1))
+        hit = broadcast_touch(touch, k, lanes)
+        own_key = broadcast_integer(key, k, lanes)
+        offer_sample(pair, own_key, hit.position, hit.normal, hit.gap, weight, size, lane, lanes, pairs)
 
 
 @wp.func
@@ -305,26 +378,29 @@ def look_for_contacts(
     if lane == 0:
         pairs.patch_count[pair] = 0
     sync_warp(lanes)
+    weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
     closing = int(0)
-    side = int(0)
-    while side < 2:
-        approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
-        approach.rise = rise
-        approach.weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
-        approach = cut_by_axis(approach, pairs.axis[pair], side, shapes)
-        end = shapes.shapes[approach.own_shape].cluster_end
-        for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
-            near = int(0)
-            if base + lane < end:
-                near = cluster_is_near(base + lane, approach, edges, shapes)
-            bits = ballot(near, lanes)
-            while bits != wp.uint32(0):
-                cluster = base + lowest_bit(bits)
-                bits = bits & (bits - wp.uint32(1))
-                closing |= try_cluster(
-                    cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs
-                )
-        side += 1
+    approach = approach_of(a, b, reach, bodies, state)
+    approach.rise = rise
+    approach = cut_by_axis(approach, pairs.axis[pair], 0, shapes)
+    progress = Progress()
+    progress.group = shapes.shapes[approach.own_shape].cluster_start
+    while progress.side < 2:
+        progress.queued = 0
+        while progress.side < 2 and progress.queued < lanes:
+            if has_samples(progress):
+                progress = queue_samples(progress, lane, lanes, approach, shapes)
+            elif progress.group < shapes.shapes[approach.own_shape].cluster_end:
+                progress = test_clusters(progress, lane, lanes, approach, edges, shapes)
+            else:
+                progress.side += 1
+                approach = approach_of(b, a, reach, bodies, state)
+                approach.rise = rise
+                approach = cut_by_axis(approach, pairs.axis[pair], 1, shapes)
+                progress.group = shapes.shapes[approach.own_shape].cluster_start
+        touch = touch_queued(progress, lane, a, b, approach, dt, size, shapes, bodies, state, motions)
+        closing |= touch.closing
+        offer_touches(pair, progress.key, touch, weight, size, lane, lanes, pairs)
     sync_warp(lanes)
     closing = wp.where(ballot(closing, lanes) == wp.uint32(0), 0, 1)
     solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])

@@ -14,7 +14,14 @@ from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, TRACE_LANES, most_lanes, team_lanes
+from warp_rigid.engine.teams import (
+    BUILD_LANES,
+    ROUND_LANES,
+    TRACE_LANES,
+    most_lanes,
+    search_lanes,
+    team_lanes,
+)
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
@@ -568,7 +575,7 @@ class Stages:
         inputs = [self.dt, *bodies_of_pair, self.pools.history]
         self._shared(narrowphase.keep_contacts, self.pools.sizes["pairs"], [woken], inputs, [pairs])
         inputs = [self.dt, *bodies_of_pair]
-        self._share_pairs(narrowphase.search_contacts, SEARCH_LANES, inputs, [pairs])
+        self._share_pairs(narrowphase.search_contacts, search_lanes(self.model.most_samples), inputs, [pairs])
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""

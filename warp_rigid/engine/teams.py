@@ -9,9 +9,12 @@ WARP = 32
 MOST_BODIES_OF_A_WARP = 128
 """Above this number of bodies, an environment is processed by a block."""
 
-SEARCH_LANES, BUILD_LANES, TRACE_LANES, ROUND_LANES = 32, 4, 32, 4
-"""GPU lanes that search for the contacts of one pair, that build its rows, that trace it, and that
-visit it in a round."""
+BUILD_LANES, TRACE_LANES, ROUND_LANES = 4, 32, 4
+"""GPU lanes that build the rows of one pair, that trace it, and that visit it in a round."""
+
+FEW_SAMPLES = 128
+"""Up to this number of samples of the largest shape, few lanes search for the contacts of a pair: of a box, five
+samples are near another box."""
 
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
@@ -43,3 +46,12 @@ def team_lanes(device: Any, num_envs: int, most_bodies: int) -> int:
 def most_lanes(device: Any) -> int:
     """Number of lanes that can be resident on a GPU at the same time."""
     return device.sm_count * RESIDENT_LANES
+
+
+def search_lanes(most_samples: int) -> int:
+    """Number of lanes that search for the contacts of a pair.
+
+    Args:
+        most_samples: number of samples of the shape that has most.
+    """
+    return 4 if most_samples <= FEW_SAMPLES else WARP
