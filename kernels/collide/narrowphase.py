@@ -32,11 +32,11 @@ from warp_rigid.kernels.collide.approach import (
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
 from warp_rigid.kernels.collide.convex import is_solid
-from warp_rigid.kernels.collide.convex_pairs import border_of, check_by_axis, cut_by_axis, is_apart
-from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_near_grid, is_nearer, signed_distance
-from warp_rigid.kernels.collide.samples import OVERLAP, Search, gradient, place_sample
+from warp_rigid.kernels.collide.convex_pairs import check_by_axis, cut_by_axis, is_apart
+from warp_rigid.kernels.collide.culling import SampleQueue, has_samples, out_of_box, queue_samples, test_clusters
+from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
-from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -65,93 +65,6 @@ def last_pair(a: int, b: int, history: History):
         if history.body_b[pair] == b:
             return pair
     return -1
-
-
-@wp.func
-def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
-    """Whether samples of a kind can contribute to a contact.
-
-    Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
-    sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
-    shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
-    sphere. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
-    segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
-    """
-    if kind == SampleKind.CORNER:
-        return has_triangles(shapes, shape)
-    if shapes.shapes[shape].convex == 0:
-        return kind != SampleKind.EDGE or edges == 1
-    other = shapes.parts[shapes.shapes[shape].part_start].kind
-    own = shapes.parts[shapes.shapes[own_shape].part_start].kind
-    if own == PartKind.HEIGHTFIELD:
-        return True
-    by_center = other == PartKind.SPHERE and shapes.shapes[own_shape].convex == 1
-    if kind == SampleKind.POINT:
-        return own == PartKind.SPHERE or not by_center
-    if kind == SampleKind.EDGE:
-        return edges == 1 and other != PartKind.PLANE and not by_center
-    if other == PartKind.SPHERE:
-        return not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
-    return shapes.shapes[own_shape].convex == 0 and (other == PartKind.CAPSULE or other == PartKind.CYLINDER)
-
-
-@wp.func
-def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
-    """Whether a point is further than a margin from a shape's bounding box, a cheap bound of the distance."""
-    below = shapes.shapes[shape].lower - p
-    above = p - shapes.shapes[shape].upper
-    return wp.max(wp.max(below), wp.max(above)) > margin
-
-
-@wp.func
-def segment_meets_box(middle: wp.vec3, half: wp.vec3, margin: float, shape: int, shapes: Shapes):
-    """Whether a segment comes within a margin of a shape's bounding box, by separating axes of the enlarged box."""
-    center = 0.5 * (shapes.shapes[shape].lower + shapes.shapes[shape].upper)
-    e = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower) + wp.vec3(margin, margin, margin)
-    m = middle - center
-    h = wp.vec3(wp.abs(half[0]), wp.abs(half[1]), wp.abs(half[2]))
-    if wp.abs(m[0]) > e[0] + h[0] or wp.abs(m[1]) > e[1] + h[1] or wp.abs(m[2]) > e[2] + h[2]:
-        return False
-    across = wp.cross(m, half)
-    x = wp.abs(across[0]) <= e[1] * h[2] + e[2] * h[1]
-    y = wp.abs(across[1]) <= e[0] * h[2] + e[2] * h[0]
-    return x and y and wp.abs(across[2]) <= e[0] * h[1] + e[1] * h[0]
-
-
-@wp.func
-def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
-    """Whether a cluster may contain a touching sample."""
-    if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
-        return 0
-    if wp.dot(approach.cut, shapes.clusters[cluster].center) - shapes.clusters[cluster].radius > approach.level:
-        return 0
-    center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
-    margin = shapes.clusters[cluster].radius + approach.reach
-    if out_of_box(center, margin, approach.shape, shapes):
-        return 0
-    return wp.where(is_nearer(shapes, approach.shape, center, margin), 1, 0)
-
-
-@wp.func
-def sample_is_near(s: int, approach: Approach, shapes: Shapes):
-    """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch.
-
-    The distance to a mesh is slow, so the bound from its grid is tested, too.
-    """
-    lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
-    if lowest - shapes.samples[s].radius > approach.level:
-        return False
-    p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
-    margin = approach.reach + shapes.samples[s].radius
-    if shapes.samples[s].kind == SampleKind.EDGE:
-        slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
-        margin += border_of(approach.own_shape, approach.shape, shapes)
-        if not segment_meets_box(p, slide, margin, approach.shape, shapes):
-            return False
-        margin += wp.length(slide)
-    elif out_of_box(p, margin, approach.shape, shapes):
-        return False
-    return not has_triangles(shapes, approach.shape) or is_near_grid(shapes, approach.shape, p, margin)
 
 
 @wp.func
@@ -188,97 +101,43 @@ def broadcast_touch(touch: Touch, lane: int, lanes: int):
     return result
 
 
-@wp.struct
-class Progress:
-    """Progress of a team through the samples of a pair.
-
-    `side`: 0 in the samples of the first body, 1 in those of the second one, 2 after them. `group`: the clusters tested
-    next, one per lane, start here. `clusters`: bits of those tested last that are near and still to be visited.
-    `sample`, `sample_end`: samples to be tested next, of the cluster visited last. `near`: bits of those tested last that
-    are near and not in the queue. `queued`: number of samples in the queue; `key`: that of this lane.
-    """
-
-    side: int
-    group: int
-    clusters: wp.uint32
-    sample: int
-    sample_end: int
-    near: wp.uint32
-    queued: int
-    key: int
-
-
 @wp.func
-def has_samples(progress: Progress):
-    """Whether samples of near clusters are left."""
-    untested = progress.sample < progress.sample_end or progress.clusters != wp.uint32(0)
-    return untested or progress.near != wp.uint32(0)
-
-
-@wp.func
-def test_clusters(progress: Progress, lane: int, lanes: int, approach: Approach, edges: int, shapes: Shapes):
-    """Test the next clusters of a body, one per lane."""
-    cluster = progress.group + lane
-    near = int(0)
-    if cluster < shapes.shapes[approach.own_shape].cluster_end:
-        near = cluster_is_near(cluster, approach, edges, shapes)
-    progress.clusters = ballot(near, lanes)
-    progress.group += lanes
-    return progress
-
-
-@wp.func
-def queue_samples(progress: Progress, lane: int, lanes: int, approach: Approach, shapes: Shapes):
-    """Test the next samples of a near cluster, one per lane, unless some are left from the last test; queue them."""
-    if progress.near == wp.uint32(0):
-        if progress.sample >= progress.sample_end:
-            cluster = progress.group - lanes + lowest_bit(progress.clusters)
-            progress.clusters = progress.clusters & (progress.clusters - wp.uint32(1))
-            progress.sample = shapes.clusters[cluster].sample_start
-            progress.sample_end = shapes.clusters[cluster].sample_end
-        s = progress.sample + lane
-        near = int(0)
-        if s < progress.sample_end and sample_is_near(s, approach, shapes):
-            near = 1
-        progress.near = ballot(near, lanes)
-        progress.sample += lanes
-    while progress.near != wp.uint32(0) and progress.queued < lanes:
-        if progress.queued == lane:
-            progress.key = 2 * (progress.sample - lanes + lowest_bit(progress.near)) + progress.side
-        progress.near = progress.near & (progress.near - wp.uint32(1))
-        progress.queued += 1
-    return progress
+def approach_from(side: int, pair: int, reach: float, rise: float, bodies: Bodies, state: State, pairs: Pairs):
+    """Relative pose for the samples of a pair's first (side 0) or second (side 1) body."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
+    approach.rise = rise
+    return approach
 
 
 @wp.func
 def touch_queued(
-    progress: Progress,
+    queue: SampleQueue,
+    pair: int,
     lane: int,
-    a: int,
-    b: int,
-    approach: Approach,
+    reach: float,
+    rise: float,
     dt: float,
     size: float,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
     motions: Motions,
+    pairs: Pairs,
 ):
     """The contact point of the lane's queued sample; its gap is FAR if there is none."""
     touch = Touch()
     touch.gap = FAR
-    if lane < progress.queued:
-        side = progress.key % 2
-        own = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), approach.reach, bodies, state)
-        own.rise = approach.rise
-        touch = touching(progress.key / 2, side, own, dt, size, shapes, state, motions)
+    if lane < queue.queued:
+        side = queue.key % 2
+        approach = approach_from(side, pair, reach, rise, bodies, state, pairs)
+        touch = touching(queue.key / 2, side, approach, dt, size, shapes, state, motions)
     return touch
 
 
 @wp.func
-def offer_touches(
-    pair: int, key: int, touch: Touch, weight: float, size: float, lane: int, lanes: int, pairs: Pairs
-):
+def offer_touches(pair: int, key: int, touch: Touch, weight: float, size: float, lane: int, lanes: int, pairs: Pairs):
     """Offer the contact points of all lanes to the slots of their patches, in the order of the lanes."""
     hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
     while hits != wp.uint32(0):
@@ -380,27 +239,24 @@ def look_for_contacts(
     sync_warp(lanes)
     weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
     closing = int(0)
-    approach = approach_of(a, b, reach, bodies, state)
-    approach.rise = rise
-    approach = cut_by_axis(approach, pairs.axis[pair], 0, shapes)
-    progress = Progress()
-    progress.group = shapes.shapes[approach.own_shape].cluster_start
-    while progress.side < 2:
-        progress.queued = 0
-        while progress.side < 2 and progress.queued < lanes:
-            if has_samples(progress):
-                progress = queue_samples(progress, lane, lanes, approach, shapes)
-            elif progress.group < shapes.shapes[approach.own_shape].cluster_end:
-                progress = test_clusters(progress, lane, lanes, approach, edges, shapes)
+    axis = pairs.axis[pair]
+    approach = cut_by_axis(approach_from(0, pair, reach, rise, bodies, state, pairs), axis, 0, shapes)
+    queue = SampleQueue()
+    queue.group = shapes.shapes[approach.own_shape].cluster_start
+    while queue.side < 2:
+        queue.queued = 0
+        while queue.side < 2 and queue.queued < lanes:
+            if has_samples(queue):
+                queue = queue_samples(queue, lane, lanes, approach, shapes)
+            elif queue.group < shapes.shapes[approach.own_shape].cluster_end:
+                queue = test_clusters(queue, lane, lanes, approach, edges, shapes)
             else:
-                progress.side += 1
-                approach = approach_of(b, a, reach, bodies, state)
-                approach.rise = rise
-                approach = cut_by_axis(approach, pairs.axis[pair], 1, shapes)
-                progress.group = shapes.shapes[approach.own_shape].cluster_start
-        touch = touch_queued(progress, lane, a, b, approach, dt, size, shapes, bodies, state, motions)
+                queue.side += 1
+                approach = cut_by_axis(approach_from(1, pair, reach, rise, bodies, state, pairs), axis, 1, shapes)
+                queue.group = shapes.shapes[approach.own_shape].cluster_start
+        touch = touch_queued(queue, pair, lane, reach, rise, dt, size, shapes, bodies, state, motions, pairs)
         closing |= touch.closing
-        offer_touches(pair, progress.key, touch, weight, size, lane, lanes, pairs)
+        offer_touches(pair, queue.key, touch, weight, size, lane, lanes, pairs)
     sync_warp(lanes)
     closing = wp.where(ballot(closing, lanes) == wp.uint32(0), 0, 1)
     solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])

@@ -8,20 +8,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.engine import loading
+from warp_rigid.engine import loading, teams
 from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import (
-    BUILD_LANES,
-    ROUND_LANES,
-    TRACE_LANES,
-    most_lanes,
-    search_lanes,
-    team_lanes,
-)
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
@@ -110,7 +102,7 @@ class Stages:
         self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
         self.crowded = model.layout.most_bodies > islands.CROWDED
-        self.lanes = team_lanes(self.device, self.num_envs, model.layout.most_bodies)
+        self.lanes = teams.team_lanes(self.device, self.num_envs, model.layout.most_bodies)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
         self.grid = HashGrid(model, pools.sizes, device)
@@ -238,7 +230,7 @@ class Stages:
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
         inputs = [self.dt, *bodies_of_pair, pairs, self.pools.history]
-        self._share_pairs(build_contacts.build_contacts, BUILD_LANES, inputs, [contacts])
+        self._share_pairs(build_contacts.build_contacts, teams.BUILD_LANES, inputs, [contacts])
         self._list_constraints()
 
     @stage
@@ -385,8 +377,10 @@ class Stages:
 
     def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
         """Launch rounds in groups, until no environment needs another one."""
-        lanes = ROUND_LANES if self.device.is_cuda else 1
-        threads = min(self.pools.sizes["constraints"] * lanes, most_lanes(self.device)) if self.device.is_cuda else 1
+        lanes = teams.ROUND_LANES if self.device.is_cuda else 1
+        threads = (
+            min(self.pools.sizes["constraints"] * lanes, teams.most_lanes(self.device)) if self.device.is_cuda else 1
+        )
 
         def group() -> None:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
@@ -530,10 +524,10 @@ class Stages:
 
     def _share(self, kernel: Any, size: int, lanes: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose teams share `size` rows; on a GPU, a team has the given number of lanes."""
-        teams = min(size, most_lanes(self.device) // lanes) if self.device.is_cuda else 1
+        count = min(size, teams.most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
-        inputs = [*before, teams, lanes, *inputs]
-        wp.launch(kernel, dim=teams * lanes, inputs=inputs, outputs=outputs, device=self.device)
+        inputs = [*before, count, lanes, *inputs]
+        wp.launch(kernel, dim=count * lanes, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
@@ -565,7 +559,7 @@ class Stages:
         pairs, inputs = self.pools.pairs, [self.dt, self.model.shapes, self.model.bodies, self.state]
         pairs.fast_count.zero_()
         self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [again], [*inputs, self.motions], [pairs])
-        self._share_pairs(ccd.limit_motion, TRACE_LANES, [*inputs, pairs], [self.motions])
+        self._share_pairs(ccd.limit_motion, teams.TRACE_LANES, [*inputs, pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
@@ -575,7 +569,7 @@ class Stages:
         inputs = [self.dt, *bodies_of_pair, self.pools.history]
         self._shared(narrowphase.keep_contacts, self.pools.sizes["pairs"], [woken], inputs, [pairs])
         inputs = [self.dt, *bodies_of_pair]
-        self._share_pairs(narrowphase.search_contacts, search_lanes(self.model.most_samples), inputs, [pairs])
+        self._share_pairs(narrowphase.search_contacts, teams.search_lanes(self.model.most_samples), inputs, [pairs])
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
