@@ -504,7 +504,7 @@ class Stages:
         self._per_team(kernel, inputs, [pools.graph, self.motions, self.constraint_rows])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.rows, inputs=inputs, outputs=outputs, device=self.device)
+        self._launch(kernel, self.rows, inputs, outputs)
 
     def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share all constraints."""
@@ -515,8 +515,7 @@ class Stages:
         self._shared(kernel, self.pools.sizes["constraints"], [*before], [*inputs, some], outputs)
 
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
-        dim = self.pools.pairs.body_a.shape[0]
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+        self._launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
     def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
         """Launch a kernel whose teams share the pairs."""
@@ -527,10 +526,10 @@ class Stages:
         count = min(size, teams.most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
         inputs = [*before, count, lanes, *inputs]
-        wp.launch(kernel, dim=count * lanes, inputs=inputs, outputs=outputs, device=self.device)
+        self._launch(kernel, count * lanes, inputs, outputs)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
+        self._launch(kernel, self.num_envs, inputs, outputs)
 
     def _per_team(self, kernel: Any, inputs: list, outputs: Sequence) -> None:
         dim, block = self.num_envs * self.lanes, team.block_of(self.lanes)
@@ -580,7 +579,11 @@ class Stages:
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
         threads = size if self.device.is_cuda else 1
-        wp.launch(kernel, dim=threads, inputs=[*before, threads, *inputs], outputs=outputs, device=self.device)
+        self._launch(kernel, threads, [*before, threads, *inputs], outputs)
+
+    def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
+        block = loading.block_of(kernel)
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:
         """List the constraints of this step: pairs with contacts, then constraints of other kinds."""
@@ -593,6 +596,5 @@ class Stages:
     def _wake_constrained(self, kind: ModuleType) -> None:
         """Name the islands that wake because of joints, or of constraints of another kind."""
         rows = self.model.constraint_rows[kind.NAME]
-        count = self.model.layout.sizes[kind.NAME]
         inputs = [rows.body_a, rows.body_b, self.motions]
-        wp.launch(sleep.wake_constrained, dim=count, inputs=inputs, outputs=[self.sleep_state], device=self.device)
+        self._launch(sleep.wake_constrained, self.model.layout.sizes[kind.NAME], inputs, [self.sleep_state])
