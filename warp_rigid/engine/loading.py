@@ -28,8 +28,8 @@ TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
 PAIR_MODULES = (narrowphase, ccd)
-"""Modules whose kernels process a pair with a team. Their blocks are small, as the work of pairs differs, and a block ends
-with its slowest team."""
+"""Modules whose kernels process a pair with a team. Their blocks are small, as the work of pairs differs, and a block
+ends with its slowest team."""
 
 HEAPS = (rounds, push_rounds, impact_rounds)
 """Kernel modules for heaps, which exist in environments of many bodies only."""
