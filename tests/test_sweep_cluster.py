@@ -15,28 +15,84 @@ from warp_rigid.commands import cli
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.sweep import execution, read
 from warp_rigid.sweep.cluster import cluster_of_file
+from warp_rigid.sweep.worker_processes import WorkerProcess, WorkerProcesses
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
 OPTIONS = {"duration": 1.0, "metrics": ["final_pose", "drift"]}
 
 
-def test_rows_are_the_same_when_a_worker_is_killed(tmp_path, monkeypatch):
-    made, killed = [], []
-    monkeypatch.setattr(distributed, "LocalCluster", lambda **options: made.append(LocalCluster(**options)) or made[0])
+def like(found, alone):
+    """The rows of a result with the columns of others, whose order may differ."""
+    return [{name: row[name] for name in alone[0]} for row in values(found)]
+
+
+def test_rows_are_the_same_when_a_worker_of_a_cluster_is_killed(tmp_path):
+    killed = []
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0) as made:
+
+        def kill_one(done, total):
+            if not killed:
+                killed.append(next(iter(made.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        result = quick(
+            AXES, batch=2, cluster=made, on_progress=kill_one, output=tmp_path / "t.parquet",
+            trajectories=tmp_path / "t.zarr", **OPTIONS,
+        )  # fmt: skip
+    assert killed and not result.failed
+    alone = values(quick(AXES, **OPTIONS))
+    assert like(result, alone) == alone
+
+
+def test_rows_are_the_same_when_a_worker_process_is_killed(tmp_path, monkeypatch):
+    started, killed = [], []
+
+    def start(worker, number, count, start=WorkerProcess.__init__):
+        start(worker, number, count)
+        started.append(worker.process)
 
     def kill_one(done, total):
         if not killed:
-            nanny = next(iter(made[0].workers.values()))
-            killed.append(nanny.pid)
-            os.kill(nanny.pid, signal.SIGKILL)
+            killed.append(started[0].pid)
+            started[0].kill()
 
+    monkeypatch.setattr(WorkerProcess, "__init__", start)
     result = quick(
         AXES, batch=2, cluster="local", workers=2, on_progress=kill_one, output=tmp_path / "t.parquet",
-        trajectories=tmp_path / "t.zarr", **OPTIONS,
+        observe=["peak_impulse[ball]"], series=["energy"], trajectories=tmp_path / "t.zarr", **OPTIONS,
     )  # fmt: skip
-    assert killed and not result.failed
-    alone = values(quick(AXES, **OPTIONS))
-    assert [{name: row[name] for name in alone[0]} for row in values(result)] == alone
+    assert killed and not result.failed and len(started) == 3
+    alone = values(quick(AXES, observe=["peak_impulse[ball]"], series=["energy"], **OPTIONS))
+    assert like(result, alone) == alone
+    assert set(result.series()["run"].to_pylist()) == set(range(12))
+    assert all(process.poll() is not None for process in started)
+
+
+def test_a_batch_that_ends_its_processes_fails_alone():
+    def deadly(sim):
+        if (sim.get("position")[:, 1, 2] > 0.6).any():
+            os._exit(3)
+        return sim.get("position")[:, 1, 2]
+
+    found = quick({"height": [0.3, 1.0]}, batch=1, cluster="local", workers=2, duration=0.01, metrics=[deadly])
+    assert [row["status"] for row in found.rows] == ["ok", "error"]
+    assert "the worker process ended with exit status 3" in found.failed[0]["reason"]
+
+
+def test_worker_processes_end_when_a_sweep_is_stopped(monkeypatch):
+    started = []
+
+    def start(worker, number, count, start=WorkerProcess.__init__):
+        start(worker, number, count)
+        started.append(worker.process)
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(WorkerProcess, "__init__", start)
+    with pytest.raises(KeyboardInterrupt):
+        quick(AXES, batch=1, cluster="local", workers=2, on_progress=stop, **OPTIONS)
+    assert len(started) == 2 and all(process.poll() is not None for process in started)
 
 
 def test_the_example_of_a_cluster_gives_the_same_rows(tmp_path, monkeypatch):
@@ -79,7 +135,7 @@ def test_workers_with_several_threads_are_refused():
 
 
 def test_mistakes_are_named(tmp_path):
-    with pytest.raises(ValueError, match="workers: applies to the local cluster"):
+    with pytest.raises(ValueError, match="workers: applies to cluster local only"):
         wr.sweep(ball, AXES, cluster="tcp://127.0.0.1:1", workers=2)
     with pytest.raises(FileNotFoundError):
         cluster_of_file(str(tmp_path / "none.py"))
@@ -92,19 +148,17 @@ def test_mistakes_are_named(tmp_path):
 
 def test_all_devices_are_a_worker_for_each_gpu(monkeypatch):
     """Here two GPUs are only counted; each worker simulates on the CPU, as it finds none."""
-    given = []
+    counts = []
 
-    def on_cluster(job, groups, batch, cluster, workers, run=execution.run_on_cluster):
-        given.append((cluster, workers, job.device))
-        return run(job, groups, batch, cluster, workers)
+    def start(workers, count, start=WorkerProcesses.__init__):
+        counts.append(count)
+        start(workers, count)
 
-    monkeypatch.setattr(execution, "run_on_cluster", on_cluster)
+    monkeypatch.setattr(WorkerProcesses, "__init__", start)
     alone = values(quick(AXES, device="all", **OPTIONS))
-    assert not given
+    assert not counts
     monkeypatch.setattr(execution.wp, "get_cuda_device_count", lambda: 2)
-    result = quick(AXES, device="all", observe=["peak_impulse[ball]"], series=["energy"], **OPTIONS)
-    assert given == [("local", 2, None)] and not result.failed
-    assert [{name: row[name] for name in alone[0]} for row in values(result)] == alone
-    assert set(result.series()["run"].to_pylist()) == set(range(12))
+    result = quick(AXES, device="all", **OPTIONS)
+    assert counts == [2] and not result.failed and like(result, alone) == alone
     with pytest.raises(ValueError, match="^device: all must not be combined with cluster or workers"):
         quick(AXES, device="all", workers=2)

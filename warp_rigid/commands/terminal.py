@@ -31,6 +31,7 @@ _EXTRAS = {
     "imageio_ffmpeg": "picture",
     "viser": "viewer",
     "pygltflib": "gltf",
+    "cloudpickle": "sweep",
     "pyarrow": "sweep",
     "scipy": "sweep",
     "zarr": "trajectories",
