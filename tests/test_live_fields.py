@@ -161,3 +161,19 @@ def test_fields_and_active_are_axes():
     ):
         with pytest.raises(ValueError, match=message):
             wr.sweep(scene, {name: [value]}, duration=0.1, device="cpu")
+
+
+def test_a_body_that_is_spawned_again_gains_no_energy(device):
+    """Its former life took energy: the sum over all lives must not rise when a new one begins."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_static(wr.Plane(normal=(-1, 0, 0), offset=-1.0), friction=0.5)
+    scene.add_pool(wr.Sphere(0.1), 1, "ball", mass=1.0)
+    scene.add_body(wr.Sphere(0.1), position=(-3, 0, 0), mass=1.0)
+    sim = wr.Simulator(scene, device=device)
+    for _ in range(3):
+        sim.spawn("ball", (0, 0, 0), linear_velocity=(1, 0, 0))
+        sim.step(256)  # it hits the wall after 216 steps, and stops
+        assert np.abs(sim.get("linear_velocity")).max() < 1e-6
+        sim.despawn("ball_0")
+        sim.step(64)
+    assert not len(sim.warnings())
