@@ -89,6 +89,7 @@ def test_changed_fields_wake_sleeping_bodies_and_survive_a_checkpoint(device, tm
         (lambda sim: sim.set("field_drag", np.nan), "field_drag: must be finite numbers"),
         (lambda sim: sim.set("field_drag", 1.0, bodies=[0]), "bodies: must not be given for field_drag"),
         (lambda sim: sim.set("field_drag", [1.0, 2.0]), "field_drag: must be numbers that broadcast to (1, 1)"),
+        (lambda sim: sim.set("field_acceleration", 1.0), "field_acceleration: must be vectors of 3 numbers, got 1.0"),
         (lambda sim: sim.spawn("pellet", (0, 0, 1)), "pool: scene 0 has no bodies named pellet_0, pellet_1, ..."),
         (lambda sim: wr.DragField(-1.0), "drag: must be a finite number >= 0, got -1.0"),
     ],

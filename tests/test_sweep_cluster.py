@@ -2,6 +2,10 @@
 
 import os
 import signal
+import subprocess
+import sys
+import threading
+import time
 from pathlib import Path
 
 import distributed
@@ -15,7 +19,7 @@ from warp_rigid.commands import cli
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.sweep import execution, read
 from warp_rigid.sweep.cluster import cluster_of_file
-from warp_rigid.sweep.worker_processes import WorkerProcess, WorkerProcesses
+from warp_rigid.sweep.worker_processes import WorkerProcesses
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
 OPTIONS = {"duration": 1.0, "metrics": ["final_pose", "drift"]}
@@ -44,28 +48,35 @@ def test_rows_are_the_same_when_a_worker_of_a_cluster_is_killed(tmp_path):
     assert like(result, alone) == alone
 
 
-def test_rows_are_the_same_when_a_worker_process_is_killed(tmp_path, monkeypatch):
-    started, killed = [], []
+@pytest.fixture
+def started(monkeypatch):
+    """The executors of the worker processes that are started."""
+    executors = []
 
-    def start(worker, number, count, start=WorkerProcess.__init__):
-        start(worker, number, count)
-        started.append(worker.process)
+    def start(workers, number, start=WorkerProcesses._started):
+        executors.append(start(workers, number))
+        return executors[-1]
+
+    monkeypatch.setattr(WorkerProcesses, "_started", start)
+    return executors
+
+
+def test_rows_are_the_same_when_a_worker_process_is_killed(tmp_path, started):
+    killed = []
 
     def kill_one(done, total):
         if not killed:
-            killed.append(started[0].pid)
-            started[0].kill()
+            killed.extend(started[0]._processes)
+            os.kill(killed[0], signal.SIGKILL)
 
-    monkeypatch.setattr(WorkerProcess, "__init__", start)
     result = quick(
         AXES, batch=2, cluster="local", workers=2, on_progress=kill_one, output=tmp_path / "t.parquet",
         observe=["peak_impulse[ball]"], series=["energy"], trajectories=tmp_path / "t.zarr", **OPTIONS,
     )  # fmt: skip
-    assert killed and not result.failed and len(started) == 3
+    assert len(killed) == 1 and not result.failed and len(started) == 3
     alone = values(quick(AXES, observe=["peak_impulse[ball]"], series=["energy"], **OPTIONS))
     assert like(result, alone) == alone
     assert set(result.series()["run"].to_pylist()) == set(range(12))
-    assert all(process.poll() is not None for process in started)
 
 
 def test_a_batch_that_ends_its_processes_fails_alone():
@@ -76,23 +87,53 @@ def test_a_batch_that_ends_its_processes_fails_alone():
 
     found = quick({"height": [0.3, 1.0]}, batch=1, cluster="local", workers=2, duration=0.01, metrics=[deadly])
     assert [row["status"] for row in found.rows] == ["ok", "error"]
-    assert "the worker process ended with exit status 3" in found.failed[0]["reason"]
+    assert found.failed[0]["reason"].startswith("TerminatedWorkerError: A worker process")
 
 
-def test_worker_processes_end_when_a_sweep_is_stopped(monkeypatch):
-    started = []
-
-    def start(worker, number, count, start=WorkerProcess.__init__):
-        start(worker, number, count)
-        started.append(worker.process)
+def test_worker_processes_end_when_a_sweep_is_stopped(started):
+    processes = []
 
     def stop(done, total):
+        processes.extend(process for some in started for process in some._processes.values())
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(WorkerProcess, "__init__", start)
     with pytest.raises(KeyboardInterrupt):
         quick(AXES, batch=1, cluster="local", workers=2, on_progress=stop, **OPTIONS)
-    assert len(started) == 2 and all(process.poll() is not None for process in started)
+    assert len(processes) == 2 and not any(process.is_alive() for process in processes)
+
+
+def test_worker_processes_end_with_the_process_that_started_them():
+    """Although it is killed in the middle of a batch of an hour."""
+    program = """
+import warp_rigid as wr
+from warp_rigid.sweep.worker_processes import WorkerProcesses
+with WorkerProcesses(1) as workers:
+    import os, signal, time
+    print(workers._workers[0].submit(os.getpid).result(), flush=True)
+    workers._workers[0].submit(time.sleep, 3600)
+    time.sleep(0.2)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    root = str(Path(__file__).resolve().parents[1])
+    found = subprocess.run(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, cwd=root, timeout=60, check=False
+    )
+    worker = Path("/proc") / found.stdout.strip()
+    deadline = time.monotonic() + 20.0
+    while worker.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert found.returncode == -signal.SIGKILL and not worker.exists()
+
+
+def test_what_cannot_be_sent_to_a_worker_is_named():
+    lock = threading.Lock()
+
+    def locked(sim):
+        with lock:
+            return sim.get("mass")[:, 1]
+
+    with pytest.raises(ValueError, match="^cluster: the worker processes cannot take the job: .*Pickl"):
+        quick({"height": [0.3]}, cluster="local", workers=1, metrics=[locked])
 
 
 def test_the_example_of_a_cluster_gives_the_same_rows(tmp_path, monkeypatch):

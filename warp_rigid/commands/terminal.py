@@ -31,7 +31,7 @@ _EXTRAS = {
     "imageio_ffmpeg": "picture",
     "viser": "viewer",
     "pygltflib": "gltf",
-    "cloudpickle": "sweep",
+    "loky": "sweep",
     "pyarrow": "sweep",
     "scipy": "sweep",
     "zarr": "trajectories",

@@ -1,95 +1,69 @@
-"""Worker process of a sweep: reads a job and its batches from standard input, and writes the results.
-
-worker_processes.py starts it. What the user's code prints goes to standard error, as standard output carries the
-results.
-"""
+"""What a worker process of a sweep does; worker_processes.py starts it and calls these functions in it."""
 
 import os
-import pickle
-import queue
 import signal
 import threading
+import time
 from dataclasses import replace
-from typing import IO, Any
+from typing import Any
 
 import warp as wp
 
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.engine.loading import OVERLAP, STEP, load_kernels
 from warp_rigid.engine.teams import WARP
-from warp_rigid.sweep.batch_run import run_batch
+from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import free_memory, max_environments
+from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
 
-__all__ = ["framed", "main", "read_framed"]
+__all__ = ["accept", "begin", "run"]
+
+PARENT_PERIOD = 1.0
+"""Time between looks at whether the process that started this one still exists [s]."""
+
+_number = 0
+_sharers = 1
+_job: Any = None
 
 
-def main(number: int, count: int) -> None:
-    """Answer the job with the free memory and the largest useful batch, and each batch of runs with its result."""
+def begin(number: int, count: int) -> None:
+    """Load the kernels that every batch needs, as worker `number` of `count`."""
+    global _number, _sharers
+    _number, _sharers = number, count
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one ends it
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     wp.config.log_level = wp.LOG_WARNING
-    inbox, outbox = _private_streams()
-    messages: queue.SimpleQueue = queue.SimpleQueue()
-    threading.Thread(target=_receive, args=(inbox, messages), daemon=True).start()
     with shared_by(count):
-        device = _device_of_worker(None, number)
-        load_kernels(wp.get_device(device), [*STEP, *OVERLAP], [WARP])
-        answer: Any
-        job: Any = None
-        while True:
-            message = messages.get()
-            if isinstance(message, Job):
-                job = replace(message, device=_device_of_worker(message.device, number))
-                answer = free_memory(job.device), max_environments(job.device)
-            elif isinstance(message, Exception):
-                answer = message
-            else:
-                answer = run_batch(job, message)
-            outbox.write(framed(pickle.dumps(answer, protocol=5)))
-            outbox.flush()
+        load_kernels(wp.get_device(_device(None)), [*STEP, *OVERLAP], [WARP])
 
 
-def _device_of_worker(device: Any, number: int) -> Any:
+def accept(job: Job) -> tuple[int, int]:
+    """Keep the job for the batches that follow.
+
+    Returns:
+        The largest useful batch, and the free memory of the device [bytes].
+    """
+    global _job
+    _job = replace(job, device=_device(job.device))
+    with shared_by(_sharers):
+        return max_environments(_job.device), free_memory(_job.device)
+
+
+def run(part: list[Run]) -> Batch:
+    """Run a batch of the job."""
+    with shared_by(_sharers):
+        return run_batch(_job, part)
+
+
+def _device(given: Any) -> Any:
     """The device that was asked for, else one of the CUDA devices in turn, else the CPU."""
     gpus = wp.get_cuda_device_count()
-    return device or (f"cuda:{number % gpus}" if gpus else "cpu")
+    return given or (f"cuda:{_number % gpus}" if gpus else "cpu")
 
 
-def framed(message: bytes) -> bytes:
-    """A message with its length before it."""
-    return len(message).to_bytes(8, "little") + message
-
-
-def read_framed(stream: IO[bytes]) -> bytes:
-    """The next message of a stream.
-
-    Raises:
-        EOFError: the stream has ended.
-    """
-    length = stream.read(8)
-    message = stream.read(int.from_bytes(length, "little")) if len(length) == 8 else b""
-    if not message or len(message) < int.from_bytes(length, "little"):
-        raise EOFError
-    return message
-
-
-def _private_streams() -> tuple[IO[bytes], IO[bytes]]:
-    """The standard streams, which the user's code no longer sees."""
-    inbox, outbox = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    with open(os.devnull, "rb") as nothing:
-        os.dup2(nothing.fileno(), 0)
-    os.dup2(2, 1)
-    return inbox, outbox
-
-
-def _receive(inbox: IO[bytes], messages: Any) -> None:
-    """Pass on the messages. The process ends at once when the other one is gone, also within a batch."""
-    while True:
-        try:
-            message = read_framed(inbox)
-        except (EOFError, OSError):
-            os._exit(0)
-        try:
-            messages.put(pickle.loads(message))
-        except Exception as error:  # such as a class of the user that cannot be imported here
-            messages.put(error)
+def _end_with_parent(parent: int) -> None:
+    """End this process when the one that started it is gone, also within a batch."""
+    while os.getppid() == parent:
+        time.sleep(PARENT_PERIOD)
+    os._exit(1)

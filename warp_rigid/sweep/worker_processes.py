@@ -1,21 +1,17 @@
 """Sweeps on worker processes of this machine, each with one device, or with its share of the cores of a CPU."""
 
-import os
-import pickle
-import subprocess
-import sys
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
-from queue import SimpleQueue
 from typing import Any
 
 import warp as wp
 
+from warp_rigid.checks import shown
+from warp_rigid.sweep import worker
 from warp_rigid.sweep.batch_run import Batch, failed_batch
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
-from warp_rigid.sweep.worker import framed, read_framed
 
 __all__ = ["MAX_WORKERS", "WorkerProcesses"]
 
@@ -23,144 +19,89 @@ WORKERS_WITHOUT_GPU = 2
 
 MAX_WORKERS = 4096
 
-TRIES = 3
+TRIES = 2
 """Number of processes that a batch may end before its runs count as failed."""
 
 
-class WorkerLost(Exception):
-    """A worker process ended within a batch."""
-
-
-class WorkerProcess:
-    """A process that runs `worker.main`, which loads the kernels while this process checks the design.
-
-    Args:
-        number: of the worker.
-        count: of all workers.
-    """
-
-    def __init__(self, number: int, count: int) -> None:
-        """Start the process; it imports from the same places as this one."""
-        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", f"from warp_rigid.sweep.worker import main; main({number}, {count})"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | {"PYTHONPATH": path},
-        )
-
-    def ask(self, message: bytes) -> Any:
-        """Send a pickled message and wait for the answer.
-
-        Raises:
-            WorkerLost: the process has ended.
-            ValueError: it cannot read the message.
-        """
-        assert self.process.stdin is not None and self.process.stdout is not None
-        try:
-            self.process.stdin.write(framed(message))
-            self.process.stdin.flush()
-            answer = pickle.loads(read_framed(self.process.stdout))
-        except (EOFError, OSError):
-            raise WorkerLost(f"the worker process ended with exit status {self.process.wait()}") from None
-        if isinstance(answer, Exception):
-            raise ValueError(f"cluster: a worker process cannot read the job ({type(answer).__name__}: {answer})")
-        return answer
-
-    def end(self) -> None:
-        """End the process, also within a batch."""
-        self.process.kill()
-        self.process.wait()
-        for stream in (self.process.stdin, self.process.stdout):
-            if stream is not None:
-                stream.close()
-
-
 class WorkerProcesses:
-    """Worker processes of this machine, which end with the context.
+    """Worker processes, which start at once, load the kernels, and end with the context.
 
     Args:
         count: number of processes; None for one per GPU, or two without a GPU.
+
+    Attributes:
+        count: number of processes.
     """
 
     def __init__(self, count: int | None) -> None:
         """Start the processes."""
         self.count = (wp.get_cuda_device_count() or WORKERS_WITHOUT_GPU) if count is None else count
-        self._workers = [WorkerProcess(number, self.count) for number in range(self.count)]
-        self._idle: SimpleQueue[int] = SimpleQueue()
-        self._ended = False
-        for number in range(self.count):
-            self._idle.put(number)
+        self._job: Job | None = None
+        self._workers = [self._started(number) for number in range(self.count)]
 
     def __enter__(self) -> "WorkerProcesses":
         """Use the processes."""
         return self
 
     def __exit__(self, *_: Any) -> None:
-        """End the processes."""
-        self._ended = True
-        for worker in self._workers:
-            worker.end()
+        """End the processes, also within a batch."""
+        for executor in self._workers:
+            executor.shutdown(kill_workers=True)
 
     def start(self, job: Job) -> tuple[int, int]:
-        """Wait for the processes and send them the job.
+        """Send the job to all processes.
 
         Returns:
             The largest useful batch, and the free memory of a worker's device [bytes].
+
+        Raises:
+            ValueError: The job cannot be sent, or a process cannot begin.
         """
-        self._job = _pickled(replace(job, scenes={}))
-        memory, most = [worker.ask(self._job) for worker in self._workers][0]
-        return most, memory
+        self._job = replace(job, scenes={})
+        accepted = [some.submit(worker.accept, self._job) for some in self._workers]
+        try:
+            return [future.result() for future in accepted][0]
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ValueError(f"cluster: the worker processes cannot take the job: {shown(reason)}") from error
 
     def run(self, parts: list[list[Run]]) -> Iterator[tuple[list[Run], Batch]]:
         """Yield the runs of each batch with their results, in order of completion.
 
         A batch whose process ends is repeated in a new one. A batch that ends several processes becomes failed rows.
         """
-        running: dict[Future, list[Run]] = {}
-        with ThreadPoolExecutor(self.count) as threads:
-            try:
-                # One batch a worker waits, so that none is idle while results are stored, and few are kept.
-                for part in parts:
-                    running[threads.submit(self._run_batch, part)] = part
-                    if len(running) == 2 * self.count:
-                        yield from self._finished(running)
-                while running:
-                    yield from self._finished(running)
-            except BaseException:
-                self.__exit__()
-                threads.shutdown(wait=False, cancel_futures=True)
-                raise
+        left = iter(parts)
+        # For each batch that runs, its worker and how often it was started.
+        running: dict[Future, tuple[list[Run], int, int]] = {}
 
-    def _finished(self, running: dict[Future, list[Run]]) -> Iterator[tuple[list[Run], Batch]]:
-        """Wait for at least one result."""
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            yield running.pop(future), future.result()
+        def submit(part: list[Run] | None, number: int, tries: int = 1) -> None:
+            if part is not None:
+                running[self._workers[number].submit(worker.run, part)] = part, number, tries
 
-    def _run_batch(self, part: list[Run]) -> Batch:
-        """Run a batch in an idle process."""
-        number = self._idle.get()
-        try:
-            for tried in range(1, TRIES + 1):
-                try:
-                    return self._workers[number].ask(_pickled(part))
-                except WorkerLost as error:
-                    if self._ended or tried == TRIES:
-                        return failed_batch(part, error)
+        for number in range(self.count):
+            submit(next(left, None), number)
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                part, number, tries = running.pop(future)
+                error = future.exception()
+                if error is not None:
                     self._restart(number)
-            raise AssertionError
-        finally:
-            self._idle.put(number)
+                if error is not None and tries < TRIES:
+                    submit(part, number, tries + 1)
+                    continue
+                submit(next(left, None), number)
+                yield part, future.result() if error is None else failed_batch(part, error)
+
+    def _started(self, number: int) -> Any:
+        """An executor with one process, which begins at once."""
+        from loky import ProcessPoolExecutor
+
+        executor = ProcessPoolExecutor(1)
+        executor.submit(worker.begin, number, self.count)
+        return executor
 
     def _restart(self, number: int) -> None:
         """Replace a process that has ended."""
-        self._workers[number].end()
-        self._workers[number] = WorkerProcess(number, self.count)
-        self._workers[number].ask(self._job)
-
-
-def _pickled(value: Any) -> bytes:
-    """Any value as bytes, also functions of a script or a notebook."""
-    import cloudpickle
-
-    return cloudpickle.dumps(value, protocol=5)
+        self._workers[number].shutdown(kill_workers=True)
+        self._workers[number] = self._started(number)
+        self._workers[number].submit(worker.accept, self._job)
