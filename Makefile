@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs-ready
 OUT := out
+TORCH := $(OUT)/torch
 # A command that prints a lock file: with its hashes where they are those of the platform's wheels.
 HASHED := $(filter Linux-x86_64-%,$(shell $(PYTHON) -c 'import platform as p, sys; \
 	print(p.system(), p.machine(), "%d.%d" % sys.version_info[:2], sep="-")'))
@@ -16,7 +17,7 @@ PYTEST := $(BIN)/python -m pytest -q
 # One worker a core; the tests of a file stay together, for they share what is costly to make.
 WORKERS := -n auto --dist loadfile
 
-.PHONY: demo test test-all browser-test fuzz dist pins validate lint docs format clean
+.PHONY: demo test test-all browser-test torch-test fuzz dist pins validate lint docs format clean
 
 # Two scenes: films, pictures and a contact sheet in out/.
 demo: $(READY)
@@ -38,6 +39,14 @@ test-all: $(READY)
 # The viewer in a real page. Needs Debian's package chromium, or CHROMIUM=/path/to/a/chromium.
 browser-test: $(READY)
 	$(PYTEST) tests/browser
+
+# The programs that use PyTorch, with the packages of .venv and PyTorch in an environment of its own.
+torch-test: $(READY)
+	$(PYTHON) -m venv $(TORCH)
+	$(TORCH)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0
+	$(BIN)/python -c 'import sysconfig as s; print("import site; site.addsitedir(%r)" % s.get_path("purelib"))' \
+		>$$($(TORCH)/bin/python -c 'import sysconfig as s; print(s.get_path("purelib"))')/packages.pth
+	$(TORCH)/bin/python -m pytest -q -k "torch or program or network" tests/test_readme.py tests/test_sweep_docs.py
 
 # 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks.
 fuzz: $(READY)
