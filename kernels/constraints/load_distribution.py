@@ -33,9 +33,9 @@ ON_A_LINE = wp.constant(1.0e-5)
 class LoadPlane:
     """Normal impulses as a linear function of the position in the plane of a pair's contacts.
 
-    `origin` [m] is relative to the centre of mass of a body, `u` and `v` are the axes of the plane. `value` [N s] is the
-    impulse at the origin, `slope` [N s/m] its change along the axes. `redundant` is 0 if statics determines the loads,
-    or if the contacts are not in a plane.
+    `origin` [m] is relative to the centre of mass of a body, `u` and `v` are the axes of the plane. `value` [N s] is
+    the impulse at the origin, `slope` [N s/m] its change along the axes. `redundant` is 0 if statics determines the
+    loads, or if the contacts are not in a plane.
     """
 
     origin: wp.vec3
