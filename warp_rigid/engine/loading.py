@@ -27,10 +27,6 @@ from warp_rigid.kernels.update import ground_motion, health, integrate, predict,
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
-PAIR_MODULES = (narrowphase, ccd)
-"""Modules whose kernels process a pair with a team. Their blocks are small, as the work of pairs differs, and a block
-ends with its slowest team."""
-
 HEAPS = (rounds, push_rounds, impact_rounds)
 """Kernel modules for heaps, which exist in environments of many bodies only."""
 
@@ -66,15 +62,11 @@ def everything() -> tuple[Any, ...]:
     return (import_module(JOINTS), narrowphase, ccd, *others)
 
 
-def block_of(kernel: Any) -> int:
-    """Lanes of a CUDA block of a kernel whose launch does not depend on the size of an environment."""
-    return team.SMALL_BLOCK if kernel.module.name in {module.__name__ for module in PAIR_MODULES} else team.BLOCK
-
-
 def load_kernels(
     device: Any,
     modules: Sequence[Any],
     lanes: Sequence[int] = (1,),
+    search_blocks: Sequence[int] = (team.BLOCK, team.SMALL_BLOCK),
     on_module: Callable[[int, int], None] | None = None,
 ) -> None:
     """Compile kernels, or load them from Warp's cache, several modules in parallel, in the given order.
@@ -86,6 +78,7 @@ def load_kernels(
         device: the Warp device.
         modules: modules of `warp_rigid.kernels` to load.
         lanes: sizes of the teams that will process environments.
+        search_blocks: lanes of the blocks that will search for contacts.
         on_module: called after each module with the number of loaded modules and the total.
     """
 
@@ -96,7 +89,9 @@ def load_kernels(
             return sorted({team.block_of(size) for size in lanes})
         if module in HEAPS:
             return [team.BLOCK, team.SMALL_BLOCK]
-        return [team.SMALL_BLOCK if module in PAIR_MODULES else team.BLOCK]
+        if module is narrowphase:
+            return sorted(set(search_blocks))
+        return [team.BLOCK]
 
     jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:

@@ -45,8 +45,7 @@ class Model:
         shapes: pool of shapes.
         surfaces: vertices of moving ground.
         vertex_start: (envs + 1,) first of these vertices of each environment.
-        most_samples: number of samples of the shape that has most.
-        surface_node: first grid node of moving ground in the pool.
+        surface_node: their first grid node in the pool.
         bodies: bodies of all environments.
         fields: force fields of all environments.
         size_groups: for each scene, its bodies by size.
@@ -59,7 +58,6 @@ class Model:
     shapes: Any
     surfaces: Any
     vertex_start: np.ndarray
-    most_samples: int
     surface_node: int
     bodies: Any
     fields: Any
@@ -101,7 +99,6 @@ def build_model(layout: Layout, device: Any) -> Model:
         shapes=pool.arrays,
         surfaces=build_surfaces(pool.moving, pool.sample_start, device),
         vertex_start=pool.vertex_start,
-        most_samples=int(np.diff(pool.sample_start).max()),
         surface_node=pool.arrays.grid_value.shape[0] - int(pool.vertex_start[-1]),
         bodies=_upload_bodies(layout, pool, device),
         fields=_upload_fields(layout, device),

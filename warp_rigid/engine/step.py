@@ -97,15 +97,16 @@ class Stages:
         self.dt, self.repetitions, self.sleeping, self.watches = dt, repetitions, sleeping, watches
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
-        device: Any = pools.wanted.device
-        self.device = device
-        self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
-        self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
-        self.crowded = model.layout.most_bodies > islands.CROWDED
-        self.lanes = teams.team_lanes(self.device, self.num_envs, model.layout.most_bodies)
+        self.device: Any = pools.wanted.device
+        layout = model.layout
+        self.num_envs, self.rows = layout.num_envs, layout.sizes["bodies"]
+        self.bounded = any(scene.bounds is not None for scene in layout.scenes)
+        self.crowded = layout.most_bodies > islands.CROWDED
+        self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
+        self.search_lanes, self.search_block = teams.search_team(layout.has_many_samples)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
-        self.grid = HashGrid(model, pools.sizes, device)
+        self.grid = HashGrid(model, pools.sizes, self.device)
         self.constraint_rows = Rows()
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
@@ -119,7 +120,8 @@ class Stages:
             (loading.WATCH, watches),
             ((self.joints.kernels,), self.joints.present),
         )
-        loading.load_kernels(device, [module for modules, used in optional if used for module in modules], [self.lanes])
+        modules = [module for modules, used in optional if used for module in modules]
+        loading.load_kernels(self.device, modules, [self.lanes], [self.search_block])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -157,13 +159,8 @@ class Stages:
         """Moving ground: compute the current heights and velocities."""
         count = self.model.surface_vertices
         if count:
-            wp.launch(
-                ground_motion.move_ground,
-                dim=count,
-                inputs=[self.dt, self.model.surface_node, self.envs, self.model.surfaces],
-                outputs=[self.model.shapes],
-                device=self.device,
-            )
+            inputs = [self.dt, self.model.surface_node, self.envs, self.model.surfaces]
+            self._launch(ground_motion.move_ground, count, inputs, [self.model.shapes])
 
     @stage
     def set_surface_velocity(self, before_step: bool) -> None:
@@ -568,7 +565,7 @@ class Stages:
         inputs = [self.dt, *bodies_of_pair, self.pools.history]
         self._shared(narrowphase.keep_contacts, self.pools.sizes["pairs"], [woken], inputs, [pairs])
         inputs = [self.dt, *bodies_of_pair]
-        self._share_pairs(narrowphase.search_contacts, teams.search_lanes(self.model.most_samples), inputs, [pairs])
+        self._share_pairs(narrowphase.search_contacts, self.search_lanes, inputs, [pairs])
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
@@ -582,7 +579,7 @@ class Stages:
         self._launch(kernel, threads, [*before, threads, *inputs], outputs)
 
     def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
-        block = loading.block_of(kernel)
+        block = self.search_block if kernel.module is narrowphase.search_contacts.module else team.BLOCK
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:

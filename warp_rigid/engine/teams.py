@@ -12,10 +12,6 @@ MOST_BODIES_OF_A_WARP = 128
 BUILD_LANES, TRACE_LANES, ROUND_LANES = 4, 32, 4
 """GPU lanes that build the rows of one pair, that trace it, and that visit it in a round."""
 
-FEW_SAMPLES = 128
-"""Up to this number of samples of the largest shape, few lanes search for the contacts of a pair: of a box, five
-samples are near another box."""
-
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
 
@@ -48,10 +44,14 @@ def most_lanes(device: Any) -> int:
     return device.sm_count * RESIDENT_LANES
 
 
-def search_lanes(most_samples: int) -> int:
-    """Number of lanes that search for the contacts of a pair.
+def search_team(many_samples: bool) -> tuple[int, int]:
+    """Number of lanes that search for the contacts of a pair, and number of lanes of a block.
+
+    Of the samples of a box, five are near another box, so four lanes are enough. Pairs of shapes with hundreds of
+    samples take very different times, and a block ends with its slowest pair; so it is small. For few samples it is
+    large: its lanes execute the same instructions at about the same time, and find them in the instruction cache.
 
     Args:
-        most_samples: number of samples of the shape that has most.
+        many_samples: whether a shape has hundreds of samples.
     """
-    return 4 if most_samples <= FEW_SAMPLES else WARP
+    return (WARP, team.SMALL_BLOCK) if many_samples else (4, team.BLOCK)
