@@ -215,7 +215,7 @@ def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> N
         rows = body_rows(world.layout, chosen, None)
         wake(world, chosen, rows)
         _count_anew(world, rows)
-    world.record()
+    world.choose_step()
 
 
 def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
