@@ -62,7 +62,7 @@ class Passage:
 
     `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
     `reach`: upper bound of the motion of points that can meet the other body.
-    `size`: the smaller size of the two bodies.
+    `size`: the smaller size of the two bodies, or twice the thickness of their walls if that is less.
     `near`: samples that start closer are handled by the solver, and may penetrate deeper by as much [m].
     `rotation`: angle by which both bodies together turn in the step.
     """
@@ -85,6 +85,13 @@ class Ball:
     radius: float
     sample_start: int
     sample_end: int
+
+
+@wp.func
+def traced_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
+    """Size of the smaller body of a pair [m], or twice the thickness of the thinner walls if that is less."""
+    wall = wp.min(shapes.shapes[bodies.shape[a]].wall, shapes.shapes[bodies.shape[b]].wall)
+    return wp.min(smaller_size(a, b, shapes, bodies), 2.0 * wall)
 
 
 @wp.func
@@ -139,15 +146,15 @@ def pose_in(own: Course, other: Course, t: float):
 
 
 @wp.func
-def passage_of(own: Course, other: Course, dt: float, size: float):
-    """The relative motion of a body in the frame of another over the step."""
+def passage_of(own: Course, other: Course, dt: float, size: float, wall: float):
+    """The relative motion of a body in the frame of another, whose walls have a thickness, over the step."""
     passage = Passage()
     passage.start = pose_in(own, other, 0.0)
     passage.middle = pose_in(own, other, 0.5 * dt)
     passage.end = pose_in(own, other, dt)
     passage.reach = largest_motion(own, other, dt)
     passage.size = size
-    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR, DEPTH) * size
+    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR * wp.min(size, wall), DEPTH * size)
     passage.dt = dt
     passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
     return passage
@@ -383,18 +390,17 @@ def trace_sample(
     A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`. A sample that
     moves little is not traced if it is clear.
     """
-    size = passage.size
     arm = wp.quat_rotate(own.turn, p - own.local_center)
     path = path_length(own, other, arm, passage)
     gap = gap_of(shapes, other.shape, p, radius, path, passage)
-    allowed = DEPTH * size
+    allowed = DEPTH * passage.size
     earliest = float(begin)
     if gap < near:
         allowed = near - wp.min(gap, 0.0)
         earliest = 0.0
     if gap + allowed > path:
         return end
-    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * size, earliest, end)
+    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * passage.size, earliest, end)
 
 
 @wp.func
@@ -444,7 +450,7 @@ def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: floa
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
-    passage = passage_of(own, other, dt, size)
+    passage = passage_of(own, other, dt, size, shapes.shapes[other.shape].wall)
     slack = GRID_ERROR * shapes.shapes[other.shape].cell
     cluster = int(-1)
     while cluster < shapes.shapes[own.shape].cluster_end:
@@ -537,7 +543,7 @@ def list_fast_pairs(
         share_a = motions.time_of_impact[a]
         share_b = motions.time_of_impact[b]
         if again == 0 or share_a < 1.0 or share_b < 1.0:
-            size = smaller_size(a, b, shapes, bodies)
+            size = traced_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
             fast = relative_motion(first, second, dt) > FAST * size
@@ -557,7 +563,7 @@ def limit_motion(
         b = pairs.body_b[pairs.fast[k]]
         share_a = motions.time_of_impact[a]
         share_b = motions.time_of_impact[b]
-        size = smaller_size(a, b, shapes, bodies)
+        size = traced_size(a, b, shapes, bodies)
         first = course_of(a, share_a, bodies, state, motions)
         second = course_of(b, share_b, bodies, state, motions)
         t = float(dt)
