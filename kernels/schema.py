@@ -105,6 +105,7 @@ ShapeRecord = record(
     lower=Field(wp.vec3, "", "m", "lower corner of the bounding box"),
     upper=Field(wp.vec3, "", "m", "upper corner of the bounding box"),
     size=Field(float, "", "m", "smallest extent of the bounding box; contact tolerances scale with it"),
+    wall=Field(float, "", "m", "thickness of its walls"),
     inner_center=Field(wp.vec3, "", "m", "centre of a large ball inside the shape"),
     inner_radius=Field(float, "", "m", "its radius; 0 if the shape has no inside"),
     cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
