@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs-ready
+ROBOTS := $(VENV)/robots
+ROBOTS_READY := $(VENV)/.robots-ready
 FRAMEWORKS_READY := $(VENV)/.frameworks-ready
 OUT := out
 # A command that prints a lock file: with its hashes where they are those of the platform's wheels.
@@ -30,12 +32,12 @@ demo: $(READY)
 	@echo "next: $(BIN)/warp-rigid view seesaw"
 
 # The tests that every change must pass: about 4 minutes on 2 cores. Tests that measure time run last, alone.
-test: $(READY)
+test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
 	$(PYTEST) -m "quiet and not long" && exit $$others
 
 # The long tests too, with the coverage of the host code.
-test-all: $(READY)
+test-all: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-report=; others=$$?; \
 	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 && exit $$others
 
@@ -54,7 +56,7 @@ other-python-test: $(READY)
 frameworks: $(FRAMEWORKS_READY)
 
 # The viewer in a real page. Needs Debian's package chromium, or CHROMIUM=/path/to/a/chromium.
-browser-test: $(READY)
+browser-test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) tests/browser
 
 # 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks.
@@ -101,6 +103,17 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/requirements.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .
+	@touch $@
+
+# The converters of robots' files have an environment of their own, and links to them beside the interpreter. They need
+# Python 3.11 or 3.12: elsewhere their tests are skipped.
+$(ROBOTS_READY): $(READY) tests/robots.lock
+	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
+		$(PYTHON) -m venv $(ROBOTS) && \
+		$(LOCKED) tests/robots.lock >$(VENV)/robots-requirements.txt && \
+		$(ROBOTS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r $(VENV)/robots-requirements.txt && \
+		ln -sf ../robots/bin/mujoco_usd_converter ../robots/bin/urdf_usd_converter $(BIN)/; \
+	else echo "no converters of robots' files for this Python: their tests are skipped"; fi
 	@touch $@
 
 $(FRAMEWORKS_READY): $(READY) tests/frameworks.lock

@@ -227,6 +227,11 @@ class Shape:
         lower, upper = self.bounds
         return float(np.min(upper - lower))
 
+    @property
+    def wall(self) -> float:
+        """Thickness of the walls [m]; the size, if the shape is convex."""
+        return self.size
+
     @cached_property
     def key(self) -> str:
         """Content hash: equal shapes have equal keys."""

@@ -71,6 +71,11 @@ class Compound(Shape):
             axis=0,
         )
 
+    @property
+    def wall(self):
+        """Thinnest walls among the children [m]."""
+        return min(shape.wall for shape, _, _ in self.children)
+
     @cached_property
     def inner_ball(self):
         """The largest of the children's."""

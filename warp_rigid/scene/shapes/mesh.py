@@ -76,13 +76,11 @@ class Mesh(Shape):
 
     def _refuse_thin(self) -> None:
         """Reject walls that the grid does not resolve, where it alone tells inside from outside."""
-        area = topology.face_normals(self._solid_vertices, self._solid_faces)[1].sum()
-        wall = 2.0 * self.volume / area  # of a plate, its thickness
         extent = float(np.ptp(self.vertices, axis=0).max())
-        least = int(np.ceil(CELLS_OF_A_WALL * extent / wall))
+        least = int(np.ceil(CELLS_OF_A_WALL * extent / self.wall))
         if self.sdf_resolution < least:
             raise ValueError(
-                f"sdf_resolution: must be at least {least} for walls about {1e3 * wall:.3g} mm thick, got "
+                f"sdf_resolution: must be at least {least} for walls about {1e3 * self.wall:.3g} mm thick, got "
                 f"{self.sdf_resolution}; as {self.fault}, only the grid tells inside from outside"
             )
 
@@ -209,6 +207,12 @@ class Mesh(Shape):
         and more than a cell inside.
         """
         return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
+
+    @cached_property
+    def wall(self):
+        """Thickness of a large plate with the same volume and area [m]."""
+        area = topology.face_normals(self._solid_vertices, self._solid_faces)[1].sum()
+        return float(2.0 * self.volume / area)
 
     @cached_property
     def inner_ball(self):
