@@ -12,6 +12,7 @@ import pytest
 import warp as wp
 
 import warp_rigid
+from tests.robot_tools import robot_files
 from warp_rigid.commands import cli
 from warp_rigid.engine import hash_grid, step
 from warp_rigid.engine.step import Stages
@@ -48,6 +49,10 @@ def test_command_runs(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     arguments = shlex.split(command)[1:]
+    if any(part.startswith("robots/") for part in arguments):
+        (tmp_path / "robots").mkdir()
+        for name, file in robot_files().items():
+            (tmp_path / "robots" / name).symlink_to(file)
     if arguments[0] == "run":
         arguments += ["--frames", "2", "--device", "cpu"]
     if arguments[0] == "view":

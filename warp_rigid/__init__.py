@@ -49,7 +49,7 @@ from warp_rigid.scene.shapes import (
     Sphere,
 )
 from warp_rigid.sweep import Choice, Integers, LogUniform, Normal, SweepResult, Uniform, search, sweep
-from warp_rigid.usd import UsdStream, export_usd, import_usd
+from warp_rigid.usd import UsdStream, export_usd, import_robot, import_usd
 from warp_rigid.version import __version__ as __version__
 
 __all__ = [
@@ -89,6 +89,7 @@ __all__ = [
     "UsdStream",
     "export_gltf",
     "export_usd",
+    "import_robot",
     "import_usd",
     "record",
     "scenes",

@@ -15,7 +15,7 @@ from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scenes import rings_on_poles
-from warp_rigid.scenes.builders import grounds, meshes, piles, stacks
+from warp_rigid.scenes.builders import arms, grounds, meshes, piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import start_apart
 
@@ -45,6 +45,7 @@ class BenchmarkScene:
             z axis, or from its place at rest where that is known.
         starts: function(bodies, env) -> starts of an environment; None if all environments start alike.
         rest: function(bodies) -> (bodies, 3) positions of the bodies at rest [m]; None where they are not known.
+        targets: function(bodies, env) -> (joints,) target positions of the drives; None if there are no drives.
         max_bodies: largest number of bodies.
     """
 
@@ -52,6 +53,7 @@ class BenchmarkScene:
     half_width: Callable[[int], float]
     starts: Callable[[int, int], Starts] | None = None
     rest: Callable[[int], np.ndarray] | None = None
+    targets: Callable[[int, int], np.ndarray] | None = None
     max_bodies: int = piles.MOST_BODIES
 
 
@@ -76,10 +78,13 @@ class BenchmarkCase:
         return SCENES[self.name].build(self.bodies)
 
     def scatter(self, sim: Simulator) -> None:
-        """Give each environment a different start, where the scene has several."""
-        starts = SCENES[self.name].starts
-        if starts is not None:
-            start_apart(sim, moving(sim.scene), partial(starts, self.bodies))
+        """Give each environment a different start, or different targets of its drives, where the scene has several."""
+        scene = SCENES[self.name]
+        if scene.starts is not None:
+            start_apart(sim, moving(sim.scene), partial(scene.starts, self.bodies))
+        if scene.targets is not None:
+            of_env = [scene.targets(self.bodies, env) for env in range(sim.num_envs)]
+            sim.set("joint_target_position", np.array(of_env))
 
     def escaped(self, position: np.ndarray) -> int:
         """Number of bodies outside the region that the scene allows; a position that is NaN counts as outside.
@@ -154,6 +159,12 @@ def _brick_tower(bricks: int) -> Scene:
     return scene
 
 
+def _arm(links: int) -> Scene:
+    scene = grounds.level_scene(friction=FRICTION)
+    arms.add_arm(scene, links, DENSITY, FRICTION)
+    return scene
+
+
 def _pile(shape: Callable[[], Shape], bodies: int) -> Scene:
     scene = grounds.level_scene(friction=FRICTION)
     piles.add_pile_bin(scene, bodies, friction=FRICTION)
@@ -192,6 +203,12 @@ SCENES: dict[str, BenchmarkScene] = {
     "pyramid": BenchmarkScene(_pyramid, half_width=lambda cubes: PYRAMID_HALF, rest=_pyramid_rest),
     "kapla": BenchmarkScene(
         _brick_tower, half_width=lambda bricks: stacks.BRICK[1], rest=lambda bricks: stacks.brick_tower(bricks)[0]
+    ),
+    "arm": BenchmarkScene(
+        _arm,
+        half_width=lambda links: arms.PITCH * links + MARGIN,
+        targets=lambda links, env: arms.targets(links, FIRST_SEED + env),
+        max_bodies=100,
     ),
 }
 """Scenes by name."""

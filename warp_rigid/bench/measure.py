@@ -17,6 +17,7 @@ from warp_rigid.diagnostics.machine import versions
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scenes.builders.jointed import anchor_errors
 
 FPS = 60
 STAGE_STEPS = 32
@@ -135,7 +136,8 @@ def quality(case: BenchmarkCase, sim: Simulator, position: np.ndarray, velocity:
     Returns:
         "deepest_overlap" of all environments, "median_overlap" (median over environments of the deepest) and
         "max_speed", which are None if a state is not finite; "escaped"; for a stack also "height_error" (largest of
-        all cubes), "top_height_error" (mean of the top cubes) and "drift".
+        all cubes), "top_height_error" (mean of the top cubes) and "drift"; with joints "joint_error" (largest gap of a
+        joint).
     """
     whole = bool(np.isfinite(position).all() and np.isfinite(velocity).all())
     overlap = sim.penetration() if whole else None
@@ -150,6 +152,8 @@ def quality(case: BenchmarkCase, sim: Simulator, position: np.ndarray, velocity:
         figures["height_error"] = float(np.abs(error).max())
         figures["top_height_error"] = float(error[:, -1].mean())
         figures["drift"] = float(case.drift(position).max())
+    if sim.scene.joints and whole:
+        figures["joint_error"] = float(anchor_errors(sim).max())
     return figures
 
 

@@ -1,6 +1,6 @@
 """Other engines from the same start, each in a separate process and Python environment.
 
-A program of benchmarks/peers reads a problem (.npz), simulates it, and writes its results. The program measures its
+A program of `programs` reads a problem (.npz), simulates it, and writes its results. The program measures its
 speed; quality is measured here, with the same measures for all engines.
 """
 
@@ -20,12 +20,23 @@ from warp_rigid.bench.cases import BenchmarkCase, moving
 from warp_rigid.bench.measure import FPS, Conditions, quality, rates
 from warp_rigid.checks import one_of
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.joints import RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Mesh
 from warp_rigid.scene.shapes.distance_grid import cache_folder
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
-NAMES = ("newton_steel", "newton_xpbd", "mujoco_warp", "mujoco", "rapier", "pybullet")
+FOLDER = Path(__file__).resolve().parent / "programs"
+PACKAGES = {
+    "newton_steel": "newton",
+    "newton_xpbd": "newton",
+    "mujoco_warp": "mujoco-warp",
+    "mujoco": "mujoco",
+    "rapier": "rapier3d",
+    "pybullet": "pybullet",
+}
+"""Engines, and the packages that contain them."""
+WITH_JOINTS = ("newton_steel", "newton_xpbd", "mujoco_warp", "mujoco")
+"""Engines whose program sets up joints."""
 NOT_INSTALLED = 3
 """Exit status of a program whose engine is missing."""
 TIMEOUT = 3600.0
@@ -41,12 +52,10 @@ def choose_peers(names: str | None, pythons: list[str] | None) -> dict[str, str]
         pythons: texts "name=interpreter"; engines that are not listed run with this process's interpreter.
 
     Raises:
-        ValueError: A name is unknown, the programs are missing, or an interpreter is given for an engine that does not
-            run.
+        ValueError: A name is unknown, or an interpreter is given for an engine that does not run.
     """
-    chosen = {one_of("--peers", name.strip(), NAMES): sys.executable for name in names.split(",")} if names else {}
-    if chosen and not FOLDER.is_dir():
-        raise ValueError(f"--peers: needs {FOLDER}, which is part of a checkout of the repository")
+    listed = names.split(",") if names else []
+    chosen = {one_of("--peers", name.strip(), tuple(PACKAGES)): sys.executable for name in listed}
     for text in pythons or ():
         name, _, interpreter = text.partition("=")
         one_of("--peer-python", name, tuple(chosen) or ("an engine of --peers",))
@@ -69,6 +78,8 @@ def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions
     Returns:
         Figures as those of `measure`, as far as the engine reports them; only "engine" and "fault" if it failed.
     """
+    if sim.scene.joints and name not in WITH_JOINTS:
+        return _fault(name, case, conditions, "its program sets up no joints")
     with tempfile.TemporaryDirectory() as folder:
         problem, result = Path(folder) / "problem.npz", Path(folder) / "result.npz"
         write_problem(problem, case, conditions, sim)
@@ -81,8 +92,8 @@ def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions
             return _fault(name, case, conditions, f"no result after {TIMEOUT:.0f} s")
         if done.returncode or not result.is_file():
             lines = done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"]
-            missing = done.returncode == NOT_INSTALLED
-            return _fault(name, case, conditions, "not installed" if missing else lines[-1][:200])
+            missing = f"not installed: pip install {PACKAGES[name]}, or give its interpreter by --peer-python"
+            return _fault(name, case, conditions, missing if done.returncode == NOT_INSTALLED else lines[-1][:200])
         for line in (done.stdout + done.stderr).splitlines():
             if OVERFLOW.search(line):
                 return _fault(name, case, conditions, f"contacts are missing: {line.strip()[:160]}")
@@ -91,7 +102,7 @@ def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions
 
 
 def write_problem(path: Path, case: BenchmarkCase, conditions: Conditions, sim: Simulator) -> None:
-    """Write a case as plain arrays: starts, the bodies' common shape, mass and inertia, and the static bodies."""
+    """Write a case as plain arrays: starts, the bodies' common shape, mass and inertia, static bodies, and hinges."""
     scene = case.build()
     body = scene.bodies[moving(scene)[0]]
     sim.reset()
@@ -108,6 +119,8 @@ def write_problem(path: Path, case: BenchmarkCase, conditions: Conditions, sim: 
         arrays |= {"vertices": body.shape.vertices, "faces": body.shape.faces}
     elif isinstance(body.shape, Box):
         arrays["half_extents"] = np.array(body.shape.half_extents)
+    if scene.joints:
+        arrays["targets"] = sim.get("joint_target_position").astype(np.float64)
     figures = {
         "mass": body.mass,
         "density": density,
@@ -119,6 +132,7 @@ def write_problem(path: Path, case: BenchmarkCase, conditions: Conditions, sim: 
         "settle": conditions.settle,
         "frames": conditions.frames,
         "fixed": _fixed(scene),
+        "hinges": _hinges(scene, rows),
         "device": str(sim.device),
         "cache": str(cache_folder()),
     }
@@ -139,6 +153,22 @@ def _fixed(scene: Scene) -> list[dict[str, Any]]:
             sizes = {"radius": body.shape.radius, "half_height": body.shape.half_height}
             fixed.append({"kind": "cylinder", **sizes, "position": list(body.position)})
     return fixed
+
+
+def _hinges(scene: Scene, rows: list[int]) -> list[dict[str, Any]]:
+    """The driven hinges; each turns a body about the x axis of a frame of the parent, which is -1 for the world."""
+    hinges: list[dict[str, Any]] = []
+    for entry in scene.joints:
+        assert isinstance(entry.joint, RevoluteJoint) and entry.drive is not None
+        drive = {key: getattr(entry.drive, key) for key in ("stiffness", "damping", "max_force")}
+        ends = {
+            "child": rows.index(entry.body_a),
+            "parent": -1 if entry.body_b is None else rows.index(entry.body_b),
+            "in_child": [entry.frame_a.position, entry.frame_a.orientation],
+            "in_parent": [entry.frame_b.position, entry.frame_b.orientation],
+        }
+        hinges.append({**ends, **drive, "limits": entry.joint.range})
+    return hinges
 
 
 def _read_result(

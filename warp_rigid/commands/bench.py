@@ -19,8 +19,8 @@ def bench_command(
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Scenes with their number of bodies: stack, pile_box, pile_torus, pile_bunny, rings, pyramid, kapla. "
-            f"[{', '.join(STANDARD)}]"
+            help="Scenes with their number of bodies: stack, pile_box, pile_torus, pile_bunny, rings, pyramid, kapla, "
+            f"arm. [{', '.join(STANDARD)}]"
         ),
     ] = None,
     envs: Annotated[str, typer.Option(help="Numbers of environments, such as 1024,4096.")] = "1",
@@ -156,8 +156,8 @@ ENGINES = (
     ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used", "overlap")
     + ("error", "lost", "m/s", "ratio"),
     "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
-    "buffer; overlap: maximum penetration [mm]; error: maximum error of stack height [mm]; lost: escaped bodies; "
-    "ratio: speed of warp_rigid over that engine",
+    "buffer; overlap: maximum penetration [mm]; error: maximum error of stack height, or gap of a joint [mm]; "
+    "lost: escaped bodies; ratio: speed of warp_rigid over that engine",
 )
 """Columns of the table of engines, and their explanation."""
 PHASES = (
@@ -165,7 +165,7 @@ PHASES = (
     + ("error", "lost", "m/s"),
     "frames/s: all environments; per core: per second of processor time; used: largest used share of a buffer; "
     "overlap: maximum penetration during the phase and at its end, and the median over environments at its end [mm]; "
-    "error: maximum error of stack height [mm]; lost: escaped bodies",
+    "error: maximum error of stack height, or gap of a joint [mm]; lost: escaped bodies",
 )
 """The same of the table of phases."""
 
@@ -215,7 +215,7 @@ def _cells(row: dict[str, Any]) -> dict[str, str]:
         "overlap": _millimetres(judged.get("deepest_overlap_during", judged["deepest_overlap"])),
         "at end": _millimetres(judged["deepest_overlap"]),
         "median": _millimetres(judged["median_overlap"]),
-        "error": _millimetres(judged.get("height_error")),
+        "error": _millimetres(judged.get("height_error", judged.get("joint_error"))),
         "lost": str(judged["escaped"]),
         "m/s": "" if judged["max_speed"] is None else f"{judged['max_speed']:.0e}",
         "ratio": f"{row['ratio']:.3g}" if "ratio" in row else "",

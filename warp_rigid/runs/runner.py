@@ -29,6 +29,7 @@ from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.usd import import_usd
 from warp_rigid.usd.load import film_duration
 from warp_rigid.usd.options import SUFFIXES as USD_SUFFIXES
+from warp_rigid.usd.robots import ROBOT_SUFFIXES, import_robot
 from warp_rigid.version import __version__
 
 __all__ = ["Plan", "Result", "execute", "find_scene", "plan_run", "set_each", "step_frame"]
@@ -80,22 +81,21 @@ class Result:
 
 
 def find_scene(source: str) -> Demo:
-    """Find a scene by built-in name, .py file with a function scene(), or USD file.
+    """Find a scene by built-in name, .py file with a function scene(), or USD, MJCF or URDF file.
 
     Raises:
-        ValueError: The scene is unknown, the file has no function scene(), or its format must be converted first.
+        ValueError: The scene is unknown, the file has no function scene(), or the converter of its format is missing.
         FileNotFoundError: The file does not exist.
     """
     if source.endswith(".py"):
         return scene_of_file(Path(source))
     if source.endswith(USD_SUFFIXES):
         return _scene_of_usd(Path(source))
-    if source.endswith((".urdf", ".xml", ".mjcf")):
-        converter = "urdf-usd-converter" if source.endswith(".urdf") else "mujoco-usd-converter"
-        raise ValueError(f"{source}: convert it to USD first, with {converter}; joints are not simulated")
+    if source.endswith(ROBOT_SUFFIXES):
+        return _scene_of_robot(Path(source))
     if source not in scenes.names():
         raise ValueError(
-            "scene: must be a USD file, a .py file with a function scene() or one of "
+            "scene: must be a USD, MJCF or URDF file, a .py file with a function scene() or one of "
             f"{', '.join(scenes.names())}; got {source!r}"
         )
     return scenes.get(source)
@@ -261,6 +261,25 @@ def _scene_of_usd(path: Path) -> Demo:
         duration=film_duration(path) or FILE_SCENE_DURATION,
         variants={},
         events=follow_paths,
+    )
+
+
+def _scene_of_robot(path: Path) -> Demo:
+    """The scene of an MJCF or URDF file, without an outcome."""
+
+    def build(self_collision: bool = False, sdf_resolution: int = 64) -> Scene:
+        with warnings.catch_warnings():
+            # The caller prints the whole import report.
+            warnings.filterwarnings("ignore", message=".*see scene.import_report")
+            return import_robot(path, self_collision=self_collision, sdf_resolution=sdf_resolution)
+
+    return Demo(
+        name=path.stem,
+        summary=f"the bodies of {path.name}",
+        build=build,
+        outcome=NoOutcome,
+        duration=FILE_SCENE_DURATION,
+        variants={},
     )
 
 

@@ -144,12 +144,15 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     prepared = prepare(job, runs)
     sim = prepared.sim
     watch = Stopwatch()
-    watch.add({"build": time.perf_counter() - start - sum(sim._world.seconds.values()), **sim._world.seconds})
+    loading = sim._world.load_seconds
+    watch.add({"load": loading, "build": time.perf_counter() - start - loading})
     measuring = time.perf_counter()
     failures = Failures(sim.num_envs)
     outcomes = _Outcomes(job, prepared, failures)
     recorder = MetricRecorder(sim, [metric for metric in job.metrics if isinstance(metric, str) and metric != OUTCOME])
     observers = Observers(sim, job.observers, failures)
+    with watch.of("record"), sim.in_use():
+        sim._world.shards.record()
     looks: dict[str, list] = {name: [] for name in ("time", *job.series)}
     events = _events(job, prepared.views, failures)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
@@ -176,7 +179,7 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     columns |= {name: observers.latest.get(name, missing) for name in job.observe}
     rows = _rows(sim, runs, columns, peak_counts, failures)
     seconds = (time.perf_counter() - start) / len(runs)
-    watch.add({"measure": time.perf_counter() - measuring - watch.seconds["step"]})
+    watch.add({"measure": time.perf_counter() - measuring - watch.seconds["record"] - watch.seconds["step"]})
     kept = _trajectories(prepared, runs, rows, frames) if job.trajectories else []
     series = [(runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
     return Batch([row | {"wall_time": seconds} for row in rows], kept, series, watch.seconds)

@@ -166,7 +166,7 @@ class JointReader:
     def _joint(self, prim: Usd.Prim, description: Any) -> Joint:
         """The joint with its limits."""
         kind = description.type
-        friction = float(custom_data(prim).get("friction", 0.0))
+        friction = float(custom_data(prim).get("friction", 0.0)) or self._friction(prim, kind)
         if kind == Types.RevoluteJoint:
             return RevoluteJoint(AXES["X"], _range(description.limit, math.pi / 180.0), friction)
         if kind == Types.PrismaticJoint:
@@ -182,24 +182,45 @@ class JointReader:
             self._change(prim, "both cone angles are the smaller one")
         return SphericalJoint(math.radians(min(given)) if given else None, AXES["X"])
 
+    def _friction(self, prim: Usd.Prim, kind: Any) -> float:
+        """Friction of a joint by Newton's schema [N or N m]."""
+        return _authored(prim, "newton:friction") * self._units(kind)[0]
+
+    def _units(self, kind: Any) -> tuple[float, float]:
+        """Units of force or torque, and of the coordinate, of a joint in the file."""
+        angular = kind == Types.RevoluteJoint
+        force = self._kilogram * self._meter * (self._meter if angular else 1.0)
+        return force, math.pi / 180.0 if angular else self._meter
+
     def _add_drive(self, joint: int, prim: Usd.Prim, description: Any) -> None:
-        """Add the drive of a revolute or prismatic joint, in SI units."""
+        """Add the drive of a revolute or prismatic joint, in SI units; damping alone is a drive without stiffness."""
+        if self._scene.joints[joint].joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
+            return
+        force, unit = self._units(description.type)
+        passive = _authored(prim, "newton:damping") * force / unit
         drive = getattr(description, "drive", None)
         if drive is None or not drive.enabled:
+            if passive > 0.0:
+                self._scene.add_drive(joint, damping=passive)
             return
         if drive.acceleration:
             self._change(prim, "its drive is a force, not an acceleration")
-        angular = description.type == Types.RevoluteJoint
-        unit = math.pi / 180.0 if angular else self._meter
-        force = self._kilogram * self._meter * (self._meter if angular else 1.0)
+        if passive > 0.0:
+            self._change(prim, "its damping is that of its drive: newton:damping is added to it")
         self._scene.add_drive(
             joint,
             stiffness=drive.stiffness * force / unit,
-            damping=drive.damping * force / unit,
+            damping=drive.damping * force / unit + passive,
             max_force=_limit(drive.forceLimit * force),
             target_position=drive.targetPosition * unit,
             target_velocity=drive.targetVelocity * unit,
         )
+
+
+def _authored(prim: Usd.Prim, name: str) -> float:
+    """A positive number that a file sets; 0 if it does not."""
+    value = prim.GetAttribute(name).Get()
+    return max(float(value), 0.0) if value is not None and math.isfinite(value) else 0.0
 
 
 def _limit(value: float) -> float:

@@ -53,6 +53,12 @@ FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 """Prefixes of physics schemas."""
 
 
+NAMED = {"Newton": "newton:", "Mjc": "mjc:"}
+"""Families whose schemas are applied without need: only the attributes with this prefix that a file sets count."""
+READ = {"newton:damping", "newton:friction", "newton:rollingFriction", "newton:torsionalFriction"}
+"""Attributes of these families that have a counterpart in a scene."""
+
+
 @dataclass
 class _Collider:
     """A solid in its body's frame."""
@@ -163,9 +169,13 @@ class Reader:
                 for path in paths:
                     self._leave_out(path, f"{_kind_name(kind)} is not supported: bodies move freely")
         for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
-            for schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
-                if schema.startswith(FAMILIES) and schema.split(":")[0] not in SCHEMAS | {"PhysicsArticulationRootAPI"}:
-                    self._leave_out(prim.GetPath(), f"schema {schema} is not supported")
+            unsupported = [
+                schema
+                for schema in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+                if schema.startswith(FAMILIES) and schema.split(":")[0] not in SCHEMAS | {"PhysicsArticulationRootAPI"}
+            ]
+            for reason in _losses(prim, unsupported):
+                self._leave_out(prim.GetPath(), reason)
             kind = prim.GetTypeName()
             if kind and not prim.GetPrimTypeInfo().GetSchemaTypeName():
                 self._leave_out(prim.GetPath(), f"type {kind} is not supported")
@@ -443,6 +453,17 @@ def _positive(attribute: Usd.Attribute) -> float | None:
     if not 0.0 < value < math.inf:
         raise Unreadable(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
     return float(value)
+
+
+def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:
+    """What a prim says in schemas that are not supported."""
+    prefixes = tuple(prefix for family, prefix in NAMED.items() if any(name.startswith(family) for name in schemas))
+    told = [f"schema {name} is not supported" for name in schemas if not name.startswith(tuple(NAMED))]
+    authored = [entry.GetName() for entry in prim.GetAuthoredProperties()]
+    lost = [name for name in authored if prefixes and name.startswith(prefixes) and name not in READ]
+    if lost:
+        told.append(f"{', '.join(lost)}: not supported")
+    return told
 
 
 def _kind_name(kind: Any) -> str:

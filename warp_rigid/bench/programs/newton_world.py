@@ -15,7 +15,7 @@ from problem import PeerProblem, timed, write
 
 GAP, RESOLUTION = 0.01, 64
 """Values from its examples: contact distance [m], cells along the longest side."""
-CONTACTS_PER_BODY = {"box": 40, "mesh": 128}
+CONTACTS_PER_BODY = {"box": 40, "mesh": 128, "joined": 4}
 TRIANGLE_PAIRS = 2
 """Capacity for pairs of close triangles, per triangle of every body."""
 EXPLICIT_UP_TO = 64
@@ -35,11 +35,14 @@ def run(problem: PeerProblem, solver_of: Callable[[Any, int], Any], figures: dic
         device = wp.get_device(problem.device)
         mesh = _mesh(problem, device)
         model = _model(problem, mesh).finalize(device=device)
-        capacity = CONTACTS_PER_BODY["box" if mesh is None else "mesh"] * problem.num_bodies
+        crowd = "joined" if problem.hinges else ("box" if mesh is None else "mesh")
+        capacity = CONTACTS_PER_BODY[crowd] * problem.num_bodies
         pipeline = _pipeline(model, problem, capacity)
         contacts = pipeline.contacts()
         solver = solver_of(model, capacity)
         state = _States(model)
+        if problem.hinges:
+            state.control.joint_target_q.assign(problem.targets.astype(np.float32).ravel())
 
         def frame() -> None:
             for _ in range(problem.substeps):
@@ -84,14 +87,14 @@ class _States:
     def __init__(self, model: newton.Model) -> None:
         self.now, self.then, self.control = model.state(), model.state(), model.control()
         newton.eval_fk(model, model.joint_q, model.joint_qd, self.now)
-        self._begin = (self.now.body_q.numpy(), self.now.body_qd.numpy())
+        self._begin = {name: getattr(self.now, name).numpy() for name in ("body_q", "body_qd", "joint_q", "joint_qd")}
 
     def swap(self) -> None:
         self.now, self.then = self.then, self.now
 
     def restart(self) -> None:
-        self.now.body_q.assign(self._begin[0])
-        self.now.body_qd.assign(self._begin[1])
+        for name, values in self._begin.items():
+            getattr(self.now, name).assign(values)
 
 
 def _mesh(problem: PeerProblem, device: wp.Device) -> newton.Mesh | None:
@@ -121,6 +124,10 @@ def _model(problem: PeerProblem, mesh: newton.Mesh | None) -> newton.ModelBuilde
     whole = newton.ModelBuilder()
     _configure(whole, problem)
     whole.add_ground_plane()
+    if problem.hinges:
+        # All environments start alike.
+        whole.replicate(_tree(problem), copy_count=problem.num_envs)
+        return whole
     for env in range(problem.num_envs):
         world = newton.ModelBuilder()
         _configure(world, problem)
@@ -140,6 +147,38 @@ def _model(problem: PeerProblem, mesh: newton.Mesh | None) -> newton.ModelBuilde
                 world.add_shape_cylinder(-1, xform=place, radius=part["radius"], half_height=part["half_height"])
         whole.add_world(world)
     return whole
+
+
+def _tree(problem: PeerProblem) -> newton.ModelBuilder:
+    """One environment of bodies that hinges join."""
+    world = newton.ModelBuilder()
+    _configure(world, problem)
+    hx, hy, hz = problem.half_extents
+    for place, turned in zip(problem.position[0], problem.orientation[0], strict=True):
+        link = world.add_link(xform=wp.transform(wp.vec3(*place), wp.quat(*turned)))
+        world.add_shape_box(link, hx=hx, hy=hy, hz=hz)
+    hinges = [
+        world.add_joint_revolute(
+            hinge["parent"],
+            hinge["child"],
+            parent_xform=_frame(hinge["in_parent"]),
+            child_xform=_frame(hinge["in_child"]),
+            axis=(1.0, 0.0, 0.0),
+            limit_lower=hinge["limits"][0],
+            limit_upper=hinge["limits"][1],
+            target_ke=hinge["stiffness"],
+            target_kd=hinge["damping"],
+            effort_limit=hinge["max_force"],
+        )
+        for hinge in problem.hinges
+    ]
+    world.add_articulation(hinges)
+    return world
+
+
+def _frame(values) -> wp.transform:
+    place, turned = values
+    return wp.transform(wp.vec3(*place), wp.quat(*turned))
 
 
 def _configure(builder: newton.ModelBuilder, problem: PeerProblem) -> None:

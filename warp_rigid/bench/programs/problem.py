@@ -37,6 +37,9 @@ class PeerProblem:
         settle: frames before the timed ones.
         frames: timed frames.
         fixed: static boxes and upright cylinders.
+        hinges: driven hinges, which make the bodies one tree in their order; empty if the bodies are free. The poses of
+            their bodies at the start are those of angle 0.
+        targets: (envs, hinges) target angles of the drives [rad], or None.
         device: such as "cpu" or "cuda:0".
         cache: folder for convex parts.
     """
@@ -47,7 +50,7 @@ class PeerProblem:
             arrays = {name: file[name] for name in file.files}
         for name, value in json.loads(str(arrays.pop("figures"))).items():
             setattr(self, name, value)
-        self.half_extents = self.vertices = self.faces = None
+        self.half_extents = self.vertices = self.faces = self.targets = None
         for name, value in arrays.items():
             setattr(self, name, value)
         self.num_envs, self.num_bodies = self.position.shape[:2]

@@ -13,6 +13,9 @@ def run(problem: PeerProblem) -> None:
     worlds = [mujoco.MjData(model) for _ in range(problem.num_envs)]
     for world, start in zip(worlds, mujoco_model.starts(problem), strict=True):
         world.qpos[:] = start
+    if problem.hinges:
+        for world, target in zip(worlds, problem.targets, strict=True):
+            world.ctrl[:] = target
 
     def advance(frames: int) -> None:
         for world in worlds:
@@ -27,7 +30,7 @@ def run(problem: PeerProblem) -> None:
         "contacts": int(sum(world.ncon for world in worlds)),
     }
     positions, velocities = np.array([w.qpos for w in worlds]), np.array([w.qvel for w in worlds])
-    write(figures, *mujoco_model.final(positions, velocities, problem))
+    write(figures, *mujoco_model.final(model, positions, velocities, problem))
 
 
 if __name__ == "__main__":

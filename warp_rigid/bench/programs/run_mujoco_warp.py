@@ -4,6 +4,8 @@ from problem import PeerProblem, main, timed, write
 
 PER_BODY = {"box": 12, "octree of distances": 120}
 """Capacity for contacts and candidate pairs per body, by collider; an overflow is a fault."""
+JOINTED = 2
+"""The same for bodies that are joined, which touch little."""
 
 
 def run(problem: PeerProblem) -> None:
@@ -16,17 +18,20 @@ def run(problem: PeerProblem) -> None:
     import mujoco_model
 
     host, collider = mujoco_model.build(problem)
-    capacity = PER_BODY[collider] * problem.num_bodies + 32
+    capacity = JOINTED * problem.num_bodies if problem.hinges else PER_BODY[collider] * problem.num_bodies + 32
+    rows = 4 * capacity + len(problem.hinges)
     with wp.ScopedDevice(problem.device):
         device = wp.get_device(problem.device)
         model = mujoco_warp.put_model(host)
-        state = mujoco_warp.make_data(host, nworld=problem.num_envs, nconmax=capacity, njmax=4 * capacity)
+        state = mujoco_warp.make_data(host, nworld=problem.num_envs, nconmax=capacity, njmax=rows)
 
         def restart() -> None:
             mujoco_warp.reset_data(model, state)
             state.qpos.assign(mujoco_model.starts(problem).astype(np.float32))
             state.qvel.zero_()
             state.qacc_warmstart.zero_()
+            if problem.hinges:
+                state.ctrl.assign(problem.targets.astype(np.float32))
 
         def frame() -> None:
             for _ in range(problem.substeps):
@@ -57,7 +62,7 @@ def run(problem: PeerProblem) -> None:
             **seconds,
             "contacts": int(state.nacon.numpy()[0]),
         }
-        write(figures, *mujoco_model.final(state.qpos.numpy(), state.qvel.numpy(), problem))
+        write(figures, *mujoco_model.final(host, state.qpos.numpy(), state.qvel.numpy(), problem))
 
 
 if __name__ == "__main__":

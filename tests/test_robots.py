@@ -1,0 +1,153 @@
+"""MJCF and URDF, by way of the converters to USD: real files, what is reported, and converters that fail."""
+
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from tests.robot_tools import robot_files
+from warp_rigid.commands import cli
+from warp_rigid.scene.joints import PrismaticJoint, RevoluteJoint
+from warp_rigid.scenes.builders.jointed import anchor_errors
+
+ANT, CARTPOLE = "ant.xml", "cartpole.urdf"
+
+
+@pytest.fixture(scope="module")
+def robots():
+    return robot_files()
+
+
+@pytest.fixture
+def converter(tmp_path, monkeypatch):
+    """A program in place of the converters: a function of the text of a shell script."""
+    (tmp_path / "bin").mkdir()
+    monkeypatch.setattr("warp_rigid.usd.robots.search_path", lambda: str(tmp_path / "bin"))
+
+    def install(script):
+        for name in ("mujoco_usd_converter", "urdf_usd_converter"):
+            program = tmp_path / "bin" / name
+            program.write_text(f"#!/bin/sh\n{script}\n")
+            program.chmod(0o755)
+
+    return install
+
+
+def test_an_ant_has_the_joints_of_its_file(robots):
+    """Masses from the volumes of its capsules; hinges with the limits, and the damping, of the XML text."""
+    with pytest.warns(UserWarning, match="left out, see scene.import_report"):
+        scene = wr.import_robot(robots[ANT])
+    joints = {entry.name: entry for entry in scene.joints}
+    told = {joint.get("name"): joint for joint in ElementTree.parse(robots[ANT]).iter("joint") if joint.get("name")}
+    hinges = {name for name, joint in told.items() if joint.get("type") == "hinge"}
+    assert {name for name, entry in joints.items() if isinstance(entry.joint, RevoluteJoint)} == hinges
+    assert len(hinges) == 8 and len(joints) == 12, "four legs are welded to the torso"
+    for name in hinges:
+        limits = [math.radians(float(x)) for x in told[name].get("range").split()]
+        assert joints[name].joint.limits == pytest.approx(limits, abs=1e-5)
+        assert joints[name].drive.damping == pytest.approx(1.0, rel=1e-5)
+    assert len([body for body in scene.bodies if body.mass > 0.0]) == 13
+    told = {finding.path: finding.reason for finding in scene.import_report.findings}
+    assert told["/ant/Geometry/torso/front_left_leg/aux_1/hip_1"] == "newton:armature: not supported"
+    assert told["/ant/Physics/Actuator_0"] == "type MjcActuator is not supported"
+    assert "lights are not supported" in [f.reason for f in scene.import_report.findings if f.path == ANT]
+
+
+def test_an_ant_falls_and_comes_to_lie_in_one_piece(robots):
+    with pytest.warns(UserWarning, match="left out"):
+        scene = wr.import_robot(robots[ANT])
+    sim = wr.Simulator(scene, device="cpu")
+    opened = 0.0
+    for _ in range(30):
+        sim.step(24)
+        opened = max(opened, anchor_errors(sim).max())
+    rows = [i for i, body in enumerate(scene.bodies) if body.mass > 0.0]
+    assert opened < 1e-5 and sim.penetration()[0] < 5e-4
+    with pytest.warns(UserWarning, match="left out"):
+        touching = wr.import_robot(robots[ANT], self_collision=True)
+    assert wr.Simulator(touching, device="cpu").penetration()[0] > 0.01, "links of this robot overlap"
+    assert np.linalg.norm(sim.get("linear_velocity")[0, rows], axis=-1).max() < 0.02
+    limits = np.array([entry.joint.range for entry in scene.joints])
+    angle = sim.get("joint_position")[0]
+    assert (angle > limits[:, 0] - 1e-3).all() and (angle < limits[:, 1] + 1e-3).all()
+
+
+def test_a_cart_and_its_poles_have_the_joints_of_their_file(robots):
+    with pytest.warns(UserWarning, match="left out"):
+        scene = wr.import_robot(robots[CARTPOLE])
+    tree = ElementTree.parse(robots[CARTPOLE])
+    masses = [float(link.find("inertial/mass").get("value")) for link in tree.iter("link") if link.find("inertial")]
+    assert sorted(body.mass for body in scene.bodies)[: len(masses)] == pytest.approx(sorted(masses))
+    kinds = {entry.name: type(entry.joint) for entry in scene.joints}
+    assert kinds["slider_to_cart"] is PrismaticJoint and kinds["cart_to_pole1"] is RevoluteJoint
+    assert [entry.body_b for entry in scene.joints if entry.name == "root_joint"] == [None]
+    sim = wr.Simulator(scene, device="cpu")
+    sim.set("linear_velocity", (0, 0.5, 0), bodies=[scene.bodies.index(b) for b in scene.bodies if "pole2" in b.name])
+    sim.step(240)
+    assert anchor_errors(sim).max() < 1e-5 and sim.status()["status"][0] == "ok"
+
+
+@pytest.mark.parametrize("name", [ANT, CARTPOLE])
+def test_the_command_runs_a_robot(robots, name, capsys, tmp_path):
+    film = tmp_path / "film.usdc"
+    assert cli.main(["run", str(robots[name]), "--frames", "2", "--device", "cpu", "-o", str(film)]) == 0
+    assert film.stat().st_size > 0
+    assert "not supported" in capsys.readouterr().err
+
+
+def test_strict_refuses_what_is_incomplete(robots):
+    with pytest.raises(ValueError, match=rf"{ANT}: left out: .* \(and \d+ more\)"):
+        wr.import_robot(robots[ANT], strict=True)
+
+
+def test_a_missing_converter_is_named(converter, tmp_path, capsys):
+    for name, package in (("robot.urdf", "urdf-usd-converter"), ("robot.xml", "mujoco-usd-converter")):
+        (tmp_path / name).write_text("<robot/>")
+        assert cli.main(["run", str(tmp_path / name)]) == 2
+        told = capsys.readouterr().err
+        assert re.search(rf"{name}: needs the program \w+: pipx install {package}", " ".join(told.split()))
+
+
+def test_a_file_that_is_not_there_or_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"robot\.xml: no such file"):
+        wr.import_robot(tmp_path / "robot.xml")
+    (tmp_path / "robot.sdf").write_text("<sdf/>")
+    with pytest.raises(ValueError, match=r"robot\.sdf: must end in one of \.xml, \.mjcf, \.urdf"):
+        wr.import_robot(tmp_path / "robot.sdf")
+
+
+@pytest.mark.parametrize(
+    ("script", "told"),
+    [
+        ("echo '[Error] [some.function] no link named foot'; exit 1", "no link named foot"),
+        ("echo 'Traceback'; echo 'ValueError: bad axis' >&2; exit 1", "ValueError: bad axis"),
+        ("exit 0", "no message"),
+        ("sleep 9", "was stopped after 0 s"),
+    ],
+)
+def test_a_failed_conversion_is_one_line(converter, tmp_path, monkeypatch, script, told):
+    converter(script)
+    monkeypatch.setattr("warp_rigid.usd.robots.SECONDS", 0.3)
+    (tmp_path / "robot.urdf").write_text("<robot/>")
+    with pytest.raises(ValueError, match=told) as caught:
+        wr.import_robot(tmp_path / "robot.urdf")
+    assert str(caught.value).count("\n") == 0 and "robot.urdf" in str(caught.value)
+
+
+def test_warnings_of_the_converter_are_findings(converter, tmp_path):
+    """Each once, however often it is printed; the file is that of the robot, not the temporary one."""
+    sphere = (
+        '#usda 1.0\n(\n metersPerUnit = 1\n upAxis = "Z"\n)\ndef Sphere "Ball" (\n'
+        ' prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"]\n)\n{\n double radius = 0.5\n}\n'
+    )
+    warning = "echo '[Warning] [a.b.c] lights are not supported'"
+    converter(f"{warning}; {warning}; cat >\"$2/Robot.usda\" <<'END'\n{sphere}END")
+    path = tmp_path / "robot.mjcf"
+    path.write_text("<mujoco/>")
+    with pytest.warns(UserWarning, match=r"1 left out, see scene.import_report; first: robot.mjcf: left out: lights"):
+        scene = wr.import_robot(path)
+    assert len(scene.bodies) == 1 and scene.import_report.file == str(path)
+    assert [str(f) for f in scene.import_report.findings] == ["robot.mjcf: left out: lights are not supported"]

@@ -1,0 +1,126 @@
+"""Import of MJCF and URDF files, by way of USD.
+
+The files are converted by the programs mujoco_usd_converter and urdf_usd_converter. They run as processes of their own
+and are installed into a Python environment of their own, because they bring another build of OpenUSD than usd-core.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+from warp_rigid.scene.import_report import ImportFinding
+from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.usd.load import import_usd
+
+__all__ = ["ROBOT_SUFFIXES", "import_robot"]
+
+CONVERTERS = {".xml": "mujoco_usd_converter", ".mjcf": "mujoco_usd_converter", ".urdf": "urdf_usd_converter"}
+"""Programs by the suffix of the file."""
+ROBOT_SUFFIXES = tuple(CONVERTERS)
+SECONDS = 300.0
+"""Longest time that a conversion may take."""
+MESSAGE = re.compile(r"^\[(Warning|Error)\] (?:\[[^\]]*\] )?(.*)$")
+"""A line that a converter prints: its severity, the function that it comes from, and the text."""
+
+
+def import_robot(path, *, self_collision: bool = False, strict: bool = False, sdf_resolution: int = 64) -> Scene:
+    """Read the bodies, colliders and joints of an MJCF or URDF file.
+
+    The file is converted to USD by `mujoco_usd_converter` or `urdf_usd_converter`, which must be on the search path or
+    beside the Python interpreter, and read by `import_usd`. What neither supports is listed in `scene.import_report`,
+    with a warning.
+
+    Args:
+        path: .xml or .mjcf (MJCF), or .urdf.
+        self_collision: whether bodies of the same mechanism can touch each other. The links of many robots overlap, and
+            the converters do not keep the masks by which MJCF files exclude contacts.
+        strict: reject a file that cannot be imported completely and unchanged.
+        sdf_resolution: grid cells along the longest side of meshes.
+
+    Returns:
+        The scene.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ValueError: It is none of these files, its converter is missing or fails, it has no bodies, or `strict` is set
+            and the import is incomplete.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    if path.suffix.lower() not in CONVERTERS:
+        raise ValueError(f"{path}: must end in one of {', '.join(CONVERTERS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        findings = _convert(path, folder)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*see scene.import_report")
+            try:
+                scene = import_usd(_main_file(path, folder), sdf_resolution=sdf_resolution)
+            except ValueError as error:
+                raise ValueError(f"{path}: {str(error).replace(folder, '')}") from None
+    if not self_collision and _filter_mechanisms(scene):
+        findings.append(ImportFinding(path.name, "changed", "bodies of the same mechanism do not collide"))
+    report = scene.import_report
+    assert report is not None
+    report = replace(report, file=str(path), findings=(*findings, *report.findings))
+    scene.import_report = report
+    if strict and report.findings:
+        raise ValueError(f"{path}: {report.findings[0]} (and {len(report.findings) - 1} more)")
+    if report.left_out:
+        text = f"{len(report.left_out)} left out, see scene.import_report; first: {report.left_out[0]}"
+        warnings.warn(f"{path}: {text}", stacklevel=2)
+    return scene
+
+
+def _filter_mechanisms(scene: Scene) -> bool:
+    """Exclude pairs of bodies that joints connect, directly or not, from collision. Returns whether there are any."""
+    groups: dict[int | None, set[int]] = {
+        i: {i} for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC
+    }
+    for entry in scene.joints:
+        merged = groups.get(entry.body_a, set()) | groups.get(entry.body_b, set())
+        groups.update(dict.fromkeys(merged, merged))
+    pairs = {pair for members in groups.values() for pair in combinations(sorted(members), 2)}
+    for first, second in pairs:
+        scene.filter_pair(first, second)
+    return bool(pairs)
+
+
+def search_path() -> str:
+    """Where the converters are looked for: beside the Python interpreter, then on the search path of the system."""
+    return os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
+
+
+def _convert(path: Path, folder: str) -> list[ImportFinding]:
+    """Convert a file, and return what the converter leaves out."""
+    name = CONVERTERS[path.suffix.lower()]
+    program = shutil.which(name, path=search_path())
+    if program is None:
+        package = name.replace("_", "-")
+        raise ValueError(f"{path}: needs the program {name}: pipx install {package} (or pip, in its own environment)")
+    # The variables of this Python environment must not affect the other interpreter's imports.
+    surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+    command = [program, str(path.absolute()), folder]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings)
+    except subprocess.TimeoutExpired:
+        raise ValueError(f"{path}: {name} was stopped after {SECONDS:.0f} s") from None
+    lines = (done.stdout + done.stderr).splitlines()
+    told = [match.groups() for match in map(MESSAGE.match, lines) if match]
+    if done.returncode or not list(Path(folder).glob("*.usd*")):
+        reasons = [text for severity, text in told if severity == "Error"] or lines[-1:] or ["no message"]
+        raise ValueError(f"{path}: {name}: {reasons[0]}")
+    return [ImportFinding(path.name, "left out", text) for text in dict.fromkeys(text for _, text in told)]
+
+
+def _main_file(path: Path, folder: str) -> Path:
+    """The layer of a conversion that the others belong to."""
+    layers = sorted(Path(folder).glob("*.usd*"))
+    return next((layer for layer in layers if layer.stem == path.stem), layers[0])
