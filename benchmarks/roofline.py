@@ -26,7 +26,7 @@ from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import approach as approaches
-from warp_rigid.kernels.collide import convex_pairs, narrowphase, samples
+from warp_rigid.kernels.collide import convex_pairs, culling, samples
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
 """The four main scenes: name, bodies, environments."""
@@ -205,11 +205,11 @@ def count_samples(
         own_shape = shapes.shapes[approach.own_shape]
         counted[pair, 0] += own_shape.cluster_end - own_shape.cluster_start
         for cluster in range(own_shape.cluster_start, own_shape.cluster_end):
-            if narrowphase.cluster_is_near(cluster, approach, 1, shapes) == 1:
+            if culling.cluster_is_near(cluster, approach, 1, shapes) == 1:
                 counted[pair, 1] += 1
                 for s in range(shapes.clusters[cluster].sample_start, shapes.clusters[cluster].sample_end):
                     counted[pair, 2] += 1
-                    if narrowphase.sample_is_near(s, approach, shapes):
+                    if culling.sample_is_near(s, approach, shapes):
                         counted[pair, 3] += 1
                         found = samples.place_sample(
                             shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, reach

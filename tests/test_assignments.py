@@ -44,6 +44,8 @@ def test_names_find_their_places():
 def test_numbers_without_brackets_are_one_vector():
     assert sort_assignments(["gravity=0,0,-1.62"], build).properties == {"gravity": (0, 0, -1.62)}
     assert sort_assignments(["orientation[a]=0,0,0,1"], build).properties == {"orientation[a]": (0, 0, 0, 1)}
+    field = sort_assignments(["field_acceleration=2,0,0"], build)
+    assert field.properties == {"field_acceleration": (2, 0, 0)} and field.num_envs is None
     assert sort_assignments(["gravity=(0,0,-1),(0,0,-2)"], build).batched == {"gravity": [(0, 0, -1), (0, 0, -2)]}
     for text in ("gravity=-9.81", "gravity=0,-9.81", "gravity=(0,0,-1),2", "position=0,0,0,1", "force=x"):
         with pytest.raises(ValueError, match=f"--set {text.partition('=')[0]}: must be vectors of 3 numbers"):

@@ -299,11 +299,17 @@ def test_an_interrupted_run_tells_what_it_kept(capsys, scene_file, tmp_path, mon
     assert status == 0 and json.loads(out)["frames"] == 9
 
 
-def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, scene_file, monkeypatch):
+def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, scene_file, monkeypatch, tmp_path):
     assert "%" not in run(capsys, "run", scene_file, "--frames", 4)[2]
     monkeypatch.setattr(terminal, "LINE_PERIOD", 0.0)
     lines = [line for line in run(capsys, "run", scene_file, "--frames", 4)[2].splitlines() if "%" in line]
     assert [line.partition(" after")[0] for line in lines] == ["mine: 25 %", "mine: 50 %", "mine: 75 %"]
+    film = tmp_path / "a.gif"
+    told = run(capsys, "run", scene_file, "--frames", 6, "--film", film)[2].splitlines()
+    assert [line.partition(" after")[0] for line in told if line.startswith("drawing")] == [
+        f"drawing {film}: 33 %",
+        f"drawing {film}: 67 %",
+    ]
 
 
 def test_non_finite_state_is_status_4(capsys, scene_file):

@@ -89,6 +89,7 @@ def test_changed_fields_wake_sleeping_bodies_and_survive_a_checkpoint(device, tm
         (lambda sim: sim.set("field_drag", np.nan), "field_drag: must be finite numbers"),
         (lambda sim: sim.set("field_drag", 1.0, bodies=[0]), "bodies: must not be given for field_drag"),
         (lambda sim: sim.set("field_drag", [1.0, 2.0]), "field_drag: must be numbers that broadcast to (1, 1)"),
+        (lambda sim: sim.set("field_acceleration", 1.0), "field_acceleration: must be vectors of 3 numbers, got 1.0"),
         (lambda sim: sim.spawn("pellet", (0, 0, 1)), "pool: scene 0 has no bodies named pellet_0, pellet_1, ..."),
         (lambda sim: wr.DragField(-1.0), "drag: must be a finite number >= 0, got -1.0"),
     ],
@@ -161,3 +162,19 @@ def test_fields_and_active_are_axes():
     ):
         with pytest.raises(ValueError, match=message):
             wr.sweep(scene, {name: [value]}, duration=0.1, device="cpu")
+
+
+def test_a_body_that_is_spawned_again_gains_no_energy(device):
+    """Its former life took energy: the sum over all lives must not rise when a new one begins."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_static(wr.Plane(normal=(-1, 0, 0), offset=-1.0), friction=0.5)
+    scene.add_pool(wr.Sphere(0.1), 1, "ball", mass=1.0)
+    scene.add_body(wr.Sphere(0.1), position=(-3, 0, 0), mass=1.0)
+    sim = wr.Simulator(scene, device=device)
+    for _ in range(3):
+        sim.spawn("ball", (0, 0, 0), linear_velocity=(1, 0, 0))
+        sim.step(256)  # it hits the wall after 216 steps, and stops
+        assert np.abs(sim.get("linear_velocity")).max() < 1e-6
+        sim.despawn("ball_0")
+        sim.step(64)
+    assert not len(sim.warnings())

@@ -204,7 +204,7 @@ def test_scene_without_variants_cannot_be_compared():
 
 def test_scenes_are_found_by_name_or_file(tmp_path):
     assert find_scene("box_stack") is scenes.get("box_stack")
-    with pytest.raises(ValueError, match=r"scene: must be a USD file, a .py file .* got 'box_stak'"):
+    with pytest.raises(ValueError, match=r"scene: must be a USD, MJCF or URDF file, a .py file .* got 'box_stak'"):
         find_scene("box_stak")
     with pytest.raises(FileNotFoundError):
         find_scene(str(tmp_path / "none.py"))

@@ -2,6 +2,10 @@
 
 import os
 import signal
+import subprocess
+import sys
+import threading
+import time
 from pathlib import Path
 
 import distributed
@@ -15,28 +19,121 @@ from warp_rigid.commands import cli
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.sweep import execution, read
 from warp_rigid.sweep.cluster import cluster_of_file
+from warp_rigid.sweep.worker_processes import WorkerProcesses
 
 AXES = {"height": [0.1 + 0.05 * i for i in range(12)]}
 OPTIONS = {"duration": 1.0, "metrics": ["final_pose", "drift"]}
 
 
-def test_rows_are_the_same_when_a_worker_is_killed(tmp_path, monkeypatch):
-    made, killed = [], []
-    monkeypatch.setattr(distributed, "LocalCluster", lambda **options: made.append(LocalCluster(**options)) or made[0])
+def like(found, alone):
+    """The rows of a result with the columns of others, whose order may differ."""
+    return [{name: row[name] for name in alone[0]} for row in values(found)]
+
+
+def test_rows_are_the_same_when_a_worker_of_a_cluster_is_killed(tmp_path):
+    killed = []
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0) as made:
+
+        def kill_one(done, total):
+            if not killed:
+                killed.append(next(iter(made.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        result = quick(
+            AXES, batch=2, cluster=made, on_progress=kill_one, output=tmp_path / "t.parquet",
+            trajectories=tmp_path / "t.zarr", **OPTIONS,
+        )  # fmt: skip
+    assert killed and not result.failed
+    alone = values(quick(AXES, **OPTIONS))
+    assert like(result, alone) == alone
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The executors of the worker processes that are started."""
+    executors = []
+
+    def start(workers, number, start=WorkerProcesses._started):
+        executors.append(start(workers, number))
+        return executors[-1]
+
+    monkeypatch.setattr(WorkerProcesses, "_started", start)
+    return executors
+
+
+def test_rows_are_the_same_when_a_worker_process_is_killed(tmp_path, started):
+    killed = []
 
     def kill_one(done, total):
         if not killed:
-            nanny = next(iter(made[0].workers.values()))
-            killed.append(nanny.pid)
-            os.kill(nanny.pid, signal.SIGKILL)
+            killed.extend(started[0]._processes)
+            os.kill(killed[0], signal.SIGKILL)
 
     result = quick(
         AXES, batch=2, cluster="local", workers=2, on_progress=kill_one, output=tmp_path / "t.parquet",
-        trajectories=tmp_path / "t.zarr", **OPTIONS,
+        observe=["peak_impulse[ball]"], series=["energy"], trajectories=tmp_path / "t.zarr", **OPTIONS,
     )  # fmt: skip
-    assert killed and not result.failed
-    alone = values(quick(AXES, **OPTIONS))
-    assert [{name: row[name] for name in alone[0]} for row in values(result)] == alone
+    assert len(killed) == 1 and not result.failed and len(started) == 3
+    alone = values(quick(AXES, observe=["peak_impulse[ball]"], series=["energy"], **OPTIONS))
+    assert like(result, alone) == alone
+    assert set(result.series()["run"].to_pylist()) == set(range(12))
+
+
+def test_a_batch_that_ends_its_processes_fails_alone():
+    def deadly(sim):
+        if (sim.get("position")[:, 1, 2] > 0.6).any():
+            os._exit(3)
+        return sim.get("position")[:, 1, 2]
+
+    found = quick({"height": [0.3, 1.0]}, batch=1, cluster="local", workers=2, duration=0.01, metrics=[deadly])
+    assert [row["status"] for row in found.rows] == ["ok", "error"]
+    assert found.failed[0]["reason"].startswith("TerminatedWorkerError: A worker process")
+
+
+def test_worker_processes_end_when_a_sweep_is_stopped(started):
+    processes = []
+
+    def stop(done, total):
+        processes.extend(process for some in started for process in some._processes.values())
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        quick(AXES, batch=1, cluster="local", workers=2, on_progress=stop, **OPTIONS)
+    assert len(processes) == 2 and not any(process.is_alive() for process in processes)
+
+
+def test_worker_processes_end_with_the_process_that_started_them():
+    """Although it is killed in the middle of a batch of an hour."""
+    program = """
+import warp_rigid as wr
+from warp_rigid.sweep.worker_processes import WorkerProcesses
+with WorkerProcesses(1) as workers:
+    import os, signal, time
+    print(workers._workers[0].submit(os.getpid).result(), flush=True)
+    workers._workers[0].submit(time.sleep, 3600)
+    time.sleep(0.2)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    root = str(Path(__file__).resolve().parents[1])
+    found = subprocess.run(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, cwd=root, timeout=60, check=False
+    )
+    worker = Path("/proc") / found.stdout.strip()
+    deadline = time.monotonic() + 20.0
+    while worker.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert found.returncode == -signal.SIGKILL and not worker.exists()
+
+
+def test_what_cannot_be_sent_to_a_worker_is_named():
+    lock = threading.Lock()
+
+    def locked(sim):
+        with lock:
+            return sim.get("mass")[:, 1]
+
+    with pytest.raises(ValueError, match="^cluster: the worker processes cannot take the job: .*Pickl"):
+        quick({"height": [0.3]}, cluster="local", workers=1, metrics=[locked])
 
 
 def test_the_example_of_a_cluster_gives_the_same_rows(tmp_path, monkeypatch):
@@ -79,7 +176,7 @@ def test_workers_with_several_threads_are_refused():
 
 
 def test_mistakes_are_named(tmp_path):
-    with pytest.raises(ValueError, match="workers: applies to the local cluster"):
+    with pytest.raises(ValueError, match="workers: applies to cluster local only"):
         wr.sweep(ball, AXES, cluster="tcp://127.0.0.1:1", workers=2)
     with pytest.raises(FileNotFoundError):
         cluster_of_file(str(tmp_path / "none.py"))
@@ -92,19 +189,17 @@ def test_mistakes_are_named(tmp_path):
 
 def test_all_devices_are_a_worker_for_each_gpu(monkeypatch):
     """Here two GPUs are only counted; each worker simulates on the CPU, as it finds none."""
-    given = []
+    counts = []
 
-    def on_cluster(job, groups, batch, cluster, workers, run=execution.run_on_cluster):
-        given.append((cluster, workers, job.device))
-        return run(job, groups, batch, cluster, workers)
+    def start(workers, count, start=WorkerProcesses.__init__):
+        counts.append(count)
+        start(workers, count)
 
-    monkeypatch.setattr(execution, "run_on_cluster", on_cluster)
+    monkeypatch.setattr(WorkerProcesses, "__init__", start)
     alone = values(quick(AXES, device="all", **OPTIONS))
-    assert not given
+    assert not counts
     monkeypatch.setattr(execution.wp, "get_cuda_device_count", lambda: 2)
-    result = quick(AXES, device="all", observe=["peak_impulse[ball]"], series=["energy"], **OPTIONS)
-    assert given == [("local", 2, None)] and not result.failed
-    assert [{name: row[name] for name in alone[0]} for row in values(result)] == alone
-    assert set(result.series()["run"].to_pylist()) == set(range(12))
+    result = quick(AXES, device="all", **OPTIONS)
+    assert counts == [2] and not result.failed and like(result, alone) == alone
     with pytest.raises(ValueError, match="^device: all must not be combined with cluster or workers"):
         quick(AXES, device="all", workers=2)

@@ -5,7 +5,6 @@ import re
 import shlex
 from pathlib import Path
 
-import distributed
 import numpy as np
 import pytest
 from PIL import Image
@@ -119,6 +118,13 @@ def test_elasticities_are_those_of_the_closed_form(tmp_path):
     assert (tmp_path / "sensitivity.png").stat().st_size > 1000
 
 
+def test_a_network_trained_on_mixed_scenes_judges_balls_better(tmp_path):
+    pytest.importorskip("torch", reason="an optional framework")
+    errors = example("friction_from_motion").main(["--envs", "20", "--rounds", "300", "--out", str(tmp_path)])
+    assert errors["mixed scenes"]["ball"] < 0.8 * errors["cubes of one size"]["ball"]
+    assert (tmp_path / "friction_from_motion.png").stat().st_size > 1000
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Where the commands of the pages run, one after another."""
@@ -127,12 +133,8 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_of_the_pages_run(command, folder, monkeypatch):
-    """All of them, but only for an instant; the examples, and worker processes, have their own tests."""
+    """All of them, but only for an instant; the examples have their own tests."""
     monkeypatch.chdir(folder)
-    made = distributed.LocalCluster
-    monkeypatch.setattr(
-        distributed, "LocalCluster", lambda **options: made(**options | {"processes": False, "n_workers": 1})
-    )
     program, *arguments = shlex.split(command)
     if program == "python":
         assert (ROOT / arguments[0]).is_file()

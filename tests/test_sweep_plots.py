@@ -39,6 +39,16 @@ def test_one_axis_of_numbers_makes_lines(tmp_path, figures):
     assert Image.open(tmp_path / "new" / "p.png").size[0] > 300
 
 
+def test_quantities_with_a_unit_show_it(tmp_path, figures):
+    result = table(["mass", "friction"], [(m, f) for m in (1.0, 2.0) for f in (0.1, 0.2)])
+    for row in result.rows:
+        row["drift"] = row.pop("total")
+    result.plot(tmp_path / "p.png", kind="line", x="mass", y="drift")
+    assert (figures[0].axes[0].get_xlabel(), figures[0].axes[0].get_ylabel()) == ("mass [kg]", "drift [m]")
+    result.plot(tmp_path / "p.png", kind="line", x="friction", y="drift")
+    assert figures[1].axes[0].get_xlabel() == "friction"
+
+
 def test_repeats_make_a_mean_and_a_band(tmp_path, figures):
     result = table(["a"], [(0,), (9,), (0,), (2,)])
     result.rows[2]["total"] = 4

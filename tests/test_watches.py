@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
+from warp_rigid.engine.step import Stages
 
 DT, GRAVITY = 1 / 240, 9.81
 
@@ -110,3 +111,20 @@ def test_bad_watches_are_named(watched):
         sim.watch(watched)
     with pytest.raises(ValueError, match="^watched: nothing is watched"):
         sim.watched()
+
+
+def test_changes_before_the_first_step_cost_one_recording(device, monkeypatch):
+    made = []
+
+    def recorded(stages, step=Stages.step):
+        made.append(stages)
+        step(stages)
+
+    monkeypatch.setattr(Stages, "step", recorded)
+    sim = wr.Simulator(drop(), device=device)
+    sim.watch([None])
+    sim.set("sleeping", True)
+    sim.set("shock_iterations", 2)
+    sim.step(2)
+    sim.step(2)
+    assert len(made) == len(list(sim._world.shards))

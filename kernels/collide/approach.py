@@ -30,8 +30,8 @@ class Touch:
 class Approach:
     """Relative pose of the body with the samples (`own`) in the frame of the body with the distance (`other`).
 
-    `weight`: weight of a gap in the score of a sample (contact_reduction.py). `cut`, `level`: points p of `own`, in its
-    frame, with `cut . p > level` cannot touch; a zero vector if that is not known of any.
+    `cut`, `level`: points p of `own`, in its frame, with `cut . p > level` cannot touch; a zero vector if that is not
+    known of any.
     """
 
     own: int
@@ -42,7 +42,6 @@ class Approach:
     shift: wp.vec3
     reach: float
     rise: float
-    weight: float
     cut: wp.vec3
     level: float
 

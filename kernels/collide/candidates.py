@@ -215,15 +215,16 @@ def visit_cell(
 @wp.kernel
 def search_cells(
     room: int,
+    lanes: int,
     bodies: Bodies,
     cells: Cells,
 ):
-    """One thread per body of a marked environment: search the cells around it, of its own and of higher levels.
+    """A team of lanes for each body of a marked environment searches the cells around it, of its own and higher levels.
 
     Of two cells of a level, only the bodies of the first search the other. Static and kinematic bodies only search
     levels with dynamic bodies.
     """
-    i = wp.tid()
+    i = wp.tid() / lanes
     env = bodies.env[i]
     if cells.stale[env] == 0:
         return
@@ -235,12 +236,12 @@ def search_cells(
             half = 0.5 * cell_width(level, smallest)
             first = cell_at(cells.lower[i] - wp.vec3(half, half, half), level, smallest)
             last = cell_at(cells.upper[i] + wp.vec3(half, half, half), level, smallest)
-            for x in range(first[0], last[0] + 1):
-                for y in range(first[1], last[1] + 1):
-                    for z in range(first[2], last[2] + 1):
-                        cell = wp.vec4i(x, y, z, level)
-                        if level > here[3] or not precedes(cell, here):
-                            visit_cell(i, cell, bucket_of(env, cell, cells), room, bodies, cells)
+            wide = last[1] - first[1] + 1
+            high = last[2] - first[2] + 1
+            for k in range(wp.tid() % lanes, (last[0] - first[0] + 1) * wide * high, lanes):
+                cell = wp.vec4i(first[0] + k / (wide * high), first[1] + k / high % wide, first[2] + k % high, level)
+                if level > here[3] or not precedes(cell, here):
+                    visit_cell(i, cell, bucket_of(env, cell, cells), room, bodies, cells)
 
 
 @wp.kernel

@@ -14,23 +14,29 @@ rounds are enough, and motion along a surface is not limited. For other distance
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import NEAR
+from warp_rigid.kernels.collide.course import (
+    DEPTH,
+    FAST,
+    Course,
+    Passage,
+    closing_speed,
+    course_of,
+    largest_motion,
+    passage_of,
+    place_at,
+    relative_motion,
+)
+from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
-from warp_rigid.kernels.collide.narrowphase import matters, out_of_box
 from warp_rigid.kernels.collide.samples import gradient, slope
 from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
-from warp_rigid.kernels.enums import PartKind, Role, SampleKind
+from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, min_of_lanes
+from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-
-FAST = wp.constant(0.25)
-"""A pair is traced if its relative motion in a step exceeds this fraction of the smaller size."""
-
-DEPTH = wp.constant(0.02)
-"""Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
 
 CLOSE_ENOUGH = wp.constant(2.0e-3)
 """A trace ends when the remaining distance is below this fraction of the smaller size."""
@@ -44,40 +50,6 @@ EDGE_ROUNDS = wp.constant(4)
 
 
 @wp.struct
-class Course:
-    """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass."""
-
-    center: wp.vec3
-    turn: wp.quat
-    local_center: wp.vec3
-    linear: wp.vec3
-    angular: wp.vec3
-    radius: float
-    shape: int
-
-
-@wp.struct
-class Passage:
-    """Relative motion of a body with samples in the frame of the body with the distance, over the whole step.
-
-    `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
-    `reach`: upper bound of the motion of points that can meet the other body.
-    `size`: the smaller size of the two bodies.
-    `near`: samples that start closer are handled by the solver, and may penetrate deeper by as much [m].
-    `rotation`: angle by which both bodies together turn in the step.
-    """
-
-    start: wp.transform
-    middle: wp.transform
-    end: wp.transform
-    reach: float
-    size: float
-    near: float
-    dt: float
-    rotation: float
-
-
-@wp.struct
 class Ball:
     """A bounding sphere in the frame of the shape, and its samples; the sample -1 is the centre of the body."""
 
@@ -88,69 +60,10 @@ class Ball:
 
 
 @wp.func
-def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
-    """The motion of a body whose velocities are scaled by `share`."""
-    course = Course()
-    course.center = motions.center[b]
-    course.turn = state.orientation[b]
-    course.local_center = bodies.center_of_mass[b]
-    course.radius = motions.radius[b]
-    course.shape = bodies.shape[b]
-    if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        course.linear = share * motions.solver_bodies[b].linear
-        course.angular = share * motions.solver_bodies[b].angular
-    return course
-
-
-@wp.func
-def rotation_after(angular: wp.vec3, t: float):
-    """Rotation by an angular velocity in a time t."""
-    speed = wp.length(angular)
-    if speed == 0.0 or t == 0.0:
-        return wp.quat_identity()
-    return wp.quat_from_axis_angle(angular / speed, speed * t)
-
-
-@wp.func
-def relative_motion(a: Course, b: Course, dt: float):
-    """Upper bound of the relative motion of two bodies in a step [m], at the surface of the smaller one."""
-    small = a
-    if b.radius < a.radius:
-        small = b
-    v = a.linear + wp.cross(a.angular, small.center - a.center)
-    w = b.linear + wp.cross(b.angular, small.center - b.center)
-    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius)
-
-
-@wp.func
-def largest_motion(a: Course, b: Course, dt: float):
-    """`relative_motion`, with the increase by the rotation of the larger body within the step."""
-    return relative_motion(a, b, dt) * (1.0 + dt * (wp.length(a.angular) + wp.length(b.angular)))
-
-
-@wp.func
-def pose_in(own: Course, other: Course, t: float):
-    """Pose of a body's shape at time t in the frame of the other body's shape."""
-    back = wp.quat_inverse(rotation_after(other.angular, t) * other.turn)
-    turn = back * rotation_after(own.angular, t) * own.turn
-    apart = own.center - other.center + t * (own.linear - other.linear)
-    shift = wp.quat_rotate(back, apart) + other.local_center - wp.quat_rotate(turn, own.local_center)
-    return wp.transformation(shift, turn)
-
-
-@wp.func
-def passage_of(own: Course, other: Course, dt: float, size: float):
-    """The relative motion of a body in the frame of another over the step."""
-    passage = Passage()
-    passage.start = pose_in(own, other, 0.0)
-    passage.middle = pose_in(own, other, 0.5 * dt)
-    passage.end = pose_in(own, other, dt)
-    passage.reach = largest_motion(own, other, dt)
-    passage.size = size
-    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR, DEPTH) * size
-    passage.dt = dt
-    passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
-    return passage
+def traced_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
+    """Size of the smaller body of a pair [m], or twice the thickness of the thinner walls if that is less."""
+    wall = wp.min(shapes.shapes[bodies.shape[a]].wall, shapes.shapes[bodies.shape[b]].wall)
+    return wp.min(smaller_size(a, b, shapes, bodies), 2.0 * wall)
 
 
 @wp.func
@@ -166,24 +79,6 @@ def lead(shapes: Shapes, shape: int, x: wp.vec3, left: float, ball: float):
     dims = shapes.parts[part].grid_dims
     cell = wp.min(size[0] / float(dims[0] - 1), size[1] / float(dims[1] - 1))
     return wp.max(x[2] - ball - shapes.shapes[shape].upper[2], wp.min(left, 0.5 * cell))
-
-
-@wp.func
-def place_at(own: Course, other: Course, arm: wp.vec3, t: float):
-    """Position at time t of a point at `arm` from a body's centre, in the frame of the other body's shape."""
-    offset = own.center - other.center + t * (own.linear - other.linear)
-    offset = offset + wp.quat_rotate(rotation_after(own.angular, t), arm)
-    turn = rotation_after(other.angular, t) * other.turn
-    return wp.quat_rotate(wp.quat_inverse(turn), offset) + other.local_center
-
-
-@wp.func
-def closing_speed(own: Course, other: Course, arm: wp.vec3, x: wp.vec3, n: wp.vec3, t: float):
-    """Approach speed of a point to the other body along its normal n; x and n are in the other body's frame."""
-    turn = rotation_after(other.angular, t) * other.turn
-    v = own.linear + wp.cross(own.angular, wp.quat_rotate(rotation_after(own.angular, t), arm))
-    w = other.linear + wp.cross(other.angular, wp.quat_rotate(turn, x - other.local_center))
-    return wp.dot(w - v, wp.quat_rotate(turn, n))
 
 
 @wp.func
@@ -383,25 +278,37 @@ def trace_sample(
     A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`. A sample that
     moves little is not traced if it is clear.
     """
-    size = passage.size
     arm = wp.quat_rotate(own.turn, p - own.local_center)
     path = path_length(own, other, arm, passage)
     gap = gap_of(shapes, other.shape, p, radius, path, passage)
-    allowed = DEPTH * size
+    allowed = DEPTH * passage.size
     earliest = float(begin)
     if gap < near:
         allowed = near - wp.min(gap, 0.0)
         earliest = 0.0
     if gap + allowed > path:
         return end
-    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * size, earliest, end)
+    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * passage.size, earliest, end)
 
 
 @wp.func
-def trace_samples(shapes: Shapes, own: Course, other: Course, ball: Ball, begin: float, end: float, passage: Passage):
-    """Time at which a sample of a ball would penetrate the other body too deep, not before `begin`, or `end`."""
+def trace_samples(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    ball: Ball,
+    begin: float,
+    end: float,
+    passage: Passage,
+    lane: int,
+    lanes: int,
+):
+    """Time at which a sample of a ball would penetrate the other body too deep, not before `begin`, or `end`.
+
+    The lanes of a team share the samples.
+    """
     earliest = float(end)
-    for s in range(ball.sample_start, ball.sample_end):
+    for s in range(ball.sample_start + lane, ball.sample_end, lanes):
         p = own.local_center
         radius = float(0.0)
         near = DEPTH * passage.size
@@ -436,31 +343,47 @@ def ball_of(own: Course, cluster: int, shapes: Shapes):
 
 
 @wp.func
+def trace_ball(shapes: Shapes, own: Course, other: Course, cluster: int, end: float, passage: Passage):
+    """Time at which the bounding sphere of a cluster, or of the body for the cluster -1, touches the other body."""
+    ball = ball_of(own, cluster, shapes)
+    kind = shapes.clusters[wp.max(cluster, 0)].kind
+    if cluster >= 0 and (kind == SampleKind.CORNER or not matters(kind, own.shape, other.shape, 1, shapes)):
+        return end
+    margin = ball.radius + passage.reach
+    if out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
+        return end
+    arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
+    slack = GRID_ERROR * shapes.shapes[other.shape].cell
+    return trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * passage.size, 0.0, end)
+
+
+@wp.func
 def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: float, size: float, lane: int, lanes: int):
     """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`.
 
-    The lanes of a team share the clusters; the earliest of their times is that of the pair.
+    The lanes of a team share the clusters, and the samples of each cluster that is reached. The earliest of their times
+    is that of the pair. The cluster before the first one is the body itself, with its centre as a sample.
     """
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
-    passage = passage_of(own, other, dt, size)
-    slack = GRID_ERROR * shapes.shapes[other.shape].cell
+    passage = passage_of(own, other, dt, size, shapes.shapes[other.shape].wall)
     cluster = int(-1)
     while cluster < shapes.shapes[own.shape].cluster_end:
-        ball = ball_of(own, cluster, shapes)
-        kind = shapes.clusters[wp.max(cluster, 0)].kind
-        near = cluster < 0 or (kind != SampleKind.CORNER and matters(kind, own.shape, other.shape, 1, shapes))
-        margin = ball.radius + passage.reach
         at = float(earliest)
-        if near and not out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
-            arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
-            at = trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * size, 0.0, earliest)
-        if at < earliest and (cluster >= 0 or lane == 0):
-            earliest = trace_samples(shapes, own, other, ball, at, earliest, passage)
-        elif at >= end and cluster < 0:
+        if cluster < 0 or cluster + lane < shapes.shapes[own.shape].cluster_end:
+            at = trace_ball(shapes, own, other, wp.where(cluster < 0, -1, cluster + lane), earliest, passage)
+        if cluster < 0 and at >= end:
             return earliest
-        cluster = wp.where(cluster < 0, shapes.shapes[own.shape].cluster_start + lane, cluster + lanes)
+        reached = ballot(wp.where(at < earliest and (cluster >= 0 or lane == 0), 1, 0), lanes)
+        while reached != wp.uint32(0):
+            k = lowest_bit(reached)
+            reached = reached & (reached - wp.uint32(1))
+            ball = ball_of(own, wp.where(cluster < 0, -1, cluster + k), shapes)
+            begin = broadcast(at, k, lanes)
+            earliest = trace_samples(shapes, own, other, ball, begin, earliest, passage, lane, lanes)
+        earliest = min_of_lanes(earliest, lanes)
+        cluster = wp.where(cluster < 0, shapes.shapes[own.shape].cluster_start, cluster + lanes)
     return earliest
 
 
@@ -537,7 +460,7 @@ def list_fast_pairs(
         share_a = motions.time_of_impact[a]
         share_b = motions.time_of_impact[b]
         if again == 0 or share_a < 1.0 or share_b < 1.0:
-            size = smaller_size(a, b, shapes, bodies)
+            size = traced_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
             fast = relative_motion(first, second, dt) > FAST * size
@@ -557,7 +480,7 @@ def limit_motion(
         b = pairs.body_b[pairs.fast[k]]
         share_a = motions.time_of_impact[a]
         share_b = motions.time_of_impact[b]
-        size = smaller_size(a, b, shapes, bodies)
+        size = traced_size(a, b, shapes, bodies)
         first = course_of(a, share_a, bodies, state, motions)
         second = course_of(b, share_b, bodies, state, motions)
         t = float(dt)
@@ -568,7 +491,7 @@ def limit_motion(
             first = second
             second = swapped
             side += 1
-        if t < dt:
+        if t < dt and lane == 0:
             wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
             wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
 

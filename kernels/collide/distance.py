@@ -255,6 +255,13 @@ def has_triangles(shapes: Shapes, shape: int):
 
 
 @wp.func
+def is_near_grid(shapes: Shapes, shape: int, p: wp.vec3, margin: float):
+    """Whether a mesh with exact distances may be nearer to a point than a margin, by its grid; never wrongly false."""
+    d = grid_distance(shapes, shapes.shapes[shape].part_start, p)
+    return d[3] < margin + GRID_ERROR * shapes.shapes[shape].cell
+
+
+@wp.func
 def ball_distance_to_mesh(shapes: Shapes, part: int, p: wp.vec3, radius: float, reach: float, choice: int):
     """Distance from the centre of a ball to one of its places on a mesh; FAR if there is none.
 

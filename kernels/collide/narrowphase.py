@@ -10,10 +10,12 @@ Contacts are reduced while they are found (contact_reduction.py).
 
 Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
 each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
-made with a large ball inside one body, which overlaps the other body only if the bodies overlap.
+made with a large ball inside one body, which overlaps the other body only if the bodies overlap. It also replaces
+contacts that show less than a third of its overlap.
 
-A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of a cluster. Touching samples
-are broadcast to all lanes in sample order, and each lane updates its own slots.
+A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of each near cluster. Samples
+that are near are queued, and tested together when there is one for each lane: this takes most of the time. Touching
+samples are broadcast to all lanes in sample order, and each lane updates its own slots.
 """
 
 import warp as wp
@@ -29,13 +31,20 @@ from warp_rigid.kernels.collide.approach import (
     travel,
 )
 from warp_rigid.kernels.collide.broadphase import may_meet
-from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
+from warp_rigid.kernels.collide.contact_reduction import (
+    contradictory,
+    deepest_gap,
+    gap_weight,
+    keep_slots,
+    offer_sample,
+)
 from warp_rigid.kernels.collide.convex import is_solid
-from warp_rigid.kernels.collide.convex_pairs import border_of, check_by_axis, cut_by_axis, is_apart
-from warp_rigid.kernels.collide.distance import FAR, has_triangles, is_nearer, signed_distance
-from warp_rigid.kernels.collide.samples import OVERLAP, Search, gradient, place_sample
-from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, sync_warp
-from warp_rigid.kernels.enums import PartKind, SampleKind
+from warp_rigid.kernels.collide.convex_pairs import check_by_axis, cut_by_axis, is_apart
+from warp_rigid.kernels.collide.culling import SampleQueue, has_samples, out_of_box, queue_samples, test_clusters
+from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.samples import MUCH_DEEPER, Search, gradient, place_sample
+from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
+from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -67,94 +76,12 @@ def last_pair(a: int, b: int, history: History):
 
 
 @wp.func
-def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
-    """Whether samples of a kind can contribute to a contact.
-
-    Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
-    sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
-    shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
-    sphere. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
-    segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
-    """
-    if kind == SampleKind.CORNER:
-        return has_triangles(shapes, shape)
-    if shapes.shapes[shape].convex == 0:
-        return kind != SampleKind.EDGE or edges == 1
-    other = shapes.parts[shapes.shapes[shape].part_start].kind
-    own = shapes.parts[shapes.shapes[own_shape].part_start].kind
-    if own == PartKind.HEIGHTFIELD:
-        return True
-    by_center = other == PartKind.SPHERE and shapes.shapes[own_shape].convex == 1
-    if kind == SampleKind.POINT:
-        return own == PartKind.SPHERE or not by_center
-    if kind == SampleKind.EDGE:
-        return edges == 1 and other != PartKind.PLANE and not by_center
-    if other == PartKind.SPHERE:
-        return not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
-    return shapes.shapes[own_shape].convex == 0 and (other == PartKind.CAPSULE or other == PartKind.CYLINDER)
-
-
-@wp.func
-def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
-    """Whether a point is further than a margin from a shape's bounding box, a cheap bound of the distance."""
-    below = shapes.shapes[shape].lower - p
-    above = p - shapes.shapes[shape].upper
-    return wp.max(wp.max(below), wp.max(above)) > margin
-
-
-@wp.func
-def segment_meets_box(middle: wp.vec3, half: wp.vec3, margin: float, shape: int, shapes: Shapes):
-    """Whether a segment comes within a margin of a shape's bounding box, by separating axes of the enlarged box."""
-    center = 0.5 * (shapes.shapes[shape].lower + shapes.shapes[shape].upper)
-    e = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower) + wp.vec3(margin, margin, margin)
-    m = middle - center
-    h = wp.vec3(wp.abs(half[0]), wp.abs(half[1]), wp.abs(half[2]))
-    if wp.abs(m[0]) > e[0] + h[0] or wp.abs(m[1]) > e[1] + h[1] or wp.abs(m[2]) > e[2] + h[2]:
-        return False
-    across = wp.cross(m, half)
-    x = wp.abs(across[0]) <= e[1] * h[2] + e[2] * h[1]
-    y = wp.abs(across[1]) <= e[0] * h[2] + e[2] * h[0]
-    return x and y and wp.abs(across[2]) <= e[0] * h[1] + e[1] * h[0]
-
-
-@wp.func
-def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
-    """Whether a cluster may contain a touching sample."""
-    if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
-        return 0
-    if wp.dot(approach.cut, shapes.clusters[cluster].center) - shapes.clusters[cluster].radius > approach.level:
-        return 0
-    center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
-    margin = shapes.clusters[cluster].radius + approach.reach
-    if out_of_box(center, margin, approach.shape, shapes):
-        return 0
-    return wp.where(is_nearer(shapes, approach.shape, center, margin), 1, 0)
-
-
-@wp.func
-def sample_is_near(s: int, approach: Approach, shapes: Shapes):
-    """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch."""
-    lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
-    if lowest - shapes.samples[s].radius > approach.level:
-        return False
-    p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
-    margin = approach.reach + shapes.samples[s].radius
-    if shapes.samples[s].kind == SampleKind.EDGE:
-        slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
-        margin += border_of(approach.own_shape, approach.shape, shapes)
-        return segment_meets_box(p, slide, margin, approach.shape, shapes)
-    return not out_of_box(p, margin, approach.shape, shapes)
-
-
-@wp.func
 def touching(
     s: int, side: int, approach: Approach, dt: float, size: float, shapes: Shapes, state: State, motions: Motions
 ):
-    """The contact point of a sample in the second body's frame; its gap is FAR if there is none."""
+    """The contact point of a near sample in the second body's frame; its gap is FAR if there is none."""
     result = Touch()
     result.gap = FAR
-    if not sample_is_near(s, approach, shapes):
-        return result
     placed = place_sample(shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.reach)
     if placed.distance >= approach.reach:
         return result
@@ -183,37 +110,57 @@ def broadcast_touch(touch: Touch, lane: int, lanes: int):
 
 
 @wp.func
-def try_cluster(
-    cluster: int,
+def approach_from(side: int, pair: int, reach: float, rise: float, bodies: Bodies, state: State, pairs: Pairs):
+    """Relative pose for the samples of a pair's first (side 0) or second (side 1) body."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
+    approach.rise = rise
+    return approach
+
+
+@wp.func
+def touch_queued(
+    queue: SampleQueue,
     pair: int,
-    side: int,
     lane: int,
-    lanes: int,
-    approach: Approach,
+    reach: float,
+    rise: float,
     dt: float,
     size: float,
     shapes: Shapes,
+    bodies: Bodies,
     state: State,
     motions: Motions,
     pairs: Pairs,
 ):
-    """Test the samples of a cluster, one per lane at a time. Returns 1 if one of the lane's own samples closes."""
-    closing = int(0)
-    end = shapes.clusters[cluster].sample_end
-    for base in range(shapes.clusters[cluster].sample_start, end, lanes):
-        touch = Touch()
-        touch.gap = FAR
-        if base + lane < end:
-            touch = touching(base + lane, side, approach, dt, size, shapes, state, motions)
-        closing |= touch.closing
-        hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
-        while hits != wp.uint32(0):
-            k = lowest_bit(hits)
-            hits = hits & (hits - wp.uint32(1))
-            hit = broadcast_touch(touch, k, lanes)
-            key = 2 * (base + k) + side
-            offer_sample(pair, key, hit.position, hit.normal, hit.gap, approach.weight, size, lane, lanes, pairs)
-    return closing
+    """The contact point of the lane's queued sample; its gap is FAR if there is none."""
+    touch = Touch()
+    touch.gap = FAR
+    if lane < queue.queued:
+        side = queue.key % 2
+        approach = approach_from(side, pair, reach, rise, bodies, state, pairs)
+        touch = touching(queue.key / 2, side, approach, dt, size, shapes, state, motions)
+    return touch
+
+
+@wp.func
+def offer_touches(pair: int, key: int, touch: Touch, weight: float, size: float, lane: int, lanes: int, pairs: Pairs):
+    """Offer the contact points of all lanes to the slots of their patches, in the order of the lanes."""
+    hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
+    while hits != wp.uint32(0):
+        k = lowest_bit(hits)
+        hits = hits & (hits - wp.uint32(1))
+        hit = broadcast_touch(touch, k, lanes)
+        own_key = broadcast_integer(key, k, lanes)
+        offer_sample(pair, own_key, hit.position, hit.normal, hit.gap, weight, size, lane, lanes, pairs)
+
+
+@wp.func
+def has_exact_distance(shapes: Shapes, shape: int):
+    """Whether the distance outside a shape is exact everywhere: it consists of analytic parts."""
+    kind = shapes.parts[shapes.shapes[shape].part_start].kind
+    return shapes.shapes[shape].cell == 0.0 and kind != PartKind.HEIGHTFIELD
 
 
 @wp.func
@@ -221,8 +168,8 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     """The contact of the inner ball of a pair's first (side 0) or second (side 1) body.
 
     If it penetrates the other body, the two bodies overlap. That of a convex body is about its centre of mass, and any
-    overlap with a convex body counts; else its centre must be inside the other body. The gap is FAR if it is not known:
-    outside a grid the distance is only a bound.
+    overlap with analytic parts counts; else its centre must be inside the other body. The gap is FAR if it is not
+    known: outside a grid the distance is only a bound.
     """
     own = wp.where(side == 0, a, b)
     other = wp.where(side == 0, b, a)
@@ -241,7 +188,9 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     while evaluated < 2:
         # First the radius of the ball, then its distance from the other body.
         d = signed_distance(shapes, shape, query, -FAR)
-        if evaluated == 1 and (d[3] < 0.0 or (convex == 1 and shapes.shapes[shape].convex == 1)):
+        if evaluated == 1 and (
+            d[3] < 0.0 or (is_solid(shapes, bodies.shape[own]) and has_exact_distance(shapes, shape))
+        ):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
@@ -257,10 +206,15 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
 def keep_center(
     pair: int, kept: int, lane: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
-    """Replace the contacts of a deep overlap by the deeper contact of the two inscribed spheres, if there is one."""
+    """Replace the contacts of a deep overlap by the deeper contact of the two inscribed spheres, if there is one.
+
+    Contacts that do not oppose each other are replaced only if they show much less than the overlap.
+    """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    deepest = float(0.0)
+    replaced = kept == 0 or contradictory(pair, pairs)
+    deepest = wp.where(replaced, 0.0, MUCH_DEEPER * deepest_gap(pair, pairs))
+    shallowest = deepest
     side = int(0)
     while side < 2:
         touch = center_inside(side, a, b, shapes, bodies, state, motions)
@@ -269,7 +223,7 @@ def keep_center(
             if lane == 0:
                 pairs.kept[pair, 0] = BY_CENTER - side
         side += 1
-    if deepest == 0.0:
+    if deepest == shallowest:
         return kept
     return 1
 
@@ -305,26 +259,26 @@ def look_for_contacts(
     if lane == 0:
         pairs.patch_count[pair] = 0
     sync_warp(lanes)
+    weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
     closing = int(0)
-    side = int(0)
-    while side < 2:
-        approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
-        approach.rise = rise
-        approach.weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
-        approach = cut_by_axis(approach, pairs.axis[pair], side, shapes)
-        end = shapes.shapes[approach.own_shape].cluster_end
-        for base in range(shapes.shapes[approach.own_shape].cluster_start, end, lanes):
-            near = int(0)
-            if base + lane < end:
-                near = cluster_is_near(base + lane, approach, edges, shapes)
-            bits = ballot(near, lanes)
-            while bits != wp.uint32(0):
-                cluster = base + lowest_bit(bits)
-                bits = bits & (bits - wp.uint32(1))
-                closing |= try_cluster(
-                    cluster, pair, side, lane, lanes, approach, dt, size, shapes, state, motions, pairs
-                )
-        side += 1
+    axis = pairs.axis[pair]
+    approach = cut_by_axis(approach_from(0, pair, reach, rise, bodies, state, pairs), axis, 0, shapes)
+    queue = SampleQueue()
+    queue.group = shapes.shapes[approach.own_shape].cluster_start
+    while queue.side < 2:
+        queue.queued = 0
+        while queue.side < 2 and queue.queued < lanes:
+            if has_samples(queue):
+                queue = queue_samples(queue, lane, lanes, approach, shapes)
+            elif queue.group < shapes.shapes[approach.own_shape].cluster_end:
+                queue = test_clusters(queue, lane, lanes, approach, edges, shapes)
+            else:
+                queue.side += 1
+                approach = cut_by_axis(approach_from(1, pair, reach, rise, bodies, state, pairs), axis, 1, shapes)
+                queue.group = shapes.shapes[approach.own_shape].cluster_start
+        touch = touch_queued(queue, pair, lane, reach, rise, dt, size, shapes, bodies, state, motions, pairs)
+        closing |= touch.closing
+        offer_touches(pair, queue.key, touch, weight, size, lane, lanes, pairs)
     sync_warp(lanes)
     closing = wp.where(ballot(closing, lanes) == wp.uint32(0), 0, 1)
     solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])
@@ -337,7 +291,7 @@ def look_for_contacts(
     kept *= closing
     if along == 1:
         return add_contact(pair, BY_AXIS, kept, lane, pairs)
-    if not solid and (kept == 0 or contradictory(pair, pairs)):
+    if not solid:
         kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
     return kept
 

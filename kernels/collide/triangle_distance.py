@@ -43,6 +43,14 @@ ON_SURFACE = wp.constant(2.0e-3)
 AGAINST = wp.constant(-0.1)
 """A face opposes a sample if the scalar product of their normals is below this value."""
 
+ASKEW = wp.constant(-0.5)
+"""The normal of a side or corner opposes a sample only if their scalar product is below this value. Where the edges of
+two equal bodies coincide, it is a mixture of the face in contact and of faces beside it."""
+
+BESIDE = wp.constant(0.0025)
+"""A sample counts as above a face up to this fraction of the smallest extent beyond the face's border, as with boxes
+(distance.py)."""
+
 LIKELY = wp.constant(0)
 ALL = wp.constant(1)
 OPPOSING = wp.constant(2)
@@ -161,8 +169,11 @@ def feature_normal(shapes: Shapes, triangle: int, feature: int):
 
 
 @wp.func
-def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, within: float):
-    """The nearest triangle within a radius; with `facing` not zero, of those that oppose it and have p behind them."""
+def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, ahead: float, within: float):
+    """The nearest triangle within a radius.
+
+    With `facing` not zero, of those that oppose it and have p behind them, or no more than `ahead` in front of them.
+    """
     best = NearestTriangle()
     best.triangle = -1
     best.squared = within * within
@@ -179,13 +190,27 @@ def nearest_triangle(shapes: Shapes, part: int, p: wp.vec3, facing: wp.vec3, wit
                 gap = wp.length_sq(foot.offset)
                 if gap < best.squared:
                     n = shapes.triangles[t].normal
-                    if not faced or (wp.dot(n, facing) < AGAINST and wp.dot(n, foot.offset) <= 0.0):
+                    if not faced or (wp.dot(n, facing) < AGAINST and wp.dot(n, foot.offset) <= ahead):
                         best.squared = gap
                         best.triangle = t
                         best.feature = foot.feature
                         best.offset = foot.offset
             node += 1
     return best
+
+
+@wp.func
+def border_width(shapes: Shapes, part: int):
+    """How far beyond the border of a face of a mesh a sample still counts as above the face [m]."""
+    root = shapes.parts[part].tree_start
+    return BESIDE * wp.min(shapes.tree[root].upper - shapes.tree[root].lower)
+
+
+@wp.func
+def is_opposed(normal: wp.vec3, facing: wp.vec3, feature: int):
+    """Whether the normal of a feature opposes a sample, or there is no sample normal."""
+    cosine = wp.dot(normal, facing)
+    return wp.length_sq(facing) == 0.0 or cosine < wp.where(feature == FACE, AGAINST, ASKEW)
 
 
 @wp.func
@@ -196,29 +221,38 @@ def triangle_distance(
 
     The radius `likely` is tried first. For a point inside the mesh and a sample normal `facing` other than zero, it is
     the distance to the nearest triangle that opposes the sample, if there is one within the radius: a sample that has
-    passed the middle of a thin wall touches the face through which it entered.
+    passed the middle of a thin wall touches the face through which it entered. For a point outside, within the border
+    of such a triangle, it is the distance to its plane.
     """
     best = NearestTriangle()
     best.triangle = -1
     normal = wp.vec3(0.0, 0.0, 0.0)
     asked = wp.vec3(0.0, 0.0, 0.0)
     radius = float(likely)
+    ahead = float(0.0)
     sign = float(1.0)
     stage = int(LIKELY)
     while stage < DONE:
-        found = nearest_triangle(shapes, part, p, asked, radius)
-        stage = wp.where(stage == LIKELY and found.triangle < 0, ALL, wp.where(stage == OPPOSING, DONE, OPPOSING))
-        radius = within
+        found = nearest_triangle(shapes, part, p, asked, ahead, radius)
         if found.triangle >= 0:
             best = found
-            normal = feature_normal(shapes, best.triangle, wp.where(sign < 0.0, FACE, best.feature))
+            feature = wp.where(sign < 0.0 or ahead > 0.0, FACE, best.feature)
+            normal = feature_normal(shapes, best.triangle, feature)
+            if ahead > 0.0:
+                return wp.vec4(normal[0], normal[1], normal[2], wp.dot(normal, best.offset))
             inside = sign < 0.0 or wp.dot(best.offset, normal) < 0.0
             sign = wp.where(inside, -1.0, 1.0)
+        stage = wp.where(stage == LIKELY and found.triangle < 0, ALL, wp.where(stage == OPPOSING, DONE, OPPOSING))
+        radius = within
         if stage == OPPOSING:
             asked = facing
             radius += shapes.parts[part].grid_spacing
-            if best.triangle < 0 or sign > 0.0 or wp.length_sq(facing) == 0.0 or wp.dot(normal, facing) < AGAINST:
+            if best.triangle < 0 or is_opposed(normal, facing, wp.where(sign < 0.0, FACE, best.feature)):
                 stage = DONE
+            elif sign > 0.0:
+                ahead = border_width(shapes, part)
+                radius = ahead
+                stage = wp.where(best.squared < ahead * ahead, OPPOSING, DONE)
     if best.triangle < 0:
         return fallback
     distance = wp.sqrt(best.squared)
@@ -260,7 +294,7 @@ def places_near(shapes: Shapes, part: int, p: wp.vec3, within: float):
     If the nearest place shows that the point is inside, it is the only one, and its distance is negative.
     """
     places = Places()
-    best = nearest_triangle(shapes, part, p, wp.vec3(0.0, 0.0, 0.0), within)
+    best = nearest_triangle(shapes, part, p, wp.vec3(0.0, 0.0, 0.0), 0.0, within)
     if best.triangle < 0:
         return places
     normal = feature_normal(shapes, best.triangle, best.feature)

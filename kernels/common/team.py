@@ -190,6 +190,19 @@ def broadcast(value: float, lane: int, lanes: int) -> float:
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
+    return __shfl_sync(mask, value, lane, lanes);
+#else
+    return value;
+#endif
+""")
+def broadcast_integer(value: int, lane: int, lanes: int) -> int:
+    """The integer of one lane, broadcast to the whole team. Only for teams within a warp."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
     for (int offset = lanes / 2; offset > 0; offset /= 2) { value += __shfl_xor_sync(mask, value, offset, lanes); }
 #endif
     return value;
@@ -217,3 +230,9 @@ def sum_of_vectors(value: wp.vec3, lanes: int):
 def max_of_lanes(value: float, lanes: int) -> float:
     """The maximum over a team. Only for teams within a warp."""
     ...
+
+
+@wp.func
+def min_of_lanes(value: float, lanes: int):
+    """The minimum over a team. Only for teams within a warp."""
+    return -max_of_lanes(-value, lanes)

@@ -11,6 +11,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import BodyPair
 from warp_rigid.kernels.constraints import contact
+from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.schema import Contacts
 
 wp.set_module_options({"enable_backward": False})
@@ -43,6 +44,13 @@ class Rows:
 def solve_row(kind: int, row: int, share_a: float, share_b: float, pair: BodyPair, rows: Rows):
     """Solve one row for the velocities of a pair; a body whose share is 0 is frozen."""
     return contact.solve_row(row, share_a, share_b, pair, rows.contacts)
+
+
+@wp.func
+def distribute_load(kind: int, begin: int, end: int, rows: Rows):
+    """Distribute the initial impulses of a pair's rows where statics does not determine them."""
+    if kind == contact.KIND:
+        distribute_contact_load(begin, end, rows.contacts)
 
 
 @wp.func

@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import load_bodies, store_bodies
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
-from warp_rigid.kernels.constraints.rows import Rows, apply_row, solve_row
+from warp_rigid.kernels.constraints.rows import Rows, apply_row, distribute_load, solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.graph.islands import PATIENCE
 from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
@@ -60,6 +60,7 @@ def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motio
         for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
             entry = entry_at(k, order)
             pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
+            distribute_load(entry.kind, entry.begin, entry.end, rows)
             for row in range(entry.begin, entry.end):
                 pair = apply_row(entry.kind, row, pair, rows)
             store_bodies(entry.body_a, entry.body_b, pair, motions)

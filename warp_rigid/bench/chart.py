@@ -27,6 +27,8 @@ def save_chart(rows: Sequence[dict[str, Any]], path: str) -> None:
 
 
 def _draw_throughput(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
+    from matplotlib.ticker import EngFormatter, LogLocator
+
     lines: dict[tuple, list] = {}
     for row in rows:
         lines.setdefault((row["engine"], row["scene"], row["bodies"], row["substeps"]), []).append(row)
@@ -42,7 +44,13 @@ def _draw_throughput(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
             ls="-" if engine == OURS else "--",
             label=f"{scene}:{bodies}, {substeps} steps/frame" + ("" if engine == OURS else f", {engine}"),
         )
-    axes.set(xscale="log", yscale="log", xlabel="environments", ylabel="environments × frames / second")
+    axes.set(xscale="log", yscale="log", xlabel="environments", ylabel="environment frames/s")
+    axes.set_xticks(sorted({row["envs"] for row in rows}), minor=False)
+    axes.set_xticks([], minor=True)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.set_yticks([], minor=True)
+    axes.yaxis.set_major_formatter(EngFormatter(sep=""))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
 

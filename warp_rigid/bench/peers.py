@@ -1,6 +1,6 @@
 """Other engines from the same start, each in a separate process and Python environment.
 
-A program of benchmarks/peers reads a problem (.npz), simulates it, and writes its results. The program measures its
+A program of `programs` reads a problem (.npz), simulates it, and writes its results. The program measures its
 speed; quality is measured here, with the same measures for all engines.
 """
 
@@ -25,8 +25,16 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Mesh
 from warp_rigid.scene.shapes.distance_grid import cache_folder
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
-NAMES = ("newton_steel", "newton_xpbd", "mujoco_warp", "mujoco", "rapier", "pybullet")
+FOLDER = Path(__file__).resolve().parent / "programs"
+PACKAGES = {
+    "newton_steel": "newton",
+    "newton_xpbd": "newton",
+    "mujoco_warp": "mujoco-warp",
+    "mujoco": "mujoco",
+    "rapier": "rapier3d",
+    "pybullet": "pybullet",
+}
+"""Engines, and the packages that contain them."""
 WITH_JOINTS = ("newton_steel", "newton_xpbd", "mujoco_warp", "mujoco")
 """Engines whose program sets up joints."""
 NOT_INSTALLED = 3
@@ -44,12 +52,10 @@ def choose_peers(names: str | None, pythons: list[str] | None) -> dict[str, str]
         pythons: texts "name=interpreter"; engines that are not listed run with this process's interpreter.
 
     Raises:
-        ValueError: A name is unknown, the programs are missing, or an interpreter is given for an engine that does not
-            run.
+        ValueError: A name is unknown, or an interpreter is given for an engine that does not run.
     """
-    chosen = {one_of("--peers", name.strip(), NAMES): sys.executable for name in names.split(",")} if names else {}
-    if chosen and not FOLDER.is_dir():
-        raise ValueError(f"--peers: needs {FOLDER}, which is part of a checkout of the repository")
+    listed = names.split(",") if names else []
+    chosen = {one_of("--peers", name.strip(), tuple(PACKAGES)): sys.executable for name in listed}
     for text in pythons or ():
         name, _, interpreter = text.partition("=")
         one_of("--peer-python", name, tuple(chosen) or ("an engine of --peers",))
@@ -86,8 +92,8 @@ def run_peer(name: str, python: str, case: BenchmarkCase, conditions: Conditions
             return _fault(name, case, conditions, f"no result after {TIMEOUT:.0f} s")
         if done.returncode or not result.is_file():
             lines = done.stderr.strip().splitlines() or [f"ended with status {done.returncode}"]
-            missing = done.returncode == NOT_INSTALLED
-            return _fault(name, case, conditions, "not installed" if missing else lines[-1][:200])
+            missing = f"not installed: pip install {PACKAGES[name]}, or give its interpreter by --peer-python"
+            return _fault(name, case, conditions, missing if done.returncode == NOT_INSTALLED else lines[-1][:200])
         for line in (done.stdout + done.stderr).splitlines():
             if OVERFLOW.search(line):
                 return _fault(name, case, conditions, f"contacts are missing: {line.strip()[:160]}")

@@ -259,9 +259,12 @@ def _draw(drawn, picture, film, contact_sheet, html) -> None:
     """Write the requested images, videos and pages."""
     from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
 
-    for save, path in ((save_picture, picture), (save_film, film), (save_contact_sheet, contact_sheet)):
+    for save, path in ((save_picture, picture), (save_contact_sheet, contact_sheet)):
         if path:
             save(drawn, path)
+    if film:
+        with progress(f"drawing {film}", drawn.num_frames) as advance:
+            save_film(drawn, film, on_frame=advance)
     if html:
         from warp_rigid.viewer.playback import save_html
 

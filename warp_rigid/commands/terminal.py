@@ -31,6 +31,7 @@ _EXTRAS = {
     "imageio_ffmpeg": "picture",
     "viser": "viewer",
     "pygltflib": "gltf",
+    "loky": "sweep",
     "pyarrow": "sweep",
     "scipy": "sweep",
     "zarr": "trajectories",

@@ -101,7 +101,7 @@ class Shards:
         limit: MemoryLimit,
         other_bytes: int,
     ) -> None:
-        """Create the shards; `record` must be called next."""
+        """Create the shards; `choose` must be called next."""
         self._shards = [Shard(*some, model, state, sleep_state, envs) for some in ranges]
         self._envs, self._limit, self._other_bytes, self._growth_reported = envs, limit, other_bytes, False
         self._threads, self._attempt = usable_cores(), 0
@@ -134,13 +134,17 @@ class Shards:
     @property
     def sleeping(self) -> bool:
         """Whether the recorded step includes sleeping."""
-        return self._shards[0].stages.sleeping
+        return self._shards[0].sleeping
 
-    def record(self, dt: float, repetitions: int, sleeping: bool) -> None:
-        """Record the step, unless it is already recorded with these arguments, which are those of Stages."""
+    def choose(self, dt: float, repetitions: int, sleeping: bool) -> None:
+        """Choose what the step consists of; the arguments are those of Stages."""
         for shard in self._shards:
-            if shard.recorded != (dt, repetitions, sleeping):
-                shard.record(dt, repetitions, sleeping)
+            shard.choose(dt, repetitions, sleeping)
+
+    def record(self) -> None:
+        """Record the step where this is needed, one shard after another."""
+        for shard in self._shards:
+            _ = shard.stages
 
     def step(self, count: int) -> None:
         """Execute at most CHUNK steps in all environments.
@@ -194,6 +198,7 @@ class Shards:
 
     def _try(self, shards: list[Shard], count: int) -> None:
         """Step the shards, starting with those that were slowest last time, to balance the load of the cores."""
+        self.record()
         slowest_first = sorted(shards, key=lambda shard: -shard.seconds)
         spread(lambda shard: shard.advance(count, self.steps, self._attempt), slowest_first, self._threads)
 

@@ -115,7 +115,7 @@ def restore(world: World, header: dict[str, Any], arrays: Mapping[str, np.ndarra
     _upload(world, rows)
     world.shards.most_wanted = np.array(most_wanted, np.int64)
     world.shards.steps = steps
-    world.record()
+    world.choose_step()
 
 
 def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:

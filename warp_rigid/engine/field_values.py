@@ -16,6 +16,12 @@ def names() -> tuple[str, ...]:
     return tuple(dict.fromkeys(PREFIX + name for kind in FIELDS.values() for name in kind.parameters()))
 
 
+def vector_names() -> tuple[str, ...]:
+    """Names of those parameters that are vectors."""
+    kinds = [kind.parameters() for kind in FIELDS.values()]
+    return tuple(dict.fromkeys(PREFIX + name for kind in kinds for name, is_vector in kind.items() if is_vector))
+
+
 def read(layout: Layout, parameters: np.ndarray, name: str) -> np.ndarray:
     """A parameter of all force fields, (envs, most fields, ...); NaN where a field does not have it.
 

@@ -27,7 +27,7 @@ ORDINARY_WIDTH = 1.3
 """Cell width at the level of ordinary bodies, divided by their diameter, so that most fat boxes at rest fit in."""
 
 LANES = 32
-"""GPU lanes that test the candidates of a body of a large environment."""
+"""GPU lanes that search the cells around a body of a large environment, and that test its candidates."""
 
 
 def grid_sizes(bodies_per_env: np.ndarray) -> dict[str, int]:
@@ -53,7 +53,7 @@ class HashGrid:
     Attributes:
         buckets: number of buckets of all environments; 0 if all pairs are tested in each of them.
         room: capacity of the list of each body.
-        lanes: GPU lanes that test the candidates of a body.
+        lanes: GPU lanes that search the cells around a body, and that test its candidates.
         cells: the device arrays.
     """
 
@@ -97,7 +97,10 @@ class HashGrid:
         self._per_body(candidates.enlarge_boxes, inputs)
         wp.utils.array_scan(cells.bucket_count, cells.bucket_start, inclusive=False)
         self._per_body(candidates.fill_buckets, [bodies])
-        self._per_body(candidates.search_cells, [self.room, bodies])
+        inputs = [self.room, self.lanes, bodies]
+        wp.launch(
+            candidates.search_cells, dim=self.count * self.lanes, inputs=inputs, outputs=[cells], device=self.device
+        )
         self._per_body(candidates.finish_lists, [which, self.room, bodies, turn], [wanted])
 
     def _per_body(self, kernel: Any, inputs: list, more: Sequence = ()) -> None:

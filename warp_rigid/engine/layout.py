@@ -14,6 +14,7 @@ from warp_rigid.checks import shown, whole_in
 from warp_rigid.engine import joints
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.scene import Body, Motion, Scene
+from warp_rigid.scene.shapes import Compound, Heightfield, Mesh
 
 MOST_ENVIRONMENTS = 10_000_000
 
@@ -69,6 +70,11 @@ class Layout:
     def most_bodies(self) -> int:
         """Number of bodies of the largest environment."""
         return int(self.bodies_per_env.max())
+
+    @cached_property
+    def has_many_samples(self) -> bool:
+        """Whether a shape may have hundreds of samples: a mesh, a compound or a height field."""
+        return any(isinstance(body.shape, Mesh | Compound | Heightfield) for body in self.scene_bodies)
 
     @cached_property
     def rows(self) -> np.ndarray:

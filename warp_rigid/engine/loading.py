@@ -12,6 +12,7 @@ from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
+    calm,
     effectiveness,
     gauss_seidel,
     impact_rounds,
@@ -24,7 +25,7 @@ from warp_rigid.kernels.solve import (
 )
 from warp_rigid.kernels.update import ground_motion, health, integrate, predict, sleep, watch
 
-TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
+TEAM_MODULES = (restitution, shock, gauss_seidel, calm, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
 HEAPS = (rounds, push_rounds, impact_rounds)
@@ -66,6 +67,7 @@ def load_kernels(
     device: Any,
     modules: Sequence[Any],
     lanes: Sequence[int] = (1,),
+    search_blocks: Sequence[int] = (team.BLOCK, team.SMALL_BLOCK),
     on_module: Callable[[int, int], None] | None = None,
 ) -> None:
     """Compile kernels, or load them from Warp's cache, several modules in parallel, in the given order.
@@ -77,6 +79,7 @@ def load_kernels(
         device: the Warp device.
         modules: modules of `warp_rigid.kernels` to load.
         lanes: sizes of the teams that will process environments.
+        search_blocks: lanes of the blocks that will search for contacts.
         on_module: called after each module with the number of loaded modules and the total.
     """
 
@@ -85,7 +88,11 @@ def load_kernels(
             return [1]
         if module in TEAM_MODULES or module.__name__ == JOINTS:
             return sorted({team.block_of(size) for size in lanes})
-        return [team.BLOCK, team.SMALL_BLOCK] if module in HEAPS else [team.BLOCK]
+        if module in HEAPS:
+            return [team.BLOCK, team.SMALL_BLOCK]
+        if module is narrowphase:
+            return sorted(set(search_blocks))
+        return [team.BLOCK]
 
     jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:

@@ -22,7 +22,9 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion
 
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
-VECTOR_LENGTHS = {name: 4 if name == "orientation" else 3 for name in (*STATE_NAMES, "gravity")}
+VECTOR_LENGTHS = {
+    name: 4 if name == "orientation" else 3 for name in (*STATE_NAMES, "gravity", *field_values.vector_names())
+}
 """Numbers of components of the quantities that are vectors."""
 ZEROABLE = ("linear_velocity", "angular_velocity", "force", "torque")
 MASS_NAMES = ("mass", "inverse_mass", "inertia", "inverse_inertia")
@@ -213,7 +215,7 @@ def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> N
         rows = body_rows(world.layout, chosen, None)
         wake(world, chosen, rows)
         _count_anew(world, rows)
-    world.record()
+    world.choose_step()
 
 
 def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> None:

@@ -55,21 +55,19 @@ class Shard:
         first_body: row of its first body in the arrays of all environments.
         end_body: one past the row of its last body.
         pools: pairs, contacts and graph.
-        stages: the recorded step.
         watches: what its steps record for observers, None for nothing.
-        recorded: arguments of the last `record`, None before it.
         seconds: duration of the last `advance` [s].
     """
 
-    stages: Stages
     watches: Any = None
-    recorded: tuple[float, int, bool] | None = None
     seconds = 0.0
+    _stages: Stages | None = None
+    _chosen: tuple[float, int, bool] | None = None
 
     def __init__(
         self, first: int, end: int, sizes: dict[str, int], model: Model, state: Any, sleep_state: Any, envs: Any
     ) -> None:
-        """Allocate the arrays; `record` must be called next."""
+        """Allocate the arrays; `choose` must be called next."""
         self.first, self.end = first, end
         ranges = model.layout.ranges(first, end)
         self.num_envs = end - first
@@ -86,14 +84,32 @@ class Shard:
         self._saved_in: int | None = None
         self.pools = Pools.allocate(self.layout, sizes, self._device)
 
-    def record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools | None = None) -> None:
-        """Record the step again, with other pools if they are given; the other arguments are those of Stages.
+    @property
+    def stages(self) -> Stages:
+        """The recorded step. It is recorded when it is first needed, so that several changes cost one recording.
 
-        Only one shard at a time can record, while no other one is stepping. If an exception is raised, the shard is
-        unchanged.
+        Only one shard at a time can record, while no other one is stepping. If that fails, the shard is unchanged.
         """
+        if self._stages is None:
+            self._record_with(self.pools)
+        assert self._stages is not None
+        return self._stages
+
+    def choose(self, dt: float, repetitions: int, sleeping: bool) -> None:
+        """Choose what the step consists of; the arguments are those of Stages."""
+        if self._chosen != (dt, repetitions, sleeping):
+            self._chosen, self._stages = (dt, repetitions, sleeping), None
+
+    @property
+    def sleeping(self) -> bool:
+        """Whether the step includes sleeping."""
+        assert self._chosen is not None
+        return self._chosen[2]
+
+    def _record_with(self, pools: Pools) -> None:
+        assert self._chosen is not None
         with exclusive():
-            self._record(dt, repetitions, sleeping, pools or self.pools)
+            self._record(*self._chosen, pools)
 
     def _record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools) -> None:
         arrays = (self._model, self._state, self._sleep_state, self._envs, pools)
@@ -105,19 +121,20 @@ class Shard:
             pools.begin()
         with wp.ScopedCapture(self._device, force_module_load=False) as checking:
             health_checks.check(stages)
-        self.pools, self.stages, self._kept, self._keeping = pools, stages, kept, capture.graph
+        self.pools, self._stages, self._kept, self._keeping = pools, stages, kept, capture.graph
         self._checking = checking.graph
         self._measuring: Any = None
-        self.recorded = (dt, repetitions, sleeping)
 
     def watch(self, watches: Any) -> None:
         """Record watches of all environments, an instance of schema.Watches, from now on."""
-        assert self.recorded is not None
         self.watches = declare.part(watches, {"envs": (self.first, self.end)})
-        self.record(*self.recorded)
+        self._stages = None
 
     def advance(self, steps: int, done: int, attempt: int) -> None:
-        """Execute steps that can be undone, at most CHUNK of them; `done` were executed before."""
+        """Execute steps that can be undone, at most CHUNK of them; `done` were executed before.
+
+        The step must have been recorded, as this may run beside other shards.
+        """
         begin = time.perf_counter()
         self.save(attempt)
         for step in range(done + 1, done + steps + 1):
@@ -142,21 +159,21 @@ class Shard:
 
     def grow(self, sizes: dict[str, int]) -> None:
         """Enlarge the pools and record the step again."""
-        assert self.recorded is not None
-        self.record(*self.recorded, pools=self.pools.grown(sizes))
+        self._record_with(self.pools.grown(sizes))
 
     def record_measuring(self) -> None:
-        """Record the kernels of `deepest_overlap`, unless recorded already; one shard at a time, as for `record`."""
+        """Record the kernels of `deepest_overlap`, unless recorded already; one shard at a time, as for the step."""
+        stages = self.stages
         if self._measuring is None:
             with exclusive():
-                self._record_measuring()
+                self._record_measuring(stages)
 
-    def _record_measuring(self) -> None:
+    def _record_measuring(self, stages: Stages) -> None:
         load_kernels(self._device, OVERLAP)
         self._deepest = wp.zeros((self.num_envs, 1), dtype=float, device=self._device)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
             self.pools.begin()
-            self.stages.deepest_overlap(self._deepest)
+            stages.deepest_overlap(self._deepest)
         self._measuring = capture.graph
 
     def deepest_overlap(self) -> np.ndarray:

@@ -71,8 +71,11 @@ def _clear(world: World, rows: np.ndarray) -> None:
     """Forget what is left of the bodies' former lives: forces, rounding errors, sleep and contacts."""
     for owner, struct in ((world.state, schema.State), (world.sleep_state, schema.SleepState)):
         for name in declare.field_names(struct):
-            if name not in ("position", "orientation", "linear_velocity", "angular_velocity", "active"):
+            if name not in ("position", "orientation", "linear_velocity", "angular_velocity", "active", "health"):
                 quantities.assign_rows(getattr(owner, name), 0, rows)
+    # What a former life gained or lost stays, as the check of energies compares the sum of all lives with earlier ones.
+    only_gained = np.array([1.0, 0.0, 0.0, 0.0])
+    quantities.assign_rows(world.state.health, world.state.health.numpy()[rows] * only_gained, rows)
     present = rows[rows != LACKING]
     for shard in world.shards:
         own = present[(present >= shard.first_body) & (present < shard.end_body)] - shard.first_body

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.engine import loading
+from warp_rigid.engine import loading, teams
 from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.teams import BUILD_LANES, ROUND_LANES, SEARCH_LANES, TRACE_LANES, most_lanes, team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
@@ -23,6 +22,7 @@ from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
 from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
+    calm,
     effectiveness,
     gauss_seidel,
     impact_rounds,
@@ -98,15 +98,16 @@ class Stages:
         self.dt, self.repetitions, self.sleeping, self.watches = dt, repetitions, sleeping, watches
         self.on_stage: Callable[[str | None], None] = ignore_stage
         self.current_stage: str | None = None
-        device: Any = pools.wanted.device
-        self.device = device
-        self.num_envs, self.rows = model.layout.num_envs, model.layout.sizes["bodies"]
-        self.bounded = any(scene.bounds is not None for scene in model.layout.scenes)
-        self.crowded = model.layout.most_bodies > islands.CROWDED
-        self.lanes = team_lanes(self.device, self.num_envs, model.layout.most_bodies)
+        self.device: Any = pools.wanted.device
+        layout = model.layout
+        self.num_envs, self.rows = layout.num_envs, layout.sizes["bodies"]
+        self.bounded = any(scene.bounds is not None for scene in layout.scenes)
+        self.crowded = layout.most_bodies > islands.CROWDED
+        self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
+        self.search_lanes, self.search_block = teams.search_team(layout.has_many_samples)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
-        self.grid = HashGrid(model, pools.sizes, device)
+        self.grid = HashGrid(model, pools.sizes, self.device)
         self.constraint_rows = Rows()
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
@@ -120,7 +121,8 @@ class Stages:
             (loading.WATCH, watches),
             ((self.joints.kernels,), self.joints.present),
         )
-        loading.load_kernels(device, [module for modules, used in optional if used for module in modules], [self.lanes])
+        modules = [module for modules, used in optional if used for module in modules]
+        loading.load_kernels(self.device, modules, [self.lanes], [self.search_block])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -158,13 +160,8 @@ class Stages:
         """Moving ground: compute the current heights and velocities."""
         count = self.model.surface_vertices
         if count:
-            wp.launch(
-                ground_motion.move_ground,
-                dim=count,
-                inputs=[self.dt, self.model.surface_node, self.envs, self.model.surfaces],
-                outputs=[self.model.shapes],
-                device=self.device,
-            )
+            inputs = [self.dt, self.model.surface_node, self.envs, self.model.surfaces]
+            self._launch(ground_motion.move_ground, count, inputs, [self.model.shapes])
 
     @stage
     def set_surface_velocity(self, before_step: bool) -> None:
@@ -231,7 +228,7 @@ class Stages:
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
         inputs = [self.dt, *bodies_of_pair, pairs, self.pools.history]
-        self._share_pairs(build_contacts.build_contacts, BUILD_LANES, inputs, [contacts])
+        self._share_pairs(build_contacts.build_contacts, teams.BUILD_LANES, inputs, [contacts])
         self._list_constraints()
 
     @stage
@@ -311,6 +308,7 @@ class Stages:
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
+        self._color_by_color(calm.sweep_calm_islands)
         if self.crowded:
             self.solve_heaps()
         found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
@@ -378,8 +376,10 @@ class Stages:
 
     def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
         """Launch rounds in groups, until no environment needs another one."""
-        lanes = ROUND_LANES if self.device.is_cuda else 1
-        threads = min(self.pools.sizes["constraints"] * lanes, most_lanes(self.device)) if self.device.is_cuda else 1
+        lanes = teams.ROUND_LANES if self.device.is_cuda else 1
+        threads = (
+            min(self.pools.sizes["constraints"] * lanes, teams.most_lanes(self.device)) if self.device.is_cuda else 1
+        )
 
         def group() -> None:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
@@ -503,7 +503,7 @@ class Stages:
         self._per_team(kernel, inputs, [pools.graph, self.motions, self.constraint_rows])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.rows, inputs=inputs, outputs=outputs, device=self.device)
+        self._launch(kernel, self.rows, inputs, outputs)
 
     def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share all constraints."""
@@ -514,8 +514,7 @@ class Stages:
         self._shared(kernel, self.pools.sizes["constraints"], [*before], [*inputs, some], outputs)
 
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
-        dim = self.pools.pairs.body_a.shape[0]
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+        self._launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
     def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
         """Launch a kernel whose teams share the pairs."""
@@ -523,13 +522,13 @@ class Stages:
 
     def _share(self, kernel: Any, size: int, lanes: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose teams share `size` rows; on a GPU, a team has the given number of lanes."""
-        teams = min(size, most_lanes(self.device) // lanes) if self.device.is_cuda else 1
+        count = min(size, teams.most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
-        inputs = [*before, teams, lanes, *inputs]
-        wp.launch(kernel, dim=teams * lanes, inputs=inputs, outputs=outputs, device=self.device)
+        inputs = [*before, count, lanes, *inputs]
+        self._launch(kernel, count * lanes, inputs, outputs)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.num_envs, inputs=inputs, outputs=outputs, device=self.device)
+        self._launch(kernel, self.num_envs, inputs, outputs)
 
     def _per_team(self, kernel: Any, inputs: list, outputs: Sequence) -> None:
         dim, block = self.num_envs * self.lanes, team.block_of(self.lanes)
@@ -558,7 +557,7 @@ class Stages:
         pairs, inputs = self.pools.pairs, [self.dt, self.model.shapes, self.model.bodies, self.state]
         pairs.fast_count.zero_()
         self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [again], [*inputs, self.motions], [pairs])
-        self._share_pairs(ccd.limit_motion, TRACE_LANES, [*inputs, pairs], [self.motions])
+        self._share_pairs(ccd.limit_motion, teams.TRACE_LANES, [*inputs, pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
@@ -568,7 +567,7 @@ class Stages:
         inputs = [self.dt, *bodies_of_pair, self.pools.history]
         self._shared(narrowphase.keep_contacts, self.pools.sizes["pairs"], [woken], inputs, [pairs])
         inputs = [self.dt, *bodies_of_pair]
-        self._share_pairs(narrowphase.search_contacts, SEARCH_LANES, inputs, [pairs])
+        self._share_pairs(narrowphase.search_contacts, self.search_lanes, inputs, [pairs])
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
@@ -579,7 +578,11 @@ class Stages:
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
         threads = size if self.device.is_cuda else 1
-        wp.launch(kernel, dim=threads, inputs=[*before, threads, *inputs], outputs=outputs, device=self.device)
+        self._launch(kernel, threads, [*before, threads, *inputs], outputs)
+
+    def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
+        block = self.search_block if kernel.module is narrowphase.search_contacts.module else team.BLOCK
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:
         """List the constraints of this step: pairs with contacts, then constraints of other kinds."""
@@ -592,6 +595,5 @@ class Stages:
     def _wake_constrained(self, kind: ModuleType) -> None:
         """Name the islands that wake because of joints, or of constraints of another kind."""
         rows = self.model.constraint_rows[kind.NAME]
-        count = self.model.layout.sizes[kind.NAME]
         inputs = [rows.body_a, rows.body_b, self.motions]
-        wp.launch(sleep.wake_constrained, dim=count, inputs=inputs, outputs=[self.sleep_state], device=self.device)
+        self._launch(sleep.wake_constrained, self.model.layout.sizes[kind.NAME], inputs, [self.sleep_state])

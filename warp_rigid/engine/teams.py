@@ -9,9 +9,8 @@ WARP = 32
 MOST_BODIES_OF_A_WARP = 128
 """Above this number of bodies, an environment is processed by a block."""
 
-SEARCH_LANES, BUILD_LANES, TRACE_LANES, ROUND_LANES = 32, 4, 32, 4
-"""GPU lanes that search for the contacts of one pair, that build its rows, that trace it, and that
-visit it in a round."""
+BUILD_LANES, TRACE_LANES, ROUND_LANES = 4, 32, 4
+"""GPU lanes that build the rows of one pair, that trace it, and that visit it in a round."""
 
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
@@ -43,3 +42,16 @@ def team_lanes(device: Any, num_envs: int, most_bodies: int) -> int:
 def most_lanes(device: Any) -> int:
     """Number of lanes that can be resident on a GPU at the same time."""
     return device.sm_count * RESIDENT_LANES
+
+
+def search_team(many_samples: bool) -> tuple[int, int]:
+    """Number of lanes that search for the contacts of a pair, and number of lanes of a block.
+
+    Of the samples of a box, five are near another box, so four lanes are enough. Pairs of shapes with hundreds of
+    samples take very different times, and a block ends with its slowest pair; so it is small. For few samples it is
+    large: its lanes execute the same instructions at about the same time, and find them in the instruction cache.
+
+    Args:
+        many_samples: whether a shape has hundreds of samples.
+    """
+    return (WARP, team.SMALL_BLOCK) if many_samples else (4, team.BLOCK)

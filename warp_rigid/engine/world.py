@@ -13,7 +13,7 @@ from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_
 from warp_rigid.engine.model import build_model, initial_environments, initial_state
 from warp_rigid.engine.precision import check_precision
 from warp_rigid.engine.settings import Settings
-from warp_rigid.engine.teams import team_lanes
+from warp_rigid.engine.teams import search_team, team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.shapes import Compound, Mesh
 
@@ -39,7 +39,7 @@ class World:
         envs: settings and status of the environments.
         shards: ranges of environments with their pools and recorded steps.
         watches: what the steps record for observers, None for nothing.
-        seconds: time to "load" the kernels and to "record" the first step [s].
+        load_seconds: time to load the kernels [s].
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class World:
         memory_limit: int | float | None,
         capacity: Mapping[str, int],
     ) -> None:
-        """Check the scenes and the arguments, upload the scenes and compile the step."""
+        """Check the scenes and the arguments, upload the scenes and load the kernels."""
         for scene in layout.scenes:
             check_precision(scene)
         self.layout, self.settings, self.device = layout, settings, device
@@ -70,8 +70,9 @@ class World:
         baking = any(isinstance(body.shape, Mesh | Compound) for body in layout.scene_bodies)
         lanes = team_lanes(device, self.num_envs, layout.most_bodies)
         start = time.perf_counter()
-        load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes])
-        self.seconds = {"load": time.perf_counter() - start}
+        search_block = search_team(layout.has_many_samples)[1]
+        load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes], [search_block])
+        self.load_seconds = time.perf_counter() - start
         self.model = build_model(layout, device)
         self.state = initial_state(layout, device)
         self.start = initial_state(layout, device)
@@ -81,14 +82,12 @@ class World:
         arrays = (self.model, self.state, self.sleep_state, self.envs)
         limits = sizes if on_overflow == "raise" else None
         self.shards = Shards(ranges, *arrays, limits, self.memory_limit, other_bytes)
-        start = time.perf_counter()
-        self.record()
-        self.seconds["record"] = time.perf_counter() - start
+        self.choose_step()
 
-    def record(self) -> None:
-        """Record the step again where settings require it."""
+    def choose_step(self) -> None:
+        """Choose what the step consists of, as the settings require; it is recorded when it is first needed."""
         repetitions = int(self.envs.shock_iterations.numpy().max())
-        self.shards.record(self.settings.dt, repetitions, bool(self.envs.sleeping.numpy().any()))
+        self.shards.choose(self.settings.dt, repetitions, bool(self.envs.sleeping.numpy().any()))
 
 
 def initial_capacity(layout: Layout, given: Mapping[str, int]) -> dict[str, int]:

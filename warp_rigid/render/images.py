@@ -3,6 +3,7 @@
 import errno
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from warp_rigid.render.film import Film
 from warp_rigid.render.raycast import RayCaster
 
 __all__ = ["save_contact_sheet", "save_film", "save_picture"]
+
+Progress = Callable[[int, int], object] | None
 
 PICTURE_SIZE = (1280, 720)
 """Default width and height of pictures and MP4 films, all panels together [pixel]."""
@@ -79,7 +82,7 @@ def save_contact_sheet(film: Film, path, count: int = 8) -> None:
     _save(_tiled(sum(rows, []), columns), path, format="PNG")
 
 
-def save_film(film: Film, path, width: int | None = None, height: int | None = None) -> None:
+def save_film(film: Film, path, width: int | None = None, height: int | None = None, on_frame: Progress = None) -> None:
     """Render the film in real time to an animated .gif or an .mp4 file. It ends soon after the bodies are at rest.
 
     Args:
@@ -87,20 +90,21 @@ def save_film(film: Film, path, width: int | None = None, height: int | None = N
         path: output file; the suffix selects the format; missing folders are created.
         width: width of a panel [pixel]; None for 1280 pixels in all, or 640 for .gif.
         height: height of a panel [pixel]; None for 9/16 of its width.
+        on_frame: called with the number of frames drawn and their total, after each.
 
     Raises:
         ModuleNotFoundError: Pillow, or for .mp4 imageio-ffmpeg, is not installed.
     """
     save, size = (_save_mp4, PICTURE_SIZE) if str(path).endswith(".mp4") else (_save_gif, GIF_SIZE)
     with atomic_file(path) as temporary:
-        save(film, temporary, *_panel_size(film, size, width, height))
+        save(film, temporary, *_panel_size(film, size, width, height), on_frame)
 
 
-def _save_gif(film: Film, path, width: int, height: int) -> None:
+def _save_gif(film: Film, path, width: int, height: int, on_frame: Progress) -> None:
     from PIL import Image
 
     stride = max(round(film.fps / GIF_RATE), math.ceil((event_end(film) + 1) / GIF_FRAMES), 1)
-    images = list(_frames(film, stride, width, height))
+    images = list(_frames(film, stride, width, height, on_frame))
     # A common palette without dithering avoids flicker and compresses constant regions.
     palette = shared_palette(images[::4], 255)
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
@@ -127,12 +131,12 @@ def shared_palette(images: list, colors: int):
     return made
 
 
-def _save_mp4(film: Film, path, width: int, height: int) -> None:
+def _save_mp4(film: Film, path, width: int, height: int, on_frame: Progress) -> None:
     """Encode as H.264 in a widely supported pixel format, which requires even sizes."""
     import imageio_ffmpeg
 
     stride = max(1, math.ceil(film.fps / MP4_RATE - 1e-6))
-    images = _frames(film, stride, 2 * round(width / 2), 2 * round(height / 2))
+    images = _frames(film, stride, 2 * round(width / 2), 2 * round(height / 2), on_frame)
     first = next(images)
     writer = imageio_ffmpeg.write_frames(
         str(path), first.size, fps=film.fps / stride, codec="libx264", quality=7, macro_block_size=2
@@ -151,12 +155,14 @@ def _save_mp4(film: Film, path, width: int, height: int) -> None:
         raise OSError(errno.EIO, f"only {written} of {wanted} frames could be written; is the disk full?")
 
 
-def _frames(film: Film, stride: int, width: int, height: int):
+def _frames(film: Film, stride: int, width: int, height: int, on_frame: Progress):
     """Every `stride`-th frame of a film until its event is over, as Pillow images."""
     frames = range(0, event_end(film) + 1, stride)
     studio = _Studio(film, frames, width, height)
-    for frame in frames:
+    for done, frame in enumerate(frames, start=1):
         yield _arranged(studio.draw(frame))
+        if on_frame is not None:
+            on_frame(done, len(frames))
 
 
 class _Studio:

@@ -573,8 +573,11 @@ def on_screen(light: np.ndarray) -> np.ndarray:
 def _edges(picture: np.ndarray) -> np.ndarray:
     """(height, width) True for both pixels of each pair of neighbours with a contrast above EDGE_CONTRAST."""
     edges = np.zeros(picture.shape[:2], dtype=bool)
-    down = np.abs(np.diff(picture, axis=0)).max(axis=-1) > EDGE_CONTRAST
-    right = np.abs(np.diff(picture, axis=1)).max(axis=-1) > EDGE_CONTRAST
+    # One channel after the other: a maximum along an axis of three elements takes ten times as long.
+    down, right = (
+        np.logical_or.reduce([np.abs(np.diff(picture[..., k], axis=axis)) > EDGE_CONTRAST for k in range(3)])
+        for axis in (0, 1)
+    )
     edges[1:] |= down
     edges[:-1] |= down
     edges[:, 1:] |= right

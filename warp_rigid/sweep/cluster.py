@@ -1,4 +1,4 @@
-"""Sweeps on several devices or machines through Dask distributed. Each worker is one process with one device."""
+"""Sweeps on several machines through Dask distributed. Each worker is one process with one device."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -9,7 +9,6 @@ from typing import Any
 
 import warp as wp
 
-from warp_rigid.checks import whole_in
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.runs.user_code import errors_of, module_of_file
 from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
@@ -19,11 +18,9 @@ from warp_rigid.sweep.job import Job
 
 __all__ = ["cluster_of_file", "run_on_cluster"]
 
-WORKERS_WITHOUT_GPU = 2
-
 
 def run_on_cluster(
-    job: Job, groups: list[list[SizedRun]], batch: int | str, cluster: Any, workers: int | None
+    job: Job, groups: list[list[SizedRun]], batch: int | str, cluster: Any
 ) -> Iterator[tuple[list[Run], Batch]]:
     """Yield the runs of each batch with their results, in order of completion.
 
@@ -33,12 +30,11 @@ def run_on_cluster(
         job: data shared by all runs.
         groups: runs grouped by time step, from group_runs.
         batch: maximum number of environments per batch, or "auto".
-        cluster: "local", the address of a scheduler, a Dask cluster or client, or a function that returns one.
-        workers: number of worker processes for "local".
+        cluster: the address of a scheduler, a Dask cluster or client, or a function that returns one.
     """
     from distributed import as_completed
 
-    with _client(cluster, workers) as client:
+    with _client(cluster) as client:
         client.wait_for_workers(1)
         hosts = _one_task_a_worker(client)
         memory, most = client.submit(_worker_capacity, job, hosts, pure=False).result()
@@ -67,27 +63,14 @@ def cluster_of_file(path: str) -> Any:
 
 
 @contextmanager
-def _client(cluster: Any, workers: int | None) -> Iterator[Any]:
-    """Connect to the cluster; a local cluster is started and stopped here."""
-    from distributed import Client, LocalCluster
+def _client(cluster: Any) -> Iterator[Any]:
+    """Connect to the cluster."""
+    from distributed import Client
 
-    if workers is not None:
-        whole_in("workers", workers, 1, 4096)
-        if cluster != "local":
-            raise ValueError("workers: applies to the local cluster only")
     if callable(cluster) and not isinstance(cluster, Client):
         cluster = cluster()
     if isinstance(cluster, Client):
         yield cluster
-    elif cluster == "local":
-        count = workers or wp.get_cuda_device_count() or WORKERS_WITHOUT_GPU
-        with (
-            LocalCluster(
-                n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", memory_limit=0
-            ) as made,
-            Client(made) as client,
-        ):
-            yield client
     else:
         try:
             client = Client(cluster, timeout="30s")
@@ -112,8 +95,8 @@ def _one_task_a_worker(client: Any) -> Counter[str]:
 def _on_this_worker(job: Job) -> Job:
     """The job with the device of this worker.
 
-    The device is that of the job if set. Otherwise worker number i of a local cluster uses CUDA device i modulo their
-    count, and any other worker the first visible CUDA device or the CPU.
+    The device is that of the job if set. Otherwise worker number i of a cluster on one host uses CUDA device i modulo
+    their count, and any other worker the first visible CUDA device or the CPU.
     """
     from distributed import get_worker
 

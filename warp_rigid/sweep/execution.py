@@ -5,10 +5,12 @@ import logging
 import platform
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -27,6 +29,7 @@ from warp_rigid.sweep.observers import check_observers, observer_name
 from warp_rigid.sweep.series import open_series
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
+from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
 from warp_rigid.version import __version__
 
 __all__ = ["sweep"]
@@ -100,8 +103,9 @@ def sweep(
             the folder TABLE.series beside `output`, or in memory. `SweepResult.series` reads them.
         series_output: a .zarr folder for the series instead.
         shard: (i, n) runs every n-th run of the design, starting with the i-th, 1 <= i <= n.
-        cluster: "local" for worker processes on this machine, the address of a Dask scheduler, a Dask cluster or
-            client, or a function that returns one; None runs in this process.
+        cluster: "local" for worker processes on this machine, each with a GPU or its share of the cores; for more
+            machines the address of a Dask scheduler, a Dask cluster or client, or a function that returns one; None
+            runs in this process.
         workers: number of worker processes for "local"; None uses one per GPU, or two without a GPU.
         on_progress: called after each batch with the number of finished runs and of all runs.
         command: the command line, stored in PATH.json.
@@ -112,8 +116,9 @@ def sweep(
     Raises:
         ValueError: A name is unknown, a value is out of range or `output` exists; raised before any run.
     """
-    device, cluster, workers = _machines(device, cluster, workers)
+    machines = _machines(device, cluster, workers)
     demo, scene_id = resolve_scene(scene)
+    observers, names, kept = _observers(observe, series)
     job = Job(
         demo=demo,
         scene_id=scene_id,
@@ -122,10 +127,13 @@ def sweep(
         fps=number_in("fps", fps, above=0.0),
         metrics=check_metrics(metrics),
         trajectories=trajectories is not None,
-        device=device,
+        observers=observers,
+        observe=names,
+        series=kept,
+        device=machines.device,
     )
-    observers, names, kept = _observers(observe, series)
-    job = replace(job, observers=observers, observe=names, series=kept)
+    if series_output is not None and not kept:
+        raise ValueError("series_output: requires series")
     if batch != "auto":
         whole_in("batch", batch, 1, MAX_BATCH)
     clean = clean_axes(axes)
@@ -133,64 +141,73 @@ def sweep(
     if both:
         raise ValueError(f"{both[0]}: must be either fixed or an axis, not both")
     watch = Stopwatch()
-    with watch.of("plan"):
-        all_runs = make_runs(job, make_points(clean, design, samples, repeats, seed or 0), seed)
-    runs = shard_of(all_runs, shard)
-    _check_names(job, all_runs)
-    axis_values = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
-    about = _about(job, scene, axis_values, all_runs) | {
-        "design": {"kind": design, "samples": samples, "repeats": repeats, "seed": seed, "axes": axis_values},
-        "design_id": stable_hash([run.id for run in all_runs]),
-        "runs": len(all_runs),
-        "shard": shard,
-        "command": list(command) if command is not None else None,
-    }
-    book = ResultFile(output, about, resume, overwrite, source=scene)
-    book.keep(run.id for run in runs)
-    for run in runs:
-        if run.id in book.rows:
-            book.rows[run.id]["run"] = run.index
-    missing = [run for run in runs if run.id not in book.rows]
-    with watch.of("plan"):
-        groups = group_runs(job, missing)
-    trajectory_store = None
-    if trajectories is not None:
-        from warp_rigid.sweep.trajectories import Trajectories
-
-        trajectory_store = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
-    if job.series:
-        book.series = open_series(output, series_output, about, resume, overwrite)
-    elif series_output is not None:
-        raise ValueError("series_output: requires series")
-    if len(missing) < len(runs):
-        log.info("%d of %d runs are already finished", len(runs) - len(missing), len(runs))
-    book.write(state="running")
-    done = len(runs) - len(missing)
-    reported: set[str] = set()
-    try:
-        for part, result in _results(job, groups, batch, cluster, workers):
-            watch.add(result.seconds)
-            with watch.of("write"):
-                _store(result, book, trajectory_store)
-            _report_errors(result.rows, reported)
-            done += len(part)
-            if on_progress is not None:
-                on_progress(done, len(runs))
-    finally:
-        finished = {"state": "finished", "finished": _now()} if done == len(runs) else {"state": "interrupted"}
+    with WorkerProcesses(machines.workers) if machines.cluster == "local" else nullcontext(machines.cluster) as runner:
+        with watch.of("plan"):
+            all_runs = make_runs(job, make_points(clean, design, samples, repeats, seed or 0), seed)
+        runs = shard_of(all_runs, shard)
+        _check_names(job, all_runs)
+        axis_values = {name: axis if isinstance(axis, list) else repr(axis) for name, axis in clean.items()}
+        about = _about(job, scene, axis_values, all_runs) | {
+            "design": {"kind": design, "samples": samples, "repeats": repeats, "seed": seed, "axes": axis_values},
+            "design_id": stable_hash([run.id for run in all_runs]),
+            "runs": len(all_runs),
+            "shard": shard,
+            "command": list(command) if command is not None else None,
+        }
         with watch.of("write"):
-            book.write(**finished, seconds=dict(watch.seconds))
-        log.info("time: %s", watch)
+            book = ResultFile(output, about, resume, overwrite, source=scene)
+            missing = book.missing(runs)
+        with watch.of("plan"):
+            groups = group_runs(job, missing)
+        if trajectories is not None:
+            from warp_rigid.sweep.trajectories import Trajectories
+
+            book.trajectories = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
+        if job.series:
+            book.series = open_series(output, series_output, about, resume, overwrite)
+        _run_all(job, groups, batch, runner, book, watch, len(runs), on_progress)
     return book.result()
 
 
-def _store(result: Batch, book: ResultFile, trajectories: Any) -> None:
-    """Store a batch; its rows come last, so that no row lacks its trajectory or series after an interruption."""
-    for recorded, frames in result.trajectories:
-        trajectories.add(recorded, frames)
-    for observed, looks in result.series:
-        book.series.add(observed, looks)
-    book.add(result.rows)
+def _run_all(
+    job: Job,
+    groups: list[list[SizedRun]],
+    batch: int | str,
+    runner: Any,
+    book: ResultFile,
+    watch: Stopwatch,
+    total: int,
+    on_progress: Callable[[int, int], None] | None,
+) -> None:
+    """Run all batches, and store their results while the next ones run."""
+    if book.rows:
+        log.info("%d of %d runs are already finished", len(book.rows), total)
+    book.write(state="running")
+    reported: set[str] = set()
+    stored: Future | None = None
+
+    def settle() -> None:
+        """Wait until the last results are stored, and report the progress."""
+        if stored is not None:
+            with watch.of("write"):
+                stored.result()
+            if on_progress is not None:
+                on_progress(len(book.rows), total)
+
+    try:
+        with ThreadPoolExecutor(1) as writer:
+            for _, result in _results(job, groups, batch, runner, watch):
+                watch.add(result.seconds)
+                settle()
+                stored = writer.submit(book.store, result)
+                _report_errors(result.rows, reported)
+            settle()
+    finally:
+        complete = len(book.rows) == total
+        finished = {"state": "finished", "finished": _now()} if complete else {"state": "interrupted"}
+        with watch.of("write"):
+            book.write(**finished, seconds=dict(watch.seconds))
+        log.info("time: %s", watch)
 
 
 def _report_errors(rows: list[dict[str, Any]], reported: set[str]) -> None:
@@ -202,13 +219,21 @@ def _report_errors(rows: list[dict[str, Any]], reported: set[str]) -> None:
 
 
 def _results(
-    job: Job, groups: list[list[SizedRun]], batch: int | str, cluster: Any, workers: int | None
+    job: Job, groups: list[list[SizedRun]], batch: int | str, runner: Any, watch: Stopwatch
 ) -> Iterator[tuple[list[Run], Batch]]:
-    """Yield the runs of each batch with their results, in order of completion."""
+    """Yield the runs of each batch with their results, in order of completion.
+
+    The runner is WorkerProcesses, a Dask cluster or what leads to one, or None for this process.
+    """
     if not groups:
         return
-    if cluster is not None:
-        yield from run_on_cluster(job, groups, batch, cluster, workers)
+    if isinstance(runner, WorkerProcesses):
+        with watch.of("start"):
+            most, memory = runner.start(job)
+        yield from runner.run(split_into_batches(groups, batch, most, memory, runner.count))
+        return
+    if runner is not None:
+        yield from run_on_cluster(job, groups, batch, runner)
         return
     device = choose_device(job.device)
     job = replace(job, device=device)
@@ -216,20 +241,30 @@ def _results(
         yield part, run_batch(job, part)
 
 
-def _machines(device: Any, cluster: Any, workers: int | None) -> tuple[Any, Any, int | None]:
-    """Device, cluster and workers of the arguments; "all" is a worker for each GPU if there are several.
+class _Machines(NamedTuple):
+    """Where the batches run; with the cluster "local" in `workers` processes of this machine."""
+
+    device: Any
+    cluster: Any
+    workers: int | None
+
+
+def _machines(device: Any, cluster: Any, workers: int | None) -> _Machines:
+    """The machines of the arguments; the device "all" is a worker for each GPU if there are several.
 
     Raises:
-        ValueError: "all" is combined with a cluster or workers, or there are workers without a cluster.
+        ValueError: "all" is combined with a cluster or workers, or there are workers without the cluster "local".
     """
-    if workers is not None and cluster is None and device != "all":
-        raise ValueError("workers: applies to cluster local only")
-    if device != "all":
-        return device, cluster, workers
-    if cluster is not None or workers is not None:
-        raise ValueError("device: all must not be combined with cluster or workers")
-    gpus = wp.get_cuda_device_count()
-    return (None, "local", gpus) if gpus > 1 else (None, None, None)
+    if device == "all":
+        if cluster is not None or workers is not None:
+            raise ValueError("device: all must not be combined with cluster or workers")
+        gpus = wp.get_cuda_device_count()
+        return _Machines(None, "local", gpus) if gpus > 1 else _Machines(None, None, None)
+    if workers is not None:
+        whole_in("workers", workers, 1, MAX_WORKERS)
+        if cluster != "local":
+            raise ValueError("workers: applies to cluster local only")
+    return _Machines(device, cluster, workers)
 
 
 def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], tuple[str, ...], tuple[str, ...]]:

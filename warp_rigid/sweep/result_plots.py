@@ -7,12 +7,26 @@ import numpy as np
 
 from warp_rigid.checks import one_of
 from warp_rigid.files.atomic import atomic_file
+from warp_rigid.sweep.metrics import UNITS
 
 __all__ = ["KINDS", "plot"]
 
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")
 MAX_LINES = 12
+AXIS_UNITS = {
+    "dt": "s",
+    "mass": "kg",
+    "position": "m",
+    "linear_velocity": "m/s",
+    "angular_velocity": "rad/s",
+    "force": "N",
+    "torque": "N m",
+    "gravity": "m/s²",
+    "rolling_friction": "m",
+    "spinning_friction": "m",
+}
+"""Units of the settings and properties that have one."""
 
 
 class Table(Protocol):
@@ -138,7 +152,7 @@ def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> Non
             axes.set_xticks(ticks, stops)
         elif any(len(part) > 1 for part in parts):
             axes.fill_between(ticks, low, high, color=color, alpha=0.15, linewidth=0)
-    axes.set(xlabel=x, ylabel=y, title=_title(result))
+    axes.set(xlabel=_label(x), ylabel=_label(y), title=_title(result))
     axes.grid(alpha=0.3)
     if len(groups) > 1:
         axes.legend(title=", ".join(others), fontsize="small")
@@ -160,9 +174,9 @@ def _heat_maps(figure: Any, result: Table, x: str, along: str, y: str, others: l
             for j, h in enumerate(across):
                 cells[i, j] = _of(values[chosen & (rows == v) & (columns == h)], np.mean)
         image = panel.pcolormesh(_edges(across), _edges(up), cells, **shades)
-        panel.set(xlabel=x, title=label)
-    panels[0].set_ylabel(along)
-    figure.colorbar(image, ax=list(panels), label=y)
+        panel.set(xlabel=_label(x), title=label)
+    panels[0].set_ylabel(_label(along))
+    figure.colorbar(image, ax=list(panels), label=_label(y))
 
 
 def _scatter_matrix(figure: Any, result: Table, names: list[str]) -> None:
@@ -178,8 +192,14 @@ def _scatter_matrix(figure: Any, result: Table, names: list[str]) -> None:
                 panel.hist(across[np.isfinite(across)], bins=24, color="0.6")
             else:
                 panel.scatter(across, up, s=6, c=columns[-1])
-            panel.set(xlabel=names[j] if i == size - 1 else "", ylabel=names[i] if j == 0 else "")
+            panel.set(xlabel=_label(names[j]) if i == size - 1 else "", ylabel=_label(names[i]) if j == 0 else "")
             panel.tick_params(labelsize=7)
+
+
+def _label(name: str) -> str:
+    """Text of an axis: the name of a column, and its unit."""
+    unit = {**UNITS, **AXIS_UNITS}.get(name.split("[")[0])
+    return f"{name} [{unit}]" if unit else name
 
 
 def _groups(result: Table, names: list[str]) -> dict[str, np.ndarray]:

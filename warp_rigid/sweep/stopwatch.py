@@ -8,6 +8,7 @@ __all__ = ["Stopwatch"]
 
 PHASES = {
     "plan": "checking the design",
+    "start": "waiting for workers",
     "load": "loading kernels",
     "build": "building simulators",
     "record": "recording steps",

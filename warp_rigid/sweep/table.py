@@ -12,7 +12,7 @@ from warp_rigid import scenes
 from warp_rigid.checks import shown
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
-from warp_rigid.sweep.batch_run import replay
+from warp_rigid.sweep.batch_run import Batch, replay
 from warp_rigid.sweep.columns import (
     BOOKKEEPING,
     COLUMNS,
@@ -21,7 +21,7 @@ from warp_rigid.sweep.columns import (
     REQUIRED_COLUMNS,
     metadata_field,
 )
-from warp_rigid.sweep.design import MAX_RUNS
+from warp_rigid.sweep.design import MAX_RUNS, Run
 from warp_rigid.sweep.result_plots import plot
 from warp_rigid.sweep.series import Series, ZarrSeries
 
@@ -168,6 +168,7 @@ class ResultFile:
         self.about = about
         self.source = source
         self.series: Any = None
+        self.trajectories: Any = None
         self.rows: dict[str, dict[str, Any]] = {}
         self._written = self._cost = 0.0
         self._changed = False
@@ -182,15 +183,27 @@ class ResultFile:
         elif self.path.exists() and not overwrite:
             raise ValueError(f"{self.path}: already exists; resume it, overwrite it or choose another name")
 
-    def keep(self, ids: Iterable[str]) -> None:
-        """Check that all loaded rows belong to the design.
+    def missing(self, runs: Sequence[Run]) -> list[Run]:
+        """The runs of a design that have no finished row.
 
-        Args:
-            ids: ids of all runs of the design.
+        Raises:
+            ValueError: A finished row belongs to none of the runs.
         """
-        unknown = set(self.rows) - set(ids)
+        index = {run.id: run.index for run in runs}
+        unknown = set(self.rows) - set(index)
         if unknown:
             raise ValueError(f"{self.path}: holds {len(unknown)} runs of a different design; choose another name")
+        for row_id, row in self.rows.items():
+            row["run"] = index[row_id]
+        return [run for run in runs if run.id not in self.rows]
+
+    def store(self, batch: Batch) -> None:
+        """Store a batch; its rows come last, so that no row lacks its trajectory or series after an interruption."""
+        for recorded, frames in batch.trajectories:
+            self.trajectories.add(recorded, frames)
+        for observed, looks in batch.series:
+            self.series.add(observed, looks)
+        self.add(batch.rows)
 
     def add(self, rows: Iterable[dict[str, Any]]) -> None:
         """Add rows, and write the file if a write is due."""

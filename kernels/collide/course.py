@@ -1,0 +1,134 @@
+"""Courses: the motion of two bodies within a step, with the velocities computed by the solver."""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.approach import NEAR
+from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.schema import Bodies, Motions, State
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+FAST = wp.constant(0.25)
+"""A pair is traced if its relative motion in a step exceeds this fraction of the smaller size."""
+
+DEPTH = wp.constant(0.02)
+"""Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
+
+
+@wp.struct
+class Course:
+    """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass."""
+
+    center: wp.vec3
+    turn: wp.quat
+    local_center: wp.vec3
+    linear: wp.vec3
+    angular: wp.vec3
+    radius: float
+    shape: int
+
+
+@wp.struct
+class Passage:
+    """Relative motion of a body with samples in the frame of the body with the distance, over the whole step.
+
+    `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
+    `reach`: upper bound of the motion of points that can meet the other body.
+    `size`: the smaller size of the two bodies, or twice the thickness of their walls if that is less.
+    `near`: samples that start closer are handled by the solver, and may penetrate deeper by as much [m].
+    `rotation`: angle by which both bodies together turn in the step.
+    """
+
+    start: wp.transform
+    middle: wp.transform
+    end: wp.transform
+    reach: float
+    size: float
+    near: float
+    dt: float
+    rotation: float
+
+
+@wp.func
+def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
+    """The motion of a body whose velocities are scaled by `share`."""
+    course = Course()
+    course.center = motions.center[b]
+    course.turn = state.orientation[b]
+    course.local_center = bodies.center_of_mass[b]
+    course.radius = motions.radius[b]
+    course.shape = bodies.shape[b]
+    if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
+        course.linear = share * motions.solver_bodies[b].linear
+        course.angular = share * motions.solver_bodies[b].angular
+    return course
+
+
+@wp.func
+def rotation_after(angular: wp.vec3, t: float):
+    """Rotation by an angular velocity in a time t."""
+    speed = wp.length(angular)
+    if speed == 0.0 or t == 0.0:
+        return wp.quat_identity()
+    return wp.quat_from_axis_angle(angular / speed, speed * t)
+
+
+@wp.func
+def relative_motion(a: Course, b: Course, dt: float):
+    """Upper bound of the relative motion of two bodies in a step [m], at the surface of the smaller one."""
+    small = a
+    if b.radius < a.radius:
+        small = b
+    v = a.linear + wp.cross(a.angular, small.center - a.center)
+    w = b.linear + wp.cross(b.angular, small.center - b.center)
+    return dt * (wp.length(v - w) + wp.length(a.angular - b.angular) * small.radius)
+
+
+@wp.func
+def largest_motion(a: Course, b: Course, dt: float):
+    """`relative_motion`, with the increase by the rotation of the larger body within the step."""
+    return relative_motion(a, b, dt) * (1.0 + dt * (wp.length(a.angular) + wp.length(b.angular)))
+
+
+@wp.func
+def pose_in(own: Course, other: Course, t: float):
+    """Pose of a body's shape at time t in the frame of the other body's shape."""
+    back = wp.quat_inverse(rotation_after(other.angular, t) * other.turn)
+    turn = back * rotation_after(own.angular, t) * own.turn
+    apart = own.center - other.center + t * (own.linear - other.linear)
+    shift = wp.quat_rotate(back, apart) + other.local_center - wp.quat_rotate(turn, own.local_center)
+    return wp.transformation(shift, turn)
+
+
+@wp.func
+def passage_of(own: Course, other: Course, dt: float, size: float, wall: float):
+    """The relative motion of a body in the frame of another, whose walls have a thickness, over the step."""
+    passage = Passage()
+    passage.start = pose_in(own, other, 0.0)
+    passage.middle = pose_in(own, other, 0.5 * dt)
+    passage.end = pose_in(own, other, dt)
+    passage.reach = largest_motion(own, other, dt)
+    passage.size = size
+    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR * wp.min(size, wall), DEPTH * size)
+    passage.dt = dt
+    passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
+    return passage
+
+
+@wp.func
+def place_at(own: Course, other: Course, arm: wp.vec3, t: float):
+    """Position at time t of a point at `arm` from a body's centre, in the frame of the other body's shape."""
+    offset = own.center - other.center + t * (own.linear - other.linear)
+    offset = offset + wp.quat_rotate(rotation_after(own.angular, t), arm)
+    turn = rotation_after(other.angular, t) * other.turn
+    return wp.quat_rotate(wp.quat_inverse(turn), offset) + other.local_center
+
+
+@wp.func
+def closing_speed(own: Course, other: Course, arm: wp.vec3, x: wp.vec3, n: wp.vec3, t: float):
+    """Approach speed of a point to the other body along its normal n; x and n are in the other body's frame."""
+    turn = rotation_after(other.angular, t) * other.turn
+    v = own.linear + wp.cross(own.angular, wp.quat_rotate(rotation_after(own.angular, t), arm))
+    w = other.linear + wp.cross(other.angular, wp.quat_rotate(turn, x - other.local_center))
+    return wp.dot(w - v, wp.quat_rotate(turn, n))

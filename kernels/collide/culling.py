@@ -1,0 +1,174 @@
+"""Culling: which samples of a body are close enough to another body to be tested for contact.
+
+A team of lanes tests clusters of samples, then the samples of the near ones, and queues those that are near. Bounding
+boxes, the axis of a pair of convex bodies and the grids of meshes give cheap bounds of the distance.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.approach import Approach
+from warp_rigid.kernels.collide.convex_pairs import border_of
+from warp_rigid.kernels.collide.distance import has_triangles, is_near_grid, is_nearer
+from warp_rigid.kernels.collide.samples import OVERLAP
+from warp_rigid.kernels.common.team import ballot, lowest_bit
+from warp_rigid.kernels.enums import PartKind, SampleKind
+from warp_rigid.kernels.schema import Shapes
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@wp.func
+def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
+    """Whether samples of a kind can contribute to a contact.
+
+    Between convex shapes, points inside a face never touch first, and only points touch a plane first. A contact with a
+    sphere is found exactly by the sample at the sphere's centre, so other samples are not needed, except those of
+    shapes with a grid: their edges and corners are rounded, and their faces are needed if they are smaller than the
+    sphere. The faces of nonconvex shapes are needed against capsules and cylinders too: the side of these is sampled by
+    segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
+    """
+    if kind == SampleKind.CORNER:
+        return has_triangles(shapes, shape)
+    if shapes.shapes[shape].convex == 0:
+        return kind != SampleKind.EDGE or edges == 1
+    other = shapes.parts[shapes.shapes[shape].part_start].kind
+    own = shapes.parts[shapes.shapes[own_shape].part_start].kind
+    if own == PartKind.HEIGHTFIELD:
+        return True
+    by_center = other == PartKind.SPHERE and shapes.shapes[own_shape].convex == 1
+    if kind == SampleKind.POINT:
+        return own == PartKind.SPHERE or not by_center
+    if kind == SampleKind.EDGE:
+        return edges == 1 and other != PartKind.PLANE and not by_center
+    if other == PartKind.SPHERE:
+        return not by_center and shapes.shapes[own_shape].size < shapes.shapes[shape].size
+    return shapes.shapes[own_shape].convex == 0 and (other == PartKind.CAPSULE or other == PartKind.CYLINDER)
+
+
+@wp.func
+def out_of_box(p: wp.vec3, margin: float, shape: int, shapes: Shapes):
+    """Whether a point is further than a margin from a shape's bounding box, a cheap bound of the distance."""
+    below = shapes.shapes[shape].lower - p
+    above = p - shapes.shapes[shape].upper
+    return wp.max(wp.max(below), wp.max(above)) > margin
+
+
+@wp.func
+def segment_meets_box(middle: wp.vec3, half: wp.vec3, margin: float, shape: int, shapes: Shapes):
+    """Whether a segment comes within a margin of a shape's bounding box, by separating axes of the enlarged box."""
+    center = 0.5 * (shapes.shapes[shape].lower + shapes.shapes[shape].upper)
+    e = 0.5 * (shapes.shapes[shape].upper - shapes.shapes[shape].lower) + wp.vec3(margin, margin, margin)
+    m = middle - center
+    h = wp.vec3(wp.abs(half[0]), wp.abs(half[1]), wp.abs(half[2]))
+    if wp.abs(m[0]) > e[0] + h[0] or wp.abs(m[1]) > e[1] + h[1] or wp.abs(m[2]) > e[2] + h[2]:
+        return False
+    across = wp.cross(m, half)
+    x = wp.abs(across[0]) <= e[1] * h[2] + e[2] * h[1]
+    y = wp.abs(across[1]) <= e[0] * h[2] + e[2] * h[0]
+    return x and y and wp.abs(across[2]) <= e[0] * h[1] + e[1] * h[0]
+
+
+@wp.func
+def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
+    """Whether a cluster may contain a touching sample."""
+    if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
+        return 0
+    if wp.dot(approach.cut, shapes.clusters[cluster].center) - shapes.clusters[cluster].radius > approach.level:
+        return 0
+    center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
+    margin = shapes.clusters[cluster].radius + approach.reach
+    if out_of_box(center, margin, approach.shape, shapes):
+        return 0
+    return wp.where(is_nearer(shapes, approach.shape, center, margin), 1, 0)
+
+
+@wp.func
+def sample_is_near(s: int, approach: Approach, shapes: Shapes):
+    """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch.
+
+    The distance to a mesh is slow, so the bound from its grid is tested, too.
+    """
+    lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
+    if lowest - shapes.samples[s].radius > approach.level:
+        return False
+    p = wp.quat_rotate(approach.turn, shapes.samples[s].point) + approach.shift
+    margin = approach.reach + shapes.samples[s].radius
+    if shapes.samples[s].kind == SampleKind.EDGE:
+        slide = OVERLAP * wp.quat_rotate(approach.turn, shapes.samples[s].slide)
+        margin += border_of(approach.own_shape, approach.shape, shapes)
+        if not segment_meets_box(p, slide, margin, approach.shape, shapes):
+            return False
+        margin += wp.length(slide)
+    elif out_of_box(p, margin, approach.shape, shapes):
+        return False
+    return not has_triangles(shapes, approach.shape) or is_near_grid(shapes, approach.shape, p, margin)
+
+
+@wp.struct
+class SampleQueue:
+    """Samples of a pair that a team will test together, and its progress through all samples.
+
+    `side`: 0 in the samples of the first body, 1 in those of the second one, 2 after them. `group`: the clusters tested
+    next, one per lane, start here. `clusters`: bits of those tested last that are near and still to be visited.
+    `sample`, `sample_end`: samples to be tested next, of the cluster visited last. `near`: bits of those tested last
+    that are near and not in the queue. `queued`: number of samples in the queue; `key`: that of this lane, 2 * sample +
+    side.
+    """
+
+    side: int
+    group: int
+    clusters: wp.uint32
+    sample: int
+    sample_end: int
+    near: wp.uint32
+    queued: int
+    key: int
+
+
+@wp.func
+def has_samples(queue: SampleQueue):
+    """Whether samples of near clusters are left."""
+    untested = queue.sample < queue.sample_end or queue.clusters != wp.uint32(0)
+    return untested or queue.near != wp.uint32(0)
+
+
+@wp.func
+def test_clusters(queue: SampleQueue, lane: int, lanes: int, approach: Approach, edges: int, shapes: Shapes):
+    """Test the next clusters of a body, one per lane."""
+    cluster = queue.group + lane
+    near = int(0)
+    if cluster < shapes.shapes[approach.own_shape].cluster_end:
+        near = cluster_is_near(cluster, approach, edges, shapes)
+    queue.clusters = ballot(near, lanes)
+    queue.group += lanes
+    return queue
+
+
+@wp.func
+def queue_samples(queue: SampleQueue, lane: int, lanes: int, approach: Approach, shapes: Shapes):
+    """Test samples of near clusters, one per lane, unless some are left from the last test, and queue those near."""
+    near = queue.near
+    sample = queue.sample
+    end = queue.sample_end
+    clusters = queue.clusters
+    while near == wp.uint32(0) and (sample < end or clusters != wp.uint32(0)):
+        if sample >= end:
+            cluster = queue.group - lanes + lowest_bit(clusters)
+            clusters = clusters & (clusters - wp.uint32(1))
+            sample = shapes.clusters[cluster].sample_start
+            end = shapes.clusters[cluster].sample_end
+        hit = int(0)
+        if sample + lane < end and sample_is_near(sample + lane, approach, shapes):
+            hit = 1
+        near = ballot(hit, lanes)
+        sample += lanes
+    while near != wp.uint32(0) and queue.queued < lanes:
+        if queue.queued == lane:
+            queue.key = 2 * (sample - lanes + lowest_bit(near)) + queue.side
+        near = near & (near - wp.uint32(1))
+        queue.queued += 1
+    queue.near = near
+    queue.sample = sample
+    queue.sample_end = end
+    queue.clusters = clusters
+    return queue

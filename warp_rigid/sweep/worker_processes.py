@@ -1,0 +1,107 @@
+"""Sweeps on worker processes of this machine, each with one device, or with its share of the cores of a CPU."""
+
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import replace
+from typing import Any
+
+import warp as wp
+
+from warp_rigid.checks import shown
+from warp_rigid.sweep import worker
+from warp_rigid.sweep.batch_run import Batch, failed_batch
+from warp_rigid.sweep.design import Run
+from warp_rigid.sweep.job import Job
+
+__all__ = ["MAX_WORKERS", "WorkerProcesses"]
+
+WORKERS_WITHOUT_GPU = 2
+
+MAX_WORKERS = 4096
+
+TRIES = 2
+"""Number of processes that a batch may end before its runs count as failed."""
+
+
+class WorkerProcesses:
+    """Worker processes, which start at once, load the kernels, and end with the context.
+
+    Args:
+        count: number of processes; None for one per GPU, or two without a GPU.
+
+    Attributes:
+        count: number of processes.
+    """
+
+    def __init__(self, count: int | None) -> None:
+        """Start the processes."""
+        self.count = (wp.get_cuda_device_count() or WORKERS_WITHOUT_GPU) if count is None else count
+        self._job: Job | None = None
+        self._workers = [self._started(number) for number in range(self.count)]
+
+    def __enter__(self) -> "WorkerProcesses":
+        """Use the processes."""
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        """End the processes, also within a batch."""
+        for executor in self._workers:
+            executor.shutdown(kill_workers=True)
+
+    def start(self, job: Job) -> tuple[int, int]:
+        """Send the job to all processes.
+
+        Returns:
+            The largest useful batch, and the free memory of a worker's device [bytes].
+
+        Raises:
+            ValueError: The job cannot be sent, or a process cannot begin.
+        """
+        self._job = replace(job, scenes={})
+        accepted = [some.submit(worker.accept, self._job) for some in self._workers]
+        try:
+            return [future.result() for future in accepted][0]
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ValueError(f"cluster: the worker processes cannot take the job: {shown(reason)}") from error
+
+    def run(self, parts: list[list[Run]]) -> Iterator[tuple[list[Run], Batch]]:
+        """Yield the runs of each batch with their results, in order of completion.
+
+        A batch whose process ends is repeated in a new one. A batch that ends several processes becomes failed rows.
+        """
+        left = iter(parts)
+        # For each batch that runs, its worker and how often it was started.
+        running: dict[Future, tuple[list[Run], int, int]] = {}
+
+        def submit(part: list[Run] | None, number: int, tries: int = 1) -> None:
+            if part is not None:
+                running[self._workers[number].submit(worker.run, part)] = part, number, tries
+
+        for number in range(self.count):
+            submit(next(left, None), number)
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                part, number, tries = running.pop(future)
+                error = future.exception()
+                if error is not None:
+                    self._restart(number)
+                if error is not None and tries < TRIES:
+                    submit(part, number, tries + 1)
+                    continue
+                submit(next(left, None), number)
+                yield part, future.result() if error is None else failed_batch(part, error)
+
+    def _started(self, number: int) -> Any:
+        """An executor with one process, which begins at once."""
+        from loky import ProcessPoolExecutor
+
+        executor = ProcessPoolExecutor(1)
+        executor.submit(worker.begin, number, self.count)
+        return executor
+
+    def _restart(self, number: int) -> None:
+        """Replace a process that has ended."""
+        self._workers[number].shutdown(kill_workers=True)
+        self._workers[number] = self._started(number)
+        self._workers[number].submit(worker.accept, self._job)
