@@ -7,19 +7,22 @@ READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs-ready
 ROBOTS := $(VENV)/robots
 ROBOTS_READY := $(VENV)/.robots-ready
+FRAMEWORKS_READY := $(VENV)/.frameworks-ready
 OUT := out
-TORCH := $(OUT)/torch
 # A command that prints a lock file: with its hashes where they are those of the platform's wheels.
 HASHED := $(filter Linux-x86_64-%,$(shell $(PYTHON) -c 'import platform as p, sys; \
 	print(p.system(), p.machine(), "%d.%d" % sys.version_info[:2], sep="-")'))
-WITHOUT_HASHES := sed 's/ --hash=[^ ]*//g'
+WITHOUT_HASHES := sed 's/ --hash=[^ ]*//g; /^omniverse-asset-validator/s/$$/; python_version < "3.13"/'
 LOCKED := $(if $(filter %-3.11 %-3.12,$(HASHED)),cat,$(WITHOUT_HASHES))
 DOCS_LOCKED := $(if $(filter %-3.12 %-3.13,$(HASHED)),cat,$(WITHOUT_HASHES))
 PYTEST := $(BIN)/python -m pytest -q
+# Besides the version of PYTHON; the tests are those of files that use most of the standard library and the dependencies.
+OTHER_PYTHONS := 3.12 3.13
+PART := public_names packaging simulator determinism cli sweep_files usd_export viewer_parts
 # One worker a core; the tests of a file stay together, for they share what is costly to make.
 WORKERS := -n auto --dist loadfile
 
-.PHONY: demo test test-all browser-test torch-test fuzz dist pins validate lint docs format clean
+.PHONY: demo test test-all other-pythons other-python-test frameworks browser-test fuzz dist pins validate lint docs format clean
 
 # Two scenes: films, pictures and a contact sheet in out/.
 demo: $(READY)
@@ -38,17 +41,23 @@ test-all: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not quiet" --cov --cov-report=; others=$$?; \
 	$(PYTEST) -m quiet --cov --cov-append --cov-fail-under=90 && exit $$others
 
+# A part of the tests with each other supported version of Python that is installed, in environments of their own.
+other-pythons:
+	@for version in $(OTHER_PYTHONS); do \
+		export PYENV_VERSION=$$version; \
+		python$$version -V || { echo "Python $$version is not installed and was not tested"; continue; }; \
+		$(MAKE) --no-print-directory VENV=.venv-$$version PYTHON=python$$version other-python-test || exit 1; \
+	done
+
+other-python-test: $(READY)
+	$(PYTEST) $(WORKERS) $(addprefix tests/test_,$(addsuffix .py,$(PART)))
+
+# PyTorch, JAX and gymnasium (6 GB): the tests of their pages run where these are installed.
+frameworks: $(FRAMEWORKS_READY)
+
 # The viewer in a real page. Needs Debian's package chromium, or CHROMIUM=/path/to/a/chromium.
 browser-test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) tests/browser
-
-# The programs that use PyTorch, with the packages of .venv and PyTorch in an environment of its own.
-torch-test: $(READY)
-	$(PYTHON) -m venv $(TORCH)
-	$(TORCH)/bin/python -m pip install --quiet --disable-pip-version-check torch==2.13.0
-	$(BIN)/python -c 'import sysconfig as s; print("import site; site.addsitedir(%r)" % s.get_path("purelib"))' \
-		>$$($(TORCH)/bin/python -c 'import sysconfig as s; print(s.get_path("purelib"))')/packages.pth
-	$(TORCH)/bin/python -m pytest -q -k "torch or program or network" tests/test_readme.py tests/test_sweep_docs.py
 
 # 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks.
 fuzz: $(READY)
@@ -84,7 +93,7 @@ format: $(READY)
 
 # Remove the environment, the results and all caches of the checkout.
 clean:
-	rm -rf $(VENV) $(OUT) build *.egg-info .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-* $(OUT) build *.egg-info .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(READY): requirements.lock pyproject.toml
@@ -105,6 +114,11 @@ $(ROBOTS_READY): $(READY) tests/robots.lock
 		$(ROBOTS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r $(VENV)/robots-requirements.txt && \
 		ln -sf ../robots/bin/mujoco_usd_converter ../robots/bin/urdf_usd_converter $(BIN)/; \
 	else echo "no converters of robots' files for this Python: their tests are skipped"; fi
+	@touch $@
+
+$(FRAMEWORKS_READY): $(READY) tests/frameworks.lock
+	$(LOCKED) tests/frameworks.lock >$(VENV)/frameworks.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r $(VENV)/frameworks.txt
 	@touch $@
 
 $(DOCS_READY): $(READY) docs/requirements.lock

@@ -105,6 +105,7 @@ ShapeRecord = record(
     lower=Field(wp.vec3, "", "m", "lower corner of the bounding box"),
     upper=Field(wp.vec3, "", "m", "upper corner of the bounding box"),
     size=Field(float, "", "m", "smallest extent of the bounding box; contact tolerances scale with it"),
+    wall=Field(float, "", "m", "thickness of its walls"),
     inner_center=Field(wp.vec3, "", "m", "centre of a large ball inside the shape"),
     inner_radius=Field(float, "", "m", "its radius; 0 if the shape has no inside"),
     cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
@@ -542,6 +543,7 @@ Graph = layout(
         int, "envs", "", "1: shock propagation is ineffective for at least one island that is solved in sweeps"
     ),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
+    calm_sweeps=Field(int, "bodies", "", "maximum further sweeps of the body's island; 0 if it is not calm (calm.py)"),
     sweeps=Field(int, "envs", "", "solver sweeps in the last step"),
     shock_sweeps=Field(int, "envs", "", "sweeps of shock propagation in the last step"),
     push_out_sweeps=Field(int, "envs", "", "sweeps of the push-out in the last step"),

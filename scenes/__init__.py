@@ -1,6 +1,7 @@
 """The built-in scenes: `names` lists them, `load` builds one, `get` returns how one is run and judged."""
 
 from importlib import import_module
+from typing import Any
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.demo import Demo, Outcome, Verdict
@@ -53,7 +54,7 @@ def get(name: str) -> Demo:
     return import_module(f"{__name__}.{name}").DEMO
 
 
-def load(name: str, **parameters) -> Scene:
+def load(name: str, **parameters: Any) -> Scene:
     """Build a built-in scene.
 
     Args:

@@ -74,7 +74,8 @@ def test_lock_holds_every_requirement(pyproject):
 
 
 def test_every_locked_version_has_hashes():
-    for lock in (ROOT / "requirements.lock", ROOT / "docs" / "requirements.lock", ROOT / "tests" / "robots.lock"):
+    folders = (ROOT, ROOT / "docs", ROOT / "tests")
+    for lock in (path for folder in folders for path in sorted(folder.glob("*.lock"))):
         for line in lock.read_text().splitlines():
             assert line.startswith("#") or re.fullmatch(r"[\w.-]+==[\w.+]+( --hash=sha256:[0-9a-f]{64})+", line), line
 

@@ -60,6 +60,13 @@ class Ball:
 
 
 @wp.func
+def traced_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
+    """Size of the smaller body of a pair [m], or twice the thickness of the thinner walls if that is less."""
+    wall = wp.min(shapes.shapes[bodies.shape[a]].wall, shapes.shapes[bodies.shape[b]].wall)
+    return wp.min(smaller_size(a, b, shapes, bodies), 2.0 * wall)
+
+
+@wp.func
 def lead(shapes: Shapes, shape: int, x: wp.vec3, left: float, ball: float):
     """Distance that a sphere about x can move in any direction without touching the shape.
 
@@ -271,18 +278,17 @@ def trace_sample(
     A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`. A sample that
     moves little is not traced if it is clear.
     """
-    size = passage.size
     arm = wp.quat_rotate(own.turn, p - own.local_center)
     path = path_length(own, other, arm, passage)
     gap = gap_of(shapes, other.shape, p, radius, path, passage)
-    allowed = DEPTH * size
+    allowed = DEPTH * passage.size
     earliest = float(begin)
     if gap < near:
         allowed = near - wp.min(gap, 0.0)
         earliest = 0.0
     if gap + allowed > path:
         return end
-    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * size, earliest, end)
+    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * passage.size, earliest, end)
 
 
 @wp.func
@@ -361,7 +367,7 @@ def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: floa
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
-    passage = passage_of(own, other, dt, size)
+    passage = passage_of(own, other, dt, size, shapes.shapes[other.shape].wall)
     cluster = int(-1)
     while cluster < shapes.shapes[own.shape].cluster_end:
         at = float(earliest)
@@ -454,7 +460,7 @@ def list_fast_pairs(
         share_a = motions.time_of_impact[a]
         share_b = motions.time_of_impact[b]
         if again == 0 or share_a < 1.0 or share_b < 1.0:
-            size = smaller_size(a, b, shapes, bodies)
+            size = traced_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
             fast = relative_motion(first, second, dt) > FAST * size
@@ -474,7 +480,7 @@ def limit_motion(
         b = pairs.body_b[pairs.fast[k]]
         share_a = motions.time_of_impact[a]
         share_b = motions.time_of_impact[b]
-        size = smaller_size(a, b, shapes, bodies)
+        size = traced_size(a, b, shapes, bodies)
         first = course_of(a, share_a, bodies, state, motions)
         second = course_of(b, share_b, bodies, state, motions)
         t = float(dt)

@@ -35,7 +35,7 @@ class Passage:
 
     `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
     `reach`: upper bound of the motion of points that can meet the other body.
-    `size`: the smaller size of the two bodies.
+    `size`: the smaller size of the two bodies, or twice the thickness of their walls if that is less.
     `near`: samples that start closer are handled by the solver, and may penetrate deeper by as much [m].
     `rotation`: angle by which both bodies together turn in the step.
     """
@@ -102,15 +102,15 @@ def pose_in(own: Course, other: Course, t: float):
 
 
 @wp.func
-def passage_of(own: Course, other: Course, dt: float, size: float):
-    """The relative motion of a body in the frame of another over the step."""
+def passage_of(own: Course, other: Course, dt: float, size: float, wall: float):
+    """The relative motion of a body in the frame of another, whose walls have a thickness, over the step."""
     passage = Passage()
     passage.start = pose_in(own, other, 0.0)
     passage.middle = pose_in(own, other, 0.5 * dt)
     passage.end = pose_in(own, other, dt)
     passage.reach = largest_motion(own, other, dt)
     passage.size = size
-    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR, DEPTH) * size
+    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR * wp.min(size, wall), DEPTH * size)
     passage.dt = dt
     passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
     return passage

@@ -207,3 +207,14 @@ def blend_row(c: int, t: float, contacts: Contacts):
     set_impulse(c, IMPULSE, start + t * (impulse_of(c, IMPULSE, contacts) - start), contacts)
     turn = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
     set_impulse(c, ANGULAR_IMPULSE, turn + t * (impulse_of(c, ANGULAR_IMPULSE, contacts) - turn), contacts)
+
+
+@wp.func
+def extrapolate_row(c: int, beta: float, contacts: Contacts):
+    """Extrapolate the impulses by `beta` times their change since the start impulses, and store them as these."""
+    new = impulse_of(c, IMPULSE, contacts)
+    set_impulse(c, IMPULSE, new + beta * (new - impulse_of(c, START_IMPULSE, contacts)), contacts)
+    set_impulse(c, START_IMPULSE, new, contacts)
+    turn = impulse_of(c, ANGULAR_IMPULSE, contacts)
+    set_impulse(c, ANGULAR_IMPULSE, turn + beta * (turn - impulse_of(c, START_ANGULAR_IMPULSE, contacts)), contacts)
+    set_impulse(c, START_ANGULAR_IMPULSE, turn, contacts)

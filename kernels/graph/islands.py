@@ -56,6 +56,13 @@ ROUNDS, ROUNDS_PER_BODY = wp.constant(4.0), wp.constant(0.3)
 """Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body that load
 passes on its way to the ground: along the edge of a cube of as many bodies, or along the height if that is larger."""
 
+RESTING = wp.constant(0.01)
+"""Largest speed of a body in an island that is swept until it has converged (calm.py), in sizes of the body per second.
+"""
+
+MOST_CALM = wp.constant(30)
+"""Maximum number of these sweeps as a multiple of `contact_iterations`: the number of bodies, but at most this."""
+
 LOWEST = wp.constant(-1.0e30)
 
 
@@ -214,6 +221,16 @@ def most_rounds(island: int, iterations: int, graph: Graph):
     return int(float(iterations) * (ROUNDS + ROUNDS_PER_BODY * wp.max(width, height)))
 
 
+@wp.func
+def most_calm_sweeps(b: int, island: int, solver: int, iterations: int, graph: Graph):
+    """Maximum number of sweeps with momentum for a body's contacts. Joints and other constraints have none."""
+    if graph.touching[b] == 0 or graph.tied[b] == 1 or solver == IslandSolver.ROUNDS:
+        return 0
+    if graph.island_speed[island] >= RESTING:
+        return 0
+    return iterations * wp.min(graph.island_bodies[island], MOST_CALM)
+
+
 @wp.kernel
 def choose_solver(bodies: Bodies, envs: Environments, graph: Graph):
     """One thread per body: how its island is solved in this step."""
@@ -229,5 +246,6 @@ def choose_solver(bodies: Bodies, envs: Environments, graph: Graph):
     if (graph.solver[b] == IslandSolver.ROUNDS) != (solver == IslandSolver.ROUNDS):
         graph.unchanged[env] = 0
     graph.solver[b] = solver
+    graph.calm_sweeps[b] = most_calm_sweeps(b, island, solver, envs.contact_iterations[env], graph)
     if graph.touching[b] > 0 and solver != IslandSolver.ROUNDS:
         graph.swept[env] = 1

@@ -175,6 +175,7 @@ def _shape_rows(entries: list[Entry], parts: list, samples: list) -> np.ndarray:
     rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]
+    rows["wall"] = [min(shape.wall, UNBOUNDED) for shape in shapes]
     rows["inner_center"] = [shape.inner_ball[0] for shape in shapes]
     rows["inner_radius"] = [shape.inner_ball[1] for shape in shapes]
     rows["cell"] = [

@@ -22,6 +22,7 @@ from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
 from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
+    calm,
     effectiveness,
     gauss_seidel,
     impact_rounds,
@@ -307,6 +308,7 @@ class Stages:
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
+        self._color_by_color(calm.sweep_calm_islands)
         if self.crowded:
             self.solve_heaps()
         found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]

@@ -1,5 +1,7 @@
 """glTF export of an animation as one .glb file, which web viewers and desktop previews can play."""
 
+from collections.abc import Iterable
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +29,7 @@ FLOAT, UINT = 5126, 5125
 VERTICES, INDICES = 34962, 34963
 
 
-def export_gltf(recording: Recording, path, envs=None) -> None:
+def export_gltf(recording: Recording, path: str | PathLike[str], envs: Iterable[int] | None = None) -> None:
     """Write a recording as binary glTF 2.0, with one animated node per body.
 
     Args:

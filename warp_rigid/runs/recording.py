@@ -4,8 +4,10 @@ A saved recording is self-contained: it stores the surfaces and names of the bod
 drawn without the program that made it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +18,9 @@ from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes.heightfield import moves
+
+if TYPE_CHECKING:
+    from warp_rigid.engine.simulator import Simulator
 
 __all__ = ["Frame", "Recorder", "Recording", "DrawnSurface", "drawn_surface", "is_moving", "record", "steps_per_frame"]
 
@@ -147,7 +152,7 @@ class Recording:
         """Names of the quantities recorded in every frame, without the contacts."""
         return [*CAPTURED, *(name for name in VELOCITIES if getattr(self, name) is not None)]
 
-    def rows(self, envs=None) -> np.ndarray:
+    def rows(self, envs: Iterable[int] | None = None) -> np.ndarray:
         """Array rows of the environments `envs` (indices in the simulation; None: all).
 
         Raises:
@@ -160,7 +165,7 @@ class Recording:
             raise ValueError(f"envs: {missing} were not recorded; recorded: {self.envs.tolist()}")
         return np.array([int(np.flatnonzero(self.envs == env)[0]) for env in envs])
 
-    def save(self, path) -> None:
+    def save(self, path: str | PathLike[str]) -> None:
         """Write all frames to one .npz file of plain arrays and text.
 
         The scene is not stored: a loaded recording can be drawn, but not exported as a scene with physics.
@@ -182,7 +187,7 @@ class Recording:
         archive.save(path, KIND, VERSION, text, arrays, compress=True)
 
     @staticmethod
-    def load(path) -> "Recording":
+    def load(path: str | PathLike[str]) -> "Recording":
         """Read a file written by `save`.
 
         Raises:
@@ -309,7 +314,14 @@ def _common_scene(sim, envs: np.ndarray) -> Scene:
 
 
 def record(
-    sim, frames: int, fps: float = 60.0, on_frame=None, envs=None, *, velocities: bool = False, contacts: bool = False
+    sim: "Simulator",
+    frames: int,
+    fps: float = 60.0,
+    on_frame: Callable[[int, Any], object] | None = None,
+    envs: Iterable[int] | None = None,
+    *,
+    velocities: bool = False,
+    contacts: bool = False,
 ) -> Recording:
     """Step a simulation and record the poses of every frame.
 

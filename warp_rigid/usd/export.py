@@ -1,8 +1,12 @@
 """USD export of animations and of scenes with physics."""
 
 import contextlib
+from collections.abc import Iterable, Sequence
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
+from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.runs.recording import Recorder, Recording
 from warp_rigid.usd.options import UsdOptions
@@ -12,8 +16,8 @@ __all__ = ["UsdStream", "export_usd"]
 
 def export_usd(
     recording: Recording,
-    path,
-    envs=None,
+    path: str | PathLike[str],
+    envs: Iterable[int] | None = None,
     *,
     profile: str = "auto",
     color: str = "body",
@@ -95,7 +99,15 @@ class UsdStream:
         OSError: The file cannot be written.
     """
 
-    def __init__(self, sim, path, fps: float = 60.0, envs=None, labels=None, **options):
+    def __init__(
+        self,
+        sim: Simulator,
+        path: str | PathLike[str],
+        fps: float = 60.0,
+        envs: Iterable[int] | None = None,
+        labels: Sequence[str] | None = None,
+        **options: Any,
+    ):
         """Open the file and write the first frame."""
         chosen = UsdOptions(**options)
         path = Path(path)
@@ -112,7 +124,7 @@ class UsdStream:
         self._writer = UsdWriter(start, path, start.rows(), chosen, live=True)
         self._writer.write(next(start.frames()))
 
-    def capture(self, sim) -> None:
+    def capture(self, sim: Simulator) -> None:
         """Append the current state as a frame.
 
         Raises:
@@ -132,6 +144,6 @@ class UsdStream:
         """Return the stream."""
         return self
 
-    def __exit__(self, *error) -> None:
+    def __exit__(self, *error: object) -> None:
         """Finish the file, also after an exception."""
         self.close()

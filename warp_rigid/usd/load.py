@@ -1,6 +1,7 @@
 """USD import of files with UsdPhysics."""
 
 import warnings
+from os import PathLike
 from pathlib import Path
 
 from warp_rigid.scene.import_report import ImportReport
@@ -9,7 +10,9 @@ from warp_rigid.scene.scene import Scene
 __all__ = ["film_duration", "import_usd"]
 
 
-def import_usd(path, root: str | None = None, *, strict: bool = False, sdf_resolution: int = 64) -> Scene:
+def import_usd(
+    path: str | PathLike[str], root: str | None = None, *, strict: bool = False, sdf_resolution: int = 64
+) -> Scene:
     """Read the rigid bodies and colliders of a USD file.
 
     Lengths, masses and the up axis are converted to metres, kilograms and z. Meshes collide as nonconvex solids with a

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
@@ -141,7 +142,7 @@ class Shape:
         axes = np.concatenate([np.eye(3), -np.eye(3)])
         return self.center_of_mass, float((self.support(axes) - axes @ self.center_of_mass).min())
 
-    def signed_distance(self, points) -> tuple[np.ndarray, np.ndarray]:
+    def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the surface and its gradient, in float64.
 
         For an analytic shape this is the kernels' own distance. Where the gradient does not exist (the centre of a
@@ -225,6 +226,11 @@ class Shape:
         """Smallest extent of the bounds [m]."""
         lower, upper = self.bounds
         return float(np.min(upper - lower))
+
+    @property
+    def wall(self) -> float:
+        """Thickness of the walls [m]; the size, if the shape is convex."""
+        return self.size
 
     @cached_property
     def key(self) -> str:

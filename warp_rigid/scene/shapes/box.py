@@ -3,6 +3,7 @@
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_vector, shown
 from warp_rigid.scene.shapes import mass_properties, tessellation
@@ -18,7 +19,7 @@ class Box(Shape):
 
     parameters = ("half_extents",)
 
-    def __init__(self, half_extents):
+    def __init__(self, half_extents: ArrayLike):
         """Make a box.
 
         Args:
@@ -34,15 +35,15 @@ class Box(Shape):
         """Closed form."""
         return mass_properties.box(self.half_extents)
 
-    def support(self, directions):
+    def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the box."""
         return np.abs(directions) @ self.half_extents
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """One BOX."""
         return [Part(PartKind.BOX, (*self.half_extents.tolist(), 0.0))]
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """8 vertices, 9 FACE points per face, and 4 to 16 EDGE segments per edge, half as long as the box is wide."""
         half = self.half_extents
         width = np.sort(half)[1]
@@ -71,6 +72,6 @@ class Box(Shape):
                 collected.add(SampleKind.FACE, point, sign * np.eye(3)[axis])
         return collected
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """12 triangles."""
         return tessellation.box(self.half_extents)

@@ -32,16 +32,16 @@ class Capsule(Shape):
         """Closed form."""
         return mass_properties.capsule(self.radius, self.half_height)
 
-    def support(self, directions):
+    def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the capsule."""
         along = np.abs(directions[:, 2]) * self.half_height
         return along + self.radius * np.linalg.norm(directions, axis=1)
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """One CAPSULE."""
         return [Part(PartKind.CAPSULE, (self.radius, self.half_height, 0.0, 0.0))]
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """Two balls at the ends and EDGE segments along the axis, all with the capsule's radius."""
         ends = np.array([[0.0, 0.0, -self.half_height], [0.0, 0.0, self.half_height]])
         collected = SampleList()
@@ -49,7 +49,7 @@ class Capsule(Shape):
         collected.add_axis(self.half_height, self.radius)
         return collected
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Half balls of 8 rings each, and the tube between them."""
         angles = np.linspace(0.0, 0.5 * np.pi, 9)
         radii = self.radius * np.concatenate([np.sin(angles[1:]), np.sin(angles[:0:-1])])

@@ -1,15 +1,19 @@
 """Compound: several shapes rigidly joined into one."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warp_rigid import rotations
 from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
+    Part,
+    ReadArray,
     Shape,
     frozen_array,
     point_array,
@@ -24,7 +28,7 @@ class Compound(Shape):
     without overlap. `size` is the smallest of the children's sizes.
     """
 
-    def __init__(self, children):
+    def __init__(self, children: Iterable[tuple[Shape, ArrayLike, ArrayLike]]):
         """Join shapes.
 
         Args:
@@ -57,7 +61,7 @@ class Compound(Shape):
         """Smallest size among the children [m]: contact tolerances must fit the thinnest."""
         return min(shape.size for shape, _, _ in self.children)
 
-    def support(self, directions):
+    def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over all children."""
         return np.max(
             [
@@ -67,6 +71,11 @@ class Compound(Shape):
             axis=0,
         )
 
+    @property
+    def wall(self):
+        """Thinnest walls among the children [m]."""
+        return min(shape.wall for shape, _, _ in self.children)
+
     @cached_property
     def inner_ball(self):
         """The largest of the children's."""
@@ -75,7 +84,7 @@ class Compound(Shape):
         center, radius = balls[largest]
         return self._rotations[largest] @ center + self.children[largest][1], radius
 
-    def signed_distance(self, points):
+    def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the nearest child.
 
         Exact outside. Inside, the depth is that in the deepest child, which is at most the true depth.
@@ -97,16 +106,16 @@ class Compound(Shape):
         return distance, gradient @ rotation.T
 
     @property
-    def grid_nodes(self):
+    def grid_nodes(self) -> int:
         """Sum over all children."""
         return sum(shape.grid_nodes for shape, _, _ in self.children)
 
     @property
-    def tree_triangles(self):
+    def tree_triangles(self) -> int:
         """Sum over all children."""
         return sum(shape.tree_triangles for shape, _, _ in self.children)
 
-    def to_data(self, place):
+    def to_data(self, place: Callable[[Shape], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """The children by index, each with its pose."""
         return {
             "children": [
@@ -115,7 +124,7 @@ class Compound(Shape):
         }, {}
 
     @classmethod
-    def from_data(cls, data, array, earlier) -> Self:
+    def from_data(cls, data: dict[str, Any], array: ReadArray, earlier: list[Shape]) -> Self:
         """Join shapes that were saved earlier."""
         last = len(earlier) - 1
         return cls(
@@ -123,7 +132,7 @@ class Compound(Shape):
             for child, position, orientation in data["children"]
         )
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """The children's parts, in order, at their poses."""
         flat = []
         for (shape, position, orientation), rotation in zip(self.children, self._rotations, strict=True):
@@ -133,7 +142,7 @@ class Compound(Shape):
                 flat.append(replace(part, position=tuple(place.tolist()), orientation=turned))
         return flat
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """The children's samples, without those inside another child."""
         collected = SampleList()
         for index, (shape, position, _) in enumerate(self.children):
@@ -162,7 +171,7 @@ class Compound(Shape):
             reach = np.maximum(reach, distance + ball - allowed)
         return reach < 0.0
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """The children's surfaces together, inner walls included."""
         vertices, faces, count = [], [], 0
         for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True):

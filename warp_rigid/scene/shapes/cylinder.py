@@ -35,16 +35,16 @@ class Cylinder(Shape):
         """Closed form."""
         return mass_properties.cylinder(self.radius, self.half_height)
 
-    def support(self, directions):
+    def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the cylinder."""
         along = np.abs(directions[:, 2]) * self.half_height
         return along + self.radius * np.linalg.norm(directions[:, :2], axis=1)
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """One CYLINDER."""
         return [Part(PartKind.CYLINDER, (self.radius, self.half_height, 0.0, 0.0))]
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """For each cap a RIM, 16 CAP points on its circle and 9 FACE points; for the side, EDGE segments.
 
         The side of a cylinder longer than wide is sampled as a capsule inside it, whose end balls are clear of the
@@ -69,7 +69,7 @@ class Cylinder(Shape):
             collected.add(SampleKind.EDGE, radius * circle, circle, slide)
         return collected
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """64-sided prism."""
         radii = [self.radius, self.radius]
         heights = [-self.half_height, -self.half_height, self.half_height, self.half_height]

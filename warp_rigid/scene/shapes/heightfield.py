@@ -1,15 +1,17 @@
 """Height fields: terrain over a rectangle, which can move up and down in waves."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, TypeGuard
+from typing import Any, Self, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_vector, number_array, number_in, shown
 from warp_rigid.scene.shapes import mass_properties, tessellation
-from warp_rigid.scene.shapes.base import Grid, Part, PartKind, Shape, frozen_array, point_array
+from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.sampling import VERTEX, SampleKind, SampleList
 
 __all__ = ["HarmonicMotion", "Heightfield", "moves"]
@@ -43,7 +45,7 @@ class Heightfield(Shape):
     static_only = True
     size = math.inf
 
-    def __init__(self, heights, size, motion: HarmonicMotion | None = None):
+    def __init__(self, heights: ArrayLike, size: ArrayLike, motion: HarmonicMotion | None = None):
         """Make a height field.
 
         Args:
@@ -52,12 +54,12 @@ class Heightfield(Shape):
             size: (size_x, size_y) of the rectangle [m], both greater than 0.
             motion: of the heights in time, for kinematic bodies; None for a field that does not move.
         """
-        heights = number_array("heights", heights)
-        if heights.ndim != 2 or min(heights.shape) < 2:
-            raise ValueError(f"heights: must be at least 2 x 2 numbers, got {heights.shape}")
-        if not np.isfinite(heights).all():
+        given = number_array("heights", heights)
+        if given.ndim != 2 or min(given.shape) < 2:
+            raise ValueError(f"heights: must be at least 2 x 2 numbers, got {given.shape}")
+        if not np.isfinite(given).all():
             raise ValueError("heights: must be finite numbers, got NaN or infinity")
-        self.heights = frozen_array(heights)
+        self.heights = frozen_array(given)
         extent = finite_vector("size", size, 2)
         if min(extent) <= 0.0:
             raise ValueError(f"size: must be 2 finite numbers > 0, got {shown(size)}")
@@ -91,11 +93,11 @@ class Heightfield(Shape):
         return [self.heights, self.extent, self.moving, self.amplitude, self.phase, self.angular_frequency]
 
     @property
-    def grid_nodes(self):
+    def grid_nodes(self) -> int:
         """One per vertex."""
         return self.heights.size
 
-    def to_data(self, place):
+    def to_data(self, place: Callable[[Shape], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Heights and motion as arrays."""
         data, arrays = {"size": self.extent.tolist()}, {"heights": self.heights}
         if self.moving:
@@ -104,7 +106,7 @@ class Heightfield(Shape):
         return data, arrays
 
     @classmethod
-    def from_data(cls, data, array, earlier) -> Self:
+    def from_data(cls, data: dict[str, Any], array: ReadArray, earlier: list[Shape]) -> Self:
         """The field with its motion, if it has one."""
         heights = array("heights", np.float64, (None, None))
         motion = None
@@ -147,7 +149,7 @@ class Heightfield(Shape):
             np.array([*half, (self.heights + swing).max()]),
         )
 
-    def signed_distance(self, points):
+    def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Distance at time 0 to the solid below the triangles, and its direction.
 
         Exact above, below and beside the solid. Beyond the rectangle and above the height of its border it is a lower
@@ -188,7 +190,7 @@ class Heightfield(Shape):
         direction = np.where(flat[:, None], normal, arm / np.where(flat, 1.0, distance)[:, None])
         return distance, direction
 
-    def height_at(self, places, time: float) -> np.ndarray:
+    def height_at(self, places: ArrayLike, time: float) -> np.ndarray:
         """Height of the surface at points (n, 2) of its rectangle and a time [s], (n,) [m]."""
         heights, last = self.heights_at(time), np.array(self.heights.shape) - 1
         place = np.clip((np.asarray(places) / self.extent + 0.5) * last, 0.0, last)
@@ -200,7 +202,7 @@ class Heightfield(Shape):
         along_y = np.where(u > v, far - h10, h01 - corner)
         return corner + u * along_x + v * along_y
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """One HEIGHTFIELD; its grid's spacing is that along x."""
         values = frozen_array(self.heights_at(0.0)[:, :, None], np.float32)
         origin = (-0.5 * float(self.extent[0]), -0.5 * float(self.extent[1]), 0.0)
@@ -208,7 +210,7 @@ class Heightfield(Shape):
         grid = Grid(origin, spacing, values)
         return [Part(PartKind.HEIGHTFIELD, (*self.extent.tolist(), self.steepest_slope, 0.0), grid=grid)]
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """The grid's vertices, as FACE points: a body that slides over a vertex must not be stopped by it."""
         vertices, _ = self.surface()
         spacing = self.extent / (np.array(self.heights.shape) - 1)
@@ -226,7 +228,7 @@ class Heightfield(Shape):
         swing = np.float32(2.0 * np.abs(self.amplitude).max())
         return replace(samples, cluster_radius=samples.cluster_radius + swing)
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Two triangles per cell, at time 0."""
         return self._surface_at(self.heights_at(0.0))
 

@@ -1,16 +1,20 @@
 """Mesh: a solid bounded by triangles, with a signed distance grid."""
 
 import warnings
+from collections.abc import Callable
 from functools import cached_property
+from os import PathLike
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warp_rigid.checks import whole_in
 from warp_rigid.files import mesh_files
 from warp_rigid.scene.shapes import distance_grid, mass_properties, topology
-from warp_rigid.scene.shapes.base import Grid, Part, PartKind, Shape, frozen_array, point_array
+from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.mesh_repair import Surface, checked, repair
-from warp_rigid.scene.shapes.sampling import sample_mesh
+from warp_rigid.scene.shapes.sampling import SampleList, sample_mesh
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree, triangle_tree
 
 SAMPLES_PER_SIDE = 16
@@ -39,7 +43,7 @@ class Mesh(Shape):
         repairs: descriptions of the repairs, empty if none was needed.
     """
 
-    def __init__(self, vertices, faces, sdf_resolution: int = 64):
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike, sdf_resolution: int = 64):
         """Make a mesh.
 
         Args:
@@ -72,13 +76,11 @@ class Mesh(Shape):
 
     def _refuse_thin(self) -> None:
         """Reject walls that the grid does not resolve, where it alone tells inside from outside."""
-        area = topology.face_normals(self._solid_vertices, self._solid_faces)[1].sum()
-        wall = 2.0 * self.volume / area  # of a plate, its thickness
         extent = float(np.ptp(self.vertices, axis=0).max())
-        least = int(np.ceil(CELLS_OF_A_WALL * extent / wall))
+        least = int(np.ceil(CELLS_OF_A_WALL * extent / self.wall))
         if self.sdf_resolution < least:
             raise ValueError(
-                f"sdf_resolution: must be at least {least} for walls about {1e3 * wall:.3g} mm thick, got "
+                f"sdf_resolution: must be at least {least} for walls about {1e3 * self.wall:.3g} mm thick, got "
                 f"{self.sdf_resolution}; as {self.fault}, only the grid tells inside from outside"
             )
 
@@ -95,7 +97,7 @@ class Mesh(Shape):
         return f"Mesh({sizes}, sdf_resolution={self.sdf_resolution})"
 
     @classmethod
-    def from_file(cls, path, scale: float = 1.0, sdf_resolution: int = 64) -> "Mesh":
+    def from_file(cls, path: str | PathLike[str], scale: float = 1.0, sdf_resolution: int = 64) -> "Mesh":
         """Read a mesh file.
 
         Vertices that a file format repeats for each face (STL) or texture seam (OBJ) are merged
@@ -123,12 +125,14 @@ class Mesh(Shape):
         return mesh
 
     @classmethod
-    def from_trimesh(cls, mesh, sdf_resolution: int = 64) -> "Mesh":
+    def from_trimesh(cls, mesh: Any, sdf_resolution: int = 64) -> "Mesh":
         """Make a mesh from the vertices and faces of a `trimesh.Trimesh`."""
         return cls(mesh.vertices, mesh.faces, sdf_resolution)
 
     @classmethod
-    def restored(cls, vertices, faces, sdf_resolution: int, repairs: list[str], distances: np.ndarray) -> "Mesh":
+    def restored(
+        cls, vertices: np.ndarray, faces: np.ndarray, sdf_resolution: int, repairs: list[str], distances: np.ndarray
+    ) -> Self:
         """A saved mesh, bit for bit: without repairs, warnings or a new distance grid.
 
         Args:
@@ -151,23 +155,23 @@ class Mesh(Shape):
         return mesh
 
     @property
-    def grid_nodes(self):
+    def grid_nodes(self) -> int:
         """From the bounds and the resolution."""
         nx, ny, nz = distance_grid.grid_layout(self.vertices, self.sdf_resolution)[2]
         return nx * ny * nz
 
     @property
-    def tree_triangles(self):
+    def tree_triangles(self) -> int:
         """All, or none."""
         return len(self._solid_faces) if self._simple else 0
 
-    def to_data(self, place):
+    def to_data(self, place: Callable[[Shape], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Triangles and distances as arrays."""
         arrays = {"vertices": self.vertices, "faces": self.faces, "distances": self.grid.values}
         return {"sdf_resolution": self.sdf_resolution, "repairs": self.repairs}, arrays
 
     @classmethod
-    def from_data(cls, data, array, earlier):
+    def from_data(cls, data: dict[str, Any], array: ReadArray, earlier: list[Shape]) -> Self:
         """The mesh as it was; its grid is not computed again."""
         vertices, faces = array("vertices", np.float64, (None, 3)), array("faces", np.int32, (None, 3))
         distances = array("distances", np.float32, (None, None, None))
@@ -181,7 +185,7 @@ class Mesh(Shape):
         """Exact integrals over the triangles, with holes closed by fans."""
         return mass_properties.polyhedron(self._solid_vertices, self._solid_faces)
 
-    def support(self, directions):
+    def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the vertices."""
         return (directions @ self.vertices.T).max(axis=1)
 
@@ -196,7 +200,7 @@ class Mesh(Shape):
         """Signed distances: `sdf_resolution` cells along the longest side, and 3 more on every side."""
         return distance_grid.grid_of_mesh(self._solid_vertices, self._solid_faces, self.sdf_resolution, self._simple)
 
-    def signed_distance(self, points):
+    def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance to the triangles (n,) [m] and unit direction (n, 3), which is zero on the surface itself.
 
         Computed in float32 about the middle of the mesh. The simulation takes it from the grid where no contact can be,
@@ -205,13 +209,19 @@ class Mesh(Shape):
         return distance_grid.mesh_distance(self._solid_vertices, self._solid_faces, point_array(points), self._simple)
 
     @cached_property
+    def wall(self):
+        """Thickness of a large plate with the same volume and area [m]."""
+        area = topology.face_normals(self._solid_vertices, self._solid_faces)[1].sum()
+        return float(2.0 * self.volume / area)
+
+    @cached_property
     def inner_ball(self):
         """About the deepest node of the grid."""
         deepest = np.unravel_index(np.argmin(self.grid.values), self.grid.values.shape)
         center = np.array(self.grid.origin) + self.grid.spacing * np.array(deepest)
         return center, max(0.0, -float(self.grid.values[deepest]))
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """One GRID, with a tree of triangles where their distance has a sign."""
         return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid, tree=self.tree)]
 
@@ -225,11 +235,11 @@ class Mesh(Shape):
         """Largest distance of a surface point from the nearest sample: longest side / 16 [m]."""
         return float(np.ptp(self.vertices, axis=0).max()) / SAMPLES_PER_SIDE
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """Vertices, EDGE segments on sharp convex edges, and points on large triangles."""
         return sample_mesh(self.vertices, self.faces, self.sample_spacing)
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """The repaired mesh itself, with its holes open."""
         return self.vertices, self.faces
 

@@ -4,6 +4,7 @@ import math
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warp_rigid.checks import finite_number, finite_vector, shown
 from warp_rigid.scene.shapes import mass_properties, tessellation
@@ -21,7 +22,7 @@ class Plane(Shape):
     static_only = True
     size = math.inf
 
-    def __init__(self, normal=(0.0, 0.0, 1.0), offset: float = 0.0):
+    def __init__(self, normal: ArrayLike = (0.0, 0.0, 1.0), offset: float = 0.0):
         """Make a plane.
 
         Args:
@@ -41,21 +42,21 @@ class Plane(Shape):
         """Zero: a plane has no mass."""
         return mass_properties.no_solid()
 
-    def support(self, directions):
+    def support(self, directions: np.ndarray) -> np.ndarray:
         """Infinite in all directions except the normal's."""
         along = directions @ self.normal
         norm = np.linalg.norm(directions, axis=1)
         return np.where(along > norm * (1.0 - 1e-12), norm * self.offset, math.inf)
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """One PLANE."""
         return [Part(PartKind.PLANE, (*self.normal.tolist(), self.offset))]
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """None: contacts with a plane come from the other body's samples."""
         return SampleList()
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """A square of 20 m."""
         helper = np.eye(3)[np.argmin(np.abs(self.normal))]
         first = np.cross(helper, self.normal)

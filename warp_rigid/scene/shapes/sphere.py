@@ -28,21 +28,21 @@ class Sphere(Shape):
         """Closed form."""
         return mass_properties.sphere(self.radius)
 
-    def support(self, directions):
+    def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over the ball."""
         return self.radius * np.linalg.norm(directions, axis=1)
 
-    def parts(self):
+    def parts(self) -> list[Part]:
         """One SPHERE."""
         return [Part(PartKind.SPHERE, (self.radius, 0.0, 0.0, 0.0))]
 
-    def sample_list(self):
+    def sample_list(self) -> SampleList:
         """One ball at the centre."""
         collected = SampleList()
         collected.add_round(SampleKind.POINT, np.zeros((1, 3)), radius=self.radius)
         return collected
 
-    def surface(self):
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """1280 nearly equal triangles."""
         vertices, faces = tessellation.geodesic(8)
         return self.radius * vertices, faces

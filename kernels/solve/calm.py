@@ -1,0 +1,160 @@
+"""Calm islands: further sweeps with Nesterov's momentum, until the velocities have converged.
+
+A structure that carries load sideways, such as an arch or a card house, needs many sweeps from the first step on. Its
+load has no order, so shock propagation is of little use, and an error of the velocities deforms it before the impulses
+of earlier steps can correct the error. Islands whose bodies hardly move are therefore swept until no row changes a
+velocity by more than STILL. At rest the impulses of the last step solve the problem, and no such sweep is needed.
+
+The sweeps of an arch of n stones reduce the error by a fraction that decreases with the fourth power of n. With the
+momentum b = (k - 1) / (k + 2) of sweep k (rounds.py), it decreases with the square of n: 27 stones need about 200
+sweeps instead of thousands. The momentum may be larger than in rounds, as a sweep is closer to the solution.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.solver_body import START, VELOCITY, inverse_mass_of, load_velocity, store_velocity
+from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team, team_of
+from warp_rigid.kernels.constraints.contact import extrapolate_row, store_start
+from warp_rigid.kernels.constraints.rows import Rows
+from warp_rigid.kernels.enums import ShockMode
+from warp_rigid.kernels.graph.islands import MOST_CALM
+from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
+
+wp.set_module_options({"enable_backward": False})
+
+STILL = wp.constant(1.0e-5)
+"""Sweeps end when no row changes a velocity by more than this [m/s]."""
+
+MOST_MOMENTUM = wp.constant(0.98)
+"""Maximum momentum. With 0.9, an arch of 45 stones needs more sweeps than it gets; with 1, it does not converge."""
+
+PLAIN_SWEEPS = wp.constant(3)
+"""Sweeps without momentum at the end, if an island reaches its limit."""
+
+UNLIMITED = wp.constant(2**30)
+"""Sweeps over a constraint of a body that is not dynamic, as far as this body is concerned."""
+
+
+@wp.func
+def limit_of(entry: OrderRecord, motions: Motions, graph: Graph):
+    """Maximum number of further sweeps over a constraint."""
+    limit = int(UNLIMITED)
+    if inverse_mass_of(entry.body_a, motions) > 0.0:
+        limit = graph.calm_sweeps[entry.body_a]
+    if inverse_mass_of(entry.body_b, motions) > 0.0:
+        limit = wp.min(limit, graph.calm_sweeps[entry.body_b])
+    return limit
+
+
+@wp.func
+def momentum(turn: int, limit: int):
+    """Momentum after a sweep. The first one and the last PLAIN_SWEEPS of at most `limit` sweeps have none."""
+    if turn + PLAIN_SWEEPS > limit:
+        return 0.0
+    return wp.min(float(turn - 1) / float(turn + 2), MOST_MOMENTUM)
+
+
+@wp.func
+def any_calm(team: Team, envs: Environments, graph: Graph, motions: Motions):
+    """Whether an environment has a calm island. Stores the velocities of calm islands before the first sweep."""
+    found = int(0)
+    for b in range(envs.first_body[team.env] + team.lane, envs.first_body[team.env + 1], team.lanes):
+        if inverse_mass_of(b, motions) > 0.0 and graph.calm_sweeps[b] > 0:
+            found = 1
+            linear = load_velocity(b, VELOCITY, motions)
+            store_velocity(b, START, linear, load_velocity(b, VELOCITY + 1, motions), motions)
+    return any_of_team(found, team)
+
+
+@wp.func
+def any_other(team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+    """Whether an environment has constraints of other islands. Stores the impulses of calm islands."""
+    others = int(0)
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
+        entry = entry_at(k, order)
+        if limit_of(entry, motions, graph) == 0:
+            others = 1
+        else:
+            for c in range(entry.begin, entry.end):
+                store_start(c, rows.contacts)
+    return any_of_team(others, team)
+
+
+@wp.func
+def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+    """Solve all constraints of calm islands once. Returns a lane's largest change [m/s].
+
+    Where an island reaches its limit, the change is its residual.
+    """
+    change = float(0.0)
+    for color in range(order.color_count[team.env]):
+        stride = stride_of_color(color, team)
+        for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
+            entry = entry_at(k, order)
+            limit = limit_of(entry, motions, graph)
+            if turn <= limit:
+                change = wp.max(change, solve_constraint(entry, motions, rows))
+            if turn == limit:
+                raise_to(team.env, change, graph.residual)
+        sync_team(team)
+    return change
+
+
+@wp.func
+def extrapolate(turn: int, team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
+    """Extrapolate velocities and impulses from their change since the sweep before."""
+    env = team.env
+    for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
+        if inverse_mass_of(b, motions) > 0.0 and turn <= graph.calm_sweeps[b]:
+            beta = momentum(turn, graph.calm_sweeps[b])
+            linear = load_velocity(b, VELOCITY, motions)
+            angular = load_velocity(b, VELOCITY + 1, motions)
+            motions.solver_bodies[b].linear = linear + beta * (linear - load_velocity(b, START, motions))
+            motions.solver_bodies[b].angular = angular + beta * (angular - load_velocity(b, START + 1, motions))
+            store_velocity(b, START, linear, angular, motions)
+    for k in range(first_entry(team, order), end_of_entries(env, order), team.lanes):
+        entry = entry_at(k, order)
+        limit = limit_of(entry, motions, graph)
+        if turn <= limit:
+            for c in range(entry.begin, entry.end):
+                extrapolate_row(c, momentum(turn, limit), rows.contacts)
+    sync_team(team)
+
+
+@wp.kernel
+def sweep_calm_islands(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
+    """One team per environment: sweep over the calm islands that have not converged.
+
+    If the largest change has not halved within half of the sweeps, the rest is left to the next step.
+    """
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    if graph.converged[env] == 1 or envs.shock_propagation[env] != ShockMode.TWO_PASS or graph.residual[env] <= STILL:
+        return
+    if any_calm(team, envs, graph, motions) == 0:
+        return
+    others = any_other(team, order, graph, motions, rows)
+    most = MOST_CALM * envs.contact_iterations[env]
+    goal = float(graph.residual[env])
+    sync_team(team)
+    if team.lane == 0:
+        graph.residual[env] = float(others) * goal
+    sync_team(team)
+    change = float(0.0)
+    turn = int(0)
+    halved = int(0)
+    unsolved = int(1)
+    while unsolved == 1 and turn < most and 2 * (turn - halved) < most:
+        turn += 1
+        change = sweep_calm(turn, team, order, graph, motions, rows)
+        unsolved = any_of_team(wp.where(change > STILL, 1, 0), team)
+        if any_of_team(wp.where(change > goal, 1, 0), team) == 0:
+            goal *= 0.5
+            halved = turn
+        if unsolved == 1 and turn < most:
+            extrapolate(turn, team, envs, order, graph, motions, rows)
+    if team.lane == 0:
+        graph.sweeps[env] += turn
+    raise_to(env, change, graph.residual)

@@ -1,0 +1,62 @@
+"""Further sweeps over calm islands: arches stand, and what moves is not swept longer."""
+
+import numpy as np
+import pytest
+
+from tests.oracles import ground_scene
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels.solve.calm import STILL
+from warp_rigid.scene.shapes import Box
+from warp_rigid.scenes.builders import stacks
+
+RADIUS = 5.0
+
+
+def arch(device, stones, ratio, rate, **settings):
+    """A simulator with a semicircular arch, and the index of its middle stone."""
+    scene = ground_scene(friction=0.8)
+    stacks.add_arch(scene, stones, RADIUS, ratio * RADIUS, friction=0.8)
+    return Simulator(scene, settings=Settings(dt=1.0 / rate, **settings), device=device), 1 + stones // 2
+
+
+@pytest.mark.parametrize(("stones", "ratio"), [(15, 0.1115), (27, 0.112)])
+@pytest.mark.parametrize("rate", [60, 240])
+def test_arches_stand_from_five_percent_above_their_least_thickness(device, stones, ratio, rate):
+    """Linear programming gives 0.1061 radii for 15 stones and 0.1067 for 27."""
+    sim, middle = arch(device, stones, ratio, rate)
+    start = sim.get("position")[0, middle, 2]
+    moved = []
+    for _ in range(10):
+        sim.step(rate // 10)
+        moved.append(abs(sim.get("position")[0, middle, 2] - start))
+    assert max(moved) < 5e-5
+    assert sim.stats()["residual"][0] <= STILL
+
+
+def test_a_thinner_arch_falls(device):
+    sim, middle = arch(device, 15, 0.1005, 60)
+    sim.step(120)
+    assert sim.get("position")[0, middle, 2] < 0.75 * RADIUS
+
+
+def test_only_calm_islands_are_swept_further(device):
+    sim, _ = arch(device, 15, 0.125, 60)
+    sim.step(1)
+    assert sim.stats()["sweeps"][0] > 50
+    moving, _ = arch(device, 15, 0.125, 60)
+    moving.set("linear_velocity", (0.0, 0.5, 0.0), bodies=list(range(1, 16)))
+    moving.step(1)
+    assert moving.stats()["sweeps"][0] <= 10
+
+
+def test_a_calm_island_is_swept_further_beside_a_moving_one(device):
+    """The arch stands while boxes beside it tumble; the residual is that of the boxes."""
+    scene = ground_scene(friction=0.8)
+    stones = stacks.add_arch(scene, 15, RADIUS, 0.125 * RADIUS, friction=0.8)
+    for k in range(6):
+        scene.add_body(Box((0.2, 0.3, 0.1)), position=(0, 3 + 0.5 * k, 0.5), orientation=(0.1 * k, 0.2, 0.3, 1))
+    sim = Simulator(scene, settings=Settings(dt=1.0 / 60), device=device)
+    start = sim.get("position")[0, stones]
+    sim.step(60)
+    assert np.abs(sim.get("position")[0, stones] - start).max() < 1e-4
