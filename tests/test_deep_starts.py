@@ -9,7 +9,29 @@ from warp_rigid.scenes.builders import meshes
 
 RADIUS = 0.15
 BALL = wr.Mesh.from_trimesh(trimesh.creation.icosphere(radius=RADIUS))
-SHAPES = {"ball": BALL, "bunny": meshes.bunny(0.2), "torus": meshes.torus(0.2, 0.08), "cranium": meshes.cranium()}
+BOXES = [
+    (wr.Box((0.15, 0.05, 0.05)), (0, 0, 0), (0, 0, 0, 1)),
+    (wr.Box((0.05, 0.05, 0.15)), (0.1, 0, 0.1), (0, 0, 0, 1)),
+]
+CORNER = trimesh.boolean.union(
+    [
+        trimesh.creation.box((0.3, 0.1, 0.1)),
+        trimesh.creation.box((0.1, 0.1, 0.3), trimesh.transformations.translation_matrix((0.1, 0, 0.1))),
+    ],
+    engine="manifold",
+)
+SHAPES = {
+    "sphere": wr.Sphere(RADIUS),
+    "box": wr.Box((0.15, 0.1, 0.12)),
+    "capsule": wr.Capsule(0.08, 0.12),
+    "cube": wr.Mesh.from_trimesh(trimesh.creation.box((0.25,) * 3)),
+    "boxes": wr.Compound(BOXES),
+    "corner": wr.Mesh.from_trimesh(CORNER),
+    "ball": BALL,
+    "bunny": meshes.bunny(0.2),
+    "torus": meshes.torus(0.2, 0.08),
+    "cranium": meshes.cranium(),
+}
 
 
 def overlapping(device, first, second, count=24):
@@ -38,7 +60,9 @@ def test_the_overlap_of_two_balls_is_the_way_they_must_move(device):
 
 @pytest.mark.parametrize(
     ("first", "second"),
-    [("ball", "ball"), ("bunny", "bunny"), ("torus", "torus"), ("cranium", "cranium"), ("ball", "bunny")],
+    [("ball", "ball"), ("bunny", "bunny"), ("torus", "torus"), ("cranium", "cranium"), ("ball", "bunny")]
+    + [("cube", "corner")]
+    + [(name, "boxes") for name in ("sphere", "box", "capsule", "boxes")],
 )
 def test_meshes_that_start_deep_inside_each_other_come_apart(device, first, second):
     """Within a second the overlap is below 0.1 % of the size, and no speed is left of it."""

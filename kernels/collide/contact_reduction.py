@@ -160,3 +160,13 @@ def contradictory(pair: int, pairs: Pairs):
             if wp.dot(pairs.patch_normal[pair, p], pairs.patch_normal[pair, q]) < AGAINST:
                 return True
     return False
+
+
+@wp.func
+def deepest_gap(pair: int, pairs: Pairs):
+    """Gap of the deepest kept sample of a pair [m], at most 0."""
+    deepest = float(0.0)
+    for slot in range(pairs.patch_count[pair] * SLOTS):
+        if pairs.slot_key[pair, slot] >= 0:
+            deepest = wp.min(deepest, pairs.slot_gap[pair, slot])
+    return deepest

@@ -10,7 +10,8 @@ Contacts are reduced while they are found (contact_reduction.py).
 
 Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
 each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
-made with a large ball inside one body, which overlaps the other body only if the bodies overlap.
+made with a large ball inside one body, which overlaps the other body only if the bodies overlap. It also replaces
+contacts that show less than a third of its overlap.
 
 A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of each near cluster. Samples
 that are near are queued, and tested together when there is one for each lane: this takes most of the time. Touching
@@ -30,13 +31,20 @@ from warp_rigid.kernels.collide.approach import (
     travel,
 )
 from warp_rigid.kernels.collide.broadphase import may_meet
-from warp_rigid.kernels.collide.contact_reduction import contradictory, gap_weight, keep_slots, offer_sample
+from warp_rigid.kernels.collide.contact_reduction import (
+    contradictory,
+    deepest_gap,
+    gap_weight,
+    keep_slots,
+    offer_sample,
+)
 from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.convex_pairs import check_by_axis, cut_by_axis, is_apart
 from warp_rigid.kernels.collide.culling import SampleQueue, has_samples, out_of_box, queue_samples, test_clusters
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
-from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
+from warp_rigid.kernels.collide.samples import MUCH_DEEPER, Search, gradient, place_sample
 from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
+from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -149,12 +157,19 @@ def offer_touches(pair: int, key: int, touch: Touch, weight: float, size: float,
 
 
 @wp.func
+def has_exact_distance(shapes: Shapes, shape: int):
+    """Whether the distance outside a shape is exact everywhere: it consists of analytic parts."""
+    kind = shapes.parts[shapes.shapes[shape].part_start].kind
+    return shapes.shapes[shape].cell == 0.0 and kind != PartKind.HEIGHTFIELD
+
+
+@wp.func
 def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
     """The contact of the inner ball of a pair's first (side 0) or second (side 1) body.
 
     If it penetrates the other body, the two bodies overlap. That of a convex body is about its centre of mass, and any
-    overlap with a convex body counts; else its centre must be inside the other body. The gap is FAR if it is not known:
-    outside a grid the distance is only a bound.
+    overlap with analytic parts counts; else its centre must be inside the other body. The gap is FAR if it is not
+    known: outside a grid the distance is only a bound.
     """
     own = wp.where(side == 0, a, b)
     other = wp.where(side == 0, b, a)
@@ -173,7 +188,9 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     while evaluated < 2:
         # First the radius of the ball, then its distance from the other body.
         d = signed_distance(shapes, shape, query, -FAR)
-        if evaluated == 1 and (d[3] < 0.0 or (convex == 1 and shapes.shapes[shape].convex == 1)):
+        if evaluated == 1 and (
+            d[3] < 0.0 or (is_solid(shapes, bodies.shape[own]) and has_exact_distance(shapes, shape))
+        ):
             placed.direction = gradient(d)
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
@@ -189,10 +206,15 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
 def keep_center(
     pair: int, kept: int, lane: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
-    """Replace the contacts of a deep overlap by the deeper contact of the two inscribed spheres, if there is one."""
+    """Replace the contacts of a deep overlap by the deeper contact of the two inscribed spheres, if there is one.
+
+    Contacts that do not oppose each other are replaced only if they show much less than the overlap.
+    """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    deepest = float(0.0)
+    replaced = kept == 0 or contradictory(pair, pairs)
+    deepest = wp.where(replaced, 0.0, MUCH_DEEPER * deepest_gap(pair, pairs))
+    shallowest = deepest
     side = int(0)
     while side < 2:
         touch = center_inside(side, a, b, shapes, bodies, state, motions)
@@ -201,7 +223,7 @@ def keep_center(
             if lane == 0:
                 pairs.kept[pair, 0] = BY_CENTER - side
         side += 1
-    if deepest == 0.0:
+    if deepest == shallowest:
         return kept
     return 1
 
@@ -269,7 +291,7 @@ def look_for_contacts(
     kept *= closing
     if along == 1:
         return add_contact(pair, BY_AXIS, kept, lane, pairs)
-    if not solid and (kept == 0 or contradictory(pair, pairs)):
+    if not solid:
         kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
     return kept
 

@@ -359,7 +359,8 @@ def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int
 
     Outside a grid the distance is only a bound. The centre of a sphere may lie there, but not its deepest point. This
     point is found by descent over the sphere's surface: along the gradient while the distance decreases, by at most the
-    width of the shape. Corners and edges of the shape need no search, as their own samples find the sphere.
+    width of the shape. Corners and edges of the shape need no search, as their own samples find the sphere. A sphere
+    whose centre is inside needs none either: beyond the middle of the shape, the descent would end at its far side.
     """
     if search.stage == BALL_CENTER:
         search.direction = gradient(d)
@@ -368,7 +369,7 @@ def ball_next(search: Search, d: wp.vec4, radius: float, size: float, exact: int
         search.half = wp.min(size / radius, 1.0)
         search.t = search.half
         search.query = search.start - radius * search.along
-        search.stage = wp.where(exact == 1, DONE, BALL_FIRST)
+        search.stage = wp.where(exact == 1 or d[3] < 0.0, DONE, BALL_FIRST)
         return search
     if search.stage == BALL_FIRST or d[3] < search.distance:
         if search.stage > BALL_FIRST:
@@ -481,7 +482,7 @@ def bring_to_touch(
     convex = shapes.shapes[shape].convex
     size = shapes.shapes[shape].size
     part = shapes.shapes[shape].part_start
-    exact = wp.where(shapes.parts[part].kind == PartKind.HEIGHTFIELD, 1, convex)
+    exact = wp.where(shapes.shapes[shape].cell == 0.0, 1, 0)
     if shapes.parts[part].tree_start < shapes.parts[part].tree_end:
         exact = 1
     choice = shapes.samples[s].choice
