@@ -86,4 +86,5 @@ DEMO = Demo(
     outcome=DemolitionOutcome,
     duration=3.0,
     variants={"default": {}},
+    view=(-35.0, 18.0),
 )

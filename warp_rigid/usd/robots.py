@@ -30,7 +30,9 @@ MESSAGE = re.compile(r"^\[(Warning|Error)\] (?:\[[^\]]*\] )?(.*)$")
 """A line that a converter prints: its severity, the function that it comes from, and the text."""
 
 
-def import_robot(path, *, self_collision: bool = False, strict: bool = False, sdf_resolution: int = 64) -> Scene:
+def import_robot(
+    path: str | os.PathLike[str], *, self_collision: bool = False, strict: bool = False, sdf_resolution: int = 64
+) -> Scene:
     """Read the bodies, colliders and joints of an MJCF or URDF file.
 
     The file is converted to USD by `mujoco_usd_converter` or `urdf_usd_converter`, which must be on the search path or

@@ -72,7 +72,7 @@ class Compound(Shape):
         )
 
     @property
-    def wall(self):
+    def wall(self) -> float:
         """Thinnest walls among the children [m]."""
         return min(shape.wall for shape, _, _ in self.children)
 
