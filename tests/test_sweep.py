@@ -98,6 +98,25 @@ def test_rows_do_not_depend_on_batches_shards_or_order():
     }
 
 
+def test_large_scenes_come_first_and_equal_settings_share_warps():
+    """The order of the environments, from which a GPU makes its warps; that of the rows is the order of the design."""
+
+    def stack(count: int = 1):
+        scene = wr.Scene()
+        scene.add_static(wr.Plane())
+        for i in range(count):
+            scene.add_body(wr.Box((0.1,) * 3), position=(0, 0, 0.1 + 0.2 * i))
+        return scene
+
+    axes = {"count": [1, 3, 2], "contact_iterations": [10, 40], "friction": [0.2, 0.6]}
+    rows = wr.sweep(stack, axes, duration=0.01, device="cpu", batch=12).rows
+    assert [row["run"] for row in rows] == list(range(12))
+    launched = sorted(rows, key=lambda row: row["environment"])
+    assert [row["count"] for row in launched] == [3] * 4 + [2] * 4 + [1] * 4
+    assert [row["contact_iterations"] for row in launched] == [10, 10, 40, 40] * 3
+    assert [row["friction"] for row in launched] == [0.2, 0.6] * 6
+
+
 def test_only_time_steps_split_a_batch(monkeypatch):
     sizes = []
     monkeypatch.setattr(batch_module, "Simulator", lambda *a, **k: sizes.append(len(a[0])) or wr.Simulator(*a, **k))

@@ -2,11 +2,13 @@
 
 import math
 import time
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from warp_rigid.runs import runner
+from warp_rigid.viewer.hud import Hud
 from warp_rigid.viewer.session import Paced, Session
 
 FALLING = """
@@ -103,6 +105,18 @@ def test_verdicts_are_those_of_a_run():
     for _ in range(120):
         session.step(8)
     assert {verdict.name: verdict.values[0] for verdict in session.verdicts} == expected
+
+
+def test_verdicts_that_take_long_are_seldom_renewed_while_it_runs(monkeypatch):
+    """Those of meshes take 0.1 s and more, in which the page would stand still; a pause shows them as they are."""
+    session, judged = Session("seesaw", device="cpu"), []
+    monkeypatch.setattr(Session, "verdicts", property(lambda session: judged.append(busy(0.02)) or []))
+    hud = Hud(MagicMock())
+    hud._refresh = lambda action, *arguments: action(*arguments)
+    for session.running, most in ((True, 1), (False, 9)):
+        for _ in range(8):
+            hud.update(session, np.arange(1), 60.0, 1.0)
+        assert len(judged) == most
 
 
 def test_another_time_step_goes_on_from_the_same_state(falling):

@@ -139,7 +139,9 @@ class Stage:
         raise AssertionError("the view does not come to rest")
 
     def canvas(self):
-        return max((c.bounding_box() for c in self.page.locator("canvas").all()), key=lambda box: box["height"])
+        boxes = [canvas.bounding_box() for canvas in self.page.locator("canvas").all()]
+        # That of the plot has none while its folder is closed.
+        return max((box for box in boxes if box), key=lambda box: box["height"])
 
     def on_screen(self, point):
         """Where a point of the world is on the page [pixel]."""

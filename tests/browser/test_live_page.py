@@ -1,6 +1,7 @@
 """The live page as a user meets it, in a real browser."""
 
 import numpy as np
+from PIL import Image
 
 from warp_rigid.viewer.overlays import JOINTS, OVERLAYS
 
@@ -201,3 +202,72 @@ def test_a_batch_shows_all_or_one_environment(stage):
     live.type_number("Friction", 0.33)
     live.until(lambda: np.allclose(live.session.sim.get("friction")[2], 0.33), "a change applies to the one shown")
     assert not np.allclose(live.session.sim.get("friction")[0], 0.33)
+
+
+def test_page_has_its_name_and_waits_until_it_is_watched(stage):
+    live = stage("seesaw")
+    assert live.page.title() == "warp_rigid"
+    assert live.page.locator("link[rel~=icon]").first.get_attribute("href").startswith("data:image/svg+xml")
+    # Opened by a program, the session is paused; nothing went by while the page was loading.
+    assert live.session.time == 0.0
+    live.page.get_by_text("Keys", exact=True).click()
+    live.page.get_by_text("contact processing on or off").wait_for()
+
+
+def test_rewind_shows_the_past_and_running_continues_from_there(stage):
+    live = stage("seesaw")
+    live.press("Space")
+    live.until(lambda: live.session.time > 1.5, "it runs")
+    live.press("Space")
+    live.until(lambda: not live.session.running, "it pauses")
+    end, shown = live.session.time, live.still()
+    live.type_number("Rewind [s]", -1)
+    live.until(lambda: changed_pixels(shown, live.shot()) > 200, "the past is shown")
+    assert live.session.time == end
+    live.press("Space")
+    live.until(lambda: live.session.running, "it runs on")
+    live.until(lambda: live.session.time < end, "from the moment that was shown")
+    live.until(lambda: live.session.time > end, "up to where it was, and further")
+    live.check("Loop the last 20 s")
+    live.until(lambda: not live.session.running and live.viewer.history.length > 1.0, "the loop pauses the simulation")
+    end, first = live.session.time, live.shot()
+    live.until(lambda: changed_pixels(first, live.shot()) > 200, "the loop is shown")
+    assert live.session.time == end
+
+
+def test_picture_and_film_are_downloaded(stage, page, tmp_path):
+    live = stage("seesaw")
+    live.press("Space")
+    live.until(lambda: live.session.time > 0.5, "it runs")
+    live.press("Space")
+    for button, name in (("Picture", "seesaw.png"), ("Film", "seesaw.html")):
+        with live.page.expect_download() as download:
+            live.page.get_by_role("button", name=button, exact=True).click()
+        assert download.value.suggested_filename == name
+        download.value.save_as(tmp_path / name)
+    picture = np.asarray(Image.open(tmp_path / "seesaw.png").convert("RGB"))
+    assert picture.shape[0] > 300 and picture.std(axis=(0, 1)).max() > 8.0
+    page.goto((tmp_path / "seesaw.html").as_uri())
+    page.wait_for_selector("canvas")
+
+
+def test_a_dropped_body_falls_onto_the_others_and_is_inspected(stage):
+    live = stage("box_stack")
+    live.tab("Touch")
+    before = live.session.sim.num_bodies
+    live.choose("New body", "sphere")
+    live.page.get_by_role("button", name="Drop", exact=True).click()
+    live.until(lambda: live.session.sim.num_bodies == before + 1, "there is one more body")
+    live.until(lambda: "(Sphere, dynamic)" in live.page.inner_text("body"), "it is selected and described")
+    start = live.session.sim.get("position")[0, -1, 2]
+    live.press("Space")
+    live.until(lambda: live.session.sim.get("position")[0, -1, 2] < start - 0.3, "it falls")
+
+
+def test_scene_is_built_again_with_other_parameters(stage):
+    live = stage("box_stack")
+    before = live.session.sim.num_bodies
+    live.tab("Scene")
+    live.type_number("Height", 4)
+    live.page.get_by_role("button", name="Restart with these").click()
+    live.until(lambda: live.session.sim.num_bodies == before - 6, "the stack has four boxes")

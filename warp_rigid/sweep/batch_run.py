@@ -14,7 +14,6 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
-from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
@@ -46,7 +45,7 @@ class Batch:
 
     rows: list[dict[str, Any]]
     trajectories: list[tuple[list[Run], dict[str, Any]]] = field(default_factory=list)
-    series: list[tuple[Sequence[Run], dict[str, np.ndarray]]] = field(default_factory=list)
+    series: list[tuple[list[Run], dict[str, np.ndarray]]] = field(default_factory=list)
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -56,10 +55,12 @@ class Prepared:
 
     Attributes:
         sim: the simulator, with one environment per run.
-        views: its environments grouped by scene.
+        runs: the runs in the order of the environments.
+        views: the environments grouped by scene.
     """
 
     sim: Simulator
+    runs: list[Run]
     views: list[EnvironmentView]
 
     def views_of_structures(self) -> list[EnvironmentView]:
@@ -77,16 +78,30 @@ class Prepared:
 def prepare(job: Job, runs: Sequence[Run]) -> Prepared:
     """Build the simulator of some runs with the same time step in their initial states."""
     inputs = run_inputs(job, runs)
-    keys = [run_input.scene_key for run_input in inputs]
-    first = dict(reversed([(key, run_input) for key, run_input in zip(keys, inputs, strict=True)]))
-    place = {key: index for index, key in enumerate(first)}
-    scenes: list[Scene] = [build_scene(job, run_input) for run_input in first.values()]
-    which = np.array([place[key] for key in keys])
+    first = dict(reversed([(run_input.scene_key, run_input) for run_input in inputs]))
+    scene_of_key = {key: build_scene(job, run_input) for key, run_input in first.items()}
+    order = _launch_order(inputs, [len(scene_of_key[run_input.scene_key].bodies) for run_input in inputs])
+    inputs = [inputs[index] for index in order]
+    place = {key: index for index, key in enumerate(scene_of_key)}
+    scenes = list(scene_of_key.values())
+    which = np.array([place[run_input.scene_key] for run_input in inputs])
     settings = Settings(**inputs[0].settings)
     sim = Simulator([scenes[index] for index in which], settings=settings, device=job.device, seed=runs[0].seed)
     _set_all(sim, inputs)
     reads = SharedReads(sim)
-    return Prepared(sim, [EnvironmentView(reads, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)])
+    views = [EnvironmentView(reads, scene, np.flatnonzero(which == i)) for i, scene in enumerate(scenes)]
+    return Prepared(sim, [runs[index] for index in order], views)
+
+
+def _launch_order(inputs: list[RunInputs], bodies: list[int]) -> list[int]:
+    """Order of the runs of a batch: those with many bodies first, those with equal settings together.
+
+    On a GPU neighbouring environments share a warp, which takes as long as the slowest of them, and a kernel ends
+    sooner if the environments that begin last are quick.
+    """
+    kinds: dict[Any, int] = {}
+    kind = [kinds.setdefault(tuple(run_input.settings.items()), len(kinds)) for run_input in inputs]
+    return sorted(range(len(inputs)), key=lambda index: (-bodies[index], kind[index]))
 
 
 def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = None) -> Simulator:
@@ -177,11 +192,11 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     columns |= outcomes.values()
     missing = np.full(sim.num_envs, None, object)
     columns |= {name: observers.latest.get(name, missing) for name in job.observe}
-    rows = _rows(sim, runs, columns, peak_counts, failures)
+    rows = _rows(sim, prepared.runs, columns, peak_counts, failures)
     seconds = (time.perf_counter() - start) / len(runs)
     watch.add({"measure": time.perf_counter() - measuring - watch.seconds["record"] - watch.seconds["step"]})
-    kept = _trajectories(prepared, runs, rows, frames) if job.trajectories else []
-    series = [(runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
+    kept = _trajectories(prepared, rows, frames) if job.trajectories else []
+    series = [(prepared.runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []
     return Batch([row | {"wall_time": seconds} for row in rows], kept, series, watch.seconds)
 
 
@@ -243,7 +258,7 @@ class _Outcomes:
         return found
 
 
-def _trajectories(prepared: Prepared, runs: Sequence[Run], rows: list[dict], frames: dict[str, list]) -> list:
+def _trajectories(prepared: Prepared, rows: list[dict], frames: dict[str, list]) -> list:
     """Arguments of Trajectories.add, one for each structure; the name of its group is added to the rows."""
     found = []
     for view in prepared.views_of_structures():
@@ -253,7 +268,7 @@ def _trajectories(prepared: Prepared, runs: Sequence[Run], rows: list[dict], fra
             kept[name] = np.stack([values[view.envs, : view.num_bodies] for values in frames[name]], axis=1)
         for env in view.envs:
             rows[env]["trajectory"] = group
-        found.append(([runs[env] for env in view.envs], kept))
+        found.append(([prepared.runs[env] for env in view.envs], kept))
     return found
 
 

@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 
 from warp_rigid.scene.scene import Motion
-from warp_rigid.scenes.demo import AT_REST, shown_value
+from warp_rigid.scenes.demo import AT_REST, Verdict, shown_value
 from warp_rigid.viewer.session import Paced, Session
 
 __all__ = ["Hud"]
@@ -24,27 +24,32 @@ class Hud:
     def __init__(self, server):
         """Add an empty text and an empty plot."""
         self._text = server.gui.add_markdown("")
-        server.gui.add_markdown("Energy [J]: kinetic red, potential blue, total black")
-        self._plot = server.gui.add_uplot(
-            data=(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2)),
-            series=(
-                {"label": "t [s]"},
-                {"label": "kinetic [J]", "stroke": "#d1495b", "width": 2},
-                {"label": "potential [J]", "stroke": "#3f7fbf", "width": 2},
-                {"label": "total [J]", "stroke": "#30343a", "width": 2},
-            ),
-            scales={"x": {"time": False}},
-            legend={"show": False},
-            height=110,
-        )
+        # Closed at first, so that the tabs below are in sight.
+        with server.gui.add_folder("Energy [J]", expand_by_default=False):
+            server.gui.add_markdown("kinetic red, potential blue, total black")
+            self._plot = server.gui.add_uplot(
+                data=(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2)),
+                series=(
+                    {"label": "t [s]"},
+                    {"label": "kinetic [J]", "stroke": "#d1495b", "width": 2},
+                    {"label": "potential [J]", "stroke": "#3f7fbf", "width": 2},
+                    {"label": "total [J]", "stroke": "#30343a", "width": 2},
+                ),
+                scales={"x": {"time": False}},
+                legend={"show": False},
+                height=110,
+            )
         self._refresh = Paced(share=0.02, period=0.2, patience=0.5)
         self._overlap = Paced(share=0.01, period=0.5, patience=5.0)
         self.restart()
 
     def restart(self) -> None:
-        """Clear the plot, after a restart or for another scene."""
+        """Clear the plot and the verdicts, after a restart or for another scene."""
         self._energy = deque(maxlen=HISTORY)
         self._deepest = 0.0
+        # Those of meshes compute distances of all samples, which takes longer than several updates.
+        self._judge = Paced(share=0.01, patience=10.0)
+        self._verdicts: list[Verdict] = []
 
     def update(self, session: Session, rows: np.ndarray, rate: float, pace: float) -> bool:
         """Show the current values, unless they were updated very recently; return whether it did.
@@ -70,11 +75,13 @@ class Hud:
         if len(points) == 1:  # a line needs two points: before the first step it is level
             points.append((points[0][0] + session.sim.settings.dt, *points[0][1:]))
         self._plot.data = tuple(np.array(points).T.copy())
-        self._text.content = _text(session, rows, rate, pace, self._deepest)
+        judged = self._judge(lambda: session.verdicts) if session.running else session.verdicts
+        self._verdicts = self._verdicts if judged is None else judged
+        self._text.content = _text(session, rows, rate, pace, self._deepest, self._verdicts)
         return True
 
 
-def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest: float) -> str:
+def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest: float, verdicts: list[Verdict]) -> str:
     sim = session.sim
     counts = sim.counts()
     dynamic = np.array([body.motion == Motion.DYNAMIC for body in sim.scene.bodies])
@@ -92,7 +99,7 @@ def _text(session: Session, rows: np.ndarray, rate: float, pace: float, deepest:
         lines.append(f"environment {env}: **{failed['status'][env]}** since step {failed['step'][env]}")
     for env in np.flatnonzero(failed["warning"] != "")[:3]:
         lines.append(f"environment {env}: warning: **{failed['warning'][env]}**")
-    for verdict in session.verdicts:
+    for verdict in verdicts:
         shown = [
             f"{'yes' if passed else 'no'} ({shown_value(value, verdict.unit)})"
             for value, passed in zip(verdict.values[rows], verdict.passed[rows], strict=True)
