@@ -3,6 +3,9 @@
 Contacts that would end the step deeper than the slop get a pseudo-velocity that moves the bodies in this step only. An
 existing overlap is removed over several steps; an additional overlap is prevented completely. Of two bodies in
 different levels the lower one is frozen (Guendelman et al. 2003, section 8.3): a stack is corrected from the ground up.
+This holds for contacts through which the upper body rests on the lower one, with a normal along its acceleration. In a
+row of bodies that lean on each other, each would be turned further than the one below it: the correction grows by a
+quarter from body to body, and throws the last of 30 dominoes by 0.3 m.
 """
 
 import warp as wp
@@ -54,6 +57,9 @@ SLOP = wp.constant(1.0e-4)
 RECOVERY = wp.constant(0.25)
 """Fraction of the overlap at the start of the step that is removed in the step."""
 
+UPRIGHT = wp.constant(0.98)
+"""Cosine (11 degrees) of normal and acceleration from which the lower body of a contact is frozen."""
+
 ENOUGH = wp.constant(1.0e-4)
 """Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
 
@@ -98,13 +104,32 @@ def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, pairs: Pairs
 
 
 @wp.func
-def push_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: Contacts):
-    """Update one contact: bring the pseudo-velocity of separation to its target by a pseudo-impulse."""
+def with_impulse_on(row: ContactRecord, impulse: wp.vec3, share_a: float, share_b: float, pair: BodyPair):
+    """The pseudo-velocities after a pseudo-impulse; a body whose share is 0 is frozen."""
+    moved = with_impulse(row.arm_a, row.arm_b, impulse, pair)
+    if share_a > 0.0:
+        pair.linear_a = moved.linear_a
+        pair.angular_a = moved.angular_a
+    if share_b > 0.0:
+        pair.linear_b = moved.linear_b
+        pair.angular_b = moved.angular_b
+    return pair
+
+
+@wp.func
+def push_contact(c: int, share_a: float, share_b: float, pull: wp.vec3, pair: BodyPair, contacts: Contacts):
+    """Update one contact: bring the pseudo-velocity of separation to its target by a pseudo-impulse.
+
+    The shares are 0 for the lower body, which is frozen if the upper one, with acceleration `pull`, rests on it.
+    """
     stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
     target = stored[3]
     if target <= 0.0:
         return pair
     row = read_contact(c, contacts.rows)
+    if wp.abs(wp.dot(row.normal, pull)) < UPRIGHT * wp.length(pull):
+        share_a = 1.0
+        share_b = 1.0
     k = share_a * row.normal_a + share_b * row.normal_b
     if k < 1.0e-12:
         return pair
@@ -112,7 +137,7 @@ def push_contact(c: int, share_a: float, share_b: float, pair: BodyPair, contact
     missing = target - wp.dot(contact_velocity(row, pair), row.normal)
     new = wp.max(old + quotient(missing, k), 0.0)
     set_target_impulse(c, wp.vec3(new, 0.0, 0.0), target, contacts)
-    pair = with_impulse(row.arm_a, row.arm_b, (new - old) * row.normal, pair)
+    pair = with_impulse_on(row, (new - old) * row.normal, share_a, share_b, pair)
     pair.change = wp.max(pair.change, k * wp.abs(new - old))
     return pair
 
@@ -126,10 +151,11 @@ def push_pair(entry: OrderRecord, freeze: int, motions: Motions, rows: Rows):
     b = entry.body_b
     share_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
     share_b = wp.where(freeze == 1, float(entry.upper_b), 1.0)
-    pair = load_bodies(a, b, share_a, share_b, motions)
+    pull = motions.acceleration[wp.where(entry.upper_a == 1, a, b)]
+    pair = load_bodies(a, b, 1.0, 1.0, motions)
     pair = with_velocities(a, b, PUSH, pair, motions)
     for c in range(entry.begin, entry.end):
-        pair = push_contact(c, share_a, share_b, pair, rows.contacts)
+        pair = push_contact(c, share_a, share_b, pull, pair, rows.contacts)
     if pair.inverse_mass_a > 0.0:
         store_velocity(a, PUSH, pair.linear_a, pair.angular_a, motions)
     if pair.inverse_mass_b > 0.0:
@@ -197,7 +223,7 @@ def push_apart(
     motions: Motions,
     rows: Rows,
 ):
-    """One team per environment: separate all pairs, with the lower body of each pair frozen.
+    """One team per environment: separate all pairs, with the lower body frozen where the upper one rests on it.
 
     As in shock propagation, all levels are iterated together. Bodies caught between two frozen bodies are separated by
     further sweeps without freezing. If shock propagation is off, no body is frozen at all.
