@@ -181,14 +181,13 @@ def test_overlaps_of_a_heap_are_removed_without_velocity(device):
 
 
 def test_a_heap_rests(device):
-    """Of five heaps, only a few boxes that are balanced on an edge still move after six seconds."""
+    """Each of five heaps is solved in rounds; only a few boxes that are balanced on an edge move after six seconds."""
     case = find_case("pile_box:140")
     sim = Simulator(case.build(), num_envs=5, settings=Settings(dt=DT), device=device)
     case.scatter(sim)
-    sim.step(718)
     islands = []
-    for _ in range(2):  # now and then shock propagation is tried for a step
-        sim.step(1)
+    for _ in range(6):  # one that comes to rest may be solved by shock propagation in the end
+        sim.step(120)
         islands.append(sim.stats()["islands_rounds"])
     assert (np.max(islands, axis=0) > 0).all()
     before = sim.get("position")
