@@ -185,6 +185,7 @@ State = layout(
         "",
         "steps in which shock propagation was ineffective for its island; negative: steps in free flight",
     ),
+    fallen=Field(int, "bodies", "", "1: the body was in free flight at some time"),
     health=Field(
         wp.vec4d,
         "bodies",
@@ -516,6 +517,7 @@ Graph = layout(
     largest=Field(float, "bodies", "J", "largest summand of the numerator and denominator"),
     max_velocity_change=Field(float, "bodies", "m/s", "of an island: largest velocity change by shock propagation"),
     flight_votes=Field(int, "bodies", "", "at an island's index: bodies that land after a free flight"),
+    fallen_votes=Field(int, "bodies", "", "at an island's index: bodies that were in free flight at some time"),
     island_mass=Field(float, "bodies", "kg", "at an island's index: largest mass of a body"),
     island_inverse_mass=Field(float, "bodies", "1/kg", "at an island's index: largest inverse mass of a body"),
     island_size=Field(float, "bodies", "m", "at an island's index: largest size of a body"),

@@ -240,7 +240,7 @@ def with_header(saved, path, change):
 
 def test_a_newer_version_is_told(saved, tmp_path):
     path = with_header(saved, tmp_path / "newer", lambda header: header.update(version=99))
-    assert "version must be 10, got 99" in refused(path)
+    assert "version must be 11, got 99" in refused(path)
 
 
 def test_a_file_without_a_coefficient_gets_its_default(saved, tmp_path):

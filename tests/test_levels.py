@@ -82,6 +82,7 @@ class HandMadeGraph:
         wp.launch(islands.join_islands, 1, inputs=inputs, device=self.device)
         state, shapes = schema.State(), schema.Shapes()
         state.heap_steps = wp.zeros(rows, dtype=int, device=self.device)
+        state.fallen = wp.zeros(rows, dtype=int, device=self.device)
         state.position = wp.zeros(rows, dtype=wp.vec3, device=self.device)
         state.linear_velocity = wp.zeros(rows, dtype=wp.vec3, device=self.device)
         shapes.shapes = wp.zeros(1, dtype=schema.ShapeRecord, device=self.device)

@@ -282,10 +282,10 @@ def test_only_bodies_that_can_meet_in_the_step_are_traced(device):
 
 @pytest.mark.quiet
 def test_slow_scenes_pay_nearly_nothing(device):
-    """Less than 2 % of a step of a settling pile."""
+    """Less than 2 % of a step of a pile that settles, in which no pair is traced."""
     with shared_by(usable_cores()):  # one core, so one shard
         sim = Simulator(random_pile(np.random.default_rng(0)), num_envs=4, device=device)
-    sim.step(200)
+    sim.step(80)
     stages = stages_of(sim)
 
     def best(work):

@@ -435,8 +435,6 @@ def was_hit(
 
     A body that was stopped may be hit from behind by one with which it is in contact.
     """
-    if relative_motion(first, second, dt) < DEPTH * size:
-        return False
     if again == 1:
         return True
     if pairs.contact_count[pair] > 0:
@@ -463,9 +461,10 @@ def list_fast_pairs(
             size = traced_size(a, b, shapes, bodies)
             first = course_of(a, share_a, bodies, state, motions)
             second = course_of(b, share_b, bodies, state, motions)
-            fast = relative_motion(first, second, dt) > FAST * size
-            fast = fast or was_hit(pair, again, first, second, size, dt, bodies, state, motions, pairs)
-            if fast and may_touch(shapes, first, second, dt):
+            way = relative_motion(first, second, dt)
+            if way < DEPTH * size or not may_touch(shapes, first, second, dt):
+                continue
+            if way > FAST * size or was_hit(pair, again, first, second, size, dt, bodies, state, motions, pairs):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
 
 

@@ -58,7 +58,7 @@ passes on its way to the ground: along the edge of a cube of as many bodies, or 
 
 RESTING = wp.constant(0.01)
 """Largest speed of a body in an island that is swept until it has converged (calm.py), in sizes of the body per second.
-"""
+Most of its bodies must have been placed where they are: a pile of fallen bodies converges over several steps."""
 
 MOST_CALM = wp.constant(30)
 """Maximum number of these sweeps as a multiple of `contact_iterations`: the number of bodies, but at most this."""
@@ -105,6 +105,7 @@ def start_islands(bodies: Bodies, graph: Graph):
     graph.heap_votes[b] = 0
     graph.heap_steps[b] = 0
     graph.flight_votes[b] = 0
+    graph.fallen_votes[b] = 0
     graph.island_size[b] = 0.0
     graph.island_low[b] = LOWEST
     graph.island_high[b] = LOWEST
@@ -153,6 +154,7 @@ def vote(dt: float, shapes: Shapes, bodies: Bodies, envs: Environments, state: S
     add_together(graph.heap_votes, island, wp.where(steps > 0, 1, 0))
     landed = -dt * float(steps) >= FLIGHT and bodies.restitution[b] == 0.0 and is_crowded(bodies.env[b], envs)
     add_together(graph.flight_votes, island, wp.where(landed, 1, 0))
+    add_together(graph.fallen_votes, island, state.fallen[b])
     if steps > graph.heap_steps[island]:
         wp.atomic_max(graph.heap_steps, island, steps)
     size = shapes.shapes[bodies.shape[b]].size
@@ -226,7 +228,7 @@ def most_calm_sweeps(b: int, island: int, solver: int, iterations: int, graph: G
     """Maximum number of sweeps with momentum for a body's contacts. Joints and other constraints have none."""
     if graph.touching[b] == 0 or graph.tied[b] == 1 or solver == IslandSolver.ROUNDS:
         return 0
-    if graph.island_speed[island] >= RESTING:
+    if graph.island_speed[island] >= RESTING or 2 * graph.fallen_votes[island] > graph.island_bodies[island]:
         return 0
     return iterations * wp.min(graph.island_bodies[island], MOST_CALM)
 

@@ -2,8 +2,9 @@
 
 A structure that carries load sideways, such as an arch or a card house, needs many sweeps from the first step on. Its
 load has no order, so shock propagation is of little use, and an error of the velocities deforms it before the impulses
-of earlier steps can correct the error. Islands whose bodies hardly move are therefore swept until no row changes a
-velocity by more than STILL. At rest the impulses of the last step solve the problem, and no such sweep is needed.
+of earlier steps can correct the error. Islands whose bodies hardly move, and were placed where they are, are therefore
+swept until no row changes a velocity by more than STILL. At rest the impulses of the last step solve the problem, and
+no such sweep is needed.
 
 The sweeps of an arch of n stones reduce the error by a fraction that decreases with the fourth power of n. With the
 momentum b = (k - 1) / (k + 2) of sweep k (rounds.py), it decreases with the square of n: 27 stones need about 200

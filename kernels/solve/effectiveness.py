@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.enums import IslandSolver, Motion, Role
-from warp_rigid.kernels.graph.islands import LANDED, PATIENCE
+from warp_rigid.kernels.graph.islands import FLIGHT, LANDED, PATIENCE
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Rounds, State
 from warp_rigid.kernels.solve.line_search import accepted_share, searched
 
@@ -26,7 +26,7 @@ def steps_after_shock(steps: int, island: int, graph: Graph):
 
 @wp.kernel
 def count_ineffective_steps(
-    bodies: Bodies, envs: Environments, motions: Motions, graph: Graph, rounds: Rounds, state: State
+    dt: float, bodies: Bodies, envs: Environments, motions: Motions, graph: Graph, rounds: Rounds, state: State
 ):
     """One thread per body: count the ineffective steps of its island, or the steps of a free flight.
 
@@ -39,6 +39,8 @@ def count_ineffective_steps(
     if graph.touching[b] == 0:
         if state.heap_steps[b] <= 0:
             state.heap_steps[b] -= 1
+        if -dt * float(state.heap_steps[b]) >= FLIGHT:
+            state.fallen[b] = 1
         return
     steps = graph.ineffective_steps[b]
     if graph.solver[b] == IslandSolver.ROUNDS:

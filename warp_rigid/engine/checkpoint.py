@@ -29,7 +29,7 @@ from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.version import __version__
 
 KIND = "checkpoint"
-VERSION = 10  # raise whenever older files could no longer be read
+VERSION = 11  # raise whenever older files could no longer be read
 
 FROM_SCENE = ("env", "shape", "motion", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scenes."""

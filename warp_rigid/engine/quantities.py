@@ -548,6 +548,6 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps", "health"} == set(
+assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps", "fallen", "health"} == set(
     declare.field_names(schema.State)
 )

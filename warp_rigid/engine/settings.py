@@ -23,8 +23,8 @@ class Settings:
         collision_iterations: largest number of sweeps over impacts with restitution.
         contact_iterations: largest number of sweeps over resting contacts, half of them before and half after shock
             propagation. Where shock propagation has been ineffective for 8 steps (in heaps), two more sweeps follow for
-            each body on the shortest path to the ground. Islands whose bodies hardly move, such as an arch, are swept
-            further where they have not converged: up to this number for each body, at most 30 times.
+            each body on the shortest path to the ground. Islands whose bodies hardly move and did not fall, such as
+            an arch, are swept further where they have not converged: up to this number for each body, at most 30 times.
             `Simulator.stats` reports the sweeps that were done.
         shock_iterations: repetitions of shock propagation.
         shock_propagation: "off", "one_pass" (Guendelman et al. 2003) or "two_pass" (with a line search, the default).

@@ -311,7 +311,7 @@ class Stages:
         self._color_by_color(calm.sweep_calm_islands)
         if self.crowded:
             self.solve_heaps()
-        found = [self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
+        found = [self.dt, self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
         self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
     def sweep_constraints(self, after_shock: int) -> None:
