@@ -127,8 +127,7 @@ DEMO = Demo(
     outcome=DominoOutcome,
     duration=5.0,
     variants={"default": {}, "two_pass": {"shock_propagation": "two_pass"}},
-    # The fallen dominoes lean on each other in a row. With the lower body of each pair frozen, as shock propagation
-    # does it, the push-out moves dominoes far that are wedged between two others.
+    # The fallen dominoes lean on each other in a row and do not stack, so shock propagation is of no use.
     settings={"shock_propagation": "off", "contact_iterations": 40},
     view=(-60.0, 38.0),
 )
