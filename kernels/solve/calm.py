@@ -25,6 +25,9 @@ from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_en
 
 wp.set_module_options({"enable_backward": False})
 
+SWEEPS = wp.get_module("warp_rigid.kernels.solve.gauss_seidel")
+"""Module of the other sweeps; they are compiled together."""
+
 STILL = wp.constant(1.0e-5)
 """Sweeps end when no row changes a velocity by more than this [m/s]."""
 
@@ -124,7 +127,7 @@ def extrapolate(turn: int, team: Team, envs: Environments, order: Order, graph: 
     sync_team(team)
 
 
-@wp.kernel
+@wp.kernel(module=SWEEPS)
 def sweep_calm_islands(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
     """One team per environment: sweep over the calm islands that have not converged.
 

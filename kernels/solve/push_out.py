@@ -60,6 +60,9 @@ RECOVERY = wp.constant(0.25)
 UPRIGHT = wp.constant(0.98)
 """Cosine (11 degrees) of normal and acceleration from which the lower body of a contact is frozen."""
 
+LIGHTER = wp.constant(10.0)
+"""A lower body that is lighter than the upper one by this factor is always frozen: it would be pushed away instead."""
+
 ENOUGH = wp.constant(1.0e-4)
 """Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
 
@@ -127,7 +130,9 @@ def push_contact(c: int, share_a: float, share_b: float, pull: wp.vec3, pair: Bo
     if target <= 0.0:
         return pair
     row = read_contact(c, contacts.rows)
-    if wp.abs(wp.dot(row.normal, pull)) < UPRIGHT * wp.length(pull):
+    lower = (1.0 - share_a) * row.normal_a + (1.0 - share_b) * row.normal_b
+    upper = share_a * row.normal_a + share_b * row.normal_b
+    if lower < LIGHTER * upper and wp.abs(wp.dot(row.normal, pull)) < UPRIGHT * wp.length(pull):
         share_a = 1.0
         share_b = 1.0
     k = share_a * row.normal_a + share_b * row.normal_b

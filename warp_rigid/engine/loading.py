@@ -12,7 +12,6 @@ from warp_rigid.kernels.common import capacity, team
 from warp_rigid.kernels.constraints import build_contacts, records, rows
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
-    calm,
     effectiveness,
     gauss_seidel,
     impact_rounds,
@@ -25,7 +24,7 @@ from warp_rigid.kernels.solve import (
 )
 from warp_rigid.kernels.update import ground_motion, health, integrate, predict, sleep, watch
 
-TEAM_MODULES = (restitution, shock, gauss_seidel, calm, support, coloring, line_search, push_out)
+TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
 HEAPS = (rounds, push_rounds, impact_rounds)
