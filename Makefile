@@ -17,8 +17,8 @@ LOCKED := $(if $(filter %-3.11 %-3.12,$(HASHED)),cat,$(WITHOUT_HASHES))
 DOCS_LOCKED := $(if $(filter %-3.12 %-3.13,$(HASHED)),cat,$(WITHOUT_HASHES))
 PYTEST := $(BIN)/python -m pytest -q
 # Besides the version of PYTHON; the tests are those of files that use most of the standard library and the dependencies.
-OTHER_PYTHONS := 3.13
-PART := public_names packaging simulator cli
+OTHER_PYTHONS := 3.12 3.13
+PART := public_names packaging simulator determinism cli sweep_files usd_export viewer_parts
 # One worker a core; the tests of a file stay together, for they share what is costly to make.
 WORKERS := -n auto --dist loadfile
 
