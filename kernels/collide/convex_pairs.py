@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach, approach_of, contact_reach, touch_of
-from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory
+from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory, deepest_gap
 from warp_rigid.kernels.collide.convex import Solids, deepest_point, find_axis, furthest_point, gap_along, is_solid
 from warp_rigid.kernels.collide.distance import BORDER, FAR
 from warp_rigid.kernels.collide.samples import Search
@@ -63,16 +63,6 @@ def drop_untrusted(pair: int, axis: wp.vec3, depth: float, lane: int, lanes: int
 
 
 @wp.func
-def deepest_slot(pair: int, pairs: Pairs):
-    """Gap of the deepest sample that is kept."""
-    deepest = float(0.0)
-    for slot in range(pairs.patch_count[pair] * SLOTS):
-        if pairs.slot_key[pair, slot] >= 0:
-            deepest = wp.min(deepest, pairs.slot_gap[pair, slot])
-    return deepest
-
-
-@wp.func
 def check_by_axis(
     pair: int,
     closing: int,
@@ -96,7 +86,7 @@ def check_by_axis(
         if along > gap:
             gap = along
             axis = pairs.patch_normal[pair, p]
-    doubtful = gap < -DOUBTFUL * size and gap < TRUSTED * deepest_slot(pair, pairs)
+    doubtful = gap < -DOUBTFUL * size and gap < TRUSTED * deepest_gap(pair, pairs)
     doubtful = doubtful or gap < -DEEP * size or closing == 0 or contradictory(pair, pairs)
     if doubtful:
         axis = find_axis(solids, shapes, axis, 0.0)
@@ -108,7 +98,7 @@ def check_by_axis(
         return 0
     drop_untrusted(pair, axis, -gap, lane, lanes, pairs)
     sync_warp(lanes)
-    return wp.where(deepest_slot(pair, pairs) * TRUSTED < gap, 0, 1)
+    return wp.where(deepest_gap(pair, pairs) * TRUSTED < gap, 0, 1)
 
 
 @wp.func

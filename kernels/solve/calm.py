@@ -21,6 +21,7 @@ from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.graph.islands import MOST_CALM
 from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
+from warp_rigid.kernels.solve.rounds import momentum
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
 
 wp.set_module_options({"enable_backward": False})
@@ -33,9 +34,6 @@ STILL = wp.constant(1.0e-5)
 
 MOST_MOMENTUM = wp.constant(0.98)
 """Maximum momentum. With 0.9, an arch of 45 stones needs more sweeps than it gets; with 1, it does not converge."""
-
-PLAIN_SWEEPS = wp.constant(3)
-"""Sweeps without momentum at the end, if an island reaches its limit."""
 
 UNLIMITED = wp.constant(2**30)
 """Sweeps over a constraint of a body that is not dynamic, as far as this body is concerned."""
@@ -50,14 +48,6 @@ def limit_of(entry: OrderRecord, motions: Motions, graph: Graph):
     if inverse_mass_of(entry.body_b, motions) > 0.0:
         limit = wp.min(limit, graph.calm_sweeps[entry.body_b])
     return limit
-
-
-@wp.func
-def momentum(turn: int, limit: int):
-    """Momentum after a sweep. The first one and the last PLAIN_SWEEPS of at most `limit` sweeps have none."""
-    if turn + PLAIN_SWEEPS > limit:
-        return 0.0
-    return wp.min(float(turn - 1) / float(turn + 2), MOST_MOMENTUM)
 
 
 @wp.func
@@ -112,7 +102,7 @@ def extrapolate(turn: int, team: Team, envs: Environments, order: Order, graph: 
     env = team.env
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
         if inverse_mass_of(b, motions) > 0.0 and turn <= graph.calm_sweeps[b]:
-            beta = momentum(turn, graph.calm_sweeps[b])
+            beta = momentum(turn, graph.calm_sweeps[b], MOST_MOMENTUM)
             linear = load_velocity(b, VELOCITY, motions)
             angular = load_velocity(b, VELOCITY + 1, motions)
             motions.solver_bodies[b].linear = linear + beta * (linear - load_velocity(b, START, motions))
@@ -123,7 +113,7 @@ def extrapolate(turn: int, team: Team, envs: Environments, order: Order, graph: 
         limit = limit_of(entry, motions, graph)
         if turn <= limit:
             for c in range(entry.begin, entry.end):
-                extrapolate_row(c, momentum(turn, limit), rows.contacts)
+                extrapolate_row(c, momentum(turn, limit, MOST_MOMENTUM), rows.contacts)
     sync_team(team)
 
 

@@ -28,6 +28,7 @@ from warp_rigid.kernels.schema import (
 )
 from warp_rigid.kernels.solve.push_out import ENOUGH, wanted_speed
 from warp_rigid.kernels.solve.rounds import (
+    MOST_MOMENTUM,
     Wrench,
     add_gains,
     body_change,
@@ -110,7 +111,7 @@ def push_round(place: int, threads: int, lanes: int, rounds: Rounds, motions: Mo
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
             pair = split_pair(entry, 0.0, (turn - 1) % 3, rounds, motions)
-            beta = momentum(turn, entry.limit)
+            beta = momentum(turn, entry.limit, MOST_MOMENTUM)
             wrench = Wrench()
             for c in range(entry.begin + lane, entry.end, lanes):
                 wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)

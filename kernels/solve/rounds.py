@@ -79,11 +79,11 @@ LARGEST_GAIN = wp.constant(4.0e6)
 
 
 @wp.func
-def momentum(turn: int, limit: int):
-    """Momentum after a round. The first one and the last PLAIN_ROUNDS of at most `limit` rounds have none."""
+def momentum(turn: int, limit: int, most: float):
+    """Momentum after a round or sweep. The first one and the last PLAIN_ROUNDS of at most `limit` have none."""
     if turn + PLAIN_ROUNDS > limit:
         return 0.0
-    return wp.min(float(turn - 1) / float(turn + 2), MOST_MOMENTUM)
+    return wp.min(float(turn - 1) / float(turn + 2), most)
 
 
 @wp.func
@@ -358,7 +358,7 @@ def solve_round(
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
             pair = split_pair(entry, 1.0, (turn - 1) % 3, rounds, motions)
-            beta = momentum(turn, entry.limit)
+            beta = momentum(turn, entry.limit, MOST_MOMENTUM)
             wrench = Wrench()
             for c in range(entry.begin + lane, entry.end, lanes):
                 wrench = solve_contact(c, entry, beta, pair, wrench, contacts)
