@@ -58,7 +58,7 @@ def test_an_overlap_that_is_pushed_apart_is_not(device):
     assert sim.penetration()[0] < 0.01 * HALF and found(sim) == []
 
 
-@pytest.mark.parametrize("ratio, expected", [(1e3, set()), (7e4, {"load"}), (1e5, {"energy"})])
+@pytest.mark.parametrize("ratio, expected", [(1e3, set()), (7e4, {"load"}), (5e5, {"energy"})])
 def test_a_tower_of_unequal_masses_stands_or_is_reported(device, ratio, expected):
     sim = wr.Simulator(tower(ratio), device=device)
     sim.step(960)

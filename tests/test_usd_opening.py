@@ -220,6 +220,7 @@ def test_the_limits_can_be_set(file, monkeypatch):
     path = file(f'def Points "A" {{\npoint3f[] points = [{points}]\n}}\n{BALL}')
     monkeypatch.setenv("WARP_RIGID_USD_SECONDS", "60")
     assert len(wr.import_usd(path).bodies) == 1
+    monkeypatch.delenv("WARP_RIGID_USD_SECONDS")
     monkeypatch.setenv("WARP_RIGID_USD_GIGABYTES", "0.0001")
     with pytest.raises(ValueError, match=f"^{path}: not a readable USD file: .*(memory)"):
         wr.import_usd(path)

@@ -368,8 +368,10 @@ def _how_it_ended(request: dict[str, Any], status: int) -> str:
     ended = signal.Signals(-status).name if status < 0 else f"exit status {status}"
     reason = f"the USD library stops on it ({ended}), or needs too much memory"
     if ended in ("SIGXCPU", "SIGALRM"):
-        limit = f"{request['seconds']:g} s"
-        reason = f"opening it takes longer than allowed, {limit}; WARP_RIGID_USD_SECONDS raises the limit"
+        # Where memory runs out, the USD library sometimes waits for itself instead of ending.
+        limits = f"{request['seconds']:g} s and {request['bytes'] / 2**30:g} GiB"
+        names = "WARP_RIGID_USD_SECONDS and WARP_RIGID_USD_GIGABYTES"
+        reason = f"opening it takes more time or memory than allowed, {limits}; {names} raise the limits"
     return f"{request['path']}: not a readable USD file: {reason}"
 
 
