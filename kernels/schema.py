@@ -228,8 +228,11 @@ Motions = layout(
     max_travel=Field(float, "bodies", "m", "largest displacement covered by the broad phase; limits the motion"),
     time_of_impact=Field(float, "bodies", "", "time of impact of the previous round, as a fraction of the step"),
     next_time_of_impact=Field(
-        float, "bodies", "", "time of impact after the current round; the body moves for this fraction of the step"
+        float, "bodies", "", "time of impact after the current round; the body rotates for this fraction of the step"
     ),
+    course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the previous round"),
+    next_course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the current round"),
+    first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the current round (ccd.py)"),
     overlap=Field(float, "bodies", "m", "deepest of the deep overlaps; 0 outside a health check"),
 )
 

@@ -5,8 +5,10 @@ the normal of a contact is known. Therefore, before the bodies move, pairs whose
 with the smaller of both sizes are traced with the velocities computed by the solver: first the bounding sphere of a
 body, then the bounding spheres of its clusters, then its samples and its centre, each against the signed distance of
 the other body (conservative advancement). Edges are traced as whole segments, at their deepest point, because no sample
-point need be close to where two edges cross. A pair moves only up to its time of impact. The next step finds the
-contact there, with the true normal and the full speed, so that the bodies rebound correctly.
+point need be close to where two edges cross. From its time of impact on, a pair moves together for the rest of the
+step, with the slower of both velocities, and without rotation. The next step finds the contact there, with the true
+normal and the full speed, so that the bodies rebound correctly. If the bodies stopped instead, those that fall behind
+them in a heap would run into them: by up to 0.6 sizes where 4096 boxes land at 10 m/s with two steps per frame.
 
 For a convex distance, the safe step is bounded by the tangent of the distance and the curvature of the motion. A few
 rounds are enough, and motion along a surface is not limited. For other distances it is bounded by the speed alone.
@@ -30,9 +32,10 @@ from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.samples import gradient, slope
 from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
+from warp_rigid.kernels.common.crowd import is_crowded
 from warp_rigid.kernels.common.team import ballot, broadcast, lowest_bit, min_of_lanes
-from warp_rigid.kernels.enums import PartKind, SampleKind
-from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.enums import PartKind, Role, SampleKind
+from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -47,6 +50,17 @@ ROUNDS = wp.constant(64)
 
 EDGE_ROUNDS = wp.constant(4)
 """Rounds of the search for the deepest point of an edge; a V-shaped distance takes one."""
+
+TURNS = wp.constant(2)
+"""Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain."""
+TURNS_IN_CROWDS = wp.constant(4)
+"""Rounds in crowded environments, where heaps land: 4096 boxes then overlap half as much as with two rounds."""
+
+NO_IMPACT = wp.constant(wp.int64(2**62))
+"""Value of `first_impact` without an impact; it is the time in units, times MOST_PAIRS, plus the pair otherwise."""
+MOST_PAIRS = wp.constant(wp.int64(2**31))
+UNITS_OF_TIME = wp.constant(2.0**20)
+"""Units of the time of an impact in a step; rounded down, it is early by half a millionth of the step."""
 
 
 @wp.struct
@@ -358,7 +372,17 @@ def trace_ball(shapes: Shapes, own: Course, other: Course, cluster: int, end: fl
 
 
 @wp.func
-def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: float, size: float, lane: int, lanes: int):
+def first_touch(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    dt: float,
+    end: float,
+    size: float,
+    touching: bool,
+    lane: int,
+    lanes: int,
+):
     """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`.
 
     The lanes of a team share the clusters, and the samples of each cluster that is reached. The earliest of their times
@@ -367,7 +391,7 @@ def first_touch(shapes: Shapes, own: Course, other: Course, dt: float, end: floa
     earliest = float(end)
     if own.radius > UNBOUNDED_EXTENT:
         return earliest
-    passage = passage_of(own, other, dt, size, shapes.shapes[other.shape].wall)
+    passage = passage_of(own, other, dt, size, touching, shapes)
     cluster = int(-1)
     while cluster < shapes.shapes[own.shape].cluster_end:
         at = float(earliest)
@@ -401,102 +425,138 @@ def may_touch(shapes: Shapes, a: Course, b: Course, dt: float):
 
 @wp.kernel
 def limit_travel(dt: float, motions: Motions):
-    """One thread per body: limit its displacement to the distance covered by the broad phase."""
+    """One thread per body: limit its displacement to the distance covered by the broad phase. No body has been hit."""
     b = wp.tid()
+    moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
     way = dt * wp.length(motions.solver_bodies[b].linear)
     share = wp.min(1.0, motions.max_travel[b] / wp.max(way, 1.0e-12))
     motions.time_of_impact[b] = share
     motions.next_time_of_impact[b] = share
+    motions.course[b] = share * wp.where(moves, motions.solver_bodies[b].linear, wp.vec3(0.0, 0.0, 0.0))
+    motions.first_impact[b] = NO_IMPACT
 
 
 @wp.func
-def change_of(b: int, course: Course, bodies: Bodies, state: State, motions: Motions):
+def change_of(b: int, course: Course, state: State):
     """The change of a body's velocities in this step, as a motion."""
-    change = course_of(b, 0.0, bodies, state, motions)
+    change = course
     change.linear = course.linear - state.linear_velocity[b]
     change.angular = course.angular - state.angular_velocity[b]
     return change
 
 
 @wp.func
-def was_hit(
-    pair: int,
-    again: int,
-    first: Course,
-    second: Course,
-    size: float,
-    dt: float,
-    bodies: Bodies,
-    state: State,
-    motions: Motions,
-    pairs: Pairs,
-):
-    """Whether a body of a pair without contacts was hit by a third one, so that it moves otherwise than was expected.
-
-    A body that was stopped may be hit from behind by one with which it is in contact.
-    """
-    if again == 1:
-        return True
-    if pairs.contact_count[pair] > 0:
-        return False
-    change_a = change_of(pairs.body_a[pair], first, bodies, state, motions)
-    change_b = change_of(pairs.body_b[pair], second, bodies, state, motions)
-    return relative_motion(change_a, change_b, dt) > DEPTH * size
+def was_hit(a: int, b: int, first: Course, second: Course, size: float, dt: float, state: State):
+    """Whether a body of a pair was hit in this step, so that it moves otherwise than the narrow phase expected."""
+    return relative_motion(change_of(a, first, state), change_of(b, second, state), dt) > DEPTH * size
 
 
 @wp.kernel
 def list_fast_pairs(
-    again: int, threads: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
+    turn: int,
+    threads: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    envs: Environments,
+    motions: Motions,
+    pairs: Pairs,
 ):
     """The threads share the pairs: list those that must be traced, in any order.
 
-    A stopped body may be hit by another one, so a second round repeats the pairs of all bodies that were stopped.
+    A body that has been hit moves otherwise, so further rounds repeat the pairs of all bodies that were hit.
     """
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        share_a = motions.time_of_impact[a]
-        share_b = motions.time_of_impact[b]
-        if again == 0 or share_a < 1.0 or share_b < 1.0:
+        if turn >= TURNS and not is_crowded(bodies.env[a], envs):
+            continue
+        if turn == 0 or motions.time_of_impact[a] < 1.0 or motions.time_of_impact[b] < 1.0:
             size = traced_size(a, b, shapes, bodies)
-            first = course_of(a, share_a, bodies, state, motions)
-            second = course_of(b, share_b, bodies, state, motions)
+            first = course_of(a, bodies, state, motions)
+            second = course_of(b, bodies, state, motions)
             way = relative_motion(first, second, dt)
             if way < DEPTH * size or not may_touch(shapes, first, second, dt):
                 continue
-            if way > FAST * size or was_hit(pair, again, first, second, size, dt, bodies, state, motions, pairs):
+            if turn > 0 or way > FAST * size or was_hit(a, b, first, second, size, dt, state):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
+
+
+@wp.func
+def common_velocity(a: int, b: int, motions: Motions):
+    """The slowest velocity between those of two bodies, as a fraction of the way from the first to the second.
+
+    A kinematic body keeps its velocity.
+    """
+    if motions.role[a] == Role.KINEMATIC:
+        return 0.0
+    if motions.role[b] == Role.KINEMATIC:
+        return 1.0
+    apart = motions.course[a] - motions.course[b]
+    return wp.clamp(wp.dot(motions.course[a], apart) / wp.max(wp.length_sq(apart), 1.0e-30), 0.0, 1.0)
+
+
+@wp.func
+def note_impact(pair: int, a: int, b: int, t: float, motions: Motions):
+    """Note an impact at a fraction of the step: of both rotations, and of the bodies that change their velocity."""
+    common = common_velocity(a, b, motions)
+    impact = wp.int64(t * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
+    if motions.role[a] == Role.FREE:
+        wp.atomic_min(motions.next_time_of_impact, a, motions.time_of_impact[a] * t)
+        if common > 0.0:
+            wp.atomic_min(motions.first_impact, a, impact)
+    if motions.role[b] == Role.FREE:
+        wp.atomic_min(motions.next_time_of_impact, b, motions.time_of_impact[b] * t)
+        if common < 1.0:
+            wp.atomic_min(motions.first_impact, b, impact)
 
 
 @wp.kernel
 def limit_motion(
     teams: int, lanes: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, pairs: Pairs, motions: Motions
 ):
-    """The teams share the listed pairs: the fraction of the step's motion that the two bodies of a pair may make."""
+    """The teams share the listed pairs: the first impact of each body."""
     lane = wp.tid() % lanes
     for k in range(wp.tid() / lanes, pairs.fast_count[0], teams):
         a = pairs.body_a[pairs.fast[k]]
         b = pairs.body_b[pairs.fast[k]]
-        share_a = motions.time_of_impact[a]
-        share_b = motions.time_of_impact[b]
         size = traced_size(a, b, shapes, bodies)
-        first = course_of(a, share_a, bodies, state, motions)
-        second = course_of(b, share_b, bodies, state, motions)
+        touching = pairs.contact_count[pairs.fast[k]] > 0
+        first = course_of(a, bodies, state, motions)
+        second = course_of(b, bodies, state, motions)
         t = float(dt)
         side = int(0)
         while side < 2:
-            t = first_touch(shapes, first, second, dt, t, size, lane, lanes)
+            t = first_touch(shapes, first, second, dt, t, size, touching, lane, lanes)
             swapped = first
             first = second
             second = swapped
             side += 1
         if t < dt and lane == 0:
-            wp.atomic_min(motions.next_time_of_impact, a, share_a * t / dt)
-            wp.atomic_min(motions.next_time_of_impact, b, share_b * t / dt)
+            note_impact(pairs.fast[k], a, b, t / dt, motions)
 
 
 @wp.kernel
-def commit_time_of_impact(motions: Motions):
-    """One thread per body: use the result of the first round in the second."""
+def change_courses(pairs: Pairs, motions: Motions):
+    """One thread per body: from its first impact on, it moves with the common velocity of both bodies."""
+    b = wp.tid()
+    impact = motions.first_impact[b]
+    course = motions.course[b]
+    if impact != NO_IMPACT:
+        pair = int(impact % MOST_PAIRS)
+        t = float(impact / MOST_PAIRS) / UNITS_OF_TIME
+        first = pairs.body_a[pair]
+        second = pairs.body_b[pair]
+        common = common_velocity(first, second, motions)
+        course = t * course + (1.0 - t) * wp.lerp(motions.course[first], motions.course[second], common)
+    motions.next_course[b] = course
+
+
+@wp.kernel
+def close_round(motions: Motions):
+    """One thread per body: the next round starts from the result of this one."""
     b = wp.tid()
     motions.time_of_impact[b] = motions.next_time_of_impact[b]
+    motions.course[b] = motions.next_course[b]
+    motions.first_impact[b] = NO_IMPACT

@@ -43,6 +43,10 @@ TRAVEL_WEIGHT = wp.constant(0.5)
 FURTHEST_RANKED = wp.constant(0.02)
 """Gaps beyond this fraction of the smaller size count as equal."""
 
+DEEPEST_RANKED = wp.constant(0.005)
+"""Overlaps beyond this fraction of the smaller size count as equal, too. If the deepest sample took the place of those
+that support the body, deep overlaps would have a single contact, about which the body turns further in."""
+
 TIE = wp.constant(1.0e-6)
 """A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
 size, so that rounding errors have no effect."""
@@ -119,7 +123,7 @@ def offer_sample(
         score = -gap
         if k < DIRECTIONS:
             counts = wp.where(k % 2 == 0, weight, TIPPED)
-            score = extent(k, x, y) - counts * gap
+            score = extent(k, x, y) - counts * wp.max(gap, -DEEPEST_RANKED * size)
         slot = patch * SLOTS + k
         if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + TIE * size * counts:
             pairs.slot_key[pair, slot] = key

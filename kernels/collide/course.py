@@ -4,7 +4,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.approach import NEAR
 from warp_rigid.kernels.enums import Role
-from warp_rigid.kernels.schema import Bodies, Motions, State
+from warp_rigid.kernels.schema import Bodies, Motions, Shapes, State
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -51,17 +51,17 @@ class Passage:
 
 
 @wp.func
-def course_of(b: int, share: float, bodies: Bodies, state: State, motions: Motions):
-    """The motion of a body whose velocities are scaled by `share`."""
+def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
+    """The mean motion of a body in the step, after the impacts of the previous rounds."""
     course = Course()
     course.center = motions.center[b]
     course.turn = state.orientation[b]
     course.local_center = bodies.center_of_mass[b]
     course.radius = motions.radius[b]
     course.shape = bodies.shape[b]
+    course.linear = motions.course[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        course.linear = share * motions.solver_bodies[b].linear
-        course.angular = share * motions.solver_bodies[b].angular
+        course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular
     return course
 
 
@@ -102,15 +102,17 @@ def pose_in(own: Course, other: Course, t: float):
 
 
 @wp.func
-def passage_of(own: Course, other: Course, dt: float, size: float, wall: float):
-    """The relative motion of a body in the frame of another, whose walls have a thickness, over the step."""
+def passage_of(own: Course, other: Course, dt: float, size: float, touching: bool, shapes: Shapes):
+    """The relative motion of a body in the frame of another over the step; `touching`: the pair has contacts."""
     passage = Passage()
     passage.start = pose_in(own, other, 0.0)
     passage.middle = pose_in(own, other, 0.5 * dt)
     passage.end = pose_in(own, other, dt)
     passage.reach = largest_motion(own, other, dt)
     passage.size = size
-    passage.near = wp.where(relative_motion(own, other, dt) > FAST * size, NEAR * wp.min(size, wall), DEPTH * size)
+    passage.near = DEPTH * size
+    if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST * size:
+        passage.near = NEAR * wp.min(size, shapes.shapes[other.shape].wall)
     passage.dt = dt
     passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
     return passage

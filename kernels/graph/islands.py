@@ -13,6 +13,7 @@ heap are nearly at rest, shock propagation is tried again.
 
 import warp as wp
 
+from warp_rigid.kernels.common.crowd import is_crowded
 from warp_rigid.kernels.common.team import add_together, raise_to
 from warp_rigid.kernels.constraints.contact import KIND as CONTACT
 from warp_rigid.kernels.constraints.records import is_active
@@ -33,10 +34,6 @@ TRIAL_INTERVAL = wp.constant(64)
 
 LARGE = wp.constant(64)
 """Bodies of the smallest heap in which shock propagation is tried again."""
-
-CROWDED = wp.constant(128)
-"""Bodies above which an environment is crowded. There, sweeps and shock propagation of many islands, colour by colour,
-would take longer than rounds. With few bodies sweeps converge faster: three boxes are at rest after half the time."""
 
 LANDED = wp.constant(1024)
 """Ineffective steps from which an island is solved in rounds. Only bodies that have landed after a free flight count so
@@ -133,12 +130,6 @@ def join_islands(threads: int, bodies: Bodies, constraints: Constraints, graph: 
                 graph.tied[b] = 1
             if dynamic_a and dynamic_b and graph.unchanged[bodies.env[a]] == 0:
                 join(a, b, graph.island)
-
-
-@wp.func
-def is_crowded(env: int, envs: Environments):
-    """Whether an environment has many bodies."""
-    return envs.first_body[env + 1] - envs.first_body[env] > CROWDED
 
 
 @wp.kernel

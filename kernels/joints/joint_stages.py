@@ -192,6 +192,8 @@ def share_time_of_impact(motions: Motions, joints: Joints):
         b = joints.member[i]
         if motions.role[b] == Role.FREE:
             motions.next_time_of_impact[b] = earliest
+            if earliest < 1.0:
+                motions.next_course[b] = earliest * motions.solver_bodies[b].linear
 
 
 @wp.kernel

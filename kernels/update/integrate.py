@@ -189,12 +189,12 @@ def close_step(envs: Environments):
 
 
 @wp.func
-def without_added_speed(v: wp.vec3, a: wp.vec3, time: float):
-    """Velocity without the speed that an acceleration added in a time in which the body does not move."""
+def without_added_speed(v: wp.vec3, a: wp.vec3, missed: wp.vec3):
+    """Velocity without the speed that an acceleration added over a displacement that the body did not make."""
     squared = wp.length_sq(v)
-    if time == 0.0 or squared == 0.0:
+    if squared == 0.0:
         return v
-    return v - (time * wp.dot(a, v) / squared) * v
+    return v - (wp.dot(a, missed) / squared) * v
 
 
 @wp.func
@@ -207,7 +207,9 @@ def rotational_energy(turn: wp.quatd, spin: wp.vec3d, inertia: wp.mat33):
 @wp.func
 def energy_without_work(
     b: int,
-    time: wp.float64,
+    dt: wp.float64,
+    turning: wp.float64,
+    missed: wp.vec3,
     linear: wp.vec3,
     spin: wp.vec3d,
     turn_change: wp.float64,
@@ -219,7 +221,9 @@ def energy_without_work(
 
     Args:
         b: the body.
-        time: in which it moved [s].
+        dt: time of the step [s].
+        turning: time in which it rotated [s].
+        missed: displacement by its velocity that it did not make [m].
         linear: its velocity after the step.
         spin: its angular velocity before the free rotation of the step.
         turn_change: rotational energy after the step less that before the step [J].
@@ -230,8 +234,11 @@ def energy_without_work(
     before = wp.vec3d(state.linear_velocity[b])
     after = wp.vec3d(linear)
     mass = wp.float64(bodies.mass[b])
-    gain = mass * wp.dot(before + after, after - before - time * wp.vec3d(motions.acceleration[b]))
-    work = time * wp.dot(wp.vec3d(state.angular_velocity[b]) + spin, wp.vec3d(state.torque[b]))
+    pull = wp.vec3d(motions.acceleration[b])
+    gain = mass * (
+        wp.dot(before + after, after - before - dt * pull) + wp.float64(2.0) * wp.dot(pull, wp.vec3d(missed))
+    )
+    work = turning * wp.dot(wp.vec3d(state.angular_velocity[b]) + spin, wp.vec3d(state.torque[b]))
     return wp.float64(0.5) * (gain - work) + turn_change
 
 
@@ -242,7 +249,7 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     Angular momentum is conserved. The rotation is computed in float64, and its rounding error is stored for the next
     step; otherwise it would be the main error of the angular momentum. The angular velocity is rotated together with
     the body by the push-out, which therefore does not change the energy; otherwise the spin of a thin rod about its
-    axis would become a fast spin about another axis. Bodies move only up to their time of impact.
+    axis would become a fast spin about another axis. From its first impact on, a body follows its course (ccd.py).
     """
     b = wp.tid()
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
@@ -250,20 +257,21 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     halted = envs.failed[env] == 1 or envs.broken[env] > 0
     if bodies.motion[b] == Motion.STATIC or halted or not moves:
         return
-    step = wp.float64(dt * motions.next_time_of_impact[b])
+    turning = wp.float64(dt * motions.next_time_of_impact[b])
     turn = precise(state.orientation[b], state.orientation_remainder[b])
     spin = wp.vec3d(motions.solver_bodies[b].angular) + wp.vec3d(state.angular_velocity_remainder[b])
-    push_turn = step * wp.vec3d(motions.solver_bodies[b].push_angular)
-    stopped = dt * (1.0 - motions.next_time_of_impact[b])
-    linear = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], stopped)
-    kept = rotate_by(turn, step * spin)
+    push_turn = wp.float64(dt) * wp.vec3d(motions.solver_bodies[b].push_angular)
+    missed = dt * (motions.solver_bodies[b].linear - motions.next_course[b])
+    linear = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], missed)
+    kept = rotate_by(turn, turning * spin)
     health = state.health[b]
     if bodies.motion[b] == Motion.DYNAMIC:
         spin_before = wp.vec3d(state.angular_velocity[b]) + wp.vec3d(state.angular_velocity_remainder[b])
         change = -rotational_energy(turn, spin_before, bodies.inertia[b])
-        kept, free_spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
+        kept, free_spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), turning)
         change += rotational_energy(kept, free_spin, bodies.inertia[b])
-        health[0] += energy_without_work(b, step, linear, spin, change, bodies, motions, state)
+        duration = wp.float64(dt)
+        health[0] += energy_without_work(b, duration, turning, missed, linear, spin, change, bodies, motions, state)
         spin = free_spin
     else:
         health[0] = wp.float64(1.0)
@@ -273,7 +281,7 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     spin = wp.quat_rotate(push, spin)
     state.angular_velocity[b] = wp.vec3(spin)
     state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
-    travel = step * wp.vec3d(motions.solver_bodies[b].linear + motions.solver_bodies[b].push_linear)
+    travel = wp.float64(dt) * wp.vec3d(motions.next_course[b] + motions.solver_bodies[b].push_linear)
     state.linear_velocity[b] = linear
     center = wp.vec3d(bodies.center_of_mass[b])
     center_shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)

@@ -16,7 +16,7 @@ from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
-from warp_rigid.kernels.common import capacity, team
+from warp_rigid.kernels.common import capacity, crowd, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
 from warp_rigid.kernels.enums import IslandSolver
@@ -102,7 +102,7 @@ class Stages:
         layout = model.layout
         self.num_envs, self.rows = layout.num_envs, layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
-        self.crowded = layout.most_bodies > islands.CROWDED
+        self.crowded = layout.most_bodies > crowd.CROWDED
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
         self.search_lanes, self.search_block = teams.search_team(layout.has_many_samples)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
@@ -376,20 +376,18 @@ class Stages:
 
     def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
         """Launch rounds in groups, until no environment needs another one."""
-        lanes = teams.ROUND_LANES if self.device.is_cuda else 1
-        threads = (
-            min(self.pools.sizes["constraints"] * lanes, teams.most_lanes(self.device)) if self.device.is_cuda else 1
-        )
+        cuda = self.device.is_cuda
+        lanes = teams.ROUND_LANES if cuda else 1
+        threads = min(self.pools.sizes["constraints"] * lanes, teams.most_lanes(self.device)) if cuda else 1
 
         def group() -> None:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
-                inputs = [place, threads, lanes, some]
                 wp.launch(
                     kernel,
                     dim=threads,
-                    inputs=inputs,
+                    inputs=[place, threads, lanes, some],
                     outputs=changed,
-                    block_dim=team.SMALL_BLOCK if self.device.is_cuda else 1,
+                    block_dim=team.SMALL_BLOCK if cuda else 1,
                     device=self.device,
                 )
             wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
@@ -400,9 +398,10 @@ class Stages:
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
-        self._limit_motion(again=0)
-        self._per_body(ccd.commit_time_of_impact, [], [self.motions])
-        self._limit_motion(again=1)
+        self._limit_motion(turn=0)
+        for turn in range(1, ccd.TURNS_IN_CROWDS if self.crowded else ccd.TURNS):
+            self._per_body(ccd.close_round, [], [self.motions])
+            self._limit_motion(turn)
         self.joints.limit_motion()
 
     @stage
@@ -552,12 +551,14 @@ class Stages:
             device=self.device,
         )
 
-    def _limit_motion(self, again: int) -> None:
-        """One round of continuous collision detection: over all pairs, or again over those of stopped bodies."""
+    def _limit_motion(self, turn: int) -> None:
+        """One round of continuous collision detection: over all pairs, or again over those of bodies that were hit."""
         pairs, inputs = self.pools.pairs, [self.dt, self.model.shapes, self.model.bodies, self.state]
+        listed = [*inputs, self.envs, self.motions]
         pairs.fast_count.zero_()
-        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [again], [*inputs, self.motions], [pairs])
+        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [turn], listed, [pairs])
         self._share_pairs(ccd.limit_motion, teams.TRACE_LANES, [*inputs, pairs], [self.motions])
+        self._per_body(ccd.change_courses, [pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
