@@ -52,7 +52,7 @@ def test_a_deep_overlap_keeps_the_contacts_that_support(device, tilt):
 
 
 def test_a_body_that_is_hit_moves_on_with_the_slower_one(device):
-    """A cube at 16 m/s reaches one that moves ahead of it at 8 m/s within the step, from further than contacts reach."""
+    """A cube at 16 m/s reaches one that moves ahead of it at 8 m/s in the step, from further than contacts reach."""
     dt, gap, fast, slow = 1 / 30, 0.1, -16.0, -8.0
     scene = Scene(gravity=(0, 0, 0))
     scene.add_body(CUBE, linear_velocity=(0, 0, slow))

@@ -27,6 +27,7 @@ from warp_rigid.kernels.collide.course import (
     passage_of,
     place_at,
     relative_motion,
+    stays_clear,
 )
 from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
@@ -479,7 +480,9 @@ def list_fast_pairs(
             way = relative_motion(first, second, dt)
             if way < DEPTH * size or not may_touch(shapes, first, second, dt):
                 continue
-            if turn > 0 or way > FAST * size or was_hit(a, b, first, second, size, dt, state):
+            if turn == 0 and way <= FAST * size and not was_hit(a, b, first, second, size, dt, state):
+                continue
+            if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
 
 

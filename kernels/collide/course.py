@@ -3,6 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import NEAR
+from warp_rigid.kernels.collide.convex import Solids, gap_along, is_solid
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Shapes, State
 
@@ -99,6 +100,36 @@ def pose_in(own: Course, other: Course, t: float):
     apart = own.center - other.center + t * (own.linear - other.linear)
     shift = wp.quat_rotate(back, apart) + other.local_center - wp.quat_rotate(turn, own.local_center)
     return wp.transformation(shift, turn)
+
+
+@wp.func
+def solids_at(own: Course, other: Course, t: float, size: float):
+    """Two convex solids at time t."""
+    pose = pose_in(own, other, t)
+    solids = Solids()
+    solids.a = own.shape
+    solids.b = other.shape
+    solids.turn = wp.transform_get_rotation(pose)
+    solids.shift = wp.transform_get_translation(pose)
+    solids.size = size
+    return solids
+
+
+@wp.func
+def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: float, shapes: Shapes):
+    """Whether an axis in the frame of the other body shows that two convex solids do not penetrate in the step.
+
+    As in `gap_of` (ccd.py), this is tested in the middle and at the end of a motion below half the size.
+    """
+    if wp.length_sq(axis) == 0.0 or relative_motion(own, other, dt) > 2.0 * FAST * size:
+        return False
+    if not is_solid(shapes, own.shape) or not is_solid(shapes, other.shape):
+        return False
+    allowed = wp.min(gap_along(solids_at(own, other, 0.0, size), shapes, axis), 0.0) - DEPTH * size
+    for half in range(1, 3):
+        if gap_along(solids_at(own, other, 0.5 * float(half) * dt, size), shapes, axis) < allowed:
+            return False
+    return True
 
 
 @wp.func
