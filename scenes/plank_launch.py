@@ -73,7 +73,7 @@ class LaunchOutcome:
             Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound, "m"),
         ]
         if self.depth is not None:
-            verdicts.append(below("depth", self.depth, limit, text, sound | {"off": False}))
+            verdicts.append(below("depth", self.depth, limit, text, sound))
         return verdicts
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import warp_rigid as wr
 from warp_rigid.engine import hash_grid
-from warp_rigid.kernels.graph.islands import CROWDED
+from warp_rigid.kernels.common.crowd import CROWDED
 
 QUANTITIES = ("position", "orientation", "linear_velocity", "angular_velocity", "level", "asleep")
 STEPS = 100

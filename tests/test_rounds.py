@@ -88,7 +88,7 @@ def with_limit(rounds, limit):
 
 
 def test_many_rounds_reach_coulombs_law(device):
-    _, stages = fallen(device, contact_iterations=100)
+    _, stages = fallen(device, contact_iterations=400)
     problem = ContactProblem(stages)
     stages.solve_heaps()
     impulse = stages.pools.contacts.impulses.numpy()["impulse"][: len(problem.contacts["gap"])].astype(np.float64)
@@ -181,19 +181,19 @@ def test_overlaps_of_a_heap_are_removed_without_velocity(device):
 
 
 def test_a_heap_rests(device):
-    """Each of five heaps is solved in rounds; only a few boxes that are balanced on an edge move after six seconds."""
+    """Each of five heaps is solved in rounds; after ten seconds only boxes that are balanced on an edge or corner move."""
     case = find_case("pile_box:140")
     sim = Simulator(case.build(), num_envs=5, settings=Settings(dt=DT), device=device)
     case.scatter(sim)
     islands = []
-    for _ in range(6):  # one that comes to rest may be solved by shock propagation in the end
+    for _ in range(10):  # one that comes to rest may be solved by shock propagation in the end
         sim.step(120)
         islands.append(sim.stats()["islands_rounds"])
     assert (np.max(islands, axis=0) > 0).all()
     before = sim.get("position")
     sim.step(120)
     moved = np.linalg.norm(sim.get("position") - before, axis=2)
-    assert ((moved > 1e-4).mean(axis=1) < 0.05).all()
+    assert (moved > 1e-4).mean() < 0.03
     assert np.median(sim.penetration()) < 5e-5
 
 

@@ -40,12 +40,9 @@ UPRIGHT = wp.constant(200.0)
 TRAVEL_WEIGHT = wp.constant(0.5)
 """Weight between the two values above: this constant times the smaller size over the pair's travel in the step."""
 
-FURTHEST_RANKED = wp.constant(0.02)
-"""Gaps beyond this fraction of the smaller size count as equal."""
-
-DEEPEST_RANKED = wp.constant(0.005)
-"""Overlaps beyond this fraction of the smaller size count as equal, too. If the deepest sample took the place of those
-that support the body, deep overlaps would have a single contact, about which the body turns further in."""
+RANKED = wp.constant(0.02)
+"""Gaps, and overlaps, beyond this fraction of the smaller size count as equal. Otherwise the deepest sample of a deep
+overlap would replace those that support the body, which would then turn further in about a single contact."""
 
 TIE = wp.constant(1.0e-6)
 """A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
@@ -112,7 +109,7 @@ def offer_sample(
     pairs: Pairs,
 ):
     """Offer a touching sample, in the second body's frame, to the slots of its patch; a lane updates its own slots."""
-    gap = wp.min(height, FURTHEST_RANKED * size)
+    gap = wp.min(height, RANKED * size)
     patch = patch_for(pair, normal, lane, lanes, pairs)
     n = pairs.patch_normal[pair, patch]
     u = tangent_of(n)
@@ -123,7 +120,7 @@ def offer_sample(
         score = -gap
         if k < DIRECTIONS:
             counts = wp.where(k % 2 == 0, weight, TIPPED)
-            score = extent(k, x, y) - counts * wp.max(gap, -DEEPEST_RANKED * size)
+            score = extent(k, x, y) - counts * wp.max(gap, -RANKED * size)
         slot = patch * SLOTS + k
         if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + TIE * size * counts:
             pairs.slot_key[pair, slot] = key
