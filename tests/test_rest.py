@@ -44,7 +44,7 @@ def snapshot(sim):
 
 
 def converged(shape, device, falling, seconds):
-    """Motion in a second [m, rad] and overlap in 64 environments, at one step a frame, after bodies fell however turned.
+    """Motion in a second [m, rad] and overlap in 64 environments at one step a frame, after bodies fell however turned.
 
     The largest displacement or rotation of any body: the speed at one instant would miss what happens between.
     """

@@ -181,7 +181,7 @@ def test_overlaps_of_a_heap_are_removed_without_velocity(device):
 
 
 def test_a_heap_rests(device):
-    """Each of five heaps is solved in rounds; after ten seconds only boxes that are balanced on an edge or corner move."""
+    """Each of five heaps is solved in rounds; after ten seconds only boxes balanced on an edge or corner move."""
     case = find_case("pile_box:140")
     sim = Simulator(case.build(), num_envs=5, settings=Settings(dt=DT), device=device)
     case.scatter(sim)
