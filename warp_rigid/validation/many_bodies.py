@@ -58,13 +58,13 @@ def heap(base=6):
     )
 
 
-RESTLESS = "the sweeps of a heap do not converge at one step per frame"
+RESTLESS = "a box that is held at two opposite corners rotates about the line through them; no contact force brakes it"
 BIN_FRICTION, BIN_RESTING = 0.5, 1e-4
 """Friction in the bin, and speed below which all of its boxes rest [m/s]."""
 
 
 def bin_of_boxes(count, moves=None):
-    """Cubes of 0.2 m that fall into a bin, at one step of 1/60 s per frame; known miss of the speed."""
+    """Cubes of 0.2 m that fall into a bin, at one step of 1/60 s per frame; known miss of the angular speed."""
 
     def scene():
         made = level_scene(friction=BIN_FRICTION)
