@@ -15,7 +15,7 @@ from PIL import Image, ImageSequence
 from warp_rigid.render.images import shared_palette
 
 DOCS = Path(__file__).parent
-WIDEST = {".png": 1280, ".gif": 560}
+WIDEST = {".png": 1280, ".gif": 470}
 """Largest width of a picture [pixels]."""
 
 

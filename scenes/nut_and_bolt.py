@@ -85,9 +85,8 @@ class NutOutcome(OverlapOutcome):
             self.off_thread = np.maximum(self.off_thread, np.abs(drop + helix))
         time, earlier = self.before
         passing = np.isnan(self.passed_at) & (drop >= HALF_WAY)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            part = (HALF_WAY - earlier) / (drop - earlier)
-        self.passed_at = np.where(passing, time + part * (float(sim.time) - time), self.passed_at)
+        part = (HALF_WAY - earlier[passing]) / (drop - earlier)[passing]
+        self.passed_at[passing] = time + part * (float(sim.time) - time)
         self.before = (float(sim.time), drop)
 
     def verdicts(self, sim):

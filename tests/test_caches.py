@@ -69,6 +69,16 @@ def test_a_damaged_kernel_without_a_checksum_is_compiled_again(kernels, damage):
     assert printed == expected and len(told) == (damage == "cut")
 
 
+def test_compiling_is_told_once_before_it_begins(tmp_path):
+    """As by the commands, which show messages of this level; a cache with the kernels says nothing."""
+    program = PROGRAM.replace('"%(message)s"', '"%(message)s", level="INFO"')
+    program += "from warp_rigid.kernels.common import team\nload_module(wp.get_device('cpu'), team.__name__, 1)\n"
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
+    for expected in (1, 0):
+        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+        assert done.stderr.count("compiling kernels for cpu, once on this machine") == expected, done.stderr
+
+
 def test_every_changed_byte_of_a_distance_grid_is_harmless(empty_cache, bakes, caplog):  # noqa: F811
     values = small_mesh(8).grid.values
     (file,) = cache_files(empty_cache)

@@ -43,6 +43,15 @@ def test_a_point_that_moves_attracts_where_it_is(device):
     assert (sim.get("linear_velocity")[1, 0] == 0.0).all()
 
 
+@pytest.mark.filterwarnings("error")
+def test_potential_energy_at_the_centre_of_a_point_field_is_a_number(device):
+    """A static body there, such as a planet, has no mass and no energy; the energy of a dynamic one is finite."""
+    scene = ball(wr.PointField((0, 0, 1), 4.0))
+    scene.add_static(wr.Sphere(0.05), position=(0, 0, 1))
+    energy = wr.Simulator(scene, device=device).get("potential_energy")[0]
+    assert np.isfinite(energy).all() and energy[0] < 0.0 and energy[1] == 0.0
+
+
 @pytest.mark.parametrize("drag", [0.0, 1e-3, 2.0, 1e4])
 def test_drag_has_its_closed_form(device, drag):
     """v = w + (v0 - w) exp(-c t), for any c: the step is exact. In gravity the terminal velocity is g / c."""

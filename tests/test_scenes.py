@@ -2,10 +2,12 @@
 
 import collections
 import itertools
+import warnings
 
 import numpy as np
 import pytest
 
+from tests.fakes import FakeSimulator
 from tests.scene_oracles import StillSimulator, about, body_separation, rotation
 from warp_rigid import scenes
 from warp_rigid.engine.settings import Settings
@@ -405,3 +407,25 @@ def test_nut_accelerates_as_on_an_inclined_plane():
     assert nut_and_bolt.acceleration(0.0, 1e-3) == pytest.approx(9.81 / (1.0 + 1e-3 / k**2))
     assert nut_and_bolt.acceleration(1.05 * nut_and_bolt.CRITICAL_FRICTION, 1e-3) == 0.0
     assert nut_and_bolt.acceleration(0.95 * nut_and_bolt.CRITICAL_FRICTION, 1e-3) > 0.0
+
+
+class FallingSimulator(FakeSimulator):
+    """No overlaps."""
+
+    def penetration(self):
+        return np.zeros(self.num_envs)
+
+
+def test_nut_passes_half_way_at_the_time_of_free_fall_and_may_be_observed_twice_at_one_time():
+    sim = FallingSimulator(nut_and_bolt.build())
+    outcome = nut_and_bolt.DEMO.outcome(sim.scene)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(120):
+            outcome.observe(sim)
+            outcome.observe(sim)
+            sim.step(4)
+    # Between two observations the drop is taken as linear in time.
+    times = np.arange(120) / 60.0
+    expected = np.interp(nut_and_bolt.HALF_WAY, 0.5 * sim.GRAVITY * times**2, times)
+    assert outcome.passed_at == pytest.approx(expected, rel=1e-6)

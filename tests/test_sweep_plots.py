@@ -66,8 +66,14 @@ def test_two_axes_of_numbers_make_heat_maps(tmp_path, figures):
     np.testing.assert_allclose(
         np.ma.filled(first.collections[0].get_array().astype(float), np.nan), [[0, 1, 2], [np.nan, 1.5, 2.5]]
     )
-    plot(table(["a", "b"], [(a, b) for a in (0, 1, 2) for b in (0.0, 0.5)]), tmp_path / "p.png")
+    plot(table(["a", "b"], [(a, b) for a in range(6) for b in range(5)]), tmp_path / "p.png")
     assert len(figures[1].axes) == 2
+
+
+def test_second_axis_of_few_numbers_makes_one_line_for_each(tmp_path, figures):
+    table(["a", "b"], [(a, b) for a in range(9) for b in (4, 6)]).plot(tmp_path / "p.png")
+    (axes,) = figures[0].axes
+    assert [line.get_label() for line in axes.lines] == ["4", "6"] and axes.get_legend().get_title().get_text() == "b"
 
 
 def test_scattered_points_make_a_matrix(tmp_path, figures):

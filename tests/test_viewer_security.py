@@ -346,6 +346,31 @@ def test_wrong_camera_does_not_hinder_loading_a_scene(served, page, wrong):
         assert len(served.viewer._dynamic) == rows and served.widget("scene").value == name
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"look_at": {"x": 1.0}},
+        {"position": "abc"},
+        {"up_direction": (0.0, 0.0)},
+        {"wxyz": "abcd"},
+        {"near": float("nan")},
+        {"image_height": 0},
+        {"look_at": CAMERA["position"]},
+    ],
+)
+def test_camera_that_no_page_has_is_ignored_in_every_thread(served, page, monkeypatch, wrong):
+    failed = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    with served.socket() as other:
+        threading.Thread(target=drain, args=(other,), daemon=True).start()
+        with contextlib.suppress(websockets.exceptions.ConnectionClosed):
+            other.send(msgspec.msgpack.encode(CAMERA | wrong))
+            other.send(msgspec.msgpack.encode(CAMERA | {"fov": 0.8} | wrong))
+        settle(served, page)
+        assert len(served.viewer.server.get_clients()) == 1  # a page counts as open from its first camera on
+    assert failed == []
+
+
 @pytest.mark.parametrize("uuid", ["no such control", 3, [], {}, None])
 @pytest.mark.parametrize("updates", [{}, {"value": {}}, [], "value", None])
 def test_malformed_update_is_ignored(served, page, uuid, updates):

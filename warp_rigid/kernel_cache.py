@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import logging
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,9 @@ log = logging.getLogger("warp_rigid")
 
 CHECKSUM = ".sha256"
 
+_announcement = threading.Lock()
+"""Taken by the first module that is compiled in this process, and never released."""
+
 
 def load_module(device: Any, name: str, block: int) -> None:
     """Compile the kernels of a module, or load them from Warp's cache.
@@ -33,6 +37,8 @@ def load_module(device: Any, name: str, block: int) -> None:
     """
     module = wp.get_module(name)
     folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
+    if not any(_loaded_by(device, folder)) and _announcement.acquire(blocking=False):
+        log.info("compiling kernels for %s, once on this machine: half a minute on a CPU, a minute on a GPU", device)
     damaged = [file for file in _compiled(folder) if _checksum_of(file) not in (None, _digest(file))]
     if damaged:
         _discard(folder, f"{damaged[0].name} was changed")
@@ -49,10 +55,15 @@ def load_module(device: Any, name: str, block: int) -> None:
                 temporary.write_text(_digest(file))
 
 
-def _compiled(folder: Path) -> Iterator[Path]:
+def _compiled(folder: Path, suffixes: tuple[str, ...] = (".o", ".cubin", ".ptx", ".meta")) -> Iterator[Path]:
     """Files that Warp loads from the folder of a module."""
-    for suffix in (".o", ".cubin", ".ptx", ".meta"):
+    for suffix in suffixes:
         yield from folder.glob(f"[!.]*{suffix}")
+
+
+def _loaded_by(device: Any, folder: Path) -> Iterator[Path]:
+    """The machine code for one kind of device in the folder of a module."""
+    return _compiled(folder, (".cubin", ".ptx") if device.is_cuda else (".o",))
 
 
 def _digest(file: Path) -> str:

@@ -19,6 +19,7 @@ def save_chart(rows: Sequence[dict[str, Any]], path: str) -> None:
     rows = [row for row in rows if "fault" not in row]
     own = [row for row in rows if row["engine"] == OURS]
     chart = Figure(figsize=(11, max(4.5, 1.5 + 0.4 * len(own))), layout="constrained")
+    chart.suptitle(", ".join(dict.fromkeys(_device(row) for row in own)), fontsize=9)
     left, right = chart.subplots(1, 2)
     _draw_throughput(left, rows)
     _draw_stages(right, own)
@@ -62,7 +63,7 @@ def _draw_stages(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
         n for n in names if any(r["stage_seconds"].get(n, 0) > SMALL * t for r, t in zip(rows, totals, strict=True))
     ]
     ends = [0.0] * len(rows)
-    for k, name in enumerate([*wide, "rest"]):
+    for k, name in enumerate([*wide, "others"]):
         for i, (row, total) in enumerate(zip(rows, totals, strict=True)):
             parts = row["stage_seconds"]
             share = parts.get(name, 0.0) if name in wide else sum(t for n, t in parts.items() if n not in wide)
@@ -76,6 +77,11 @@ def _draw_stages(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
     axes.set(xlabel="share of a step [%]", xlim=(0, 100))
     axes.invert_yaxis()
     axes.legend(fontsize=7, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def _device(row: dict[str, Any]) -> str:
+    """The device of a row, with the number of cores if it is a CPU."""
+    return f"CPU, {row['cores']} cores" if row["device"] == "cpu" else row["device_name"]
 
 
 def _duration(seconds: float) -> str:

@@ -68,6 +68,7 @@ def bench_command(
     found = choose_device(device)
     machine = measure.surroundings(found)
     rows: list[dict[str, Any]] = []
+    faults: set[str] = set()
     started = {str(case): _start_up(str(case), str(found)) for case in cases} if cold else {}
     runs = [
         (case, measure.Conditions(size, substep, 120 if settle is None else settle, frames or 60, sleeping))
@@ -80,6 +81,7 @@ def bench_command(
             else:
                 done = [{**machine, **row} for row in _engines(case, conditions, found, chosen)]
                 measure.compare(done)
+            _report({f"{row['engine']}: {case}: {row['fault']}" for row in done if "fault" in row}, faults)
             _append(done, json_lines)
             rows += done
             advance(len(rows))
@@ -125,10 +127,14 @@ def _engines(case: Any, conditions: Any, device: Any, chosen: dict[str, str]) ->
     row, sim = measure.measure(case, conditions, device)
     yield row
     for name, python in chosen.items():
-        row = other.run_peer(name, python, case, conditions, sim)
-        if "fault" in row:
-            note(f"{name}: {case}: {row['fault']}")
-        yield row
+        yield other.run_peer(name, python, case, conditions, sim)
+
+
+def _report(found: set[str], reported: set[str]) -> None:
+    """Print each fault of an engine once, not for every number of environments."""
+    for text in sorted(found - reported):
+        note(text)
+    reported |= found
 
 
 def _phases(case: Any, conditions: Any, device: Any, until: float | None) -> list[dict[str, Any]]:

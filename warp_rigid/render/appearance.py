@@ -286,19 +286,19 @@ def environment_offsets(count: int, spacing) -> np.ndarray:
     return np.stack([x, y, np.zeros(count)], axis=1)
 
 
-def drawn_surfaces(recording: Recording, count: int, spread: Spread) -> list[DrawnSurface]:
+def drawn_surfaces(recording: Recording, count: int, spread: Spread, beyond: float = 0.0) -> list[DrawnSurface]:
     """The surfaces as drawn with `count` environments.
 
-    Planes have the width of the scene. Horizontal planes may overlap, since they coincide; of several environments, a
-    tilted plane is reduced to the extent of its environment.
+    Planes have the width of the scene, level ones are wider by `beyond` [m] on each side. Level planes may overlap,
+    since they coincide; of several environments, a tilted plane is reduced to the extent of its environment.
     """
     surfaces = list(recording.surfaces)
     for index, surface in enumerate(surfaces):
         if surface.endless and len(surface.faces) == 2:
             center = surface.vertices.mean(axis=0)
             width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
-            scale = spread.plane_width() / width
-            if count > 1 and _is_tilted(recording, index):
+            scale = (spread.plane_width() + 2.0 * beyond) / width
+            if count > 1 and is_tilted(recording, index):
                 scale = min(1.0, float(np.max(spread.spacing())) / width)
             if scale == 1.0:
                 continue
@@ -307,7 +307,7 @@ def drawn_surfaces(recording: Recording, count: int, spread: Spread) -> list[Dra
     return surfaces
 
 
-def _is_tilted(recording: Recording, index: int) -> bool:
+def is_tilted(recording: Recording, index: int) -> bool:
     """Whether any body with this plane is tilted."""
     plane = recording.surfaces[index]
     normal = corner_normals(plane.vertices, plane.faces)[0, 0]

@@ -39,6 +39,8 @@ RAISE, HIGHEST = 10.0, 75.0
 """If the ground hides the view, the camera is raised by steps of this angle, up to an elevation [degree]."""
 STRAY_PART = 0.02
 """An event is over when no more than this fraction of the bodies moves."""
+FRAMED = 2.0
+"""Size up to which a fixed body is kept in view, relative to that of all moving bodies together."""
 AFTERMATH = 0.8
 """Time that a film shows after the event [s]."""
 
@@ -226,7 +228,7 @@ def points_to_see(film: Film, frames) -> np.ndarray:
     points = np.concatenate([points + room * np.array((*side, 0.0)) for side in SIDES])
 
     still = placed(~moving & ~flat, frames[0])
-    small = np.linalg.norm(np.ptp(still, axis=1), axis=1) < 2.5 * size
+    small = np.linalg.norm(np.ptp(still, axis=1), axis=1) < FRAMED * size
     return np.concatenate([points.reshape(-1, 3), still[small].reshape(-1, 3)])
 
 

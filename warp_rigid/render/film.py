@@ -232,14 +232,14 @@ def _read_instancer(prim, frames):
 
 
 def _read_body(prim, frames):
-    """Read a single body in the same form; its colliders are joined to one mesh."""
+    """Read a single body in the same form; its parts that are drawn are joined to one mesh."""
     from pxr import Usd, UsdGeom
 
     from warp_rigid.usd.prims import matrix_of, triangles_of
 
     vertices, faces, count, moving = [], [], 0, {}
     for part in Usd.PrimRange(prim, Usd.TraverseInstanceProxies()):
-        if part.IsA(UsdGeom.Gprim):
+        if part.IsA(UsdGeom.Gprim) and UsdGeom.Imageable(part).ComputePurpose() != UsdGeom.Tokens.guide:
             matrix = matrix_of(UsdGeom.XformCache().ComputeRelativeTransform(part, prim)[0])
             points, triangles = triangles_of(part)
             attribute = part.GetAttribute("points")

@@ -14,6 +14,8 @@ __all__ = ["KINDS", "plot"]
 KINDS = ("line", "heatmap", "scatter")
 SUFFIXES = (".png", ".svg", ".pdf")
 MAX_LINES = 12
+FEW = 4
+"""Values of a second axis up to which lines are drawn instead of a heat map."""
 AXIS_UNITS = {
     "dt": "s",
     "mass": "kg",
@@ -79,7 +81,8 @@ def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, k
         y: the metric; None uses the first numeric one.
         kind: "line" (one line per value of the other axes), "heatmap" (over x and one other numeric axis, one panel
             per value of the remaining axes) or "scatter" (scatter matrix of all numeric axes and the metric). None
-            uses lines for one axis, a heat map for a grid of two numeric axes, else a scatter matrix.
+            uses lines for one axis, or if the other axes have no numbers or are one of few values, a heat map for a
+            grid of two numeric axes, else a scatter matrix.
 
     Returns:
         The matplotlib Figure.
@@ -122,8 +125,10 @@ def _kind(result: Table, x: str, others: list[str]) -> str:
     """The default kind of plot for a table."""
     if not others:
         return "line"
-    cells = len(set(result.column(x).tolist())) * len(set(result.column(others[0]).tolist()))
-    return "heatmap" if len(others) == 1 and cells <= 2 * len(result) else "scatter"
+    width, height = (len(set(result.column(name).tolist())) for name in (x, others[0]))
+    if len(others) > 1 or width * height > 2 * len(result):
+        return "scatter"
+    return "line" if height <= FEW else "heatmap"
 
 
 def _lines(figure: Any, result: Table, x: str, y: str, others: list[str]) -> None:

@@ -12,7 +12,7 @@ from pxr import Sdf, Tf, Vt
 
 from warp_rigid.render.appearance import bound_corners, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
-from warp_rigid.runs.recording import Frame, Recording, is_moving
+from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
@@ -47,6 +47,7 @@ class Instancers:
         """Prepare without writing."""
         self._film, self._row, self._color, self._velocities = film, row, color, velocities
         self._groups: list[_Group] = []
+        self._paths: dict[int, str] = {}
 
     def define(self, samples: SampleWriter, root: str, library: Library, frame: Frame) -> None:
         """Define the prims, with the values of the first frame as default values.
@@ -71,7 +72,20 @@ class Instancers:
                 colors[bodies],
             )
             self._define_group(samples, f"{root}/{name}", group, library, frame)
+            self._paths |= dict.fromkeys(bodies.tolist(), f"{root}/{name}")
             self._groups.append(group)
+
+    def path_of(self, body: int) -> str:
+        """Path of the instancer that has a body."""
+        return self._paths[body]
+
+    def resize(self, layer: Sdf.Layer, index: int, surface: DrawnSurface) -> None:
+        """Write the bounding box of the still instances of a surface that was replaced."""
+        for group in self._groups:
+            if self._film.surface[group.bodies[0]] == index:
+                group.corners = bound_corners(surface.vertices)
+                path = f"{self.path_of(int(group.bodies[0]))}.extent"
+                layer.GetAttributeAtPath(path).default = _pose_values(group)["extent"]
 
     def _define_group(self, samples: SampleWriter, path: str, group: _Group, library: Library, frame: Frame) -> None:
         layer = samples.layer

@@ -15,6 +15,7 @@ from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfiel
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves
 from warp_rigid.usd.geometry import MARK, frame_of_plane, precise_quaternions
+from warp_rigid.usd.look import define_surface
 from warp_rigid.usd.materials import write_material
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
@@ -22,6 +23,8 @@ __all__ = ["Library", "simple_shapes", "write_pose"]
 
 PLANE_WIDTH = 20.0
 """Drawn width of an infinite plane [m]."""
+RENDERED = "render"
+"""Name of the mesh that is rendered instead of colliders."""
 SDF_BLOCK = 8
 """The schema of signed distance grids requires resolutions that are multiples of this."""
 
@@ -41,6 +44,7 @@ class Library:
         self._samples = SampleWriter(layer)
         self._moving: dict[str, tuple[DrawnSurface, list[Track]]] = {}
         self._colliders: dict[tuple[str, tuple[float, ...]], str] = {}
+        self._painted: dict[tuple[str, tuple[float, ...]], str] = {}
         define(layer, root, "Scope", specifier=Sdf.SpecifierClass)
 
     def mesh_path(self, index: int) -> str:
@@ -66,10 +70,12 @@ class Library:
             tracks = [self._samples.track(prim.attributes[name]) for name in ("points", "normals", "extent")]
             self._moving[str(prim.path)] = surface, tracks
 
-    def fit_plane(self, shape: Shape, width: float) -> None:
-        """Set the drawn width of a plane [m]; the collider stays infinite."""
+    def fit_plane(self, shape: Shape, surface: DrawnSurface) -> None:
+        """Replace the drawn surface of a plane, and the width of its collider, which stays infinite."""
+        width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
         for (key, _), path in self._colliders.items():
             if key == shape.key:
+                write_mesh(self.layer.GetPrimAtPath(f"{path}/{RENDERED}"), surface.vertices, surface.faces)
                 for side in ("width", "length"):
                     self.layer.GetAttributeAtPath(f"{path}/collider_0.{side}").default = width
 
@@ -79,19 +85,47 @@ class Library:
         prim.referenceList.prependedItems = [Sdf.Reference(file, path)]
 
     def collider(self, shape: Shape, coefficients: Mapping[str, float]) -> str:
-        """Path of an Xform with the colliders of a shape and their material."""
+        """Path of an Xform with the colliders of a shape and their material.
+
+        Colliders that are no meshes are guides, which are not rendered, beside a mesh, which is: some readers, such as
+        Blender, give no material to the others.
+        """
         key = (shape.key, tuple(coefficients.values()))
         if key not in self._colliders:
             path = f"{self.root}/shape_{len(self._colliders)}"
             self._colliders[key] = path
             define(self.layer, path, "Xform")
+            separate = not isinstance(shape, (Mesh, Heightfield))
             write_material(self.layer, f"{path}/material", coefficients)
             for index, (part, position, orientation) in enumerate(simple_shapes(shape)):
                 prim = _write_shape(self.layer, f"{path}/collider_{index}", part, position, orientation, self._time)
                 if moves(part):
                     self._write(prim, drawn_surface(part))
                 set_relationship(prim, "material:binding:physics", f"{path}/material")
+                if separate:
+                    set_attribute(prim, "purpose", Sdf.ValueTypeNames.Token, "guide", uniform=True)
+            if separate:
+                surface = drawn_surface(shape)
+                mesh = define(self.layer, f"{path}/{RENDERED}", "Mesh", ["MaterialBindingAPI"])
+                write_mesh(mesh, surface.vertices, surface.faces)
         return self._colliders[key]
+
+    def painted(self, colliders: str, color: np.ndarray) -> str:
+        """Path of an Xform that references colliders and gives them a material of a colour (3,).
+
+        The material is bound within the Xform: readers that keep instances, such as Blender, find none outside.
+        """
+        key = (colliders, tuple(np.asarray(color).tolist()))
+        if key not in self._painted:
+            path = f"{self.root}/painted_{len(self._painted)}"
+            self._painted[key] = path
+            self.add_reference(define(self.layer, path, "Xform"), colliders)
+            define_surface(self.layer, f"{path}/paint", color)
+            for child in self.layer.GetPrimAtPath(colliders).nameChildren:
+                if child.typeName == "Mesh" and child.attributes.get("purpose") is None:
+                    over = define(self.layer, f"{path}/{child.name}", specifier=Sdf.SpecifierOver)
+                    set_relationship(over, "material:binding", f"{path}/paint")
+        return self._painted[key]
 
 
 def write_mesh(prim: Sdf.PrimSpec, vertices: np.ndarray, faces: np.ndarray) -> None:

@@ -41,6 +41,7 @@ class Bodies:
         assert film.scene is not None
         self._film, self._row, self._color, self._several = film, row, color, several
         self._scene = film.scene
+        self._paths: list[str] = []
         self._translate_tracks: list[Track] = []
         self._orient_tracks: list[Track] = []
         self._color_tracks: list[Track] = []
@@ -70,12 +71,20 @@ class Bodies:
             if name != body.name:
                 prim.SetInfo("displayName", body.name)
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
-            library.add_reference(geometry, library.collider(body.shape, self._coefficients(index)))
+            path = library.collider(body.shape, self._coefficients(index))
+            if self._color in CONSTANT_COLORINGS:
+                path = library.painted(path, self._colors[index])
+            library.add_reference(geometry, path)
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")
+        self._paths = paths
         self._write_filtered_pairs(samples.layer, paths)
         for entry in scene.joints:
             write_joint(samples.layer, f"{root}/{_unique_name(entry.name, taken)}", entry, paths)
+
+    def path_of(self, body: int) -> str:
+        """Path of a body's prim."""
+        return self._paths[body]
 
     def _write_filtered_pairs(self, layer: Sdf.Layer, paths: list[str]) -> None:
         """Write the filtered pairs; static bodies, which USD does not have, are replaced by their colliders."""

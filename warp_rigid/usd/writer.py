@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets
+from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets, is_tilted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
 from warp_rigid.usd.contacts import ContactMarks
@@ -195,11 +195,24 @@ class UsdWriter:
         else:
             body_writer = Instancers(self._film, row, color, self._options.velocities)
         body_writer.define(samples, root, self._library, frame)
+        if row != self._rows[0]:
+            self._hide(samples.layer, body_writer)
         self._writers.append((samples, body_writer))
         if self._options.contacts:
             marks = ContactMarks(self._film, row)
             marks.define(samples, root, frame)
             self._writers.append((samples, marks))
+
+    def _hide(self, layer: Sdf.Layer, written: Bodies | Instancers) -> None:
+        """Hide the level planes of an environment: those of the first one coincide with them and reach below it.
+
+        Coincident surfaces are black in path tracers.
+        """
+        for index, surface in enumerate(self._film.surfaces):
+            if surface.endless and len(surface.faces) == 2 and not is_tilted(self._film, index):
+                for body in np.flatnonzero(self._film.surface == index).tolist():
+                    prim = layer.GetPrimAtPath(written.path_of(body))
+                    set_attribute(prim, "visibility", Sdf.ValueTypeNames.Token, "invisible")
 
     def _arrange(self) -> None:
         """Offset the prims of the environments to a grid; poses inside stay unchanged."""
@@ -211,16 +224,19 @@ class UsdWriter:
             order = Vt.TokenArray(["xformOp:translate"])
             set_attribute(prim, "xformOpOrder", Sdf.ValueTypeNames.TokenArray, order, uniform=True)
         place_camera(self._root, WORLD, *self._spread.corners(offsets))
-        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread)):
+        beyond = float(np.abs(offsets - offsets[0]).max())
+        for index, surface in enumerate(drawn_surfaces(self._film, len(self._rows), self._spread, beyond)):
             original = self._film.surfaces[index]
             if surface is original:
                 continue
             if self._profile == "animation":
                 self._library.mesh(index, surface)
+                for samples, writer in self._writers:
+                    if isinstance(writer, Instancers):
+                        writer.resize(samples.layer, index, surface)
             elif self._film.scene is not None:
                 shape = self._film.scene.bodies[int(np.flatnonzero(self._film.surface == index)[0])].shape
-                width = float(np.linalg.norm(surface.vertices[1] - surface.vertices[0]))
-                self._library.fit_plane(shape, width)
+                self._library.fit_plane(shape, surface)
 
     def _new_part(self, name: str, default_prim: str) -> Sdf.Layer:
         """Create an additional file."""

@@ -1,5 +1,6 @@
-"""Messages that the page may send: the kinds of messages, the values of controls, and points in the scene."""
+"""Messages that the page may send: the kinds of messages, the values of controls, cameras, and points in the scene."""
 
+import inspect
 import logging
 import math
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import viser
 from viser import _messages
 
-__all__ = ["accept_checked_messages", "check_point", "check_value"]
+__all__ = ["accept_checked_messages", "check_camera", "check_point", "check_value"]
 
 ACCEPTED = (
     _messages.GuiUpdateMessage,
@@ -26,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 def accept_checked_messages(server: viser.ViserServer) -> None:
-    """Let a server handle only messages that the viewer's page sends, and only checked values of controls."""
+    """Let a server handle only messages that the viewer's page sends, and only checked values and cameras."""
     connection, gui = server._websock_server, server.gui
     for kind in tuple(connection._incoming_handlers):
         if kind not in ACCEPTED:
@@ -44,6 +45,50 @@ def accept_checked_messages(server: viser.ViserServer) -> None:
             _refuse(server, client_id, widget, error)
 
     connection.register_handler(_messages.GuiUpdateMessage, update)
+    # viser's own callback comes first and registers what handles the cameras of the new page.
+    connection.on_client_connect(_accept_checked_cameras)
+
+
+def _accept_checked_cameras(page: Any) -> None:
+    """Let the connection of a page handle only cameras that a page can have; others are ignored."""
+    handlers = page._incoming_handlers[_messages.ViewerCameraMessage]
+
+    def checked(handle: Any) -> Any:
+        async def move(client_id: int, message: _messages.ViewerCameraMessage) -> None:
+            try:
+                check_camera(message)
+            except ValueError as error:
+                log.info("ignored a camera: %s", error)
+                return
+            done = handle(client_id, message)
+            if inspect.isawaitable(done):
+                await done
+
+        return move
+
+    handlers[:] = [checked(handle) for handle in handlers]
+
+
+def check_camera(message: _messages.ViewerCameraMessage) -> None:
+    """Refuse a camera that no page has: viser would compute with whatever its fields contain.
+
+    Raises:
+        ValueError: A field is not finite, of the wrong type or length, or too large, or the camera looks at itself.
+    """
+    position, target = (check_point(name, getattr(message, name)) for name in ("position", "look_at"))
+    check_point("up_direction", message.up_direction)
+    if len(_numbers("wxyz", message.wxyz)) != 4 or np.array_equal(position, target):
+        raise ValueError("camera: has no direction")
+    _numbers("camera", (message.fov, message.near, message.far))
+    if min(_numbers("image size", (message.image_height, message.image_width))) < 1:
+        raise ValueError("image size: must be at least 1")
+
+
+def _numbers(name: str, values: Any) -> Any:
+    """The values, if they are a list of numbers."""
+    if not isinstance(values, (tuple, list)) or not all(_is_number(part) for part in values):
+        raise ValueError(f"{name}: must be finite numbers, got {_short(values)}")
+    return values
 
 
 def check_update(widget: Any, updates: Any) -> None:
@@ -90,7 +135,8 @@ def check_point(name: str, value: Any) -> np.ndarray:
     Raises:
         ValueError: It is not three finite numbers, or too far away.
     """
-    if len(value) != 3 or not all(_is_number(part) and abs(part) <= FARTHEST for part in value):
+    vector = isinstance(value, (tuple, list, np.ndarray)) and len(value) == 3
+    if not vector or not all(_is_number(part) and abs(part) <= FARTHEST for part in value):
         raise ValueError(f"{name}: must be three numbers in [{-FARTHEST:g}, {FARTHEST:g}], got {_short(value)}")
     return np.array(value, np.float64)
 
