@@ -43,6 +43,16 @@ def test_a_point_that_moves_attracts_where_it_is(device):
     assert (sim.get("linear_velocity")[1, 0] == 0.0).all()
 
 
+def test_a_body_at_the_attracting_centre_has_a_finite_energy(device):
+    """Such as a planet, which is static and has no mass."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_static(wr.Sphere(1.0), name="planet")
+    scene.add_body(wr.Sphere(0.1), position=(2, 0, 0), mass=3.0, name="moon")
+    scene.add_force_field(wr.PointField(center=(0, 0, 0), strength=8.0))
+    sim = wr.Simulator(scene, device=device)
+    np.testing.assert_allclose(sim.get("potential_energy"), [[0.0, -8.0 * 3.0 / 2.0]], rtol=1e-6)
+
+
 @pytest.mark.parametrize("drag", [0.0, 1e-3, 2.0, 1e4])
 def test_drag_has_its_closed_form(device, drag):
     """v = w + (v0 - w) exp(-c t), for any c: the step is exact. In gravity the terminal velocity is g / c."""

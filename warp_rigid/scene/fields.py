@@ -17,6 +17,9 @@ __all__ = ["DragField", "ForceField", "PointField", "UniformField"]
 
 Vector3 = tuple[float, float, float]
 
+NEAREST = 1e-6
+"""Least distance from the centre of a PointField, as in its device function [m]."""
+
 FIELDS: dict[str, type["ForceField"]] = {}
 """All kinds of force fields by class name."""
 
@@ -107,8 +110,8 @@ class PointField(ForceField):
     strength: float
 
     def potential(self, x: np.ndarray) -> np.ndarray:
-        """Return -strength / d [J/kg]."""
-        return -self.strength / np.linalg.norm(x - np.array(self.center), axis=-1)
+        """Return -strength / d [J/kg], with d at least NEAREST."""
+        return -self.strength / np.maximum(np.linalg.norm(x - np.array(self.center), axis=-1), NEAREST)
 
 
 @dataclass(frozen=True)
