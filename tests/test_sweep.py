@@ -230,6 +230,13 @@ def test_a_value_that_is_refused_late_fails_its_own_runs_only(monkeypatch):
     assert result.rows[3]["reason"] == "ValueError: friction: must not be 4"
 
 
+def test_only_rows_are_replayed():
+    result = quick({"height": [1.0, 2.0]})
+    assert result.replay(result.rows[1]).get("position")[0, 1, 2] == 2.0
+    with pytest.raises(ValueError, match=r"^row: must be one of the rows, such as result.rows\[0\], got 1$"):
+        result.replay(1)
+
+
 def test_a_velocity_of_zero_stands_beside_vectors():
     rows = quick({"linear_velocity[ball]": [0, (1.0, 0.0, 0.0)], "gravity": [(0, 0, 0)]}, **POSES).rows
     assert [row["final_position"][3] for row in rows] == pytest.approx([0.0, 0.1], abs=1e-6)

@@ -106,6 +106,8 @@ def _launch_order(inputs: list[RunInputs], bodies: list[int]) -> list[int]:
 
 def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = None) -> Simulator:
     """Build a simulator of one row in its initial state; see SweepResult.replay."""
+    if not isinstance(row, Mapping):
+        raise ValueError(f"row: must be one of the rows, such as result.rows[0], got {shown(row)}")
     source = result.source if scene is None else scene
     if source is None:
         named = shown(result.about.get("source"))
