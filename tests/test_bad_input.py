@@ -27,6 +27,7 @@ def no_parameters():
         (lambda: wr.Mesh({}, [[0, 1, 2]]), "vertices"),
         (lambda: wr.Mesh([[0, 0, 0], [1, 0]], [[0, 1, 2]]), "vertices"),
         (lambda: wr.Mesh(np.eye(3), [[0, 1, 2], [0]]), "faces"),
+        (lambda: wr.Mesh.from_trimesh(np.eye(3)), "mesh"),
         (lambda: wr.Sphere(HUGE), "radius"),
         (lambda: wr.Sphere([[1.0], []]), "radius"),
         (lambda: wr.Box({}), "half_extents"),

@@ -82,3 +82,42 @@ def test_bodies_thrown_into_a_corner_stay_and_rest(device, body, speed):
     assert (np.abs(sim.get("center_of_mass")[:, 1]) < HALF).all()
     assert np.abs(sim.get("linear_velocity")[:, 1]).max() < 1e-3
     assert sim.penetration().max() < 1e-4
+
+
+CELLS = np.meshgrid(*2 * [np.linspace(-2, 2, 41)], indexing="ij")
+
+
+def terrain(heights):
+    return wr.Heightfield(heights, (4, 4))
+
+
+def solid_below(heights):
+    """The same surface as a mesh, closed by a box below."""
+    nx, ny = heights.shape
+    top = np.arange(nx * ny).reshape(nx, ny)
+    a, b, c, d = (part.ravel() for part in (top[:-1, :-1], top[1:, :-1], top[1:, 1:], top[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    ring = np.concatenate([top[:-1, 0], top[-1, :-1], top[:0:-1, -1], top[0, :0:-1]])
+    after, below = np.roll(ring, -1), nx * ny
+    sides = [np.stack([after, ring, ring + below], 1), np.stack([after, ring + below, after + below], 1)]
+    upper = np.stack([*(axis.ravel() for axis in CELLS), heights.ravel()], 1)
+    vertices = np.concatenate([upper, upper * [1, 1, 0] - [0, 0, 1]])
+    return wr.Mesh(vertices, np.concatenate([faces, faces[:, ::-1] + below, *sides]))
+
+
+@pytest.mark.parametrize("ground", [terrain, solid_below])
+@pytest.mark.parametrize("y", [0.0, 0.032], ids=["on a seam", "beside it"])
+@pytest.mark.parametrize(("slope", "friction"), [(1.0, 0.5), (5.0, 0.0), (10.0, 0.5)])
+def test_a_ball_rests_in_a_valley(device, ground, y, slope, friction):
+    """Its centre is r sqrt(1 + s^2) above the bottom of a valley of slope s, and a contact may keep a gap of 1e-4 r.
+
+    On a seam the foot of the centre lies on the side of two triangles of one plane.
+    """
+    scene, rise = wr.Scene(), np.sqrt(1.0 + slope * slope)
+    scene.add_static(ground(slope * np.abs(CELLS[0])), friction=friction)
+    scene.add_body(wr.Sphere(0.1), position=(0.01, y, 0.1 * rise + 0.1), friction=friction)
+    sim = wr.Simulator(scene, device=device)
+    sim.step(480)
+    assert sim.get("position")[0, 1, 2] == pytest.approx(0.1 * rise, abs=4e-5 * rise)
+    np.testing.assert_allclose(sim.get("linear_velocity")[0, 1], 0.0, atol=1e-4)
+    assert sim.penetration()[0] < 4e-5 and len(sim.contacts()) >= 2

@@ -5,7 +5,7 @@ import pytest
 
 from tests.fakes import FakeSimulator
 from warp_rigid import Box, Plane, Scene, Sphere
-from warp_rigid.engine.quantities import CONTACT_RECORD
+from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.runs.recording import CAPTURED, VELOCITIES, Recorder, Recording, record, steps_per_frame
 
 

@@ -170,7 +170,7 @@ def test_the_message_tells_the_range():
         scene.add_body(Lump(), restitution=1.1)
     with pytest.raises(ValueError, match=r"^friction: must be a finite number >= 0, got -1$"):
         scene.add_static(Ground(), friction=-1)
-    with pytest.raises(ValueError, match=r"^mass: must be a finite number > 0, got 0$"):
+    with pytest.raises(ValueError, match=r"^mass: must be a number from 1e-17 to 1e\+15, got 0$"):
         scene.add_body(Lump(), mass=0)
 
 

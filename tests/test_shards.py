@@ -18,8 +18,8 @@ from tests.oracles import ground_scene, rotate_about
 from warp_rigid.engine import batch, cores, shard
 from warp_rigid.engine.layout import layout_of
 from warp_rigid.engine.memory import MemoryLimit
-from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.engine.step_reports import counts_of_environments
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.shapes import Box, Heightfield, Sphere
 from warp_rigid.scene.shapes.heightfield import HarmonicMotion

@@ -51,6 +51,8 @@ def test_set_and_get_round_trip(device, name):
     assert sim.get(name).shape == shape
     values = np.random.default_rng(0).random(shape).astype(np.float32)
     sim.set(name, values)
+    if name.endswith("velocity"):
+        values[:, 0] = 0.0  # the ground is static
     assert sim.get(name).tobytes() == values.tobytes()
     sim.set(name, np.full(READ_WRITE[name], 0.25), envs=[2, 0], bodies=[3])
     values[[2, 0], 3] = 0.25

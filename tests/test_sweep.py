@@ -202,10 +202,10 @@ def test_a_metric_that_fails_gives_rows_with_the_reason():
 def test_a_batch_that_does_not_fit_is_halved(monkeypatch):
     inner = batch_module._run
 
-    def small_memory(job, runs, start):
-        if len(runs) > 2:
+    def small_memory(job, prepared, start):
+        if len(prepared.runs) > 2:
             raise RuntimeError("Failed to allocate 123 bytes on device")
-        return inner(job, runs, start)
+        return inner(job, prepared, start)
 
     axes = {"height": [1.0, 2.0, 3.0, 4.0, 5.0]}
     expected = values(quick(axes))
@@ -213,6 +213,33 @@ def test_a_batch_that_does_not_fit_is_halved(monkeypatch):
     result = quick(axes)
     assert values(result) == expected
     assert [row["environment"] for row in result.rows] == [0, 1, 2, 3, 4]
+
+
+def test_a_value_that_is_refused_late_fails_its_own_runs_only(monkeypatch):
+    """Such as an event of a scene that sets a mass: nothing can check it before the simulator is there."""
+    inner = batch_module.set_each
+
+    def particular(sim, name, values):
+        if 4.0 in values:
+            raise ValueError("friction: must not be 4")
+        inner(sim, name, values)
+
+    monkeypatch.setattr(batch_module, "set_each", particular)
+    result = quick({"friction": [1.0, 2.0, 3.0, 4.0, 5.0]})
+    assert [row["status"] for row in result.rows] == ["ok", "ok", "ok", "error", "ok"]
+    assert result.rows[3]["reason"] == "ValueError: friction: must not be 4"
+
+
+def test_only_rows_are_replayed():
+    result = quick({"height": [1.0, 2.0]})
+    assert result.replay(result.rows[1]).get("position")[0, 1, 2] == 2.0
+    with pytest.raises(ValueError, match=r"^row: must be one of the rows, such as result.rows\[0\], got 1$"):
+        result.replay(1)
+
+
+def test_a_velocity_of_zero_stands_beside_vectors():
+    rows = quick({"linear_velocity[ball]": [0, (1.0, 0.0, 0.0)], "gravity": [(0, 0, 0)]}, **POSES).rows
+    assert [row["final_position"][3] for row in rows] == pytest.approx([0.0, 0.1], abs=1e-6)
 
 
 def test_a_run_that_needs_too_much_has_status_capacity(monkeypatch):
@@ -274,7 +301,11 @@ def test_scenes_come_in_five_forms(tmp_path):
         ({"heigth": [1]}, {}, "axis heigth: unknown name; did you mean height"),
         ({"friction": [-1.0]}, {}, "friction: must be a finite number >= 0"),
         ({"restitution": [2.0]}, {}, "restitution: must be a number from 0 to 1"),
-        ({"mass[ball]": [0.0]}, {}, "must be a finite number > 0"),
+        ({"mass[ball]": [0.0]}, {}, r"mass\[ball\]: must be a number from 1e-17 to 1e\+15, got 0"),
+        ({"mass[ground]": [1.0]}, {}, r"mass\[ground\]: ground is not dynamic and has no mass"),
+        ({"mass[ball]": [1.0, 1e8], "count": [2]}, {}, "the heaviest dynamic body must have at most"),
+        ({"mass": [1.0, 1e8], "count": [2]}, {}, "the heaviest dynamic body must have at most"),
+        ({"linear_velocity[ground]": [(1, 0, 0)]}, {}, "must be 0 for ground, which is static"),
         ({"gravity": [-9.81]}, {}, "gravity: must be vectors of 3 numbers, got -9.81"),
         ({"active[ball]": [1]}, {}, "must be True or False, got 1"),
         ({"mass[cone]": [1.0]}, {}, r"mass\[cone\]: selects no body; bodies are ground, ball"),

@@ -11,7 +11,7 @@ from pxr import Sdf, Usd, UsdGeom
 
 import warp_rigid as wr
 from tests.fakes import FakeSimulator
-from warp_rigid.engine.quantities import CONTACT_RECORD
+from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.usd.check import check_usd
 from warp_rigid.usd.writer import FLUSH_EVERY

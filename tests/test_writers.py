@@ -11,6 +11,7 @@ import pytest
 from pxr import Usd, UsdUtils
 
 import warp_rigid as wr
+from warp_rigid.commands.terminal import check_writable
 from warp_rigid.files import archive
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.usd.flatten import flatten_usd
@@ -119,6 +120,18 @@ def test_writers_of_one_path_do_not_disturb_each_other(tmp_path):
     header, arrays = archive.load(path, "thing", 1)
     assert (arrays["x"] == header["value"]).all()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_nothing_but_a_file_is_replaced(tmp_path):
+    """Not a pipe, nor a device such as /dev/null, which an administrator may replace."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    for name in ("pipe", "folder"):
+        for check in (check_writable, lambda path: archive.save(path, "thing", 1, {}, {})):
+            with pytest.raises(OSError) as error:
+                check(tmp_path / name)
+            assert error.value.filename == str(tmp_path / name)
+    assert (tmp_path / "pipe").is_fifo() and len(list(tmp_path.iterdir())) == 2
 
 
 def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):

@@ -10,11 +10,15 @@ import numpy as np
 
 __all__ = [
     "box_corners",
+    "brief",
     "finite_number",
     "finite_vector",
+    "flags",
     "number_array",
     "number_in",
+    "numbers_of_shape",
     "one_of",
+    "shape_of",
     "shown",
     "unit_quaternion",
     "whole_in",
@@ -116,6 +120,48 @@ def number_array(name, value):
     if array is None:
         raise ValueError(f"{name}: must be an array of numbers, got {shown(value)}")
     return array
+
+
+def numbers_of_shape(name, value, shape):
+    """Check that a value is numbers that broadcast to a shape and return them so; else raise ValueError.
+
+    Text, complex numbers and booleans are no numbers. NaN and infinity are accepted.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "iuf":
+            raise TypeError
+        return np.broadcast_to(array, shape)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {brief(value)}") from error
+
+
+def flags(name, value, shape):
+    """Check that a value is True and False only and return it as a boolean array of a shape; else raise ValueError."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        array = np.asarray(None)
+    if array.dtype != bool:
+        raise ValueError(f"{name}: must be True or False, got {shown(value)}")
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError as error:
+        raise ValueError(f"{name}: must broadcast to {shape}, got {brief(value)}") from error
+
+
+def brief(value):
+    """Format a caller's value for a message: the shape of an array, or the value."""
+    shape = shape_of(value)
+    return f"shape {shape}" if shape else shown(value)
+
+
+def shape_of(value):
+    """Shape of a caller's value; () where it is no array, such as lists of unequal lengths."""
+    try:
+        return np.shape(value)
+    except (ValueError, TypeError):
+        return ()
 
 
 def whole_in(name, value, low, high):

@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach
 from warp_rigid.kernels.collide.convex_pairs import border_of
-from warp_rigid.kernels.collide.distance import has_triangles, is_near_grid, is_nearer
+from warp_rigid.kernels.collide.distance import has_places, has_triangles, is_near_grid, is_nearer
 from warp_rigid.kernels.collide.samples import OVERLAP
 from warp_rigid.kernels.common.team import ballot, lowest_bit
 from warp_rigid.kernels.enums import PartKind, SampleKind
@@ -28,7 +28,7 @@ def matters(kind: int, own_shape: int, shape: int, edges: int, shapes: Shapes):
     segments of the axis, which find one contact each, and a nonconvex shape may touch such a segment twice.
     """
     if kind == SampleKind.CORNER:
-        return has_triangles(shapes, shape)
+        return has_places(shapes, shape)
     if shapes.shapes[shape].convex == 0:
         return kind != SampleKind.EDGE or edges == 1
     other = shapes.parts[shapes.shapes[shape].part_start].kind

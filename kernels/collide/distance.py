@@ -16,6 +16,7 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.kernels.collide.height_distance import heightfield_distance
+from warp_rigid.kernels.collide.height_places import ball_distance_to_heights
 from warp_rigid.kernels.collide.triangle_distance import (
     FARTHER,
     GRID_ERROR,
@@ -41,7 +42,7 @@ BORDER = wp.constant(0.005)
 
 
 BALL_REACH = wp.constant(1.5)
-"""Places of a ball on a mesh are looked for within this number of radii of its centre."""
+"""Places of a ball are looked for within this number of radii of its centre."""
 
 
 @wp.func
@@ -255,6 +256,12 @@ def has_triangles(shapes: Shapes, shape: int):
 
 
 @wp.func
+def has_places(shapes: Shapes, shape: int):
+    """Whether a ball can touch a shape at several places: a mesh with exact distances, or a height field."""
+    return has_triangles(shapes, shape) or shapes.parts[shapes.shapes[shape].part_start].kind == PartKind.HEIGHTFIELD
+
+
+@wp.func
 def is_near_grid(shapes: Shapes, shape: int, p: wp.vec3, margin: float):
     """Whether a mesh with exact distances may be nearer to a point than a margin, by its grid; never wrongly false."""
     d = grid_distance(shapes, shapes.shapes[shape].part_start, p)
@@ -280,6 +287,14 @@ def ball_distance_to_mesh(shapes: Shapes, part: int, p: wp.vec3, radius: float, 
     if choice > 1:
         d[3] = FAR
     return d
+
+
+@wp.func
+def ball_distance_to_places(shapes: Shapes, part: int, p: wp.vec3, radius: float, reach: float, choice: int):
+    """Distance from the centre of a ball to one of its places on a shape with `has_places`; FAR if there is none."""
+    if shapes.parts[part].kind == PartKind.HEIGHTFIELD:
+        return ball_distance_to_heights(shapes, part, p, BALL_REACH * radius, radius + reach, choice)
+    return ball_distance_to_mesh(shapes, part, p, radius, reach, choice)
 
 
 @wp.func

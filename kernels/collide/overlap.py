@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_rigid.kernels.collide.distance import FAR, is_nearer, signed_distance
+from warp_rigid.kernels.collide.distance import is_nearer, signed_distance
 from warp_rigid.kernels.collide.samples import bring_to_touch
 from warp_rigid.kernels.schema import Bodies, Pairs, Shapes, State
 
@@ -18,7 +18,7 @@ def inner_ball_depth(own: int, other: int, shapes: Shapes, bodies: Bodies, state
     shape = bodies.shape[own]
     x = wp.quat_rotate(state.orientation[own], shapes.shapes[shape].inner_center) + state.position[own]
     local = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
-    d = signed_distance(shapes, bodies.shape[other], local, -FAR)
+    d = signed_distance(shapes, bodies.shape[other], local, 0.0)
     radius = shapes.shapes[shape].inner_radius
     return wp.where(d[3] < 0.0 and radius > 0.0, radius - d[3], 0.0)
 

@@ -11,10 +11,10 @@ import warp as wp
 from warp_rigid.kernels.collide.distance import (
     BORDER,
     FAR,
-    ball_distance_to_mesh,
+    ball_distance_to_places,
     contact_distance,
     direction_or_up,
-    has_triangles,
+    has_places,
 )
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
@@ -486,7 +486,7 @@ def bring_to_touch(
     if shapes.parts[part].tree_start < shapes.parts[part].tree_end:
         exact = 1
     choice = shapes.samples[s].choice
-    corners = choice > 0 and has_triangles(shapes, shape)
+    corners = choice > 0 and has_places(shapes, shape)
     near = radius + wp.min(reach, shapes.shapes[shape].cell)
     along_edge = radius + shapes.shapes[shape].cell
     flat = wp.where(weight > 0.0 and (kind == SampleKind.FACE or kind == SampleKind.CAP), 1, 0)
@@ -497,7 +497,7 @@ def bring_to_touch(
     while search.stage >= 0:
         d = wp.vec4(0.0, 0.0, 1.0, FAR)
         if corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER)):
-            d = ball_distance_to_mesh(shapes, part, search.query, radius, reach, choice)
+            d = ball_distance_to_places(shapes, part, search.query, radius, reach, choice)
         else:
             # The middle of an edge only shows whether the edge may touch.
             exact_below = wp.where(kind == SampleKind.EDGE and search.stage > EDGE_MIDDLE, along_edge, near)

@@ -61,6 +61,9 @@ PLACES = wp.constant(BALL_PLACES)
 SAME_PLACE = wp.constant(0.94)
 """Cosine (20 degrees) above which the directions of two places count as the same."""
 
+UPRIGHT = wp.constant(0.9999)
+"""Squared cosine above which a direction counts as that of the normal."""
+
 FACE = wp.constant(0)
 SIDE = wp.constant(1)
 CORNER = wp.constant(4)
@@ -262,6 +265,14 @@ def triangle_distance(
 
 
 @wp.func
+def is_upright(foot: Foot, normal: wp.vec3):
+    """Whether a point lies above its foot on a triangle; the foot may lie on the border to a face in the same plane."""
+    height = wp.dot(foot.offset, normal)
+    aligned = foot.feature == FACE or height * height > UPRIGHT * wp.length_sq(foot.offset)
+    return height > 0.0 and aligned
+
+
+@wp.func
 def keep_place(triangle: int, squared: float, direction: wp.vec3, places: Places):
     """Add a place, unless there is a nearer one in a similar direction, or four nearer ones."""
     slot = places.count
@@ -317,19 +328,15 @@ def places_near(shapes: Shapes, part: int, p: wp.vec3, within: float):
                 )
                 n = shapes.triangles[t].normal
                 gap = wp.length_sq(foot.offset)
-                if foot.feature == FACE and gap < within * within and wp.dot(foot.offset, n) > 0.0:
+                if gap < within * within and is_upright(foot, n):
                     places = keep_place(t, gap, n, places)
             node += 1
     return places
 
 
 @wp.func
-def chosen_place(shapes: Shapes, part: int, p: wp.vec3, within: float, choice: int, fallback: wp.vec4):
-    """Distance to the place of a ball that has the given rank, from 1, in the order of the triangles.
-
-    This order does not change as long as the ball touches the same faces, whichever is nearest.
-    """
-    places = places_near(shapes, part, p, within)
+def place_of_rank(places: Places, choice: int, fallback: wp.vec4):
+    """Direction to a ball from its place of the given rank, from 1, in the order of the triangles, and the distance."""
     result = fallback
     if choice > 1:
         result[3] = FAR_AWAY
@@ -347,3 +354,12 @@ def chosen_place(shapes: Shapes, part: int, p: wp.vec3, within: float, choice: i
                 wp.where(places.squared[k] < 0.0, -distance, distance),
             )
     return result
+
+
+@wp.func
+def chosen_place(shapes: Shapes, part: int, p: wp.vec3, within: float, choice: int, fallback: wp.vec4):
+    """Distance to the place of a ball that has the given rank, from 1, in the order of the triangles.
+
+    This order does not change as long as the ball touches the same faces, whichever is nearest.
+    """
+    return place_of_rank(places_near(shapes, part, p, within), choice, fallback)

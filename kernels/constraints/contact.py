@@ -44,6 +44,10 @@ START_ANGULAR_IMPULSE = wp.constant(group_of(ImpulseRecord, "start_angular_impul
 """Impulses of a row; components are along the normal and the two tangents."""
 
 
+LEAST_INVERSE, MOST_INVERSE = wp.constant(1.0e-12), wp.constant(1.0e12)
+"""Range of the inverse moments of inertia of ordinary bodies, whose squares fit into single precision [1/(kg m^2)]."""
+
+
 @wp.func
 def impulse_of(c: int, which: int, contacts: Contacts):
     """One of the impulses of a contact row, such as IMPULSE."""
@@ -86,6 +90,15 @@ def friction_impulse(old: wp.vec2, slip: wp.vec2, k: wp.vec3, limit: float):
 
 
 @wp.func
+def unit_moment(k: wp.vec3):
+    """Unit of moments of inertia in which the squares of the inverses k fit into single precision [kg m^2]."""
+    mean = 0.5 * (k[0] + k[2])
+    if mean > LEAST_INVERSE and mean < MOST_INVERSE:
+        return 1.0
+    return quotient(1.0, wp.max(mean, 1.0e-30))
+
+
+@wp.func
 def solve_rolling(c: int, normal_impulse: float, row: ContactRecord, pair: BodyPair, contacts: Contacts):
     """Rolling and spinning friction: torques up to a coefficient [m] times the normal impulse."""
     n = row.normal
@@ -100,7 +113,9 @@ def solve_rolling(c: int, normal_impulse: float, row: ContactRecord, pair: BodyP
     spins = pair.angular_a - pair.angular_b
     matrix = wp.vec3(wp.dot(u, k * u), wp.dot(u, k * v), wp.dot(v, k * v))
     slip = wp.vec2(wp.dot(spins, u), wp.dot(spins, v))
-    rolling = friction_impulse(wp.vec2(old[1], old[2]), slip, matrix, row.rolling_friction * normal_impulse)
+    limit = row.rolling_friction * normal_impulse
+    unit = unit_moment(matrix)
+    rolling = unit * friction_impulse(wp.vec2(old[1], old[2]) / unit, slip, unit * matrix, limit / unit)
     pair = with_angular_impulse((rolling[0] - old[1]) * u + (rolling[1] - old[2]) * v, pair)
     new = wp.vec3(about_normal, rolling[0], rolling[1])
     set_impulse(c, ANGULAR_IMPULSE, new, contacts)
@@ -141,7 +156,7 @@ def solve_row(c: int, share_a: float, share_b: float, pair: BodyPair, contacts: 
     A body with a share of 0 is frozen: its mass counts as infinite, and the impulse on it is added to `frozen_impulse`.
     """
     row = read_contact(c, contacts.rows)
-    if share_a * row.normal_a + share_b * row.normal_b < 1.0e-12:
+    if share_a * row.normal_a + share_b * row.normal_b <= 0.0:
         return pair
     old = impulse_of(c, IMPULSE, contacts)
     new = next_impulse(old, share_a, share_b, row, pair)

@@ -136,7 +136,7 @@ def push_contact(c: int, share_a: float, share_b: float, pull: wp.vec3, pair: Bo
         share_a = 1.0
         share_b = 1.0
     k = share_a * row.normal_a + share_b * row.normal_b
-    if k < 1.0e-12:
+    if k <= 0.0:
         return pair
     old = stored[0]
     missing = target - wp.dot(contact_velocity(row, pair), row.normal)

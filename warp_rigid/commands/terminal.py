@@ -1,7 +1,6 @@
 """Helpers shared by the commands: console, progress bar, messages and one-line errors."""
 
 import contextlib
-import errno
 import importlib
 import logging
 import os
@@ -16,6 +15,8 @@ from typing import Any
 import warp as wp
 from rich.console import Console
 from rich.progress import Progress
+
+from warp_rigid.files.atomic import check_replaceable
 
 _LIBRARIES = {
     ".png": ("matplotlib", "PIL"),
@@ -83,10 +84,8 @@ def check_writable(path: Any) -> None:
     Raises:
         OSError: The file cannot be written.
     """
-    path = Path(path)
-    if path.is_dir():
-        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    folder = path.parent
+    check_replaceable(path)
+    folder = Path(path).parent
     while not folder.exists():
         folder = folder.parent
     try:

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import joints, quantities
+from warp_rigid.engine import joints, step_reports
 from warp_rigid.engine.layout import MOST_ENVIRONMENTS
 from warp_rigid.engine.pools import LARGEST, NAMES
 from warp_rigid.engine.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
@@ -53,7 +53,7 @@ def save(world: World, path: Any, more: dict[str, Any] | None = None, arrays: di
     """
     scenes, shapes = scenes_to_data(world.layout.scenes)
     shapes[SCENE_OF] = world.layout.scene_of.astype(np.int32)
-    used = {name: quantities.counts(world)[name] for name in NAMES}
+    used = {name: step_reports.counts(world)[name] for name in NAMES}
     header = {
         "warp_rigid": __version__,
         "warp": wp.__version__,

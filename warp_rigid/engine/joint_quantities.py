@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.checks import shown
+from warp_rigid.checks import flags, numbers_of_shape
 from warp_rigid.engine.joints import NAME, definitions
 from warp_rigid.engine.layout import concatenated, spread_rows
 from warp_rigid.engine.selection import existing
@@ -44,13 +44,11 @@ def _values(world: World, name: str) -> np.ndarray:
 
 def check(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     """The value as an array of the shape."""
-    if name == "joint_broken" and np.asarray(value).dtype != bool:
-        raise ValueError(f"{name}: must be True or False, got {shown(value)}")
-    try:
-        values = np.broadcast_to(np.asarray(value, np.float32), shape)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got shape {np.shape(value)}") from error
-    return values
+    if name == "joint_broken":
+        return flags(name, value, shape)
+    values = numbers_of_shape(name, value, shape)
+    with np.errstate(over="ignore"):  # such numbers become infinite, which `check_range` judges
+        return values.astype(np.float32)
 
 
 def check_range(name: str, values: np.ndarray) -> None:

@@ -27,8 +27,8 @@ def check_precision(scene: Scene) -> None:
     """
     dynamic = [(index, body) for index, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
     check_mass_ratio(body.mass for _, body in dynamic)
-    for index, body in dynamic:
-        moments = np.linalg.eigvalsh(np.asarray(body.shape.inertia, dtype=np.float64))
+    inertia = np.array([body.shape.inertia for _, body in dynamic], np.float64).reshape(-1, 3, 3)
+    for (index, body), moments in zip(dynamic, np.linalg.eigvalsh(inertia), strict=True):
         if moments[2] > MOST_MOMENT_RATIO * moments[0]:
             raise ValueError(
                 f"body {index} ({body.name}): must have moments of inertia that differ by at most a factor of "

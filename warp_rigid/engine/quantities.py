@@ -1,14 +1,13 @@
 """Reading and writing a simulator's quantities by their names, with every check in one place."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, shown, whole_in
-from warp_rigid.engine import field_values, health_checks, joint_quantities, watching
+from warp_rigid.checks import LARGEST, brief, flags, numbers_of_shape, shape_of, shown, whole_in
+from warp_rigid.engine import field_values, joint_quantities, watching
 from warp_rigid.engine.layout import KINDS, spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
@@ -17,37 +16,22 @@ from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_f
 from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion
+from warp_rigid.scene.scene import Motion, check_mass
 
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
 VECTOR_LENGTHS = {
     name: 4 if name == "orientation" else 3 for name in (*STATE_NAMES, "gravity", *field_values.vector_names())
 }
 """Numbers of components of the quantities that are vectors."""
-ZEROABLE = ("linear_velocity", "angular_velocity", "force", "torque")
+VELOCITIES = ("linear_velocity", "angular_velocity")
+ZEROABLE = (*VELOCITIES, "force", "torque")
 MASS_NAMES = ("mass", "inverse_mass", "inertia", "inverse_inertia")
 REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "angular_velocity_remainder"}
 """Where the device keeps what rounding left over of a quantity."""
 
 DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
 WRITABLE = (*STATE_NAMES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
-
-CONTACT_RECORD = np.dtype(
-    [
-        ("env", np.int32),
-        ("body_a", np.int32),
-        ("body_b", np.int32),
-        ("position", np.float32, 3),
-        ("normal", np.float32, 3),
-        ("depth", np.float32),
-        ("impulse", np.float32, 3),
-    ]
-)
-STATUS_RECORD = np.dtype(
-    [("status", "U13"), ("step", np.int64), ("time", np.float64), ("body", np.int64), ("warning", "U32")]
-)
 
 
 def owner_of(name: str) -> str:
@@ -66,6 +50,8 @@ def is_of_bodies(name: str) -> bool:
 
 def read(world: World, name: str) -> np.ndarray:
     """A copy of a quantity; see Simulator.get."""
+    if not is_readable(name):
+        raise ValueError(f"name: must be one of {', '.join(readable())}, got {shown(name)}")
     if name in STATE_NAMES:
         return _rows(world, getattr(world.state, name))
     if name in COEFFICIENTS or name == "mass":
@@ -84,9 +70,7 @@ def read(world: World, name: str) -> np.ndarray:
         return field_values.read(world.layout, world.model.fields.parameters.numpy(), name)
     if name in joint_quantities.READABLE:
         return joint_quantities.read(world, name)
-    if name in DERIVED:
-        return _DERIVE[name](world)
-    raise ValueError(f"name: must be one of {', '.join(readable())}, got {shown(name)}")
+    return _DERIVE[name](world)
 
 
 def readable() -> tuple[str, ...]:
@@ -135,12 +119,29 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         _write_field(world, name, value, chosen)
     else:
         touched = body_rows(world.layout, chosen, bodies)
+        if name in VELOCITIES and bodies is not None:
+            _refuse_velocity_of_static(world, name, value, touched)
         writer = {"mass": _write_mass, "active": _write_active}.get(name)
         if writer is None:
             write_rows(world, name, value, touched)
         else:
             writer(world, value, touched)
     wake(world, chosen, touched)
+
+
+def _refuse_velocity_of_static(world: World, name: str, value: Any, rows: np.ndarray) -> None:
+    """Refuse to move static bodies that were chosen."""
+    moving = _broadcast(name, value, (*rows.shape, VECTOR_LENGTHS[name])).any(axis=-1)
+    found = rows[moving & _is_static(world, rows)]
+    if len(found):
+        layout = world.layout
+        body = layout.scene_bodies[layout.source[found[0]]]
+        raise ValueError(f"{name}: must be 0 for {body.name}, which is static; a kinematic body moves")
+
+
+def _is_static(world: World, rows: np.ndarray) -> np.ndarray:
+    """Mask of the rows that are static bodies."""
+    return (world.model.bodies.motion.numpy()[np.maximum(rows, 0)] == Motion.STATIC) & existing(rows)
 
 
 def wake(world: World, chosen: np.ndarray, rows: np.ndarray) -> None:
@@ -153,11 +154,10 @@ def wake(world: World, chosen: np.ndarray, rows: np.ndarray) -> None:
 
 def live_array(world: World, name: str) -> wp.array:
     """The device array of a quantity, without a copy."""
-    if name in STATE_NAMES:
-        return getattr(world.state, name)
-    if name in COEFFICIENTS:
-        return getattr(world.model.bodies, name)
-    raise ValueError(f"name: must be one of {', '.join((*STATE_NAMES, *COEFFICIENTS))}, got {shown(name)}")
+    names = (*STATE_NAMES, *COEFFICIENTS)
+    if name not in names:
+        raise ValueError(f"name: must be one of {', '.join(names)}, got {shown(name)}")
+    return _array_of(world, name)
 
 
 def _rows(world: World, array: wp.array) -> np.ndarray:
@@ -175,32 +175,18 @@ def check_vectors(name: str, value: Any) -> None:
 
     A velocity, force or torque may be 0, the zero vector.
     """
-    length, shape = VECTOR_LENGTHS[name], np.shape(value)
+    length, shape = VECTOR_LENGTHS[name], shape_of(value)
     if shape[-1:] == (length,) or (name in ZEROABLE and shape == () and not isinstance(value, str) and value == 0):
         return
-    raise ValueError(f"{name}: must be vectors of {length} numbers, got {_brief(value)}")
+    raise ValueError(f"{name}: must be vectors of {length} numbers, got {brief(value)}")
 
 
 def _broadcast(name: str, value: Any, shape: tuple[int, ...], needed: np.ndarray | None = None) -> np.ndarray:
-    """The value as float32 of a shape, each number finite in float32 where it is `needed`.
-
-    Text, complex numbers and booleans are no numbers.
-    """
-    try:
-        numbers = np.asarray(value)
-        if numbers.dtype.kind not in "iuf":
-            raise TypeError
-        values = np.broadcast_to(numbers, shape)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {_brief(value)}") from error
+    """The value as float32 of a shape, each number finite in float32 where it is `needed`."""
+    values = numbers_of_shape(name, value, shape)
     if not (np.abs(values if needed is None else values[needed]) <= LARGEST).all():
         raise ValueError(f"{name}: must be finite numbers")
     return values.astype(np.float32)
-
-
-def _brief(value: Any) -> str:
-    shape = np.shape(value)
-    return f"shape {shape}" if shape else shown(value)
 
 
 def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
@@ -236,18 +222,40 @@ def _count_anew(world: World, rows: np.ndarray) -> None:
 
 def write_rows(world: World, name: str, value: Any, rows: np.ndarray) -> None:
     """Change a state quantity or coefficient of bodies by their rows (n, m)."""
-    array = getattr(world.state if name in STATE_NAMES else world.model.bodies, name)
+    store_rows(world, name, checked_rows(world, name, value, rows), rows)
+
+
+def checked_rows(world: World, name: str, value: Any, rows: np.ndarray) -> np.ndarray:
+    """The values of a state quantity or coefficient for bodies by their rows (n, m), as the device stores them.
+
+    Raises:
+        ValueError: a value has the wrong shape or is out of range.
+    """
+    array = _array_of(world, name)
     new = _broadcast(name, value, (*rows.shape, *getattr(array.dtype, "_shape_", ())), existing(rows))
     if name in COEFFICIENTS:
         COEFFICIENTS[name].check_array(new[existing(rows)])
     if name == "orientation":
-        length = np.linalg.norm(new, axis=-1, keepdims=True)
-        if (length < 1e-6).any():
-            raise ValueError("orientation: must be quaternions (x, y, z, w) of length > 0")
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(new, axis=-1, keepdims=True)
+        if not ((length >= 1e-6) & (length <= LARGEST)).all():
+            raise ValueError("orientation: must be quaternions (x, y, z, w) of finite length > 0")
         new = new / length
-    assign_rows(array, new, rows)
+    if name in VELOCITIES:
+        new[_is_static(world, rows)] = 0.0
+    return new
+
+
+def store_rows(world: World, name: str, values: np.ndarray, rows: np.ndarray) -> None:
+    """Store checked values of bodies by their rows (n, m)."""
+    assign_rows(_array_of(world, name), values, rows)
     if name in REMAINDER_OF:
         assign_rows(getattr(world.state, REMAINDER_OF[name]), 0.0, rows)
+
+
+def _array_of(world: World, name: str) -> wp.array:
+    """The device array of a state quantity or coefficient."""
+    return getattr(world.state if name in STATE_NAMES else world.model.bodies, name)
 
 
 def assign_rows(array: wp.array, values: Any, rows: np.ndarray) -> None:
@@ -260,21 +268,19 @@ def assign_rows(array: wp.array, values: Any, rows: np.ndarray) -> None:
 
 
 def _write_active(world: World, value: Any, rows: np.ndarray) -> None:
-    if np.asarray(value).dtype != bool:
-        raise ValueError(f"active: must be True or False, got {_brief(value)}")
-    numbers = np.asarray(value).astype(np.int32)
-    assign_rows(world.state.active, _broadcast("active", numbers, rows.shape), rows)
+    assign_rows(world.state.active, flags("active", value, rows.shape), rows)
 
 
 def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
     present = existing(rows)
     new, targets = _broadcast("mass", value, rows.shape, present)[present], rows[present]
-    if (new <= 0.0).any():
-        raise ValueError("mass: must be > 0 [kg]")
     source, layout = world.layout.source[targets], world.layout
     for target in targets[[layout.scene_bodies[index].motion != Motion.DYNAMIC for index in source.tolist()]]:
         number = target - layout.first_body[layout.env_of_row[target]]
         raise ValueError(f"mass: body {number} is not dynamic and has none")
+    for index in np.unique(source).tolist():
+        for mass in (new[source == index].min(), new[source == index].max()):
+            check_mass(layout.scene_bodies[index].shape, float(mass))
     _check_mass_ratios(world, new, targets)
     hosts = {name: getattr(world.model.bodies, name).numpy() for name in MASS_NAMES}
     for index in np.unique(source).tolist():
@@ -336,6 +342,8 @@ def forget_history(world: World, chosen: np.ndarray) -> None:
 def reset(world: World, envs: Any) -> None:
     """Reset environments to their initial state; see Simulator.reset."""
     chosen = env_indices(world.layout, envs)
+    if not len(chosen):
+        return
     rows = body_rows(world.layout, chosen, None)
     for name in declare.field_names(schema.State):
         start = spread_rows(getattr(world.start, name).numpy(), rows)
@@ -358,6 +366,8 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
     chosen = env_indices(layout, envs)
     if not isinstance(body, str):
         whole_in("body", body, 0, layout.most_bodies - 1)
+    if not len(chosen):
+        return
     rows = body_rows(layout, chosen, body, "body")[:, 0]
     push = _broadcast("impulse", impulse, (len(chosen), 3))
     at = _broadcast("point", point, (len(chosen), 3))
@@ -380,132 +390,6 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
     for name, values in velocities.items():
         write_rows(world, name, values[:, None], rows[:, None])
     wake(world, chosen, rows[:, None])
-
-
-def contact_records(world: World) -> np.ndarray:
-    """Contacts of the last step; see Simulator.contacts."""
-    return world.shards.gather(_contacts_of_shard)
-
-
-def _contacts_of_shard(shard: Shard) -> np.ndarray:
-    history = shard.pools.history
-    start = history.contact_start.numpy()
-    pairs_before = history.pair_start.numpy()
-    count = int(start[-1])
-    records = np.zeros(count, CONTACT_RECORD)
-    first = np.repeat(np.arange(len(pairs_before) - 1), np.diff(start[pairs_before]))
-    pair = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    env = shard.layout.env_of_row[first]
-    records["env"] = shard.first + env
-    records["body_a"] = first - shard.layout.first_body[env]
-    records["body_b"] = history.body_b.numpy()[pair] - shard.layout.first_body[env]
-    records["position"] = history.position.numpy()[:count]
-    records["normal"] = history.normal.numpy()[:count]
-    records["depth"] = -history.gap.numpy()[:count]
-    records["impulse"] = history.impulse.numpy()[:count]
-    return records
-
-
-def swept_boxes(world: World) -> np.ndarray:
-    """Boxes of the last look for pairs; see Simulator.swept_boxes."""
-    corners = world.shards.gather(
-        lambda shard: np.stack([shard.stages.motions.lower.numpy(), shard.stages.motions.upper.numpy()], axis=1)
-    )
-    return world.layout.by_environment(corners)
-
-
-def status_records(world: World) -> np.ndarray:
-    """Health of the environments; see Simulator.status."""
-    envs = world.envs
-    records = np.zeros(world.num_envs, STATUS_RECORD)
-    records["status"], records["step"], records["time"], records["body"] = "ok", -1, -1.0, -1
-    for name, flag in (("out of bounds", "outside"), ("non-finite", "failed")):
-        found = getattr(envs, flag).numpy() == 1
-        records["status"][found] = name
-        records["step"][found] = getattr(envs, f"{flag}_step").numpy()[found]
-        records["body"][found] = getattr(envs, f"{flag}_body").numpy()[found]
-    records["time"] = np.where(records["step"] >= 0, records["step"] * world.settings.dt, -1.0)
-    warned = warnings(world)
-    for env in np.unique(warned["env"]):
-        records["warning"][env] = ", ".join(warned["warning"][warned["env"] == env])
-    return records
-
-
-def warnings(world: World) -> np.ndarray:
-    """Warnings of the health checks; see Simulator.warnings."""
-    return health_checks.warning_records(world.envs, world.settings.dt)
-
-
-def counts(world: World) -> dict[str, int]:
-    """Sizes of the last step; see Simulator.counts."""
-    pairs, contacts = counts_of_environments(world)
-    sizes = world.shards.sizes()
-    return {
-        "pairs": int(pairs.sum()),
-        "contacts": int(contacts.sum()),
-        "levels": int(world.shards.gather(lambda shard: shard.stages.levels()).max()),
-        "pair_capacity": sizes["pairs"],
-        "contact_capacity": sizes["contacts"],
-        "most_pairs": int(world.shards.most_wanted[0]),
-        "most_contacts": int(world.shards.most_wanted[1]),
-    }
-
-
-def counts_of_environments(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs and contacts of the last step in each environment, two (envs,) arrays."""
-    both = world.shards.gather(_counts_of_shard)
-    return both[:, 0], both[:, 1]
-
-
-def solver_stats(world: World) -> dict[str, np.ndarray]:
-    """What the solver did in the last step; see Simulator.stats."""
-    pairs, contacts = counts_of_environments(world)
-    found = {"pairs": pairs, "contacts": contacts, **_island_counts(world)}
-    for name in ("sweeps", "rounds", "shock_sweeps", "push_out_sweeps", "push_out_rounds", "residual"):
-        found[name] = world.shards.gather(partial(_graph_column, name=name))
-    for name in ("pairs", "contacts"):
-        used = world.shards.gather(partial(_capacity_used, name=name))
-        found[f"{name.removesuffix('s')}_capacity_used"] = used
-    return found
-
-
-def _graph_column(shard: Shard, name: str) -> np.ndarray:
-    """An array of the contact graph of a shard."""
-    return getattr(shard.pools.graph, name).numpy()
-
-
-def _capacity_used(shard: Shard, name: str) -> np.ndarray:
-    """Fraction of a shard's pool that all its environments used in the last step, for each of them."""
-    history = shard.pools.history
-    start = history.pair_start if name == "pairs" else history.contact_start
-    return np.full(shard.num_envs, int(start.numpy()[-1]) / shard.pools.sizes[name])
-
-
-def _island_counts(world: World) -> dict[str, np.ndarray]:
-    """Islands of each environment in the last step, by how they were solved, (envs,) each."""
-    env = world.layout.env_of_row
-    present = (world.model.bodies.motion.numpy() == Motion.DYNAMIC) & (world.state.active.numpy() == 1)
-    asleep = world.sleep_state.asleep.numpy() == 1
-    awake = world.shards.gather(lambda shard: shard.pools.graph.island.numpy() + shard.first_body)
-    slept = world.sleep_state.island.numpy() + world.shards.gather(_first_body_of_each)
-    converged = world.shards.gather(lambda shard: shard.pools.graph.converged.numpy())[env] == 1
-    solver = world.shards.gather(lambda shard: shard.pools.graph.solver.numpy())
-    solver = np.where((solver == IslandSolver.SHOCK) & converged, IslandSolver.SWEEPS, solver)
-    first = present & (np.where(asleep, slept, awake) == np.arange(len(env)))
-    by_solver = {f"islands_{one.name.lower()}": first & ~asleep & (solver == one) for one in IslandSolver}
-    counted = {"islands": first, **by_solver, "islands_asleep": first & asleep}
-    return {name: np.bincount(env[those], minlength=world.num_envs) for name, those in counted.items()}
-
-
-def _first_body_of_each(shard: Shard) -> np.ndarray:
-    """The first body of the shard, for each of its bodies."""
-    return np.full(shard.end_body - shard.first_body, shard.first_body)
-
-
-def _counts_of_shard(shard: Shard) -> np.ndarray:
-    history = shard.pools.history
-    pairs = history.pair_start.numpy()[shard.layout.first_body]
-    return np.stack([np.diff(pairs), np.diff(history.contact_start.numpy()[pairs])], axis=1)
 
 
 def _rotations(world: World) -> np.ndarray:

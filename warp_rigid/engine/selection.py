@@ -14,13 +14,16 @@ MOST_LISTED = 8
 
 
 def env_indices(layout: Layout, envs: Any) -> np.ndarray:
-    """Indices of the chosen environments.
+    """Indices of the environments chosen by indices or by a mask (envs,); None for all.
 
     Raises:
-        ValueError: there is no such environment.
+        ValueError: there is no such environment, or one is given twice.
     """
     if envs is None:
         return np.arange(layout.num_envs)
+    mask = _as_array("envs", envs)
+    if mask.dtype == bool and mask.shape == (layout.num_envs,):
+        return np.flatnonzero(mask)
     return _whole_indices("envs", envs, layout.num_envs)
 
 
@@ -77,6 +80,7 @@ def _indices_in_scene(layout: Layout, scene: int, given: Any, name: str, symbol:
     for one in names:
         if one not in place:
             raise ValueError(f"{name}: must be names of {symbol}{whose} ({_listed(list(place))}), got {shown(one)}")
+    _check_distinct(name, names, given)
     return np.array([place[one] for one in names], np.int64)
 
 
@@ -95,10 +99,26 @@ def named(bodies: Any) -> list[str] | None:
 
 
 def _whole_indices(name: str, value: Any, size: int, whose: str = "") -> np.ndarray:
-    chosen = np.atleast_1d(np.asarray(value))
+    chosen = np.atleast_1d(_as_array(name, value))
+    if chosen.shape == (0,):
+        return np.zeros(0, np.int64)
     if chosen.ndim != 1 or chosen.dtype.kind not in "iu" or (chosen < 0).any() or (chosen >= size).any():
         raise ValueError(f"{name}: must be indices from 0 to {size - 1}{whose}, got {shown(value)}")
+    _check_distinct(name, chosen, value)
     return chosen
+
+
+def _as_array(name: str, value: Any) -> np.ndarray:
+    try:
+        return np.asarray(value)
+    except (ValueError, TypeError):  # lists of unequal lengths, an array on a GPU
+        raise ValueError(f"{name}: must be a list of indices, got {shown(value)}") from None
+
+
+def _check_distinct(name: str, chosen: Sequence | np.ndarray, value: Any) -> None:
+    """Refuse a selection in which something occurs twice: it would have two values, or one impulse instead of two."""
+    if len(np.unique(chosen)) < len(chosen):
+        raise ValueError(f"{name}: must be given once each, got {shown(value)}")
 
 
 def _listed(entries: Sequence | np.ndarray, noun: str = "") -> str:

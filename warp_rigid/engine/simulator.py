@@ -5,13 +5,13 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
 
 import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import checkpoint, quantities, spawning, watching
+from warp_rigid.engine import checkpoint, quantities, spawning, step_reports, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings, check_settings
@@ -121,6 +121,14 @@ class Simulator:
         size = f"{self.num_envs} environments of {self.num_bodies} bodies"
         return f"Simulator({size} on {self.device}, dt {self.settings.dt:.6g} s, at {self.time:.6g} s)"
 
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled or copied, as device memory and recorded steps cannot be.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError("a Simulator cannot be pickled or copied; write it with save and read it with Simulator.load")
+
     @property
     def scene(self) -> Scene:
         """The scene of all environments.
@@ -186,13 +194,14 @@ class Simulator:
         Args:
             name: the quantity.
             value: number, array, mode name, or list of mode names.
-            envs: indices of the environments; None for all.
+            envs: different indices of environments, or a mask (envs,) of booleans; None for all.
             bodies: indices or names of the bodies, which all these environments must have; None for all bodies, where
-                the values of bodies that an environment lacks are not read.
+                the values of bodies that an environment lacks, and velocities of static bodies, are not read.
             joints: indices or names of the joints, for quantities of joints; None for all, as for the bodies.
 
         Raises:
-            ValueError: unknown name, wrong shape, a value out of range, or a body or joint that an environment lacks.
+            ValueError: unknown name, wrong shape, a value out of range, a body or joint that an environment lacks, or
+                a velocity for a static body.
         """
         quantities.write(self._world, name, value, envs, bodies, joints)
 
@@ -208,7 +217,7 @@ class Simulator:
         """Reset environments to the initial state of their scene, bit for bit; parameters and settings are kept.
 
         Args:
-            envs: indices of the environments; None for all, which also resets the time.
+            envs: indices of the environments, or a mask, as for `set`; None for all, which also resets the time.
         """
         quantities.reset(self._world, envs)
 
@@ -230,7 +239,7 @@ class Simulator:
             orientation: (4,) or (envs, 4) quaternion (x, y, z, w).
             linear_velocity: (3,) or (envs, 3) velocity of the centre of mass [m/s].
             angular_velocity: (3,) or (envs, 3) in the world frame [rad/s].
-            envs: indices of the environments; None for all.
+            envs: indices of the environments, or a mask, as for `set`; None for all.
 
         Returns:
             (envs,) index of the body in each of these environments; -1 where all bodies of the pool are active.
@@ -280,9 +289,16 @@ class Simulator:
 
     @guarded
     def apply_impulse(self, impulse: Any, point: Any, body: int | str, envs: Any = None) -> None:
-        """Apply an impulse [N s] to a body at a world point [m], immediately; the body and its island wake up.
+        """Apply an impulse to a body immediately; the body and its island wake up. Bodies that cannot move ignore it.
 
-        The body is given by its index or name.
+        Args:
+            impulse: (3,) or (envs, 3) impulse [N s].
+            point: (3,) or (envs, 3) point in the world at which it acts [m].
+            body: index or name of the body.
+            envs: indices of the environments, or a mask, as for `set`; None for all.
+
+        Raises:
+            ValueError: an environment has no such body, or a value has the wrong shape or is not finite.
         """
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 
@@ -292,7 +308,7 @@ class Simulator:
 
         The normal points from body_b to body_a, the impulse [N s] acts on body_a, and the depth [m] is positive inside.
         """
-        return quantities.contact_records(self._world)
+        return step_reports.contact_records(self._world)
 
     @guarded
     def penetration(self) -> np.ndarray:
@@ -311,7 +327,7 @@ class Simulator:
         with the step, time [s] and body at which it began (-1 if ok). The warning names what `warnings` returns for
         the environment, such as "overlap" or "overlap, energy"; it is "" if there is nothing.
         """
-        return quantities.status_records(self._world)
+        return step_reports.status_records(self._world)
 
     @guarded
     def warnings(self) -> np.ndarray:
@@ -331,7 +347,7 @@ class Simulator:
         - "load": the force of another body on a body is more than 100 000 times its weight, as under a body that is so
           much heavier. The error of the force then exceeds what the body weighs, and it can be squeezed out.
         """
-        return quantities.warnings(self._world)
+        return step_reports.warnings(self._world)
 
     @guarded
     def watch(self, watched: Sequence[Any]) -> None:
@@ -365,7 +381,7 @@ class Simulator:
     @guarded
     def counts(self) -> dict[str, int]:
         """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use."""
-        return quantities.counts(self._world)
+        return step_reports.counts(self._world)
 
     @guarded
     def stats(self) -> dict[str, np.ndarray]:
@@ -381,7 +397,7 @@ class Simulator:
         - "residual": largest change of a velocity by a constraint row in the last sweep or round [m/s].
         - "pair_capacity_used", "contact_capacity_used": used fraction of the pool to which the environment belongs.
         """
-        return quantities.solver_stats(self._world)
+        return step_reports.solver_stats(self._world)
 
     @guarded
     def swept_boxes(self) -> np.ndarray:
@@ -390,7 +406,7 @@ class Simulator:
         After a step they bound the motion of each body within it, after `penetration` its current extent. The boxes of
         planes, which are infinite, extend to 2e9 m.
         """
-        return quantities.swept_boxes(self._world)
+        return step_reports.swept_boxes(self._world)
 
     @property
     def grid_cell(self) -> float:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import shown
+from warp_rigid.checks import shape_of, shown
 from warp_rigid.engine import quantities
 from warp_rigid.engine.layout import LACKING
 from warp_rigid.engine.selection import body_rows, env_indices
@@ -26,10 +26,10 @@ def spawn(world: World, pool: str, poses: dict[str, Any], envs: Any) -> np.ndarr
         free = own[active[layout.first_body[env] + own] == 0]
         found[place] = free[0] if len(free) else LACKING
     rows = np.where(found == LACKING, LACKING, layout.first_body[chosen] + found)[:, None]
-    given = {name: _one_row_each(name, value, len(chosen)) for name, value in poses.items()}
+    given = {name: _one_row_each(world, name, value, rows) for name, value in poses.items()}
     _clear(world, rows)
-    for name, value in given.items():
-        quantities.write_rows(world, name, value, rows)
+    for name, values in given.items():
+        quantities.store_rows(world, name, values, rows)
     quantities.assign_rows(world.state.active, 1, rows)
     quantities.wake(world, chosen, rows)
     return found
@@ -56,15 +56,12 @@ def _members(scene: Scene, number: int, pool: str) -> np.ndarray:
     return np.array(found)
 
 
-def _one_row_each(name: str, value: Any, count: int) -> np.ndarray:
-    """Values of one body per environment, (count, 1, n)."""
-    try:
-        values = np.asarray(value, np.float32)
-        return np.broadcast_to(values, (count, values.shape[-1]))[:, None]
-    except (ValueError, TypeError, IndexError):
-        raise ValueError(
-            f"{name}: must be one vector, or ({count}, n) for the environments, got {shown(value)}"
-        ) from None
+def _one_row_each(world: World, name: str, value: Any, rows: np.ndarray) -> np.ndarray:
+    """Values of one body per environment by their rows (n, 1), (n, 1, components)."""
+    count, length = len(rows), quantities.VECTOR_LENGTHS[name]
+    if shape_of(value) not in ((length,), (1, length), (count, length)):
+        raise ValueError(f"{name}: must be ({length},) or ({count}, {length}) numbers, got {shown(value)}")
+    return quantities.checked_rows(world, name, np.asarray(value).reshape(-1, 1, length), rows)
 
 
 def _clear(world: World, rows: np.ndarray) -> None:

@@ -24,7 +24,7 @@ CHOICE = ("first", "second")
 
 def watch(world: World, watched: Sequence[Any]) -> None:
     """Start to record; see Simulator.watch."""
-    if isinstance(watched, str) or not 1 <= len(watched) <= MOST_WATCHES:
+    if not isinstance(watched, list | tuple) or not 1 <= len(watched) <= MOST_WATCHES:
         raise ValueError(f"watched: must be a list of 1 to {MOST_WATCHES} bodies or pairs, got {shown(watched)}")
     layout = world.layout
     table = np.full((len(layout.scenes), len(watched), 2), NONE, np.int32)

@@ -14,6 +14,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], "Members"]
         ValueError: The file is of another kind or version, truncated or damaged.
     """
     try:
-        arrays = Members(path)
+        arrays = Members(Path(path))
         if HEADER not in arrays:
             raise ValueError("another kind of file")
         header = json.loads(arrays[HEADER].tobytes())

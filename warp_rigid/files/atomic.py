@@ -1,13 +1,27 @@
 """Atomic replacement of files."""
 
 import contextlib
+import errno
 import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-__all__ = ["atomic_file"]
+__all__ = ["atomic_file", "check_replaceable"]
+
+
+def check_replaceable(path: Any) -> None:
+    """Check that there is no folder, device, pipe or socket at a path, which a file would otherwise replace.
+
+    Raises:
+        OSError: There is one.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "must be a regular file", str(path))
 
 
 @contextlib.contextmanager
@@ -19,9 +33,10 @@ def atomic_file(path: Any) -> Iterator[Path]:
     interrupted, the old file is unchanged. Missing folders are created.
 
     Raises:
-        OSError: The file cannot be written; the error names `path`.
+        OSError: The file cannot be written, or something else than a file is there; the error names `path`.
     """
     path = Path(path)
+    check_replaceable(path)
     temporary = path.with_name(f".{path.stem[:100]}.{secrets.token_hex(8)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_rigid.checks import number_in
-from warp_rigid.engine.quantities import CONTACT_RECORD, is_of_bodies
+from warp_rigid.engine.quantities import is_of_bodies
+from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS

@@ -14,7 +14,7 @@ import numpy as np
 from warp_rigid import scenes
 from warp_rigid.engine import field_values
 from warp_rigid.engine.health_checks import WARNING_NAMES
-from warp_rigid.engine.quantities import owner_of
+from warp_rigid.engine.quantities import VECTOR_LENGTHS, owner_of
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.assignments import SELECTING, Assignments, sort_assignments
@@ -342,6 +342,8 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         ValueError: No body or joint is selected, or a value is out of range.
     """
     plain, _, choice = name.partition("[")
+    if plain in VECTOR_LENGTHS:
+        values = [np.broadcast_to(value, VECTOR_LENGTHS[plain]) for value in values]  # 0 is the zero vector
     if plain in field_values.names():
         sim.set(plain, np.asarray(values)[:, None])
     elif plain not in SELECTING:

@@ -17,8 +17,8 @@ __all__ = ["DragField", "ForceField", "PointField", "UniformField"]
 
 Vector3 = tuple[float, float, float]
 
-NEAREST = 1.0e-6
-"""Distance from the centre of a PointField below which its force does not grow, as in its device function [m]."""
+NEAREST = 1e-6
+"""Least distance from the centre of a PointField, as in its device function [m]."""
 
 FIELDS: dict[str, type["ForceField"]] = {}
 """All kinds of force fields by class name."""
@@ -110,9 +110,8 @@ class PointField(ForceField):
     strength: float
 
     def potential(self, x: np.ndarray) -> np.ndarray:
-        """Return -strength / d [J/kg], constant nearer than NEAREST as the simulated force is finite there."""
-        distance = np.linalg.norm(x - np.array(self.center), axis=-1)
-        return -self.strength / np.maximum(distance, NEAREST)
+        """Return -strength / d [J/kg], with d at least NEAREST."""
+        return -self.strength / np.maximum(np.linalg.norm(x - np.array(self.center), axis=-1), NEAREST)
 
 
 @dataclass(frozen=True)

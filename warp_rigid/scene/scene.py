@@ -33,6 +33,9 @@ OUT_OF_BOUNDS = ("report", "remove")
 
 MOST_IN_A_POOL = 1_000_000
 
+LIGHTEST, HEAVIEST = 1e-17, 1e15
+"""Range of masses [kg]: the squares of their inverses are numbers of single precision."""
+
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
@@ -153,7 +156,7 @@ class Scene:
             linear_velocity: (3,) velocity of the centre of mass [m/s].
             angular_velocity: (3,) in the world frame [rad/s].
             density: [kg/m^3], > 0; 1000 where neither density nor mass is given.
-            mass: [kg], > 0; instead of density.
+            mass: [kg], from 1e-17 to 1e15; instead of density.
             name: of the body; the shape's kind and the body's index where none is given. If another body has this
                 name, a number is added: "box", "box_1", "box_2".
             active: False for a body that is not simulated until `sim.set("active", True, ...)` switches it on.
@@ -433,11 +436,20 @@ def _mass(shape, density, mass):
     if mass is None:
         density = number_in("density", 1000.0 if density is None else density, above=0.0)
         mass = density * volume
-    mass = number_in("mass", mass, above=0.0)
-    moments = np.linalg.eigvalsh(np.asarray(shape.inertia, dtype=np.float64)) * (mass / volume)
-    if not (min(mass, *moments) >= _SMALLEST and max(mass, *moments) <= LARGEST):
+    check_mass(shape, mass)
+    return float(mass)
+
+
+def check_mass(shape: Shape, mass: float) -> None:
+    """Check that the mass of a body [kg], and its moments of inertia with it, are in the range of the solver.
+
+    Raises:
+        ValueError: One of them is not.
+    """
+    mass = number_in("mass", mass, LIGHTEST, HEAVIEST)
+    moments = np.linalg.eigvalsh(np.asarray(shape.inertia, dtype=np.float64)) * (mass / float(shape.volume))
+    if not (moments[0] >= _SMALLEST and moments[2] <= LARGEST):
         raise ValueError(
             f"mass: {mass:g} kg gives moments of inertia {moments[0]:g} to {moments[2]:g} kg m^2; "
             f"all must be from {_SMALLEST:g} to {LARGEST:g}"
         )
-    return mass

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
-from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.engine.step_reports import counts_of_environments
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
 from warp_rigid.sweep.columns import FINISHED, metadata_field
@@ -106,6 +106,8 @@ def _launch_order(inputs: list[RunInputs], bodies: list[int]) -> list[int]:
 
 def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = None) -> Simulator:
     """Build a simulator of one row in its initial state; see SweepResult.replay."""
+    if not isinstance(row, Mapping):
+        raise ValueError(f"row: must be one of the rows, such as result.rows[0], got {shown(row)}")
     source = result.source if scene is None else scene
     if source is None:
         named = shown(result.about.get("source"))
@@ -121,17 +123,20 @@ def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = No
 def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     """Run a batch. A failed run becomes a row with the reason; an exception fails all runs of the batch.
 
-    A batch that does not fit into memory is split in half.
+    A batch that does not fit into memory is split in half, and so is one in which a value is refused, so that only the
+    runs with that value fail.
     """
     start = time.perf_counter()
+    prepared = None
     try:
-        return _run(job, runs, start)
+        prepared = prepare(job, runs)
+        return _run(job, prepared, start)
     except Exception as error:
-        if len(runs) > 1 and _is_memory_error(error):
-            reason = error
-        else:
+        refused = prepared is None and isinstance(error, ValueError)
+        if len(runs) == 1 or not (refused or _is_memory_error(error)):
             return failed_batch(runs, error, (time.perf_counter() - start) / len(runs))
-    log.info("batch of %d runs does not fit into memory (%s); splitting it in half", len(runs), reason)
+        problem = "contains a run with a bad value" if refused else "does not fit into memory"
+        log.info("batch of %d runs %s (%s); splitting it in half", len(runs), problem, error)
     middle = len(runs) // 2
     first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
     for row in second.rows:
@@ -155,8 +160,7 @@ def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | Non
     return Batch([_row(run, env, status, reason) | {"wall_time": seconds} for env, run in enumerate(runs)])
 
 
-def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
-    prepared = prepare(job, runs)
+def _run(job: Job, prepared: Prepared, start: float) -> Batch:
     sim = prepared.sim
     watch = Stopwatch()
     loading = sim._world.load_seconds
@@ -193,7 +197,7 @@ def _run(job: Job, runs: Sequence[Run], start: float) -> Batch:
     missing = np.full(sim.num_envs, None, object)
     columns |= {name: observers.latest.get(name, missing) for name in job.observe}
     rows = _rows(sim, prepared.runs, columns, peak_counts, failures)
-    seconds = (time.perf_counter() - start) / len(runs)
+    seconds = (time.perf_counter() - start) / len(prepared.runs)
     watch.add({"measure": time.perf_counter() - measuring - watch.seconds["record"] - watch.seconds["step"]})
     kept = _trajectories(prepared, rows, frames) if job.trajectories else []
     series = [(prepared.runs, {name: np.array(values) for name, values in looks.items()})] if job.series else []

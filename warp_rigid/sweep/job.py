@@ -12,13 +12,14 @@ import numpy as np
 
 from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
 from warp_rigid.engine import field_values, joint_quantities
-from warp_rigid.engine.quantities import check_vectors
+from warp_rigid.engine.precision import check_mass_ratio, check_precision
+from warp_rigid.engine.quantities import VELOCITIES, check_vectors
 from warp_rigid.engine.settings import Settings
 from warp_rigid.runs.assignments import assignment_target
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome
 from warp_rigid.runs.runner import find_scene, selected
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.scene import Body, Motion, Scene, check_mass
 from warp_rigid.scenes import Demo
 from warp_rigid.sweep.batch_size import Footprint, SizedRun, footprint_of
 from warp_rigid.sweep.design import Run, stable_hash
@@ -176,6 +177,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
         key = inputs.scene_key
         if key not in footprints:
             scene = build_scene(job, inputs)
+            check_precision(scene)
             content = structure(scene)
             if content not in of_structure:
                 of_structure[content] = footprint_of(scene, shape_bytes)
@@ -189,6 +191,7 @@ def group_runs(job: Job, runs: list[Run]) -> list[list[SizedRun]]:
             if (bodies[key], name, value) not in checked:
                 _check_property(build_scene(job, inputs), name, value)
                 checked.add((bodies[key], name, value))
+        _check_masses(build_scene(job, inputs), inputs.properties)
         groups.setdefault(steps[settings], []).append(SizedRun(run, footprints[key]))
     if runs:
         check_bodies(job.observers, list(known.values()))
@@ -240,14 +243,14 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
         for field in field_values.fields_with(scene.force_fields, plain):
             field_values.check(field, plain, value)
         return
-    if plain != "gravity":
-        selected(scene, name, plain, choice.rstrip("]"))
+    chosen = [] if plain == "gravity" else selected(scene, name, plain, choice.rstrip("]"))
     if plain in joint_quantities.WRITABLE:
         joint_quantities.check_range(plain, joint_quantities.check(plain, value, ()))
     elif plain in COEFFICIENTS:
         number_in(name, value, COEFFICIENTS[plain].lower, COEFFICIENTS[plain].upper)
     elif plain == "mass":
-        number_in(name, value, above=0.0)
+        for index in chosen:
+            _check_mass(scene.bodies[index], name, value)
     elif plain == "active":
         if not isinstance(value, bool):
             raise ValueError(f"{name}: must be True or False, got {shown(value)}")
@@ -255,7 +258,31 @@ def _check_property(scene: Scene, name: str, value: Any) -> None:
         unit_quaternion(name, value)
     else:
         check_vectors(plain, value)
-        finite_vector(name, value if np.ndim(value) else (value,) * 3)
+        vector = finite_vector(name, value if np.ndim(value) else (value,) * 3)
+        for index in chosen if plain in VELOCITIES and any(vector) else ():
+            if scene.bodies[index].motion == Motion.STATIC:
+                raise ValueError(f"{name}: must be 0 for {scene.bodies[index].name}, which is static")
+
+
+def _check_mass(body: Body, name: str, value: Any) -> None:
+    """Check a mass for one of the selected bodies."""
+    if body.motion != Motion.DYNAMIC:
+        raise ValueError(f"{name}: {body.name} is not dynamic and has no mass")
+    try:
+        check_mass(body.shape, value)
+    except ValueError as error:
+        raise ValueError(f"{name}{str(error).removeprefix('mass')}") from None
+
+
+def _check_masses(scene: Scene, properties: dict[str, Any]) -> None:
+    """Check the ratio of the masses that a run has."""
+    changed = {name: value for name, value in properties.items() if name.partition("[")[0] == "mass"}
+    if changed:
+        masses = {index: body.mass for index, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC}
+        for name, value in changed.items():
+            choice = name.partition("[")[2].rstrip("]")
+            masses |= dict.fromkeys(selected(scene, name, "mass", choice), value)
+        check_mass_ratio(masses.values())
 
 
 def _digest(text: str) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shown
-from warp_rigid.engine.quantities import counts_of_environments
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.engine.step_reports import counts_of_environments
 from warp_rigid.runs.user_code import module_of_file
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST

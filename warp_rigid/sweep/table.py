@@ -135,6 +135,12 @@ class SweepResult:
             row: one of `rows`.
             scene: the scene as passed to `sweep`; required for a table read from a file, unless the scene is built in.
             device: as in Simulator; results are bitwise equal only on the same kind of device.
+
+        Returns:
+            The Simulator, with one environment.
+
+        Raises:
+            ValueError: The row is no row, or the scene is missing or not that of the rows.
         """
         return replay(self, row, scene, device)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import trimesh
 
-from warp_rigid.engine.quantities import CONTACT_RECORD
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.rotations import inverse, rotate
 from warp_rigid.scene.joints.joint import JointFrame

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_rigid.checks import whole_in
+from warp_rigid.checks import shown, whole_in
 from warp_rigid.files import mesh_files
 from warp_rigid.scene.shapes import distance_grid, mass_properties, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
@@ -126,7 +126,17 @@ class Mesh(Shape):
 
     @classmethod
     def from_trimesh(cls, mesh: Any, sdf_resolution: int = 64) -> "Mesh":
-        """Make a mesh from the vertices and faces of a `trimesh.Trimesh`."""
+        """Make a mesh from the vertices and faces of a `trimesh.Trimesh`.
+
+        Args:
+            mesh: any object with `vertices` (n, 3) [m] and `faces` (m, 3).
+            sdf_resolution: as in `Mesh`.
+
+        Raises:
+            ValueError: The object has none, such as a `trimesh.Scene`, or `Mesh` refuses them.
+        """
+        if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+            raise ValueError(f"mesh: must have vertices and faces, as a trimesh.Trimesh, got {shown(mesh)}")
         return cls(mesh.vertices, mesh.faces, sdf_resolution)
 
     @classmethod

@@ -1,0 +1,152 @@
+"""What the last steps did: contacts, counts, solver statistics and the health of the environments."""
+
+from functools import partial
+
+import numpy as np
+
+from warp_rigid.engine import health_checks
+from warp_rigid.engine.shard import Shard
+from warp_rigid.engine.world import World
+from warp_rigid.kernels.enums import IslandSolver
+from warp_rigid.scene.scene import Motion
+
+CONTACT_RECORD = np.dtype(
+    [
+        ("env", np.int32),
+        ("body_a", np.int32),
+        ("body_b", np.int32),
+        ("position", np.float32, 3),
+        ("normal", np.float32, 3),
+        ("depth", np.float32),
+        ("impulse", np.float32, 3),
+    ]
+)
+STATUS_RECORD = np.dtype(
+    [("status", "U13"), ("step", np.int64), ("time", np.float64), ("body", np.int64), ("warning", "U32")]
+)
+
+
+def contact_records(world: World) -> np.ndarray:
+    """Contacts of the last step; see Simulator.contacts."""
+    return world.shards.gather(_contacts_of_shard)
+
+
+def _contacts_of_shard(shard: Shard) -> np.ndarray:
+    history = shard.pools.history
+    start = history.contact_start.numpy()
+    pairs_before = history.pair_start.numpy()
+    count = int(start[-1])
+    records = np.zeros(count, CONTACT_RECORD)
+    first = np.repeat(np.arange(len(pairs_before) - 1), np.diff(start[pairs_before]))
+    pair = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    env = shard.layout.env_of_row[first]
+    records["env"] = shard.first + env
+    records["body_a"] = first - shard.layout.first_body[env]
+    records["body_b"] = history.body_b.numpy()[pair] - shard.layout.first_body[env]
+    records["position"] = history.position.numpy()[:count]
+    records["normal"] = history.normal.numpy()[:count]
+    records["depth"] = -history.gap.numpy()[:count]
+    records["impulse"] = history.impulse.numpy()[:count]
+    return records
+
+
+def swept_boxes(world: World) -> np.ndarray:
+    """Boxes of the last look for pairs; see Simulator.swept_boxes."""
+    corners = world.shards.gather(
+        lambda shard: np.stack([shard.stages.motions.lower.numpy(), shard.stages.motions.upper.numpy()], axis=1)
+    )
+    return world.layout.by_environment(corners)
+
+
+def status_records(world: World) -> np.ndarray:
+    """Health of the environments; see Simulator.status."""
+    envs = world.envs
+    records = np.zeros(world.num_envs, STATUS_RECORD)
+    records["status"], records["step"], records["time"], records["body"] = "ok", -1, -1.0, -1
+    for name, flag in (("out of bounds", "outside"), ("non-finite", "failed")):
+        found = getattr(envs, flag).numpy() == 1
+        records["status"][found] = name
+        records["step"][found] = getattr(envs, f"{flag}_step").numpy()[found]
+        records["body"][found] = getattr(envs, f"{flag}_body").numpy()[found]
+    records["time"] = np.where(records["step"] >= 0, records["step"] * world.settings.dt, -1.0)
+    warned = warnings(world)
+    for env in np.unique(warned["env"]):
+        records["warning"][env] = ", ".join(warned["warning"][warned["env"] == env])
+    return records
+
+
+def warnings(world: World) -> np.ndarray:
+    """Warnings of the health checks; see Simulator.warnings."""
+    return health_checks.warning_records(world.envs, world.settings.dt)
+
+
+def counts(world: World) -> dict[str, int]:
+    """Sizes of the last step; see Simulator.counts."""
+    pairs, contacts = counts_of_environments(world)
+    sizes = world.shards.sizes()
+    return {
+        "pairs": int(pairs.sum()),
+        "contacts": int(contacts.sum()),
+        "levels": int(world.shards.gather(lambda shard: shard.stages.levels()).max()),
+        "pair_capacity": sizes["pairs"],
+        "contact_capacity": sizes["contacts"],
+        "most_pairs": int(world.shards.most_wanted[0]),
+        "most_contacts": int(world.shards.most_wanted[1]),
+    }
+
+
+def counts_of_environments(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs and contacts of the last step in each environment, two (envs,) arrays."""
+    both = world.shards.gather(_counts_of_shard)
+    return both[:, 0], both[:, 1]
+
+
+def solver_stats(world: World) -> dict[str, np.ndarray]:
+    """What the solver did in the last step; see Simulator.stats."""
+    pairs, contacts = counts_of_environments(world)
+    found = {"pairs": pairs, "contacts": contacts, **_island_counts(world)}
+    for name in ("sweeps", "rounds", "shock_sweeps", "push_out_sweeps", "push_out_rounds", "residual"):
+        found[name] = world.shards.gather(partial(_graph_column, name=name))
+    for name in ("pairs", "contacts"):
+        used = world.shards.gather(partial(_capacity_used, name=name))
+        found[f"{name.removesuffix('s')}_capacity_used"] = used
+    return found
+
+
+def _graph_column(shard: Shard, name: str) -> np.ndarray:
+    """An array of the contact graph of a shard."""
+    return getattr(shard.pools.graph, name).numpy()
+
+
+def _capacity_used(shard: Shard, name: str) -> np.ndarray:
+    """Fraction of a shard's pool that all its environments used in the last step, for each of them."""
+    history = shard.pools.history
+    start = history.pair_start if name == "pairs" else history.contact_start
+    return np.full(shard.num_envs, int(start.numpy()[-1]) / shard.pools.sizes[name])
+
+
+def _island_counts(world: World) -> dict[str, np.ndarray]:
+    """Islands of each environment in the last step, by how they were solved, (envs,) each."""
+    env = world.layout.env_of_row
+    present = (world.model.bodies.motion.numpy() == Motion.DYNAMIC) & (world.state.active.numpy() == 1)
+    asleep = world.sleep_state.asleep.numpy() == 1
+    awake = world.shards.gather(lambda shard: shard.pools.graph.island.numpy() + shard.first_body)
+    slept = world.sleep_state.island.numpy() + world.shards.gather(_first_body_of_each)
+    converged = world.shards.gather(lambda shard: shard.pools.graph.converged.numpy())[env] == 1
+    solver = world.shards.gather(lambda shard: shard.pools.graph.solver.numpy())
+    solver = np.where((solver == IslandSolver.SHOCK) & converged, IslandSolver.SWEEPS, solver)
+    first = present & (np.where(asleep, slept, awake) == np.arange(len(env)))
+    by_solver = {f"islands_{one.name.lower()}": first & ~asleep & (solver == one) for one in IslandSolver}
+    counted = {"islands": first, **by_solver, "islands_asleep": first & asleep}
+    return {name: np.bincount(env[those], minlength=world.num_envs) for name, those in counted.items()}
+
+
+def _first_body_of_each(shard: Shard) -> np.ndarray:
+    """The first body of the shard, for each of its bodies."""
+    return np.full(shard.end_body - shard.first_body, shard.first_body)
+
+
+def _counts_of_shard(shard: Shard) -> np.ndarray:
+    history = shard.pools.history
+    pairs = history.pair_start.numpy()[shard.layout.first_body]
+    return np.stack([np.diff(pairs), np.diff(history.contact_start.numpy()[pairs])], axis=1)
