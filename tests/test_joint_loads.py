@@ -79,7 +79,7 @@ def test_a_ragdoll_under_a_heavy_plate_comes_to_rest(device):
     scene = wr.Scene(gravity=(0, 0, -G))
     scene.add_static(wr.Plane(), friction=0.6)
     add_ragdoll(scene, (0, 0, 0.99), "doll")
-    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.95), mass=100.0, friction=0.6)
+    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.89), mass=100.0, friction=0.6)
     sim = wr.Simulator(scene, device=device)
     for _ in range(120):
         sim.step(8)
