@@ -6,14 +6,14 @@ from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Plane
 from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome, add_ragdoll
-from warp_rigid.scenes.demo import Demo, below
+from warp_rigid.scenes.demo import Demo, below, rest_verdict
 
 WIDTH = 3.0
 STANDING = 1.05
 
 
 def build(dolls: int = 4) -> Scene:
-    """Ragdolls of fifteen bodies above a pit of 3 m.
+    """Ragdolls of fourteen bodies above a pit of 3 m.
 
     Args:
         dolls: number of ragdolls, 1 to 160; nine of them in a layer.
@@ -33,7 +33,7 @@ def build(dolls: int = 4) -> Scene:
 
 
 class RagdollOutcome(ClosedJointsOutcome):
-    """How far joints open, and whether any body leaves the pit."""
+    """How far joints open, whether any body leaves the pit, and rest."""
 
     def __init__(self, scene):
         """Find the bodies."""
@@ -41,7 +41,7 @@ class RagdollOutcome(ClosedJointsOutcome):
         self.bodies = [i for i, body in enumerate(scene.bodies) if body.motion == Motion.DYNAMIC]
 
     def verdicts(self, sim):
-        """Joints closed, and all bodies in the pit."""
+        """Joints closed, all bodies in the pit, and at rest."""
         if self.opened is None:
             return []
         place = sim.get("position")[:, self.bodies]
@@ -49,14 +49,15 @@ class RagdollOutcome(ClosedJointsOutcome):
         return [
             self.closed_verdict(1e-3),
             below("outside", out, 0.0, "all bodies within the pit", {"default": True}, "m"),
+            rest_verdict(sim, self.bodies, {"default": True}),
         ]
 
 
 DEMO = Demo(
     name="ragdolls",
-    summary="ragdolls fall into a pit; no joint opens and none escapes",
+    summary="ragdolls fall into a pit and come to rest; no joint opens and none escapes",
     build=build,
     outcome=RagdollOutcome,
-    duration=4.0,
+    duration=5.0,
     variants={"default": {}},
 )

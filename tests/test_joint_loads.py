@@ -38,14 +38,15 @@ def bridge_with_box(ratio, planks=10):
 
 
 def test_a_bridge_carries_a_box_of_a_thousand_times_the_mass_of_a_plank(device):
-    """It does not quite come to rest: ten sweeps leave centimetres per second."""
+    """It swings with the bridge, whose hinges damp it, and comes to rest."""
     sim = wr.Simulator(bridge_with_box(1000.0), device=device)
     start = sim.get("position")[0, -1, 2]
-    for _ in range(10):
-        sim.step(24)
-        assert anchor_errors(sim).max() < 2e-6 and sim.penetration()[0] < 2e-3
-        assert np.linalg.norm(sim.get("linear_velocity")[0, -1]) < 0.2
-    assert sim.get("position")[0, -1, 2] == pytest.approx(start, abs=0.02)
+    for limit in (0.016, 0.008, 0.004, 0.0022):
+        for _ in range(10):
+            sim.step(24)
+            assert anchor_errors(sim).max() < 2e-6 and sim.penetration()[0] < 6e-5
+            assert np.linalg.norm(sim.get("linear_velocity")[0, -1]) < limit
+    assert sim.get("position")[0, -1, 2] == pytest.approx(start, abs=0.005)
 
 
 @pytest.mark.parametrize("ratio", [10.0, 1000.0])
@@ -71,6 +72,20 @@ def test_a_bridge_carries_a_box_of_a_hundred_times_the_mass_of_a_plank(device):
     force = sim.get("joint_force")[0]
     ends = abs(force[0, 2]) + abs(force[-1, 2])
     assert ends == pytest.approx(110.0 * G, rel=5e-3)
+
+
+def test_a_ragdoll_under_a_heavy_plate_comes_to_rest(device):
+    """A plate of 100 kg falls on the head of a standing ragdoll, which folds up under it."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    scene.add_static(wr.Plane(), friction=0.6)
+    add_ragdoll(scene, (0, 0, 0.99), "doll")
+    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.89), mass=100.0, friction=0.6)
+    sim = wr.Simulator(scene, device=device)
+    for _ in range(120):
+        sim.step(8)
+        assert anchor_errors(sim).max() < 5e-4 and sim.penetration()[0] < 0.012
+    assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 0.01
+    assert sim.penetration()[0] < 1e-4
 
 
 def test_ragdolls_that_fall_onto_each_other_at_high_speed_stay_in_one_piece(device):

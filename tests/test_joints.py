@@ -104,6 +104,24 @@ def test_a_slider_with_friction_on_an_incline(device):
     assert abs(stuck.get("joint_position")[0, 0]) < 1e-9
 
 
+@pytest.mark.parametrize("cone", [None, 3.0])
+def test_damping_of_a_ball_joint_acts_on_all_rotations(device, cone):
+    """On a ball of inertia I, every component of the angular velocity falls by 1 + c dt / I in a step."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    ball = scene.add_body(wr.Sphere(0.5), mass=2.0, angular_velocity=(0.3, -0.5, 0.8))
+    scene.add_joint(wr.SphericalJoint(cone, axis=(0.6, 0.0, 0.8)), ball)
+    scene.add_drive(0, damping=0.7)
+    sim = simulator(scene, device)
+    sim.step(60)
+    left = (1.0 + 0.7 * DT / 0.2) ** -60.0
+    assert sim.get("angular_velocity")[0, 0] == pytest.approx(left * np.array((0.3, -0.5, 0.8)), rel=1e-4)
+    torque = sim.get("joint_force")[0, 0, 3:]
+    assert torque == pytest.approx(-0.7 * sim.get("angular_velocity")[0, 0], rel=1e-3)
+    sim.set("joint_damping", 0.0)
+    sim.step(60)
+    assert sim.get("angular_velocity")[0, 0] == pytest.approx(left * np.array((0.3, -0.5, 0.8)), rel=1e-4)
+
+
 def test_a_cone_holds_a_ball_joint(device):
     scene = wr.Scene(gravity=(0, 0, -G))
     body = scene.add_body(wr.Capsule(0.03, 0.2), position=(0, 0, 0.2), orientation=(0.01, 0, 0, 1), mass=1.0)
@@ -280,6 +298,8 @@ def add(joint=None, a=1, b=None, **more):
         (lambda: add()[0].add_drive(0), "joint: a drive needs a RevoluteJoint or a PrismaticJoint, got a FixedJoint"),
         (lambda: add(wr.RevoluteJoint((1, 0, 0)))[0].add_drive(0, stiffness=-1),
          "stiffness: must be a finite number >= 0, got -1"),
+        (lambda: add(wr.SphericalJoint())[0].add_drive(0, stiffness=1.0),
+         "joint: a SphericalJoint can be damped, but not driven: only damping can be given"),
         (lambda: add()[0].add_drive(1), "joint: must be a whole number from 0 to 0, got 1"),
     ],
 )  # fmt: skip

@@ -26,7 +26,8 @@ def joined():
     scene.add_drive(hinge, stiffness=5.0, damping=0.5, max_force=3.0, target_position=0.25, target_velocity=0.1)
     slider = scene.add_joint(wr.PrismaticJoint((1, 0, 0), (-math.inf, 0.5)), bodies[2], bodies[1], anchor=(1.5, 0, 1))
     scene.add_drive(slider, damping=2.0)
-    scene.add_joint(wr.SphericalJoint(0.6, (0, 0, 1)), bodies[3], bodies[2], anchor=(2.5, 0, 1), collide=True)
+    ball = scene.add_joint(wr.SphericalJoint(0.6, (0, 0, 1)), bodies[3], bodies[2], anchor=(2.5, 0, 1), collide=True)
+    scene.add_drive(ball, damping=0.3)
     scene.add_joint(wr.DistanceJoint(maximum=1.0), bodies[4], bodies[3], anchor=(4, 0, 1), anchor_b=(3, 0, 1))
     scene.add_joint(wr.RevoluteJoint((0, 0, 1)), bodies[4], anchor=(4, 0, 2))
     return scene

@@ -56,6 +56,12 @@ def drive_slope(j: int, dt: wp.float64, joints: Joints):
 
 
 @wp.func
+def damping_slope(j: int, dt: wp.float64, joints: Joints):
+    """Decrease of the damping's impulse per velocity [kg m^2]."""
+    return dt * number_of(j, JointNumber.DAMPING, joints)
+
+
+@wp.func
 def limited_drive(j: int, dt: wp.float64, value: wp.float64, speed: wp.float64, joints: Joints):
     """Impulse of the drive, within its limit."""
     most = dt * number_of(j, JointNumber.MAX_FORCE, joints)

@@ -9,9 +9,10 @@ row takes no impulse.
 import warp as wp
 
 from warp_rigid.kernels.joints.arrays import Joints, mat63d, mat66d, vec6d
-from warp_rigid.kernels.joints.coordinate import drive_slope, is_held
+from warp_rigid.kernels.joints.coordinate import IDLE, damping_slope, drive_slope, is_held
 from warp_rigid.kernels.joints.joint_rows import (
     has_coordinate,
+    is_damped,
     is_locked,
     present_rows,
 )
@@ -29,11 +30,14 @@ ONE = wp.constant(wp.float64(1.0))
 
 @wp.func
 def active_rows(j: int, dt: float, motions: Motions, joints: Joints):
-    """Rows of a joint that take part in the factorization: the locked ones, and the coordinate unless it is free."""
+    """Rows of a joint that take part in the factorization: the locked ones, and others unless they are free."""
     rows = present_rows(j, motions, joints)
     if has_coordinate(j, motions, joints):
         if is_held(joints.mode[j]) or drive_slope(j, wp.float64(dt), joints) > ZERO:
             rows = rows | (1 << free_row(joints.coordinate[j]))
+        for k in range(4, 6):
+            if is_damped(j, k, joints) and joints.mode[j][0] != IDLE:
+                rows = rows | (1 << k)
     return rows
 
 
@@ -83,6 +87,9 @@ def diagonal_block(j: int, dt: float, joints: Joints):
     row = free_row(joints.coordinate[j])
     if row >= 0 and is_locked(joints.active[j], row) and not is_held(joints.mode[j]):
         block[row, row] = block[row, row] + ONE / drive_slope(j, wp.float64(dt), joints)
+    for k in range(4, 6):
+        if is_damped(j, k, joints) and is_locked(joints.active[j], k):
+            block[k, k] = block[k, k] + ONE / damping_slope(j, wp.float64(dt), joints)
     return block
 
 

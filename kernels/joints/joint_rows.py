@@ -7,7 +7,7 @@ the centres of mass. An impulse along the row acts on both bodies at the same po
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, inverse_inertia_of, inverse_mass_of, load_velocity
-from warp_rigid.kernels.enums import Coordinate, Role
+from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat33d, mat63d, vec6d
 from warp_rigid.kernels.joints.poses import Ends, axis_of, ends_of, free_row
 from warp_rigid.kernels.schema import Bodies, Motions
@@ -79,8 +79,12 @@ def build_rows(j: int, bodies: Bodies, joints: Joints):
         u = row_axis(k, ends.turn_b)
         store_row(j, k, zero, u, -u, joints)
     if coordinate == Coordinate.CONE:
-        n = unit_or_axis(wp.cross(axis_of(ends.turn_b), axis_of(ends.turn_a)), ends.turn_b)
+        axis = axis_of(ends.turn_b)
+        n = unit_or_axis(wp.cross(axis, axis_of(ends.turn_a)), ends.turn_b)
+        across = wp.cross(n, axis)
         store_row(j, 3, zero, n, -n, joints)
+        store_row(j, 4, zero, axis, -axis, joints)
+        store_row(j, 5, zero, across, -across, joints)
     if coordinate == Coordinate.LENGTH:
         store_length_row(j, ends, arm_a, ends.point_b - base_b, joints)
 
@@ -89,6 +93,12 @@ def build_rows(j: int, bodies: Bodies, joints: Joints):
 def is_locked(rows: int, k: int):
     """Whether a row is in a bit mask."""
     return (rows >> k) & 1 == 1
+
+
+@wp.func
+def is_damped(j: int, k: int, joints: Joints):
+    """Whether a row is a rotation of a ball joint that its damping alone acts on, not its limit."""
+    return k > 3 and joints.coordinate[j] == Coordinate.CONE and joints.numbers[j, JointNumber.DAMPING] > 0.0
 
 
 @wp.func

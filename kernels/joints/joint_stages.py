@@ -3,18 +3,26 @@
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
-from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
+from warp_rigid.kernels.common.team import any_of_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.factor import factorize
-from warp_rigid.kernels.joints.loads import find_loaded, leave_out_of_shock, solve_loads, sweep_others
+from warp_rigid.kernels.joints.initial_impulses import warm_start_others, warm_start_touching
+from warp_rigid.kernels.joints.loads import (
+    any_touched,
+    choose_turns,
+    find_touched,
+    leave_out_of_shock,
+    solve_joints,
+    solve_touching,
+    sweep_others,
+)
 from warp_rigid.kernels.joints.mechanism import (
     is_awake,
     project,
     settle_mechanism,
-    solve_mechanism,
     start_mechanism,
     stop_mechanism,
 )
@@ -71,15 +79,19 @@ def is_propagated(env: int, envs: Environments, graph: Graph):
     return graph.converged[env] == 0 and envs.shock_propagation[env] != ShockMode.OFF
 
 
-@wp.func
-def solve_joints(team: Team, dt: float, motions: Motions, joints: Joints):
-    """Solve all mechanisms of an environment. Returns a lane's largest residual [m/s]."""
-    change = float(0.0)
-    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
-        if is_awake(m, motions, joints):
-            change = wp.max(change, solve_mechanism(m, dt, False, motions, joints))
-    sync_team(team)
-    return change
+@wp.kernel
+def warm_start_with_joints(
+    lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
+):
+    """One team per environment: find the mechanisms whose contacts are solved where the joints hold.
+
+    Apply the initial impulses of all other contacts.
+    """
+    team = team_of(wp.tid(), lanes)
+    if find_touched(team, order, motions, joints) == 1:
+        leave_out_of_shock(team, motions, joints, graph)
+    if envs.warm_starting[team.env] == 1:
+        warm_start_others(team, order, motions, rows, joints)
 
 
 @wp.kernel
@@ -104,9 +116,12 @@ def sweep_with_joints(
     if after_shock == 0:
         find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
         spare = spare_sweeps(env, envs, graph)
-    loaded = find_loaded(team, order, motions, joints)
-    if loaded == 1:
-        leave_out_of_shock(team, motions, joints, graph)
+    touched = any_touched(team, joints)
+    if touched == 1:
+        choose_turns(envs.first_body[env], envs.first_body[env + 1], team, order, graph, motions, joints)
+        if after_shock == 0 and envs.warm_starting[env] == 1:
+            first = envs.first_body[env]
+            warm_start_touching(dt, first, envs.first_body[env + 1], team, order, graph, motions, rows, joints)
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
         left = sweeps_of(env, after_shock, envs, graph)
@@ -118,14 +133,14 @@ def sweep_with_joints(
     while left > 0:
         change = float(0.0)
         if after_shock != AFTER_PASSES:
-            if loaded == 1:
+            if touched == 1:
                 change = sweep_others(team, order, motions, rows, joints)
             else:
                 for level in range(layered, layered * graph.level_count[env] + 1):
                     change = wp.max(change, sweep(level, team, order, graph, motions, rows))
         change = wp.max(change, solve_joints(team, dt, motions, joints))
-        if loaded == 1:
-            change = wp.max(change, solve_loads(team, order, motions, rows, joints))
+        if touched == 1:
+            change = wp.max(change, solve_touching(0, team, order, motions, rows, joints))
         done += 1
         residual = change
         unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)

@@ -1,31 +1,59 @@
-"""Heavy bodies that rest on the much lighter bodies of a mechanism.
+"""Contacts of mechanisms: each impulse acts on the whole mechanism, whose joints hold.
 
-A sweep over the contacts takes the bodies of a mechanism for free ones, and the direct solution then stops them again:
-in both together, a load of a thousand times the mass of the body below loses a thousandth of its velocity. The contacts
-of a mechanism that carries such a load are therefore solved with the velocity that an impulse causes where the joints
-hold: the response M^-1 - M^-1 G^T A^-1 G M^-1 of the body that is touched. The impulse is then applied to the whole
-mechanism. Such a visit minimizes the energy over the impulses of a pair and of all joints of its mechanisms.
+A sweep over the contacts takes the bodies of a mechanism for free ones, and the direct solution then stops them again.
+In both together, a figure of 45 kg that lands on a foot of 1 kg loses a fiftieth of its velocity, and impulses of the
+step before that are too large are reduced as slowly: they would add energy. The contacts of a mechanism are therefore
+solved with the velocity that an impulse causes where the joints hold: the response M^-1 - M^-1 G^T A^-1 G M^-1 of the
+body that is touched. The impulse is then applied to the whole mechanism. Such a visit minimizes the energy over the
+impulses of a pair and of all joints of its mechanisms.
+
+The pairs are visited in turns. Those of the same turn have no body and no mechanism in common, so the lanes share them.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import VELOCITY, BodyPair, load_bodies, store_bodies, with_impulse
+from warp_rigid.kernels.common.solver_body import (
+    VELOCITY,
+    BodyPair,
+    inverse_mass_of,
+    load_bodies,
+    store_bodies,
+    with_angular_impulse,
+    with_impulse,
+)
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
 from warp_rigid.kernels.constraints import contact
-from warp_rigid.kernels.constraints.rows import Rows
+from warp_rigid.kernels.constraints.rows import Rows, distribute_load
 from warp_rigid.kernels.enums import IslandSolver, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat66d, vec6d
 from warp_rigid.kernels.joints.factor import substitute
 from warp_rigid.kernels.joints.joint_rows import add_velocity, apply_impulses, is_locked
+from warp_rigid.kernels.joints.mechanism import is_awake, solve_mechanism
 from warp_rigid.kernels.schema import ContactRecord, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
-from warp_rigid.kernels.solve.schedule import CONVERGED, end_of_entries, entry_at, first_of_color, stride_of_color
+from warp_rigid.kernels.solve.schedule import (
+    CONVERGED,
+    end_of_entries,
+    entry_at,
+    first_entry,
+    first_of_color,
+    forget_visits,
+    stride_of_color,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 HEAVY = wp.constant(8.0)
-"""Ratio of masses from which a body that touches a mechanism is a load on it. Sweeps converge up to about ten."""
+"""Ratio of masses from which a body that touches a mechanism is a load on it, and a mechanism one on its lightest body.
+Sweeps converge up to about ten."""
+
+MOST_WORK = wp.constant(2048)
+"""Largest product of a mechanism's bodies and touching pairs with which its contacts are solved where the joints hold,
+unless it carries a load. A visit takes a time proportional to the bodies, too long for a chain on the ground."""
+
+SWEPT, TOUCHED, LOADED = wp.constant(0), wp.constant(1), wp.constant(2)
+"""How the contacts of a mechanism are solved: by sweeps; where the joints hold; and without shock propagation, too."""
 
 PAIR_ROUNDS = wp.constant(4)
 """Maximum rounds over the contacts of a pair in a visit."""
@@ -43,19 +71,59 @@ def weighs_on(b: int, other: int, motions: Motions, joints: Joints):
 
 
 @wp.func
-def find_loaded(team: Team, order: Order, motions: Motions, joints: Joints):
-    """Mark the mechanisms that carry a load. Returns 1 if there are any."""
-    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
-        joints.loaded[m] = 0
+def note_touch(entry: OrderRecord, motions: Motions, joints: Joints):
+    """Count a pair for the mechanisms that it touches, and mark those on which it is a load."""
+    m_a = joints.of_body[entry.body_a]
+    m_b = joints.of_body[entry.body_b]
+    if m_a >= 0:
+        wp.atomic_add(joints.touching, m_a, 1)
+    if m_b >= 0 and m_a != m_b:
+        wp.atomic_add(joints.touching, m_b, 1)
+    if weighs_on(entry.body_a, entry.body_b, motions, joints):
+        joints.loaded[m_b] = LOADED
+    if weighs_on(entry.body_b, entry.body_a, motions, joints):
+        joints.loaded[m_a] = LOADED
+
+
+@wp.func
+def is_heavy(m: int, motions: Motions, joints: Joints):
+    """Whether a mechanism is much heavier than its lightest body."""
+    total = float(0.0)
+    lightest = float(1.0e30)
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        inverse_mass = inverse_mass_of(joints.member[i], motions)
+        if inverse_mass > 0.0:
+            total += 1.0 / inverse_mass
+            lightest = wp.min(lightest, 1.0 / inverse_mass)
+    return total > HEAVY * lightest
+
+
+@wp.func
+def find_touched(team: Team, order: Order, motions: Motions, joints: Joints):
+    """Find the mechanisms whose contacts are solved where the joints hold. Returns 1 if there are any."""
+    begin = joints.first_mechanism[team.env] + team.lane
+    end = joints.first_mechanism[team.env + 1]
+    for m in range(begin, end, team.lanes):
+        joints.loaded[m] = SWEPT
+        joints.touching[m] = 0
     sync_team(team)
-    found = int(0)
     for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
-        entry = entry_at(k, order)
-        if weighs_on(entry.body_a, entry.body_b, motions, joints):
-            joints.loaded[joints.of_body[entry.body_b]] = 1
-            found = 1
-        if weighs_on(entry.body_b, entry.body_a, motions, joints):
-            joints.loaded[joints.of_body[entry.body_a]] = 1
+        note_touch(entry_at(k, order), motions, joints)
+    sync_team(team)
+    for m in range(begin, end, team.lanes):
+        work = joints.touching[m] * (joints.first_member[m + 1] - joints.first_member[m])
+        if joints.loaded[m] == SWEPT and work > 0 and work <= MOST_WORK and is_heavy(m, motions, joints):
+            joints.loaded[m] = TOUCHED
+    sync_team(team)
+    return any_touched(team, joints)
+
+
+@wp.func
+def any_touched(team: Team, joints: Joints):
+    """Whether the contacts of any mechanism of an environment are solved where the joints hold."""
+    found = int(0)
+    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
+        if joints.loaded[m] != SWEPT:
             found = 1
     return any_of_team(found, team)
 
@@ -64,7 +132,7 @@ def find_loaded(team: Team, order: Order, motions: Motions, joints: Joints):
 def leave_out_of_shock(team: Team, motions: Motions, joints: Joints, graph: Graph):
     """Solve the islands of mechanisms that carry loads without shock propagation, whose passes leave the joints out."""
     for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
-        if joints.loaded[m] == 1:
+        if joints.loaded[m] == LOADED:
             for i in range(joints.first_member[m], joints.first_member[m + 1]):
                 b = joints.member[i]
                 if motions.role[b] == Role.FREE:
@@ -73,27 +141,70 @@ def leave_out_of_shock(team: Team, motions: Motions, joints: Joints, graph: Grap
 
 
 @wp.func
+def occupied(b: int, m: int, motions: Motions, joints: Joints):
+    """Body that no other pair of a turn touches: the first of a mechanism, or itself; -1 if it never moves."""
+    if m >= 0:
+        return joints.member[joints.first_member[m]]
+    return wp.where(inverse_mass_of(b, motions) > 0.0, b, -1)
+
+
+@wp.func
+def last_turn(b: int, graph: Graph):
+    """Last turn so far that touches a body, 0 if it never moves."""
+    if b < 0:
+        return 0
+    return graph.changed[b]
+
+
+@wp.func
+def choose_turns(first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, joints: Joints):
+    """Number the turns in which the pairs of mechanisms are visited, in `visited`; it is 0 for all others.
+
+    `changed` holds the last turn so far that touches a body, or the mechanism whose first body it is.
+    """
+    forget_visits(first, last, team, order, graph)
+    sync_team(team)
+    if team.lane == 0:
+        for k in range(order.color_start[team.env, 0], end_of_entries(team.env, order)):
+            entry = entry_at(k, order)
+            if is_visited(entry, joints):
+                a = occupied(entry.body_a, solved_mechanism(entry.body_a, joints), motions, joints)
+                b = occupied(entry.body_b, solved_mechanism(entry.body_b, joints), motions, joints)
+                turn = 1 + wp.max(last_turn(a, graph), last_turn(b, graph))
+                order.entries[k].visited = turn
+                graph.changed[wp.max(a, b)] = turn
+                graph.changed[wp.where(wp.min(a, b) >= 0, wp.min(a, b), wp.max(a, b))] = turn
+    sync_team(team)
+
+
+@wp.func
 def sweep_others(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
-    """As `sweep`, without the contacts that `solve_loads` solves."""
+    """As `sweep`, without the contacts that `solve_touching` solves."""
     change = float(0.0)
     for color in range(order.color_count[team.env]):
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
-            if mechanism_under_load(entry.body_a, joints) == mechanism_under_load(entry.body_b, joints):
+            if not is_visited(entry, joints):
                 change = wp.max(change, solve_constraint(entry, motions, rows))
         sync_team(team)
     return change
 
 
 @wp.func
-def mechanism_under_load(b: int, joints: Joints):
-    """The mechanism of a body if it carries a load, else -1."""
+def solved_mechanism(b: int, joints: Joints):
+    """The mechanism of a body if its contacts are solved where the joints hold, else -1."""
     m = joints.of_body[b]
     if m >= 0:
-        if joints.loaded[m] == 1:
+        if joints.loaded[m] != SWEPT:
             return m
     return -1
+
+
+@wp.func
+def is_visited(entry: OrderRecord, joints: Joints):
+    """Whether a pair is solved where the joints hold: the contacts of a mechanism, also between its own bodies."""
+    return solved_mechanism(entry.body_a, joints) >= 0 or solved_mechanism(entry.body_b, joints) >= 0
 
 
 @wp.func
@@ -191,16 +302,36 @@ def inverse_masses(response: mat66d, arm: wp.vec3, n: wp.vec3, u: wp.vec3):
     )
 
 
+@wp.struct
+class Visit:
+    """A visit of a pair: the bodies, their mechanisms (-1 for none), and what has been applied to them so far.
+
+    `on_a` and `on_b` are impulses and angular impulses on bodies of mechanisms; `change` is the largest velocity change
+    by a contact [m/s]. `share` is a factor on responses: 2 if both bodies belong to the same mechanism, since twice the
+    responses of both are an upper bound of that of their relative motion.
+    """
+
+    a: int
+    b: int
+    m_a: int
+    m_b: int
+    pair: BodyPair
+    on_a: vec6d
+    on_b: vec6d
+    change: float
+    share: wp.float64
+
+
 @wp.func
-def with_responses(row: ContactRecord, a: int, b: int, joints: Joints):
-    """The row with the effective masses of bodies whose mechanisms carry a load."""
-    if mechanism_under_load(a, joints) >= 0:
-        k = inverse_masses(joints.response[a], row.arm_a, row.normal, row.tangent)
+def with_responses(row: ContactRecord, visit: Visit, joints: Joints):
+    """The row with the effective masses of bodies of mechanisms."""
+    if visit.m_a >= 0:
+        k = inverse_masses(visit.share * joints.response[visit.a], row.arm_a, row.normal, row.tangent)
         row.normal_a = float(k[0])
         row.coupling_a = wp.vec2(float(k[1]), float(k[2]))
         row.tangent_a = wp.vec3(float(k[3]), float(k[4]), float(k[5]))
-    if mechanism_under_load(b, joints) >= 0:
-        k = inverse_masses(joints.response[b], row.arm_b, row.normal, row.tangent)
+    if visit.m_b >= 0:
+        k = inverse_masses(visit.share * joints.response[visit.b], row.arm_b, row.normal, row.tangent)
         row.normal_b = float(k[0])
         row.coupling_b = wp.vec2(float(k[1]), float(k[2]))
         row.tangent_b = wp.vec3(float(k[3]), float(k[4]), float(k[5]))
@@ -208,53 +339,119 @@ def with_responses(row: ContactRecord, a: int, b: int, joints: Joints):
 
 
 @wp.func
-def with_velocity(which: int, change: vec6d, pair: BodyPair):
-    """The pair after a change of the velocity of one body: 0 for the first, 1 for the second."""
-    linear = wp.vec3(float(change[0]), float(change[1]), float(change[2]))
-    angular = wp.vec3(float(change[3]), float(change[4]), float(change[5]))
-    if which == 0:
-        pair.linear_a += linear
-        pair.angular_a += angular
-    else:
-        pair.linear_b += linear
-        pair.angular_b += angular
-    return pair
+def linear_part(v: vec6d):
+    """The first three components."""
+    return wp.vec3(float(v[0]), float(v[1]), float(v[2]))
 
 
 @wp.func
-def solve_pair(entry: OrderRecord, m_a: int, m_b: int, motions: Motions, rows: Rows, joints: Joints):
-    """Solve the contacts of a pair, and apply the impulses to both bodies and their mechanisms. Returns the change."""
-    a = entry.body_a
-    b = entry.body_b
-    pair = load_bodies(a, b, wp.where(m_a < 0, 1.0, 0.0), wp.where(m_b < 0, 1.0, 0.0), motions)
-    on_a = vec6d()
-    on_b = vec6d()
-    left = int(PAIR_ROUNDS)
-    first = float(0.0)
-    while left > 0:
-        change = float(0.0)
-        for c in range(entry.begin, entry.end):
-            row = with_responses(contact.read_contact(c, rows.contacts.rows), a, b, joints)
-            old = contact.impulse_of(c, contact.IMPULSE, rows.contacts)
-            new = contact.next_impulse(old, 1.0, 1.0, row, pair)
-            contact.set_impulse(c, contact.IMPULSE, new, rows.contacts)
-            impulse = world_vector(row.normal, row.tangent, new - old)
-            pair = with_impulse(row.arm_a, row.arm_b, impulse, pair)
-            change = wp.max(change, contact.velocity_change(new - old, 1.0, 1.0, row))
-            if m_a >= 0:
-                on_a += wrench(row.arm_a, impulse)
-                pair = with_velocity(0, joints.response[a] * wrench(row.arm_a, impulse), pair)
-            if m_b >= 0:
-                on_b -= wrench(row.arm_b, impulse)
-                pair = with_velocity(1, -(joints.response[b] * wrench(row.arm_b, impulse)), pair)
-        first = wp.max(first, change)
-        left = wp.where(change > CONVERGED, left - 1, 0)
-    store_bodies(a, b, pair, motions)
-    if m_a >= 0:
-        push_mechanism(m_a, a, on_a, motions, joints)
-    if m_b >= 0:
-        push_mechanism(m_b, b, on_b, motions, joints)
-    return first
+def angular_part(v: vec6d):
+    """The last three components."""
+    return wp.vec3(float(v[3]), float(v[4]), float(v[5]))
+
+
+@wp.func
+def with_wrenches(on_a: vec6d, on_b: vec6d, visit: Visit, joints: Joints):
+    """The visit after impulses and angular impulses on those of its bodies that belong to mechanisms."""
+    if visit.m_a >= 0:
+        visit.on_a += on_a
+        change = visit.share * (joints.response[visit.a] * on_a)
+        visit.pair.linear_a += linear_part(change)
+        visit.pair.angular_a += angular_part(change)
+    if visit.m_b >= 0:
+        visit.on_b += on_b
+        change = visit.share * (joints.response[visit.b] * on_b)
+        visit.pair.linear_b += linear_part(change)
+        visit.pair.angular_b += angular_part(change)
+    return visit
+
+
+@wp.func
+def pushed(row: ContactRecord, impulse: wp.vec3, visit: Visit, joints: Joints):
+    """The visit after an impulse of a contact on the first body, and its opposite on the second."""
+    visit.pair = with_impulse(row.arm_a, row.arm_b, impulse, visit.pair)
+    return with_wrenches(wrench(row.arm_a, impulse), -wrench(row.arm_b, impulse), visit, joints)
+
+
+@wp.func
+def turned(angular_impulse: wp.vec3, visit: Visit, joints: Joints):
+    """The visit after an angular impulse on the first body, and its opposite on the second."""
+    visit.pair = with_angular_impulse(angular_impulse, visit.pair)
+    turn = wp.vec3d(angular_impulse)
+    zero = wp.float64(0.0)
+    twist = vec6d(zero, zero, zero, turn[0], turn[1], turn[2])
+    return with_wrenches(twist, -twist, visit, joints)
+
+
+@wp.func
+def angular_response(response: mat66d):
+    """Angular velocity of a body per angular impulse where the joints hold."""
+    block = wp.mat33()
+    for i in range(3):
+        for k in range(3):
+            block[i, k] = float(response[3 + i, 3 + k])
+    return block
+
+
+@wp.func
+def roll(c: int, row: ContactRecord, visit: Visit, rows: Rows, joints: Joints):
+    """The visit after rolling and spinning friction of a contact."""
+    pair = visit.pair
+    if visit.m_a >= 0:
+        pair.inverse_inertia_a = angular_response(visit.share * joints.response[visit.a])
+    if visit.m_b >= 0:
+        pair.inverse_inertia_b = angular_response(visit.share * joints.response[visit.b])
+    old = contact.impulse_of(c, contact.ANGULAR_IMPULSE, rows.contacts)
+    load = contact.impulse_of(c, contact.IMPULSE, rows.contacts)[0]
+    pair = contact.solve_rolling(c, load, row, pair, rows.contacts)
+    new = contact.impulse_of(c, contact.ANGULAR_IMPULSE, rows.contacts)
+    # An angular impulse on a body of a mechanism moves its centre of mass, too.
+    return turned(world_vector(row.normal, row.tangent, new - old), visit, joints)
+
+
+@wp.func
+def touch(c: int, visit: Visit, rows: Rows, joints: Joints):
+    """The visit after the solution of a contact."""
+    row = with_responses(contact.read_contact(c, rows.contacts.rows), visit, joints)
+    old = contact.impulse_of(c, contact.IMPULSE, rows.contacts)
+    new = contact.next_impulse(old, 1.0, 1.0, row, visit.pair)
+    contact.set_impulse(c, contact.IMPULSE, new, rows.contacts)
+    visit.change = wp.max(visit.change, contact.velocity_change(new - old, 1.0, 1.0, row))
+    visit = pushed(row, world_vector(row.normal, row.tangent, new - old), visit, joints)
+    if row.rolling_friction + row.spinning_friction > 0.0:
+        visit = roll(c, row, visit, rows, joints)
+    return visit
+
+
+@wp.func
+def open_visit(entry: OrderRecord, motions: Motions, joints: Joints):
+    """A visit of a pair, whose bodies have their responses."""
+    visit = Visit()
+    visit.a = entry.body_a
+    visit.b = entry.body_b
+    visit.m_a = solved_mechanism(visit.a, joints)
+    visit.m_b = solved_mechanism(visit.b, joints)
+    visit.share = wp.float64(wp.where(visit.m_a == visit.m_b, 2.0, 1.0))
+    if visit.m_a >= 0:
+        store_response(visit.m_a, visit.a, joints)
+    if visit.m_b >= 0:
+        store_response(visit.m_b, visit.b, joints)
+    share_a = wp.where(visit.m_a < 0, 1.0, 0.0)
+    visit.pair = load_bodies(visit.a, visit.b, share_a, wp.where(visit.m_b < 0, 1.0, 0.0), motions)
+    return visit
+
+
+@wp.func
+def warm_started(entry: OrderRecord, visit: Visit, rows: Rows, joints: Joints):
+    """The visit after the initial impulses of a pair."""
+    distribute_load(entry.kind, entry.begin, entry.end, rows)
+    for c in range(entry.begin, entry.end):
+        row = contact.read_contact(c, rows.contacts.rows)
+        impulse = contact.impulse_of(c, contact.IMPULSE, rows.contacts)
+        visit = pushed(row, world_vector(row.normal, row.tangent, impulse), visit, joints)
+        angular_impulse = contact.impulse_of(c, contact.ANGULAR_IMPULSE, rows.contacts)
+        visit = turned(world_vector(row.normal, row.tangent, angular_impulse), visit, joints)
+    return visit
 
 
 @wp.func
@@ -271,22 +468,56 @@ def push_mechanism(m: int, b: int, impulse: vec6d, motions: Motions, joints: Joi
 
 
 @wp.func
-def solve_loads(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
-    """Solve all contacts of mechanisms that carry loads, one pair after another. Returns a lane's largest change [m/s].
+def visit_pair(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
+    """Solve a pair with its responses, or apply its initial impulses (`start`). Returns the largest change [m/s]."""
+    visit = open_visit(entry, motions, joints)
+    first = float(0.0)
+    if start == 1:
+        visit = warm_started(entry, visit, rows, joints)
+    else:
+        left = int(PAIR_ROUNDS)
+        while left > 0:
+            visit.change = 0.0
+            for c in range(entry.begin, entry.end):
+                visit = touch(c, visit, rows, joints)
+            first = wp.max(first, visit.change)
+            left = wp.where(visit.change > CONVERGED, left - 1, 0)
+    store_bodies(visit.a, visit.b, visit.pair, motions)
+    if visit.m_a >= 0:
+        push_mechanism(visit.m_a, visit.a, visit.on_a, motions, joints)
+    if visit.m_b >= 0:
+        push_mechanism(visit.m_b, visit.b, visit.on_b, motions, joints)
+    return first
 
-    Contacts between bodies of the same mechanism are left to the sweeps.
+
+@wp.func
+def solve_joints(team: Team, dt: float, motions: Motions, joints: Joints):
+    """Solve all mechanisms of an environment. Returns a lane's largest residual [m/s]."""
+    change = float(0.0)
+    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
+        if is_awake(m, motions, joints):
+            change = wp.max(change, solve_mechanism(m, dt, False, motions, joints))
+    sync_team(team)
+    return change
+
+
+@wp.func
+def solve_touching(start: int, team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
+    """Visit all contacts of mechanisms, turn by turn. Returns a lane's largest change [m/s].
+
+    `start`: 1 to apply the initial impulses.
     """
     change = float(0.0)
-    if team.lane == 0:
-        for k in range(order.color_start[team.env, 0], end_of_entries(team.env, order)):
+    turn = int(1)
+    left = int(1)
+    while left == 1:
+        later = int(0)
+        for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
             entry = entry_at(k, order)
-            m_a = mechanism_under_load(entry.body_a, joints)
-            m_b = mechanism_under_load(entry.body_b, joints)
-            if m_a != m_b:
-                if m_a >= 0:
-                    store_response(m_a, entry.body_a, joints)
-                if m_b >= 0:
-                    store_response(m_b, entry.body_b, joints)
-                change = wp.max(change, solve_pair(entry, m_a, m_b, motions, rows, joints))
-    sync_team(team)
+            if entry.visited == turn:
+                change = wp.max(change, visit_pair(start, entry, motions, rows, joints))
+            if entry.visited > turn:
+                later = 1
+        turn += 1
+        left = any_of_team(later, team)
     return change

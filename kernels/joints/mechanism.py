@@ -12,6 +12,7 @@ from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
     IDLE,
+    damping_slope,
     drive_slope,
     excess_of,
     first_mode,
@@ -26,6 +27,7 @@ from warp_rigid.kernels.joints.joint_rows import (
     apply_impulses,
     build_rows,
     has_coordinate,
+    is_damped,
     is_locked,
     row_velocities,
     stabilize,
@@ -169,6 +171,8 @@ def residual_of(j: int, dt: float, motions: Motions, joints: Joints):
         if is_locked(joints.active[j], k):
             if k == row:
                 residual[k] = coordinate_residual(j, row, dt, speeds, joints)
+            elif is_damped(j, k, joints):
+                residual[k] = speeds[k] + joints.total[j][k] / damping_slope(j, wp.float64(dt), joints)
             else:
                 residual[k] = speeds[k] + joints.bias[j][k] - joints.allowed[j][k] / wp.float64(dt)
     return residual
@@ -312,7 +316,8 @@ def project(m: int, which: int, motions: Motions, joints: Joints):
         speeds = row_velocities(j, which, motions, joints)
         row = free_row(joints.coordinate[j])
         for k in range(6):
-            if not is_locked(joints.active[j], k) or (k == row and not is_held(joints.mode[j])):
+            is_driven = is_damped(j, k, joints) or (k == row and not is_held(joints.mode[j]))
+            if is_driven or not is_locked(joints.active[j], k):
                 speeds[k] = wp.float64(0.0)
         joints.solution[j] = speeds
     substitute(m, joints)

@@ -48,6 +48,16 @@ def solve_constraint(entry: OrderRecord, motions: Motions, rows: Rows):
     return pair.change
 
 
+@wp.func
+def warm_start_pair(entry: OrderRecord, motions: Motions, rows: Rows):
+    """Apply the initial impulses of a constraint."""
+    pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
+    distribute_load(entry.kind, entry.begin, entry.end, rows)
+    for row in range(entry.begin, entry.end):
+        pair = apply_row(entry.kind, row, pair, rows)
+    store_bodies(entry.body_a, entry.body_b, pair, motions)
+
+
 @wp.kernel
 def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
     """One team per environment: apply the initial impulses of the rows."""
@@ -58,12 +68,7 @@ def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motio
     for color in range(order.color_count[env]):
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-            entry = entry_at(k, order)
-            pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
-            distribute_load(entry.kind, entry.begin, entry.end, rows)
-            for row in range(entry.begin, entry.end):
-                pair = apply_row(entry.kind, row, pair, rows)
-            store_bodies(entry.body_a, entry.body_b, pair, motions)
+            warm_start_pair(entry_at(k, order), motions, rows)
         sync_team(team)
 
 

@@ -12,6 +12,8 @@ from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.scenes.demo import Verdict, below
 
 X = (1.0, 0.0, 0.0)
+PASSIVE = 0.5
+"""Damping of a ragdoll's joints [N m s/rad], about that of relaxed human ones."""
 
 
 def anchor_errors(sim: Any) -> np.ndarray:
@@ -54,8 +56,11 @@ class ClosedJointsOutcome:
         return below("opened", self.opened, limit, f"no joint open by {1e3 * limit:g} mm", {"default": True})
 
 
-def add_ragdoll(scene: Scene, place: Any, name: str) -> None:
-    """Add a ragdoll of fifteen bodies that stands upright with its hip at a point [m]."""
+def add_ragdoll(scene: Scene, place: Any, name: str, damping: float = PASSIVE) -> None:
+    """Add a ragdoll of fourteen bodies that stands upright with its hip at a point [m].
+
+    Its joints are damped [N m s/rad]; without damping, limbs that hang freely swing and turn without end.
+    """
     x, y, z = place
     friction = 0.6
 
@@ -64,7 +69,8 @@ def add_ragdoll(scene: Scene, place: Any, name: str) -> None:
         return scene.add_body(shape, position=at, friction=friction, name=f"{name}_{label}")
 
     def joined(joint, body, other, offset):
-        scene.add_joint(joint, body, other, anchor=(x + offset[0], y + offset[1], z + offset[2]))
+        index = scene.add_joint(joint, body, other, anchor=(x + offset[0], y + offset[1], z + offset[2]))
+        scene.add_drive(index, damping=damping)
 
     hip = part(Box((0.14, 0.08, 0.07)), (0, 0, 0), "hip")
     belly = part(Box((0.12, 0.07, 0.06)), (0, 0, 0.15), "belly")

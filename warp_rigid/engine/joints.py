@@ -195,6 +195,18 @@ class JointStages:
             inputs = [step.dt, step.model.bodies, step.state]
             self._per_mechanism(self.kernels.start_joints, inputs, [step.motions, self.arrays])
 
+    def warm_start(self, otherwise: Any) -> None:
+        """Initial impulses of contacts; those of mechanisms are applied before the first sweep.
+
+        `otherwise`: the kernel where there are no joints.
+        """
+        step = self._step
+        inputs = [step.pools.order, step.pools.graph, step.motions, step.constraint_rows]
+        if self.present:
+            self._per_team(self.kernels.warm_start_with_joints, [*inputs, self.arrays])
+        else:
+            self._per_team(otherwise, inputs)
+
     def sweep(self, after_shock: int) -> None:
         """Sweeps over the contacts, with a direct solution of the mechanisms after each."""
         step = self._step

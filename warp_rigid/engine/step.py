@@ -303,7 +303,7 @@ class Stages:
     @stage
     def solve_contacts(self) -> None:
         """Contact solver: warm start, sweeps, shock propagation, sweeps; rounds for heaps."""
-        self._color_by_color(gauss_seidel.warm_start)
+        self.joints.warm_start(gauss_seidel.warm_start)
         self.sweep_constraints(after_shock=0)
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)

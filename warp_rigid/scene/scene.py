@@ -363,9 +363,11 @@ class Scene:
     ) -> None:
         """Drive a revolute or prismatic joint by stiffness (target_position - q) + damping (target_velocity - v).
 
+        A spherical joint can be damped: a torque of `damping` times its angular velocity acts against all rotations.
+
         Args:
             joint: index of the joint.
-            stiffness: [N m/rad] for a revolute joint, [N/m] for a prismatic one.
+            stiffness: [N m/rad] for a revolute joint, [N/m] for a prismatic one, 0 for a spherical one.
             damping: [N m s/rad] or [N s/m].
             max_force: largest torque [N m] or force [N].
             target_position: [rad] or [m]; `Simulator.set("joint_target_position", ...)` changes it.
@@ -375,10 +377,13 @@ class Scene:
             ValueError: There is no such joint, it cannot be driven, or a value is outside its range.
         """
         entry = self.joints[whole_in("joint", joint, 0, len(self.joints) - 1)]
-        if entry.joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
-            kind = type(entry.joint).__name__
-            raise ValueError(f"joint: a drive needs a RevoluteJoint or a PrismaticJoint, got a {kind}")
         drive = Drive(stiffness, damping, max_force, target_position, target_velocity)
+        kind = type(entry.joint).__name__
+        if entry.joint.coordinate == Coordinate.CONE:
+            if drive != Drive(damping=drive.damping):
+                raise ValueError(f"joint: a {kind} can be damped, but not driven: only damping can be given")
+        elif entry.joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
+            raise ValueError(f"joint: a drive needs a RevoluteJoint or a PrismaticJoint, got a {kind}")
         self.joints[joint] = replace(entry, drive=drive)
 
     def _check_shape(self, shape, motion):

@@ -188,16 +188,17 @@ class JointReader:
 
     def _units(self, kind: Any) -> tuple[float, float]:
         """Units of force or torque, and of the coordinate, of a joint in the file."""
-        angular = kind == Types.RevoluteJoint
+        angular = kind in (Types.RevoluteJoint, Types.SphericalJoint)
         force = self._kilogram * self._meter * (self._meter if angular else 1.0)
         return force, math.pi / 180.0 if angular else self._meter
 
     def _add_drive(self, joint: int, prim: Usd.Prim, description: Any) -> None:
-        """Add the drive of a revolute or prismatic joint, in SI units; damping alone is a drive without stiffness."""
-        if self._scene.joints[joint].joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
+        """Add the drive or the damping of a joint, in SI units; damping alone is a drive without stiffness."""
+        coordinate = self._scene.joints[joint].joint.coordinate
+        if coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE, Coordinate.CONE):
             return
         force, unit = self._units(description.type)
-        passive = _authored(prim, "newton:damping") * force / unit
+        passive = float(custom_data(prim).get("damping", 0.0)) or _authored(prim, "newton:damping") * force / unit
         drive = getattr(description, "drive", None)
         if drive is None or not drive.enabled:
             if passive > 0.0:
@@ -247,7 +248,7 @@ def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, paths: list[str]
         entry: the joint.
         paths: paths of the bodies.
     """
-    drive = entry.drive
+    drive = entry.drive if entry.joint.coordinate != Coordinate.CONE else None
     angular = entry.joint.coordinate == Coordinate.ANGLE
     kind = "angular" if angular else "linear"
     prim = define(layer, path, f"Physics{type(entry.joint).__name__}", [f"PhysicsDriveAPI:{kind}"] if drive else [])
@@ -260,8 +261,10 @@ def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, paths: list[str]
     set_attribute(prim, "physics:breakForce", NAMES.Float, entry.break_force)
     set_attribute(prim, "physics:breakTorque", NAMES.Float, entry.break_torque)
     _write_limits(prim, entry.joint)
-    if entry.joint.resistance > 0.0:
-        prim.SetInfo("customData", {MARK: {"friction": entry.joint.resistance}})
+    damping = entry.drive.damping if entry.drive is not None and drive is None else 0.0
+    own = {"friction": entry.joint.resistance, "damping": damping}
+    if any(own.values()):
+        prim.SetInfo("customData", {MARK: {name: value for name, value in own.items() if value > 0.0}})
     if drive is not None:
         unit = math.pi / 180.0 if angular else 1.0
         values = {
