@@ -182,12 +182,12 @@ def trace_edge(
     arm: wp.vec3,
     slide: wp.vec3,
     radius: float,
-    allowed: float,
-    tolerance: float,
+    near: float,
     begin: float,
     end: float,
+    size: float,
 ):
-    """`trace` for a whole segment, arm +- slide, against a convex shape.
+    """`trace` for a whole segment, arm +- slide, against a convex shape; see `trace_sample` for `near` and `begin`.
 
     The tangent at the deepest point bounds the distance of both ends, and so of all points between them, if its slope
     along the segment is small. The slope is large where edges cross below the surface; there, the speed alone is used.
@@ -197,14 +197,22 @@ def trace_edge(
     away = wp.length(own.center - other.center) + reach
     speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * reach + other_spin * away
     curve = wp.length_sq(own.angular) * reach + other_spin * (2.0 * speed + other_spin * away)
-    t = float(begin)
-    for _round in range(ROUNDS):
+    allowed = DEPTH * size
+    t = float(0.0)
+    for round in range(ROUNDS):
         low = place_at(own, other, arm - slide, t)
         high = place_at(own, other, arm + slide, t)
         half = 0.5 * (high - low)
         place, d = deepest_place(shapes, other.shape, low + half, half)
+        if round == 0:
+            # The gap at the start of the step decides how deep the segment may penetrate.
+            if d[3] - radius < near:
+                allowed = near - wp.min(d[3] - radius, 0.0)
+            elif begin > 0.0:
+                t = begin
+                continue
         left = d[3] - radius + allowed
-        if left < tolerance:
+        if left < CLOSE_ENOUGH * size:
             return t
         rise = slope(d, half)
         bound = left - wp.max((place - 1.0) * rise, (place + 1.0) * rise)
@@ -219,29 +227,6 @@ def trace_edge(
         if t >= end:
             return end
     return t
-
-
-@wp.func
-def trace_segment(
-    shapes: Shapes, own: Course, other: Course, s: int, near: float, begin: float, end: float, size: float
-):
-    """Time at which an edge sample would penetrate the other, convex body too deep; see `trace_sample`."""
-    arm = wp.quat_rotate(own.turn, shapes.samples[s].point - own.local_center)
-    slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
-    radius = shapes.samples[s].radius
-    tolerance = CLOSE_ENOUGH * size
-    at = trace(shapes, own, other, arm, radius + wp.length(slide), 0.0, 0.0, tolerance, begin, end)
-    if at >= end:
-        return end
-    low = place_at(own, other, arm - slide, 0.0)
-    half = 0.5 * (place_at(own, other, arm + slide, 0.0) - low)
-    _place, d = deepest_place(shapes, other.shape, low + half, half)
-    gap = d[3] - radius
-    allowed = DEPTH * size
-    if gap < near:
-        allowed = near - wp.min(gap, 0.0)
-        at = 0.0
-    return trace_edge(shapes, own, other, arm, slide, radius, allowed, tolerance, at, end)
 
 
 @wp.func
@@ -277,33 +262,44 @@ def gap_of(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, p
 
 
 @wp.func
-def trace_sample(
-    shapes: Shapes,
-    own: Course,
-    other: Course,
-    p: wp.vec3,
-    radius: float,
-    near: float,
-    begin: float,
-    end: float,
-    passage: Passage,
-):
+def trace_sample(shapes: Shapes, own: Course, other: Course, s: int, begin: float, end: float, passage: Passage):
     """Time at which a sample would penetrate the other body too deep, or `end`; this cannot happen before `begin`.
 
     A sample that starts closer than `near` is handled by the solver, and may penetrate deeper by `near`. A sample that
-    moves little is not traced if it is clear.
+    moves little is not traced if it is clear. An edge and a convex shape are traced first with the bounding sphere of
+    the edge.
     """
-    arm = wp.quat_rotate(own.turn, p - own.local_center)
-    path = path_length(own, other, arm, passage)
-    gap = gap_of(shapes, other.shape, p, radius, path, passage)
-    allowed = DEPTH * passage.size
-    earliest = float(begin)
-    if gap < near:
-        allowed = near - wp.min(gap, 0.0)
-        earliest = 0.0
-    if gap + allowed > path:
+    p = own.local_center
+    radius = float(0.0)
+    near = DEPTH * passage.size
+    kind = int(SampleKind.POINT)
+    if s >= 0:
+        p = shapes.samples[s].point
+        radius = shapes.samples[s].radius
+        near = passage.near
+        kind = shapes.samples[s].kind
+    if kind == SampleKind.RIM:
         return end
-    return trace(shapes, own, other, arm, radius, allowed, 0.0, CLOSE_ENOUGH * passage.size, earliest, end)
+    arm = wp.quat_rotate(own.turn, p - own.local_center)
+    slide = wp.vec3(0.0, 0.0, 0.0)
+    allowed = float(0.0)
+    earliest = float(begin)
+    if kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
+        slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
+    else:
+        path = path_length(own, other, arm, passage)
+        gap = gap_of(shapes, other.shape, p, radius, path, passage)
+        allowed = DEPTH * passage.size
+        if gap < near:
+            allowed = near - wp.min(gap, 0.0)
+            earliest = 0.0
+        if gap + allowed > path:
+            return end
+    reach = wp.length(slide)
+    at = trace(shapes, own, other, arm, radius + reach, allowed, 0.0, CLOSE_ENOUGH * passage.size, earliest, end)
+    if reach > 0.0 and at < end:
+        at = trace_edge(shapes, own, other, arm, slide, radius, near, at, end, passage.size)
+    return at
 
 
 @wp.func
@@ -324,19 +320,7 @@ def trace_samples(
     """
     earliest = float(end)
     for s in range(ball.sample_start + lane, ball.sample_end, lanes):
-        p = own.local_center
-        radius = float(0.0)
-        near = DEPTH * passage.size
-        kind = int(SampleKind.POINT)
-        if s >= 0:
-            p = shapes.samples[s].point
-            radius = shapes.samples[s].radius
-            near = passage.near
-            kind = shapes.samples[s].kind
-        if kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1:
-            earliest = trace_segment(shapes, own, other, s, near, begin, earliest, passage.size)
-        elif kind != SampleKind.RIM:
-            earliest = trace_sample(shapes, own, other, p, radius, near, begin, earliest, passage)
+        earliest = trace_sample(shapes, own, other, s, begin, earliest, passage)
     return earliest
 
 

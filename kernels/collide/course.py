@@ -125,10 +125,15 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
         return False
     if not is_solid(shapes, own.shape) or not is_solid(shapes, other.shape):
         return False
-    allowed = wp.min(gap_along(solids_at(own, other, 0.0, size), shapes, axis), 0.0) - DEPTH * size
-    for half in range(1, 3):
-        if gap_along(solids_at(own, other, 0.5 * float(half) * dt, size), shapes, axis) < allowed:
+    allowed = float(0.0)
+    halves = int(0)
+    while halves < 3:
+        gap = gap_along(solids_at(own, other, 0.5 * float(halves) * dt, size), shapes, axis)
+        if halves == 0:
+            allowed = wp.min(gap, 0.0) - DEPTH * size
+        elif gap < allowed:
             return False
+        halves += 1
     return True
 
 
