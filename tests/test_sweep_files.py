@@ -32,7 +32,7 @@ def runs_done(monkeypatch):
     """How many runs each batch had."""
     sizes, inner = [], batch_module._run
     monkeypatch.setattr(
-        batch_module, "_run", lambda job, runs, start: sizes.append(len(runs)) or inner(job, runs, start)
+        batch_module, "_run", lambda job, made, start: sizes.append(len(made.runs)) or inner(job, made, start)
     )
     return sizes
 

@@ -190,11 +190,12 @@ def close_step(envs: Environments):
 
 @wp.func
 def without_added_speed(v: wp.vec3, a: wp.vec3, missed: wp.vec3):
-    """Velocity without the speed that an acceleration added over a displacement that the body did not make."""
+    """Velocity without the kinetic energy that an acceleration gave over a displacement that the body did not make."""
+    work = wp.dot(a, missed)
     squared = wp.length_sq(v)
-    if squared == 0.0:
+    if work == 0.0 or squared == 0.0:
         return v
-    return v - (wp.dot(a, missed) / squared) * v
+    return wp.sqrt(wp.max(squared - 2.0 * work, 0.0) / squared) * v
 
 
 @wp.func
