@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WARM_SECONDS = 2.0
 COLD_KERNELS = 10.5
 """A cold start may cost as much processor time as so many processes that compile one small kernel, each 2.4 s on an
-idle machine: 8.7 to 9.5 of them now, 12 with all kernels at once. Both grow alike where other programs share cores.
+idle machine: 8.7 to 9.5 of them now, 15 with all kernels at once. Both grow alike where other programs share cores.
 """
 
 ONE_KERNEL = """
