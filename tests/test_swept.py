@@ -20,6 +20,7 @@ from tests.oracles import (
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels.collide import ccd
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Cylinder, Heightfield, Mesh, Plane, Sphere
 from warp_rigid.scenes.builders import meshes
@@ -319,3 +320,21 @@ def test_a_body_that_is_hit_does_not_enter_its_neighbour(device):
         sim.step()
         assert sim.penetration().max() < 0.025 * 0.4
     np.testing.assert_allclose(sim.get("linear_velocity")[0] @ along, 200 / 12, rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["brick", "cylinder", "bunny"])
+def test_the_number_of_teams_of_a_pair_does_not_matter(device, name):
+    """The first impacts of tumbling bodies and a wall are the same, bit for bit, for one team, two and eight."""
+    sim = fired(device, WALLS["mesh plate"](), BODIES[name]())
+    stages = stages_of(sim)
+    sim.step(1)
+    found = []
+    for sharing in (1, 2, 8):
+        stages.trace_sharing = sharing
+        stages._per_body(ccd.limit_travel, [stages.dt], [stages.motions])
+        stages._limit_motion(turn=0)
+        found.append((stages.motions.first_impact.numpy(), stages.motions.next_time_of_impact.numpy()))
+    assert (found[0][0] < int(ccd.NO_IMPACT)).any()
+    for impact, time_of_impact in found[1:]:
+        np.testing.assert_array_equal(impact, found[0][0])
+        np.testing.assert_array_equal(time_of_impact, found[0][1])

@@ -91,6 +91,8 @@ def load_kernels(
             return [team.BLOCK, team.SMALL_BLOCK]
         if module is narrowphase:
             return sorted(set(search_blocks))
+        if module is ccd:
+            return [team.SMALL_BLOCK]
         return [team.BLOCK]
 
     jobs = [(module, block) for module in modules for block in blocks_of(module)]

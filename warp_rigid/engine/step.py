@@ -104,7 +104,9 @@ class Stages:
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
         self.crowded = layout.most_bodies > crowd.CROWDED
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
-        self.search_lanes, self.search_block = teams.search_team(layout.has_many_samples)
+        self.search_lanes, search_block = teams.search_team(layout.has_many_samples)
+        self.trace_sharing = teams.trace_sharing(self.device, layout.has_many_samples)
+        self.blocks = {narrowphase.keep_contacts.module: search_block, ccd.limit_motion.module: team.SMALL_BLOCK}
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
         self.grid = HashGrid(model, pools.sizes, self.device)
@@ -122,7 +124,7 @@ class Stages:
             ((self.joints.kernels,), self.joints.present),
         )
         modules = [module for modules, used in optional if used for module in modules]
-        loading.load_kernels(self.device, modules, [self.lanes], [self.search_block])
+        loading.load_kernels(self.device, modules, [self.lanes], [search_block])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -379,17 +381,12 @@ class Stages:
         cuda = self.device.is_cuda
         lanes = teams.ROUND_LANES if cuda else 1
         threads = min(self.pools.sizes["constraints"] * lanes, teams.most_lanes(self.device)) if cuda else 1
+        block = team.SMALL_BLOCK if cuda else 1
 
         def group() -> None:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
-                wp.launch(
-                    kernel,
-                    dim=threads,
-                    inputs=[place, threads, lanes, some],
-                    outputs=changed,
-                    block_dim=team.SMALL_BLOCK if cuda else 1,
-                    device=self.device,
-                )
+                inputs = [place, threads, lanes, some]
+                wp.launch(kernel, threads, inputs, changed, block_dim=block, device=self.device)
             wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
 
         wp.capture_while(some.again, group)
@@ -553,11 +550,13 @@ class Stages:
 
     def _limit_motion(self, turn: int) -> None:
         """One round of continuous collision detection: over all pairs, or again over those of bodies that were hit."""
-        pairs, inputs = self.pools.pairs, [self.dt, self.model.shapes, self.model.bodies, self.state]
+        pairs, size = self.pools.pairs, self.pools.sizes["pairs"]
+        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state]
         listed = [*inputs, self.envs, self.motions]
         pairs.fast_count.zero_()
-        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [turn], listed, [pairs])
-        self._share_pairs(ccd.limit_motion, teams.TRACE_LANES, [*inputs, pairs], [self.motions])
+        self._shared(ccd.list_fast_pairs, size, [turn], listed, [pairs])
+        before, tasks = [self.trace_sharing], self.trace_sharing * size
+        self._share(ccd.limit_motion, tasks, teams.TRACE_LANES, before, [*inputs, pairs], [self.motions])
         self._per_body(ccd.change_courses, [pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
@@ -582,7 +581,7 @@ class Stages:
         self._launch(kernel, threads, [*before, threads, *inputs], outputs)
 
     def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
-        block = self.search_block if kernel.module is narrowphase.search_contacts.module else team.BLOCK
+        block = self.blocks.get(kernel.module, team.BLOCK)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:

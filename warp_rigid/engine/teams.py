@@ -55,3 +55,18 @@ def search_team(many_samples: bool) -> tuple[int, int]:
         many_samples: whether a shape has hundreds of samples.
     """
     return (WARP, team.SMALL_BLOCK) if many_samples else (4, team.BLOCK)
+
+
+def trace_sharing(device: Any, many_samples: bool) -> int:
+    """Number of teams that share the trace of a pair: half of them trace the samples of each body.
+
+    Few pairs are traced in a step, so that the slowest one would decide on the time. On the CPU, the time of impact of
+    one body shortens the traces of the other.
+
+    Args:
+        device: the Warp device.
+        many_samples: whether a shape has hundreds of samples.
+    """
+    if not device.is_cuda:
+        return 1
+    return 8 if many_samples else 2

@@ -1,0 +1,455 @@
+"""Traces: the time in a step at which a sample, an edge or a bounding sphere of a body reaches another body.
+
+A trace is conservative advancement: the distance of the other body bounds how far the point can move without reaching
+it. For a convex distance, the safe step is bounded by the tangent of the distance and the curvature of the motion. A
+few rounds are enough, and motion along a surface is not limited. For other distances it is bounded by the speed alone.
+Edges are traced as whole segments, at their deepest point, because no sample point need be close to where two edges
+cross.
+
+A team of lanes traces the samples of the clusters that reach the other body. Most of them turn out to stay clear at the
+first look. The others are queued, and traced together when there is one for each lane: their traces take most of the
+time, and their samples are in different clusters.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.course import DEPTH, FAST, Course, Passage, closing_speed, place_at
+from warp_rigid.kernels.collide.culling import matters, out_of_box
+from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.samples import gradient, slope
+from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
+from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, min_of_lanes
+from warp_rigid.kernels.enums import PartKind, SampleKind
+from warp_rigid.kernels.schema import Shapes
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+CLOSE_ENOUGH = wp.constant(2.0e-3)
+"""A trace ends when the remaining distance is below this fraction of the smaller size."""
+
+ROUNDS = wp.constant(64)
+"""Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""
+
+
+EDGE_ROUNDS = wp.constant(4)
+"""Rounds of the search for the deepest point of an edge; a V-shaped distance takes one."""
+
+CLEAR = wp.constant(-2)
+"""Index in place of a sample that need not be traced."""
+
+
+@wp.struct
+class Ball:
+    """A bounding sphere in the frame of the shape, and its samples; the sample -1 is the centre of the body."""
+
+    center: wp.vec3
+    radius: float
+    sample_start: int
+    sample_end: int
+
+
+@wp.struct
+class Suspect:
+    """A sample that must be traced from a time on, and may penetrate the other body as deep as `allowed` [m]."""
+
+    sample: int
+    begin: float
+    allowed: float
+
+
+@wp.struct
+class TraceQueue:
+    """Samples that a team will trace together, and its progress through those of the clusters that it has reached.
+
+    `clusters`: bits of the lanes whose clusters are still to be visited. `sample`, `sample_end`, `begin`: samples to be
+    looked at next, and the time at which the sphere of their cluster is reached. `looked_at`: the sample that this lane
+    looked at last; `waiting`: bits of the lanes in which it must be traced and is not in the queue. `queued`: number of
+    samples in the queue; `traced`: that of this lane.
+    """
+
+    clusters: wp.uint32
+    sample: int
+    sample_end: int
+    begin: float
+    looked_at: Suspect
+    waiting: wp.uint32
+    queued: int
+    traced: Suspect
+
+
+@wp.func
+def lead(shapes: Shapes, shape: int, x: wp.vec3, left: float, ball: float):
+    """Distance that a sphere about x can move in any direction without touching the shape.
+
+    The height above a height field is valid only near the point; the distance to its highest point is valid everywhere.
+    """
+    part = shapes.shapes[shape].part_start
+    if shapes.parts[part].kind != PartKind.HEIGHTFIELD:
+        return left
+    size = shapes.parts[part].size
+    dims = shapes.parts[part].grid_dims
+    cell = wp.min(size[0] / float(dims[0] - 1), size[1] / float(dims[1] - 1))
+    return wp.max(x[2] - ball - shapes.shapes[shape].upper[2], wp.min(left, 0.5 * cell))
+
+
+@wp.func
+def trace(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    arm: wp.vec3,
+    radius: float,
+    allowed: float,
+    slack: float,
+    tolerance: float,
+    begin: float,
+    end: float,
+):
+    """First time after `begin` at which a sphere at `arm` penetrates the other body deeper than allowed, or `end`.
+
+    With a `slack` other than zero, the distance to a mesh is that of its grid, which may be that much too large.
+    """
+    other_spin = wp.length(other.angular)
+    away = wp.length(own.center + arm - other.center)
+    speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * wp.length(arm) + other_spin * away
+    curve = wp.length_sq(own.angular) * wp.length(arm) + other_spin * (2.0 * speed + other_spin * away)
+    near = wp.where(slack > 0.0, -FAR, radius + shapes.shapes[other.shape].cell)
+    t = float(begin)
+    for _round in range(ROUNDS):
+        x = place_at(own, other, arm, t)
+        d = signed_distance(shapes, other.shape, x, near)
+        left = d[3] - slack - radius + allowed
+        if left < tolerance:
+            return t
+        if shapes.shapes[other.shape].convex == 1:
+            closing = closing_speed(own, other, arm, x, wp.vec3(d[0], d[1], d[2]), t)
+            t += 2.0 * left / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * left), 1.0e-12)
+        else:
+            t += lead(shapes, other.shape, x, left, radius - allowed) / wp.max(speed, 1.0e-12)
+        if t >= end:
+            return end
+    return t
+
+
+@wp.func
+def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
+    """Deepest point of a segment, middle +- slide, in a convex shape: parameter from -1 to 1, and distance.
+
+    Each round replaces one end of the interval by the intersection of the tangents at both ends, as in samples.py.
+    """
+    low = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    high = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    left = float(-1.0)
+    right = float(1.0)
+    place = float(0.0)
+    deepest = wp.vec4(0.0, 0.0, 1.0, FAR)
+    t = float(left)
+    rounds = int(0)
+    while rounds < 2 + EDGE_ROUNDS:
+        d = signed_distance(shapes, shape, middle + t * slide, -FAR)
+        if d[3] < deepest[3]:
+            place = t
+            deepest = d
+        if rounds == 0:
+            low = d
+            t = right
+        else:
+            if rounds == 1 or slope(d, slide) >= 0.0:
+                right = t
+                high = d
+            else:
+                left = t
+                low = d
+            fall = slope(low, slide)
+            rise = slope(high, slide)
+            if fall >= 0.0 or rise <= 0.0:
+                rounds = 2 + EDGE_ROUNDS
+            t = (low[3] - high[3] + rise * right - fall * left) / wp.max(rise - fall, 1.0e-12)
+            t = wp.clamp(t, left, right)
+        rounds += 1
+    return place, deepest
+
+
+@wp.func
+def trace_edge(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    arm: wp.vec3,
+    slide: wp.vec3,
+    radius: float,
+    near: float,
+    begin: float,
+    end: float,
+    size: float,
+):
+    """`trace` for a whole segment, arm +- slide, against a convex shape; see `trace_sample` for `near` and `begin`.
+
+    The tangent at the deepest point bounds the distance of both ends, and so of all points between them, if its slope
+    along the segment is small. The slope is large where edges cross below the surface; there, the speed alone is used.
+    """
+    other_spin = wp.length(other.angular)
+    reach = wp.max(wp.length(arm - slide), wp.length(arm + slide))
+    away = wp.length(own.center - other.center) + reach
+    speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * reach + other_spin * away
+    curve = wp.length_sq(own.angular) * reach + other_spin * (2.0 * speed + other_spin * away)
+    allowed = DEPTH * size
+    t = float(0.0)
+    for round in range(ROUNDS):
+        low = place_at(own, other, arm - slide, t)
+        high = place_at(own, other, arm + slide, t)
+        half = 0.5 * (high - low)
+        place, d = deepest_place(shapes, other.shape, low + half, half)
+        if round == 0:
+            # The gap at the start of the step decides how deep the segment may penetrate.
+            if d[3] - radius < near:
+                allowed = near - wp.min(d[3] - radius, 0.0)
+            elif begin > 0.0:
+                t = begin
+                continue
+        left = d[3] - radius + allowed
+        if left < CLOSE_ENOUGH * size:
+            return t
+        rise = slope(d, half)
+        bound = left - wp.max((place - 1.0) * rise, (place + 1.0) * rise)
+        if bound > 0.5 * left:
+            closing = wp.max(
+                closing_speed(own, other, arm - slide, low, gradient(d), t),
+                closing_speed(own, other, arm + slide, high, gradient(d), t),
+            )
+            t += 2.0 * bound / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * bound), 1.0e-12)
+        else:
+            t += left / wp.max(speed, 1.0e-12)
+        if t >= end:
+            return end
+    return t
+
+
+@wp.func
+def path_length(own: Course, other: Course, arm: wp.vec3, passage: Passage):
+    """Upper bound of the motion of a point at `arm` relative to the material of the other body [m]."""
+    away = own.center + arm - other.center
+    v = own.linear + wp.cross(own.angular, arm) - other.linear - wp.cross(other.angular, away)
+    return wp.min(passage.reach, passage.dt * wp.length(v) + 0.5 * passage.rotation * passage.reach)
+
+
+@wp.func
+def gap_of(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, passage: Passage):
+    """Distance of a sample from the other body at the start; FAR if the sample need not be traced.
+
+    This is so if it moves little and is not too deep at places of its path less than FAST sizes apart. Pairs that move
+    less than that in a step are not traced either.
+    """
+    gap = float(FAR)
+    place = wp.where(path < 2.0 * FAST * passage.size, 2, 0)
+    while place >= 0:
+        pose = wp.where(place == 2, passage.end, wp.where(place == 1, passage.middle, passage.start))
+        d = signed_distance(shapes, shape, wp.transform_point(pose, p), radius + shapes.shapes[shape].cell)
+        gap = d[3] - radius
+        if place == 0:
+            place = -1
+        elif gap <= -DEPTH * passage.size:
+            place = 0
+        elif place == 1 or path < FAST * passage.size:
+            return FAR
+        else:
+            place = 1
+    return gap
+
+
+@wp.func
+def arm_of(own: Course, p: wp.vec3):
+    """A point of a body's shape relative to its centre of mass, in the world frame."""
+    return wp.quat_rotate(own.turn, p - own.local_center)
+
+
+@wp.func
+def is_traced_edge(s: int, other: Course, shapes: Shapes):
+    """Whether a sample is traced as an edge: against a convex shape."""
+    return s >= 0 and shapes.samples[s].kind == SampleKind.EDGE and shapes.shapes[other.shape].convex == 1
+
+
+@wp.func
+def handled_depth(s: int, passage: Passage):
+    """Samples that start closer than this are handled by the solver, and may penetrate deeper by as much [m]."""
+    return wp.where(s >= 0, passage.near, DEPTH * passage.size)
+
+
+@wp.func
+def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, passage: Passage):
+    """Whether a sample must be traced, from which time, and how deep it may penetrate.
+
+    It cannot penetrate before `begin`. A sample that moves little is not traced if it is clear. An edge and a convex
+    shape are traced first with the bounding sphere of the edge.
+    """
+    suspect = Suspect()
+    suspect.sample = s
+    suspect.begin = begin
+    if is_traced_edge(s, other, shapes):
+        p = wp.transform_point(passage.start, shapes.samples[s].point)
+        margin = shapes.samples[s].radius + wp.length(shapes.samples[s].slide) + CLOSE_ENOUGH * passage.size
+        if out_of_box(p, margin + passage.reach, other.shape, shapes):
+            suspect.sample = CLEAR
+        return suspect
+    p = own.local_center
+    radius = float(0.0)
+    if s >= 0:
+        p = shapes.samples[s].point
+        radius = shapes.samples[s].radius
+        if shapes.samples[s].kind == SampleKind.RIM:
+            suspect.sample = CLEAR
+            return suspect
+    path = path_length(own, other, arm_of(own, p), passage)
+    gap = gap_of(shapes, other.shape, p, radius, path, passage)
+    suspect.allowed = DEPTH * passage.size
+    if gap < handled_depth(s, passage):
+        suspect.allowed = handled_depth(s, passage) - wp.min(gap, 0.0)
+        suspect.begin = 0.0
+    if gap + suspect.allowed > path:
+        suspect.sample = CLEAR
+    return suspect
+
+
+@wp.func
+def trace_suspect(shapes: Shapes, own: Course, other: Course, suspect: Suspect, end: float, passage: Passage):
+    """Time at which a sample penetrates the other body too deep, or `end`."""
+    s = suspect.sample
+    p = own.local_center
+    radius = float(0.0)
+    if s >= 0:
+        p = shapes.samples[s].point
+        radius = shapes.samples[s].radius
+    slide = wp.vec3(0.0, 0.0, 0.0)
+    if is_traced_edge(s, other, shapes):
+        slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
+    arm = arm_of(own, p)
+    size = passage.size
+    length = wp.length(slide)
+    at = trace(shapes, own, other, arm, radius + length, suspect.allowed, 0.0, CLOSE_ENOUGH * size, suspect.begin, end)
+    if length > 0.0 and at < end:
+        at = trace_edge(shapes, own, other, arm, slide, radius, handled_depth(s, passage), at, end, size)
+    return at
+
+
+@wp.func
+def look_at_next(
+    queue: TraceQueue,
+    ball: Ball,
+    reached: float,
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    passage: Passage,
+    lane: int,
+    lanes: int,
+):
+    """Look at the next samples of the reached clusters, one per lane; `ball` is the lane's, `reached` at this time."""
+    s = int(CLEAR)
+    begin = float(0.0)
+    given = int(0)
+    while given < lanes and (queue.sample < queue.sample_end or queue.clusters != wp.uint32(0)):
+        if queue.sample >= queue.sample_end:
+            k = lowest_bit(queue.clusters)
+            queue.clusters = queue.clusters & (queue.clusters - wp.uint32(1))
+            queue.sample = broadcast_integer(ball.sample_start, k, lanes)
+            queue.sample_end = broadcast_integer(ball.sample_end, k, lanes)
+            queue.begin = broadcast(reached, k, lanes)
+        taken = wp.min(lanes - given, queue.sample_end - queue.sample)
+        if lane >= given and lane < given + taken:
+            s = queue.sample + lane - given
+            begin = queue.begin
+        given += taken
+        queue.sample += taken
+    queue.looked_at.sample = CLEAR
+    if s != CLEAR:
+        queue.looked_at = look_at(shapes, own, other, s, begin, passage)
+    queue.waiting = ballot(wp.where(queue.looked_at.sample != CLEAR, 1, 0), lanes)
+    return queue
+
+
+@wp.func
+def queue_waiting(queue: TraceQueue, lane: int, lanes: int):
+    """Queue the samples that must be traced, until there is one for each lane."""
+    while queue.waiting != wp.uint32(0) and queue.queued < lanes:
+        k = lowest_bit(queue.waiting)
+        queue.waiting = queue.waiting & (queue.waiting - wp.uint32(1))
+        sample = broadcast_integer(queue.looked_at.sample, k, lanes)
+        begin = broadcast(queue.looked_at.begin, k, lanes)
+        allowed = broadcast(queue.looked_at.allowed, k, lanes)
+        if lane == queue.queued:
+            queue.traced.sample = sample
+            queue.traced.begin = begin
+            queue.traced.allowed = allowed
+        queue.queued += 1
+    return queue
+
+
+@wp.func
+def is_unfinished(queue: TraceQueue):
+    """Whether samples of reached clusters are left that are not in the queue."""
+    left = queue.sample < queue.sample_end or queue.clusters != wp.uint32(0)
+    return left or queue.waiting != wp.uint32(0)
+
+
+@wp.func
+def trace_reached(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    clusters: wp.uint32,
+    ball: Ball,
+    reached: float,
+    end: float,
+    passage: Passage,
+    lane: int,
+    lanes: int,
+):
+    """Earliest time at which a sample of the reached clusters penetrates the other body too deep, or `end`.
+
+    `clusters`: bits of the lanes that have reached one; `ball` is the lane's, reached at the time `reached`.
+    """
+    earliest = float(end)
+    queue = TraceQueue()
+    queue.clusters = clusters
+    while is_unfinished(queue):
+        queue.queued = 0
+        while queue.queued < lanes and is_unfinished(queue):
+            if queue.waiting == wp.uint32(0):
+                queue = look_at_next(queue, ball, reached, shapes, own, other, passage, lane, lanes)
+            queue = queue_waiting(queue, lane, lanes)
+        if lane < queue.queued:
+            earliest = trace_suspect(shapes, own, other, queue.traced, earliest, passage)
+        earliest = min_of_lanes(earliest, lanes)
+    return earliest
+
+
+@wp.func
+def ball_of(own: Course, cluster: int, shapes: Shapes):
+    """The bounding sphere of a cluster; for the cluster -1, that of the body. Its sample is the centre if convex."""
+    ball = Ball()
+    if cluster < 0:
+        ball.center = own.local_center
+        ball.radius = own.radius
+        ball.sample_start = -1
+        ball.sample_end = shapes.shapes[own.shape].convex - 1
+    else:
+        ball.center = shapes.clusters[cluster].center
+        ball.radius = shapes.clusters[cluster].radius
+        ball.sample_start = shapes.clusters[cluster].sample_start
+        ball.sample_end = shapes.clusters[cluster].sample_end
+    return ball
+
+
+@wp.func
+def trace_ball(shapes: Shapes, own: Course, other: Course, cluster: int, ball: Ball, end: float, passage: Passage):
+    """Time at which the bounding sphere of a cluster, or of the body for the cluster -1, touches the other body."""
+    kind = shapes.clusters[wp.max(cluster, 0)].kind
+    if cluster >= 0 and (kind == SampleKind.CORNER or not matters(kind, own.shape, other.shape, 1, shapes)):
+        return end
+    margin = ball.radius + passage.reach
+    if out_of_box(wp.transform_point(passage.start, ball.center), margin, other.shape, shapes):
+        return end
+    arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
+    slack = GRID_ERROR * shapes.shapes[other.shape].cell
+    return trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * passage.size, 0.0, end)
