@@ -13,6 +13,10 @@ NEAR = wp.constant(0.25)
 """Reach of contacts of fast bodies, as a fraction of the smaller size."""
 
 
+TURNED_BACK = wp.constant(0.25)
+"""Separating samples closer than this fraction of the pair's reach are kept: they may come back within the step."""
+
+
 @wp.struct
 class Touch:
     """A contact point in the world frame. The normal points from the pair's second body to the first.
@@ -31,7 +35,8 @@ class Approach:
     """Relative pose of the body with the samples (`own`) in the frame of the body with the distance (`other`).
 
     `cut`, `level`: points p of `own`, in its frame, with `cut . p > level` cannot touch; a zero vector if that is not
-    known of any.
+    known of any. `motion`, `rotation`: a point p of `own`, in the frame of `other`, moves by `motion + rotation x p` in
+    the step. `touching`: gap below which surfaces touch [m].
     """
 
     own: int
@@ -44,6 +49,9 @@ class Approach:
     rise: float
     cut: wp.vec3
     level: float
+    motion: wp.vec3
+    rotation: wp.vec3
+    touching: float
 
 
 @wp.func
@@ -110,6 +118,22 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
     approach.turn = back * state.orientation[own]
     approach.shift = wp.quat_rotate(back, state.position[own] - state.position[other])
     approach.reach = reach
+    return approach
+
+
+@wp.func
+def with_motion(approach: Approach, size: float, dt: float, state: State, motions: Motions):
+    """The approach with the relative motion of its bodies in the step."""
+    own = approach.own
+    other = approach.other
+    back = wp.quat_inverse(state.orientation[other])
+    x = state.position[other]
+    v = velocity_at(own, x, dt, state, motions) - velocity_at(other, x, dt, state, motions)
+    w = state.angular_velocity[own] + dt * motions.spin_acceleration[own]
+    w -= state.angular_velocity[other] + dt * motions.spin_acceleration[other]
+    approach.motion = dt * wp.quat_rotate(back, v)
+    approach.rotation = dt * wp.quat_rotate(back, w)
+    approach.touching = CONTACT_DISTANCE * size + approach.rise
     return approach
 
 

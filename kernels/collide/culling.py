@@ -6,7 +6,7 @@ boxes, the axis of a pair of convex bodies and the grids of meshes give cheap bo
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import Approach
+from warp_rigid.kernels.collide.approach import TURNED_BACK, Approach
 from warp_rigid.kernels.collide.convex_pairs import border_of
 from warp_rigid.kernels.collide.distance import has_places, has_triangles, is_near_grid, is_nearer
 from warp_rigid.kernels.collide.samples import OVERLAP
@@ -69,6 +69,21 @@ def segment_meets_box(middle: wp.vec3, half: wp.vec3, margin: float, shape: int,
 
 
 @wp.func
+def may_touch_mesh(p: wp.vec3, radius: float, approach: Approach, shapes: Shapes):
+    """Whether samples within a radius of a point may be contacts with a mesh, by its grid; never wrongly false.
+
+    They are near enough to turn back, or may reach the surface on their way: a distance changes by at most the way, so
+    it is at most half of it in the middle.
+    """
+    if is_near_grid(shapes, approach.shape, p, TURNED_BACK * approach.reach + radius):
+        return True
+    way = approach.motion + wp.cross(approach.rotation, p)
+    spread = wp.length(approach.rotation) * radius
+    margin = approach.touching + 0.5 * wp.length(way) + spread + radius
+    return is_near_grid(shapes, approach.shape, p + 0.5 * way, margin)
+
+
+@wp.func
 def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes):
     """Whether a cluster may contain a touching sample."""
     if not matters(shapes.clusters[cluster].kind, approach.own_shape, approach.shape, edges, shapes):
@@ -76,17 +91,19 @@ def cluster_is_near(cluster: int, approach: Approach, edges: int, shapes: Shapes
     if wp.dot(approach.cut, shapes.clusters[cluster].center) - shapes.clusters[cluster].radius > approach.level:
         return 0
     center = wp.quat_rotate(approach.turn, shapes.clusters[cluster].center) + approach.shift
-    margin = shapes.clusters[cluster].radius + approach.reach
-    if out_of_box(center, margin, approach.shape, shapes):
+    radius = shapes.clusters[cluster].radius
+    if out_of_box(center, radius + approach.reach, approach.shape, shapes):
         return 0
-    return wp.where(is_nearer(shapes, approach.shape, center, margin), 1, 0)
+    if has_triangles(shapes, approach.shape):
+        return wp.where(may_touch_mesh(center, radius, approach, shapes), 1, 0)
+    return wp.where(is_nearer(shapes, approach.shape, center, radius + approach.reach), 1, 0)
 
 
 @wp.func
 def sample_is_near(s: int, approach: Approach, shapes: Shapes):
     """Whether a sample is close enough to the other shape's bounding box, and along the pair's axis, to touch.
 
-    The distance to a mesh is slow, so the bound from its grid is tested, too.
+    The distance to a mesh is slow, so bounds from its grid are tested, too.
     """
     lowest = wp.dot(approach.cut, shapes.samples[s].point) - wp.abs(wp.dot(approach.cut, shapes.samples[s].slide))
     if lowest - shapes.samples[s].radius > approach.level:
@@ -101,7 +118,7 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
         margin += wp.length(slide)
     elif out_of_box(p, margin, approach.shape, shapes):
         return False
-    return not has_triangles(shapes, approach.shape) or is_near_grid(shapes, approach.shape, p, margin)
+    return not has_triangles(shapes, approach.shape) or may_touch_mesh(p, margin - approach.reach, approach, shapes)
 
 
 @wp.struct

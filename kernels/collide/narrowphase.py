@@ -21,6 +21,7 @@ samples are broadcast to all lanes in sample order, and each lane updates its ow
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import (
+    TURNED_BACK,
     Approach,
     Touch,
     approach_of,
@@ -29,6 +30,7 @@ from warp_rigid.kernels.collide.approach import (
     smaller_approach,
     touch_of,
     travel,
+    with_motion,
 )
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import (
@@ -52,9 +54,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 REUSE_TRAVEL = wp.constant(2.5e-4)
 """Pairs that have moved less than this fraction of the smaller size, half the contact distance, keep their contacts."""
-
-TURNED_BACK = wp.constant(0.25)
-"""Separating samples closer than this fraction of the pair's reach are kept: they may come back within the step."""
 
 BY_CENTER = wp.constant(-2)
 """Identity of the contact of the first body's inscribed sphere; that of the second body is one less."""
@@ -263,7 +262,8 @@ def look_for_contacts(
     weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
     closing = int(0)
     axis = pairs.axis[pair]
-    approach = cut_by_axis(approach_from(0, pair, reach, rise, bodies, state, pairs), axis, 0, shapes)
+    approach = with_motion(approach_from(0, pair, reach, rise, bodies, state, pairs), size, dt, state, motions)
+    approach = cut_by_axis(approach, axis, 0, shapes)
     queue = SampleQueue()
     queue.group = shapes.shapes[approach.own_shape].cluster_start
     while queue.side < 2:
@@ -275,7 +275,8 @@ def look_for_contacts(
                 queue = test_clusters(queue, lane, lanes, approach, edges, shapes)
             else:
                 queue.side += 1
-                approach = cut_by_axis(approach_from(1, pair, reach, rise, bodies, state, pairs), axis, 1, shapes)
+                approach = approach_from(1, pair, reach, rise, bodies, state, pairs)
+                approach = cut_by_axis(with_motion(approach, size, dt, state, motions), axis, 1, shapes)
                 queue.group = shapes.shapes[approach.own_shape].cluster_start
         touch = touch_queued(queue, pair, lane, reach, rise, dt, size, shapes, bodies, state, motions, pairs)
         closing |= touch.closing

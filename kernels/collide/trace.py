@@ -245,7 +245,8 @@ def gap_of(shapes: Shapes, shape: int, p: wp.vec3, radius: float, path: float, p
     place = wp.where(path < 2.0 * FAST * passage.size, 2, 0)
     while place >= 0:
         pose = wp.where(place == 2, passage.end, wp.where(place == 1, passage.middle, passage.start))
-        d = signed_distance(shapes, shape, wp.transform_point(pose, p), radius + shapes.shapes[shape].cell)
+        near = wp.where(place == 0, radius + shapes.shapes[shape].cell, radius - DEPTH * passage.size)
+        d = signed_distance(shapes, shape, wp.transform_point(pose, p), near)
         gap = d[3] - radius
         if place == 0:
             place = -1

@@ -69,4 +69,4 @@ def trace_sharing(device: Any, many_samples: bool) -> int:
     """
     if not device.is_cuda:
         return 1
-    return 8 if many_samples else 2
+    return 4 if many_samples else 2
