@@ -58,7 +58,7 @@ def test_an_overlap_that_is_pushed_apart_is_not(device):
     assert sim.penetration()[0] < 0.01 * HALF and found(sim) == []
 
 
-@pytest.mark.parametrize("ratio, expected", [(1e3, set()), (7e4, {"load"}), (5e5, {"energy"})])
+@pytest.mark.parametrize("ratio, expected", [(1e3, set()), (7e4, {"load"})])
 def test_a_tower_of_unequal_masses_stands_or_is_reported(device, ratio, expected):
     sim = wr.Simulator(tower(ratio), device=device)
     sim.step(960)
@@ -66,6 +66,15 @@ def test_a_tower_of_unequal_masses_stands_or_is_reported(device, ratio, expected
     stands = np.abs(sim.get("position")[0, 1:, 2] - start).max() < 0.01 * HALF
     warned = {warning for warning, _ in found(sim)}
     assert expected <= warned and stands == (not warned)
+
+
+def test_towers_of_very_unequal_masses_are_all_reported(device):
+    """How such a tower falls hangs on rounding: each is reported, for its load or for the energy that it gains."""
+    sim = wr.Simulator([tower(ratio) for ratio in (2e5, 3e5, 5e5, 6e5, 8e5)], device=device)
+    sim.step(960)
+    warned = {(int(record["env"]), str(record["warning"])) for record in sim.warnings()}
+    assert {env for env, _ in warned} == set(range(5))
+    assert {warning for _, warning in warned} == {"energy", "load"}
 
 
 def test_positions_too_coarse_for_a_body_are_reported(device):
