@@ -7,7 +7,7 @@ from tests.oracles import ground_scene
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels.solve.calm import STILL
-from warp_rigid.scene.shapes import Box
+from warp_rigid.scene.shapes import Box, Cylinder
 from warp_rigid.scenes.builders import stacks
 
 RADIUS = 5.0
@@ -60,3 +60,15 @@ def test_a_calm_island_is_swept_further_beside_a_moving_one(device):
     start = sim.get("position")[0, stones]
     sim.step(60)
     assert np.abs(sim.get("position")[0, stones] - start).max() < 1e-4
+
+
+@pytest.mark.parametrize("iterations", [5, 10, 20, 40])
+@pytest.mark.parametrize("rate", [60, 240])
+def test_a_tall_cylinder_that_slid_to_a_stop_rests(device, iterations, rate):
+    """Ten times as high as wide; the rest does not depend on the number of iterations."""
+    scene = ground_scene(friction=0.05)
+    scene.add_body(Cylinder(0.05, 0.5), position=(0, 0, 0.5), linear_velocity=(0.3, 0, 0), friction=0.05)
+    sim = Simulator(scene, settings=Settings(dt=1.0 / rate, contact_iterations=iterations), device=device)
+    sim.step(4 * rate)
+    assert sim.get("position")[0, 1, 0] > 0.05
+    assert np.abs(sim.get("angular_velocity")).max() < 6e-5
