@@ -212,6 +212,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
 def keep_balls(
     pair: int,
     kept: int,
+    size: float,
     lane: int,
     lanes: int,
     shapes: Shapes,
@@ -223,11 +224,12 @@ def keep_balls(
     """Replace the contacts of a deep overlap by that of an inner ball, if there is one.
 
     The largest ball of a body replaces contacts that show much less than its overlap or, if they oppose each other, not
-    much more. Two balls replace whatever shows much less than their overlap.
+    much more. Two balls replace whatever shows much less than their overlap. Contacts show an overlap of the contact
+    distance at least: a ball that touches the ground as the corners do is deeper by a rounding error.
     """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    shown = wp.where(kept == 0, 0.0, deepest_gap(pair, pairs))
+    shown = wp.where(kept == 0, 0.0, wp.min(deepest_gap(pair, pairs), -CONTACT_DISTANCE * size))
     deepest = wp.where(contradictory(pair, pairs), 1.0 / MUCH_DEEPER, MUCH_DEEPER) * shown
     key = int(0)
     side = int(0)
@@ -311,7 +313,7 @@ def look_for_contacts(
     if along == 1:
         return add_contact(pair, BY_AXIS, kept, lane, pairs)
     if not solid:
-        kept = keep_balls(pair, kept, lane, lanes, shapes, bodies, state, motions, pairs)
+        kept = keep_balls(pair, kept, size, lane, lanes, shapes, bodies, state, motions, pairs)
     return kept
 
 
