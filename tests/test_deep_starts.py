@@ -109,3 +109,18 @@ def shared_volumes(sim, mesh):
             pose[:3, 3] = x
             placed.append(mesh.copy().apply_transform(pose))
         yield trimesh.boolean.intersection(placed, engine="manifold").volume / mesh.volume
+
+
+@pytest.mark.parametrize("name", ["box", "boxes"])
+def test_a_body_on_a_plane_is_not_in_the_origin_of_its_frame(device, name):
+    """A plane has no inside, hence no balls: it carries a body that contains the origin of its frame as any other."""
+    scene = wr.Scene()
+    low = SHAPES[name].bounds[0][2]
+    scene.add_static(wr.Plane(offset=low))
+    scene.add_body(SHAPES[name])
+    sim = wr.Simulator(scene, device=device)
+    sim.step(60)
+    contacts = sim.contacts()
+    assert len(contacts) >= 4
+    np.testing.assert_allclose(np.abs(contacts["normal"]), [[0, 0, 1]] * len(contacts), atol=1e-4)
+    assert np.abs(sim.get("position")[0, 1]).max() < 1e-4

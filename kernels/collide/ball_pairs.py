@@ -77,7 +77,8 @@ def deepest_balls(a: int, b: int, deepest: float, lane: int, lanes: int, shapes:
                 other = ball_of(j, shape, shapes)
                 way = wp.length(x - wp.vec3(other[0], other[1], other[2]))
                 found = way - ball[3] - other[3]
-                if found < gap and found < -DEEP * wp.min(ball[3], other[3]):
+                smaller = wp.min(ball[3], other[3])
+                if found < gap and found < -DEEP * smaller and smaller > 0.0:
                     gap = found
                     key = BY_BALLS - (MOST_BALLS * i + j)
     # Of equal gaps the highest identity counts, whichever lane found it.
