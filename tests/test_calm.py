@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.oracles import ground_scene
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels.solve.calm import STILL
-from warp_rigid.scene.shapes import Box
+from warp_rigid.scene.shapes import Box, Cylinder, Mesh
 from warp_rigid.scenes.builders import stacks
 
 RADIUS = 5.0
@@ -32,6 +33,37 @@ def test_arches_stand_from_five_percent_above_their_least_thickness(device, ston
         moved.append(abs(sim.get("position")[0, middle, 2] - start))
     assert max(moved) < 5e-5
     assert sim.stats()["residual"][0] <= STILL
+
+
+def pointed_arch(radius=5.0, thickness=1.0, depth=1.0, side=8):
+    """Stones of a pointed arch of two arcs of 60 degrees, each about the foot of the other: meshes and places."""
+    top = [np.arccos(0.5 * radius / (radius + s * 0.5 * thickness)) for s in (-1, 1)]
+    for sign in (1, -1):
+        for k in range(side):
+            corners = []
+            for joint in (k, k + 1):
+                for s, highest in zip((-0.5, 0.5), top, strict=True):
+                    angle = highest if joint == side else joint * np.pi / 3 / side
+                    x, z = (radius + s * thickness) * np.array([np.cos(angle), np.sin(angle)]) - [0.5 * radius, 0]
+                    corners += [(sign * x, y, z) for y in (-0.5 * depth, 0.5 * depth)]
+            stone = trimesh.convex.convex_hull(corners)
+            center = stone.center_mass
+            stone.apply_translation(-center)
+            yield Mesh.from_trimesh(stone), center
+
+
+def test_a_pointed_arch_stands(device):
+    """Its feet are squares on the ground, which the largest ball in the stone touches, too: all corners carry."""
+    scene = ground_scene(friction=0.8)
+    for stone, center in pointed_arch():
+        scene.add_body(stone, position=center, friction=0.8)
+    sim = Simulator(scene, settings=Settings(dt=1.0 / 60), device=device)
+    start = sim.get("position")[0]
+    sim.step(1)
+    feet = [(sim.contacts()["body_a"] == b) | (sim.contacts()["body_b"] == b) for b in (1, 9)]
+    assert [np.count_nonzero(rows & (sim.contacts()["position"][:, 2] < 0.1)) for rows in feet] == [4, 4]
+    sim.step(59)
+    assert np.linalg.norm(sim.get("position")[0] - start, axis=1).max() < 2e-5
 
 
 def test_a_thinner_arch_falls(device):
@@ -60,3 +92,15 @@ def test_a_calm_island_is_swept_further_beside_a_moving_one(device):
     start = sim.get("position")[0, stones]
     sim.step(60)
     assert np.abs(sim.get("position")[0, stones] - start).max() < 1e-4
+
+
+@pytest.mark.parametrize("iterations", [5, 10, 20, 40])
+@pytest.mark.parametrize("rate", [60, 240])
+def test_a_tall_cylinder_that_slid_to_a_stop_rests(device, iterations, rate):
+    """Ten times as high as wide; the rest does not depend on the number of iterations."""
+    scene = ground_scene(friction=0.05)
+    scene.add_body(Cylinder(0.05, 0.5), position=(0, 0, 0.5), linear_velocity=(0.3, 0, 0), friction=0.05)
+    sim = Simulator(scene, settings=Settings(dt=1.0 / rate, contact_iterations=iterations), device=device)
+    sim.step(4 * rate)
+    assert sim.get("position")[0, 1, 0] > 0.05
+    assert np.abs(sim.get("angular_velocity")).max() < 6e-5

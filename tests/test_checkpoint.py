@@ -13,6 +13,7 @@ import warp_rigid as wr
 from tests.oracles import random_pile, rotate_about, stages_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files import atomic
+from warp_rigid.kernels.collide.ball_pairs import BY_BALLS
 from warp_rigid.kernels.collide.narrowphase import BY_AXIS, BY_CENTER
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
@@ -95,19 +96,25 @@ def test_saving_does_not_change_the_run_and_repeats_byte_for_byte(device, tmp_pa
 
 
 def test_contacts_without_samples_come_back(device, tmp_path):
-    """Bodies deep in each other touch along an axis or, unless both are convex, by the ball about a centre."""
+    """Bodies deep in each other touch along an axis or, unless both are convex, by balls inside them."""
     scene = wr.Scene(gravity=(0, 0, 0))
     thick = wr.Compound([(wr.Cylinder(0.1, 0.08), (0, 0, 0), (0, 0, 0, 1)), (wr.Sphere(0.01), (0, 0, 0), (0, 0, 0, 1))])
     pair, convex = (wr.Capsule(0.06, 0.08), thick), 2 * (meshes.octahedron(0.1, 16),)
+    bar = wr.Box((0.2, 0.03, 0.03))
+    corner = wr.Compound([(bar, (0, 0, 0), (0, 0, 0, 1)), (bar, (0.17, 0, 0.17), rotate_about((0, 1, 0), 90))])
+    scene.add_body(corner, position=(3, 0, 0))
+    scene.add_body(corner, position=(2.9, 0.1, 0), orientation=rotate_about((0, 0, 1), 90))
     for place, shapes in enumerate((pair, pair[::-1], convex)):
         for k, shape in enumerate(shapes):
             scene.add_body(shape, position=(place + 0.03 * k, 0.01 * k, 0.02 * k))
     sim = Simulator(scene, device=device)
     sim.step()
-    assert set(stages_of(sim).pools.history.key.numpy()[: sim.counts()["contacts"]].tolist()) == {
+    keys = stages_of(sim).pools.history.key.numpy()[: sim.counts()["contacts"]]
+    assert set(np.maximum(keys, BY_BALLS).tolist()) == {
         BY_CENTER,
         BY_CENTER - 1,
         BY_AXIS,
+        BY_BALLS,
     }
     sim.save(tmp_path / "a.ckpt")
     loaded = Simulator.load(tmp_path / "a.ckpt")

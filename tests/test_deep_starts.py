@@ -13,20 +13,38 @@ BOXES = [
     (wr.Box((0.15, 0.05, 0.05)), (0, 0, 0), (0, 0, 0, 1)),
     (wr.Box((0.05, 0.05, 0.15)), (0.1, 0, 0.1), (0, 0, 0, 1)),
 ]
-CORNER = trimesh.boolean.union(
-    [
-        trimesh.creation.box((0.3, 0.1, 0.1)),
-        trimesh.creation.box((0.1, 0.1, 0.3), trimesh.transformations.translation_matrix((0.1, 0, 0.1))),
-    ],
-    engine="manifold",
-)
+
+
+def arms(*others):
+    """A bar of 0.3 m along x, and bars of 0.3 m along z about other centres."""
+    bars = [trimesh.creation.box((0.3, 0.1, 0.1))]
+    for center in others:
+        bars.append(trimesh.creation.box((0.1, 0.1, 0.3), trimesh.transformations.translation_matrix(center)))
+    return trimesh.boolean.union(bars, engine="manifold")
+
+
+def open_ring():
+    """A ring from which a piece is cut: a C."""
+    ring = trimesh.creation.annulus(0.1, 0.16, 0.1, sections=32)
+    gap = trimesh.creation.box((0.2, 0.08, 0.3), trimesh.transformations.translation_matrix((0.13, 0, 0)))
+    return trimesh.boolean.difference([ring, gap], engine="manifold")
+
+
+BRANCHED = {
+    "corner": arms((0.1, 0, 0.1)),
+    "channel": arms((0.1, 0, 0.1), (-0.1, 0, 0.1)),
+    "tee": arms((0, 0, 0.1)),
+    "plus": arms((0, 0, 0)),
+    "open ring": open_ring(),
+}
 SHAPES = {
+    **{name: wr.Mesh.from_trimesh(mesh) for name, mesh in BRANCHED.items()},
     "sphere": wr.Sphere(RADIUS),
     "box": wr.Box((0.15, 0.1, 0.12)),
     "capsule": wr.Capsule(0.08, 0.12),
     "cube": wr.Mesh.from_trimesh(trimesh.creation.box((0.25,) * 3)),
     "boxes": wr.Compound(BOXES),
-    "corner": wr.Mesh.from_trimesh(CORNER),
+    "rod": wr.Box((0.2, 0.03, 0.03)),
     "ball": BALL,
     "bunny": meshes.bunny(0.2),
     "torus": meshes.torus(0.2, 0.08),
@@ -61,8 +79,8 @@ def test_the_overlap_of_two_balls_is_the_way_they_must_move(device):
 @pytest.mark.parametrize(
     ("first", "second"),
     [("ball", "ball"), ("bunny", "bunny"), ("torus", "torus"), ("cranium", "cranium"), ("ball", "bunny")]
-    + [("cube", "corner")]
-    + [(name, "boxes") for name in ("sphere", "box", "capsule", "boxes")],
+    + [("cube", "corner"), ("rod", "corner"), ("corner", "channel"), *((name, name) for name in BRANCHED)]
+    + [(name, "boxes") for name in ("sphere", "box", "rod", "capsule", "boxes")],
 )
 def test_meshes_that_start_deep_inside_each_other_come_apart(device, first, second):
     """Within a second the overlap is below 0.1 % of the size, and no speed is left of it."""
@@ -71,3 +89,38 @@ def test_meshes_that_start_deep_inside_each_other_come_apart(device, first, seco
     sim.step(240)
     assert sim.penetration().max() < 1e-3 * min(SHAPES[first].size, SHAPES[second].size)
     assert np.abs(sim.get("linear_velocity")).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", BRANCHED)
+def test_no_arms_of_meshes_that_start_deep_stay_crossed(device, name):
+    """By the volume that both meshes share, of Manifold's intersection: none after a second."""
+    sim, _ = overlapping(device, SHAPES[name], SHAPES[name])
+    assert max(shared_volumes(sim, BRANCHED[name])) > 0.1
+    sim.step(240)
+    assert max(shared_volumes(sim, BRANCHED[name])) < 1e-4
+
+
+def shared_volumes(sim, mesh):
+    """Volume of the intersection of two meshes of a kind in each environment, as a fraction of one's."""
+    for position, orientation in zip(sim.get("position"), sim.get("orientation"), strict=True):
+        placed = []
+        for x, q in zip(position, orientation, strict=True):
+            pose = trimesh.transformations.quaternion_matrix(np.roll(q, 1))
+            pose[:3, 3] = x
+            placed.append(mesh.copy().apply_transform(pose))
+        yield trimesh.boolean.intersection(placed, engine="manifold").volume / mesh.volume
+
+
+@pytest.mark.parametrize("name", ["box", "boxes"])
+def test_a_body_on_a_plane_is_not_in_the_origin_of_its_frame(device, name):
+    """A plane has no inside, hence no balls: it carries a body that contains the origin of its frame as any other."""
+    scene = wr.Scene()
+    low = SHAPES[name].bounds[0][2]
+    scene.add_static(wr.Plane(offset=low))
+    scene.add_body(SHAPES[name])
+    sim = wr.Simulator(scene, device=device)
+    sim.step(60)
+    contacts = sim.contacts()
+    assert len(contacts) >= 4
+    np.testing.assert_allclose(np.abs(contacts["normal"]), [[0, 0, 1]] * len(contacts), atol=1e-4)
+    assert np.abs(sim.get("position")[0, 1]).max() < 1e-4

@@ -103,9 +103,22 @@ def test_sign_of_solids_of_revolution(name):
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_the_inner_ball_touches_the_surface_from_inside(name):
-    center, radius = SOLIDS[name].inner_ball
-    assert -SOLIDS[name].signed_distance(center[None])[0][0] == pytest.approx(radius, rel=1e-12)
+def test_inner_balls_touch_the_surface_from_inside(name):
+    balls = SOLIDS[name].inner_balls
+    assert -SOLIDS[name].signed_distance(balls[:, :3])[0] == pytest.approx(balls[:, 3], rel=1e-12)
+    assert balls[0, 3] == balls[:, 3].max()
+
+
+def test_inner_balls_are_in_every_arm_of_a_mesh():
+    """All points on the axes of a jack's arms, up to the last ball's radius, are in a ball or nearly so."""
+    size, arm = 0.3, 0.06
+    boxes = [trimesh.creation.box(np.roll((size, arm, arm), k)) for k in range(3)]
+    balls = Mesh.from_trimesh(trimesh.boolean.union(boxes, engine="manifold")).inner_balls
+    assert (balls[:, 3] > 0.7 * balls[0, 3]).all()
+    along = np.linspace(-0.5 * (size - arm), 0.5 * (size - arm), 50)
+    for axis in np.eye(3):
+        away = np.linalg.norm(along[:, None, None] * axis - balls[:, :3], axis=2)
+        assert (away - balls[:, 3]).min(axis=1).max() < 0.1 * arm
 
 
 @pytest.mark.parametrize("name", SOLIDS)

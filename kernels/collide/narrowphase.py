@@ -10,8 +10,9 @@ Contacts are reduced while they are found (contact_reduction.py).
 
 Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
 each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
-made with a large ball inside one body, which overlaps the other body only if the bodies overlap. It also replaces
-contacts that show less than a third of its overlap.
+made with the largest ball inside one body, which overlaps the other body only if the bodies overlap, or between a ball
+inside one body and a ball inside the other (ball_pairs.py). It also replaces contacts that show less than a third of
+its overlap.
 
 A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of each near cluster. Samples
 that are near are queued, and tested together when there is one for each lane: this takes most of the time. Touching
@@ -32,6 +33,7 @@ from warp_rigid.kernels.collide.approach import (
     travel,
     with_motion,
 )
+from warp_rigid.kernels.collide.ball_pairs import ball_of, deepest_balls
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.contact_reduction import (
     contradictory,
@@ -176,10 +178,13 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     convex = shapes.shapes[shape].convex
     query = bodies.center_of_mass[own]
     x = motions.center[own]
+    inner = float(0.0)
     radius = float(0.0)
     evaluated = int(0)
     if convex == 0:
-        query = shapes.shapes[shape].inner_center
+        ball = ball_of(0, shape, shapes)
+        query = wp.vec3(ball[0], ball[1], ball[2])
+        inner = ball[3]
         x = wp.quat_rotate(state.orientation[own], query) + state.position[own]
     placed = Search()
     placed.query = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
@@ -195,7 +200,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
             placed.distance = d[3] - radius
             placed.query -= radius * placed.direction
         elif evaluated == 0:
-            radius = wp.where(convex == 1, -d[3], shapes.shapes[shape].inner_radius)
+            radius = wp.where(convex == 1, -d[3], inner)
         shape = bodies.shape[other]
         query = placed.query
         evaluated = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), evaluated + 1, 2)
@@ -203,28 +208,43 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
 
 
 @wp.func
-def keep_center(
-    pair: int, kept: int, lane: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
+def keep_balls(
+    pair: int,
+    kept: int,
+    size: float,
+    lane: int,
+    lanes: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
 ):
-    """Replace the contacts of a deep overlap by the deeper contact of the two inscribed spheres, if there is one.
+    """Replace the contacts of a deep overlap by that of an inner ball, if there is one.
 
-    Contacts that do not oppose each other are replaced only if they show much less than the overlap.
+    The largest ball of a body replaces contacts that show much less than its overlap or, if they oppose each other, not
+    much more. Two balls replace whatever shows much less than their overlap. Contacts show an overlap of the contact
+    distance at least: a ball that touches the ground as the corners do is deeper by a rounding error.
     """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
-    replaced = kept == 0 or contradictory(pair, pairs)
-    deepest = wp.where(replaced, 0.0, MUCH_DEEPER * deepest_gap(pair, pairs))
-    shallowest = deepest
+    shown = wp.where(kept == 0, 0.0, wp.min(deepest_gap(pair, pairs), -CONTACT_DISTANCE * size))
+    deepest = wp.where(contradictory(pair, pairs), 1.0 / MUCH_DEEPER, MUCH_DEEPER) * shown
+    key = int(0)
     side = int(0)
     while side < 2:
         touch = center_inside(side, a, b, shapes, bodies, state, motions)
         if touch.gap < deepest:
             deepest = touch.gap
-            if lane == 0:
-                pairs.kept[pair, 0] = BY_CENTER - side
+            key = BY_CENTER - side
         side += 1
-    if deepest == shallowest:
+    shown = wp.where(key == 0, shown, deepest)
+    found = deepest_balls(a, b, MUCH_DEEPER * shown, lane, lanes, shapes, bodies, state)
+    key = wp.where(found == 0, key, found)
+    if key == 0:
         return kept
+    if lane == 0:
+        pairs.kept[pair, 0] = key
     return 1
 
 
@@ -294,7 +314,7 @@ def look_for_contacts(
     if along == 1:
         return add_contact(pair, BY_AXIS, kept, lane, pairs)
     if not solid:
-        kept = keep_center(pair, kept, lane, shapes, bodies, state, motions, pairs)
+        kept = keep_balls(pair, kept, size, lane, lanes, shapes, bodies, state, motions, pairs)
     return kept
 
 

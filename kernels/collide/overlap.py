@@ -11,16 +11,20 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 @wp.func
 def inner_ball_depth(own: int, other: int, shapes: Shapes, bodies: Bodies, state: State):
-    """Overlap of the inner ball of one body with another that contains its centre [m], else 0.
+    """Deepest overlap of an inner ball of one body with another that contains its centre [m], else 0.
 
     Deep inside, the samples of a surface tell too little: they may be near the far side of the other body.
     """
     shape = bodies.shape[own]
-    x = wp.quat_rotate(state.orientation[own], shapes.shapes[shape].inner_center) + state.position[own]
-    local = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
-    d = signed_distance(shapes, bodies.shape[other], local, 0.0)
-    radius = shapes.shapes[shape].inner_radius
-    return wp.where(d[3] < 0.0 and radius > 0.0, radius - d[3], 0.0)
+    deepest = float(0.0)
+    for k in range(shapes.shapes[shape].ball_start, shapes.shapes[shape].ball_end):
+        ball = shapes.balls[k]
+        x = wp.quat_rotate(state.orientation[own], wp.vec3(ball[0], ball[1], ball[2])) + state.position[own]
+        local = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
+        d = signed_distance(shapes, bodies.shape[other], local, 0.0)
+        if d[3] < 0.0 and ball[3] > 0.0:
+            deepest = wp.max(deepest, ball[3] - d[3])
+    return deepest
 
 
 @wp.func

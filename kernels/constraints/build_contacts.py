@@ -3,6 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Touch, approach_of, touch_of
+from warp_rigid.kernels.collide.ball_pairs import BY_BALLS, touch_balls
 from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.narrowphase import BY_AXIS, BY_CENTER, center_inside
@@ -156,6 +157,8 @@ def touch_again(
     """Evaluate the contact point of a known sample again; `axis`: that of the pair, if both bodies are convex."""
     if key == BY_AXIS:
         return touch_along(axis, a, b, shapes, bodies, state)
+    if key <= BY_BALLS:
+        return touch_balls(key, a, b, shapes, bodies, state)
     if key <= BY_CENTER:
         return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
     side = key % 2

@@ -57,8 +57,13 @@ RESTING = wp.constant(0.01)
 """Largest speed of a body in an island that is swept until it has converged (calm.py), in sizes of the body per second.
 Most of its bodies must have been placed where they are: a pile of fallen bodies converges over several steps."""
 
-MOST_CALM = wp.constant(30)
-"""Maximum number of these sweeps as a multiple of `contact_iterations`: the number of bodies, but at most this."""
+RESTING_SHARE = wp.constant(0.1)
+"""Speed that always counts as slow for this purpose, as a fraction of that which gravity adds in a step. Bodies move so
+fast because their contacts were not solved: a tall cylinder would rock indefinitely."""
+
+LEAST_CALM, MOST_CALM = wp.constant(6), wp.constant(30)
+"""Maximum number of these sweeps as a multiple of `contact_iterations`: the number of bodies, within these bounds. The
+foot of a tall cylinder needs 30 to 50 sweeps."""
 
 LOWEST = wp.constant(-1.0e30)
 
@@ -215,17 +220,21 @@ def most_rounds(island: int, iterations: int, graph: Graph):
 
 
 @wp.func
-def most_calm_sweeps(b: int, island: int, solver: int, iterations: int, graph: Graph):
-    """Maximum number of sweeps with momentum for a body's contacts. Joints and other constraints have none."""
+def most_calm_sweeps(b: int, island: int, solver: int, iterations: int, gained: float, graph: Graph):
+    """Maximum number of sweeps with momentum for a body's contacts. Joints and other constraints have none.
+
+    Gravity adds the speed `gained` in a step [m/s].
+    """
     if graph.touching[b] == 0 or graph.tied[b] == 1 or solver == IslandSolver.ROUNDS:
         return 0
-    if graph.island_speed[island] >= RESTING or 2 * graph.fallen_votes[island] > graph.island_bodies[island]:
+    resting = wp.max(RESTING, RESTING_SHARE * gained / graph.island_size[island])
+    if graph.island_speed[island] >= resting or 2 * graph.fallen_votes[island] > graph.island_bodies[island]:
         return 0
-    return iterations * wp.min(graph.island_bodies[island], MOST_CALM)
+    return iterations * wp.clamp(graph.island_bodies[island], LEAST_CALM, MOST_CALM)
 
 
 @wp.kernel
-def choose_solver(bodies: Bodies, envs: Environments, graph: Graph):
+def choose_solver(dt: float, bodies: Bodies, envs: Environments, graph: Graph):
     """One thread per body: how its island is solved in this step."""
     b = wp.tid()
     if bodies.motion[b] != Motion.DYNAMIC:
@@ -239,6 +248,8 @@ def choose_solver(bodies: Bodies, envs: Environments, graph: Graph):
     if (graph.solver[b] == IslandSolver.ROUNDS) != (solver == IslandSolver.ROUNDS):
         graph.unchanged[env] = 0
     graph.solver[b] = solver
-    graph.calm_sweeps[b] = most_calm_sweeps(b, island, solver, envs.contact_iterations[env], graph)
+    graph.calm_sweeps[b] = most_calm_sweeps(
+        b, island, solver, envs.contact_iterations[env], dt * wp.length(envs.gravity[env]), graph
+    )
     if graph.touching[b] > 0 and solver != IslandSolver.ROUNDS:
         graph.swept[env] = 1

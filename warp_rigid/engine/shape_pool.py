@@ -64,6 +64,8 @@ def build_pool(layout: Layout, device: Any) -> Pool:
     arrays.parts = wp.array(_part_rows(entries, parts, grids, grid_of_part), dtype=schema.PartRecord, device=device)
     arrays.clusters = wp.array(_cluster_rows(samples), dtype=schema.ClusterRecord, device=device)
     arrays.samples = wp.array(_sample_rows(samples), dtype=schema.SampleRecord, device=device)
+    balls = np.concatenate([entry.shape.inner_balls for entry in entries])
+    arrays.balls = wp.array(balls.astype(np.float32), dtype=wp.vec4, device=device)
     hull = np.concatenate([np.zeros((0, 3)), *(entry.shape.hull for entry in entries)])
     arrays.hull = wp.array(hull.astype(np.float32), dtype=wp.vec3, device=device)
     _add_trees(arrays, [part for group in parts for part in group], device)
@@ -176,8 +178,8 @@ def _shape_rows(entries: list[Entry], parts: list, samples: list) -> np.ndarray:
     rows["upper"] = [np.clip(shape.bounds[1], -UNBOUNDED, UNBOUNDED) for shape in shapes]
     rows["size"] = [min(shape.size, UNBOUNDED) for shape in shapes]
     rows["wall"] = [min(shape.wall, UNBOUNDED) for shape in shapes]
-    rows["inner_center"] = [shape.inner_ball[0] for shape in shapes]
-    rows["inner_radius"] = [shape.inner_ball[1] for shape in shapes]
+    ball_start = exclusive_sums(np.array([len(shape.inner_balls) for shape in shapes]))
+    rows["ball_start"], rows["ball_end"] = ball_start[:-1], ball_start[1:]
     rows["cell"] = [
         max((part.grid.spacing for part in group if part.kind == PartKind.GRID), default=0.0) for group in parts
     ]

@@ -258,7 +258,7 @@ class Stages:
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
         self.joints.join_islands()
         self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
-        self._per_body(islands.choose_solver, [bodies, self.envs], [graph])
+        self._per_body(islands.choose_solver, [self.dt, bodies, self.envs], [graph])
         if self.crowded:
             self._list_heaps()
         own = [self.lanes, self.envs, bodies, constraints]

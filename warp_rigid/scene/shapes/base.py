@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
+from warp_rigid.scene.shapes import inner_balls
 from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleList, Samples
 from warp_rigid.scene.shapes.triangle_tree import TriangleTree
@@ -131,16 +132,17 @@ class Shape:
         return np.zeros((0, 3))
 
     @cached_property
-    def inner_ball(self) -> tuple[np.ndarray, float]:
-        """Centre (3,) and radius [m] of a large ball inside the shape; radius 0 if it has no inside.
+    def inner_balls(self) -> np.ndarray:
+        """Centres and radii of large balls inside the shape, (k, 4) [m], the largest first; radius 0 without an inside.
 
-        By default the ball about the centre of mass that touches the closest of six planes, as in boxes, balls,
-        capsules and cylinders.
+        By default balls in a row through the centre of mass, as in boxes, balls, capsules and cylinders.
         """
         if self.static_only:
-            return np.zeros(3), 0.0
+            return np.zeros((1, 4))
+        center = self.center_of_mass
         axes = np.concatenate([np.eye(3), -np.eye(3)])
-        return self.center_of_mass, float((self.support(axes) - axes @ self.center_of_mass).min())
+        extents = (self.support(axes) - axes @ center).reshape(2, 3).min(axis=0)
+        return inner_balls.in_a_row(center, extents)
 
     def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the surface and its gradient, in float64.

@@ -18,6 +18,7 @@ from warp_rigid.scene.shapes.base import (
     frozen_array,
     point_array,
 )
+from warp_rigid.scene.shapes.inner_balls import spread_out
 from warp_rigid.scene.shapes.sampling import SampleKind, SampleList
 
 
@@ -77,12 +78,12 @@ class Compound(Shape):
         return min(shape.wall for shape, _, _ in self.children)
 
     @cached_property
-    def inner_ball(self):
-        """The largest of the children's."""
-        balls = [shape.inner_ball for shape, _, _ in self.children]
-        largest = int(np.argmax([radius for _, radius in balls]))
-        center, radius = balls[largest]
-        return self._rotations[largest] @ center + self.children[largest][1], radius
+    def inner_balls(self):
+        """Some of the children's."""
+        candidates = [shape.inner_balls.copy() for shape, _, _ in self.children]
+        for balls, (_, position, _), rotation in zip(candidates, self.children, self._rotations, strict=True):
+            balls[:, :3] = balls[:, :3] @ rotation.T + position
+        return spread_out(np.concatenate(candidates))
 
     def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Distance to the nearest child.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from warp_rigid.checks import shown, whole_in
 from warp_rigid.files import mesh_files
-from warp_rigid.scene.shapes import distance_grid, mass_properties, topology
+from warp_rigid.scene.shapes import distance_grid, inner_balls, mass_properties, topology
 from warp_rigid.scene.shapes.base import Grid, Part, PartKind, ReadArray, Shape, frozen_array, point_array
 from warp_rigid.scene.shapes.mesh_repair import Surface, checked, repair
 from warp_rigid.scene.shapes.sampling import SampleList, sample_mesh
@@ -225,11 +225,12 @@ class Mesh(Shape):
         return float(2.0 * self.volume / area)
 
     @cached_property
-    def inner_ball(self):
-        """About the deepest node of the grid."""
-        deepest = np.unravel_index(np.argmin(self.grid.values), self.grid.values.shape)
-        center = np.array(self.grid.origin) + self.grid.spacing * np.array(deepest)
-        return center, max(0.0, -float(self.grid.values[deepest]))
+    def inner_balls(self):
+        """About nodes of the grid."""
+        depth = -self.grid.values
+        nodes = np.argwhere(depth >= inner_balls.THINNEST * max(0.0, depth.max()))
+        centers = np.array(self.grid.origin) + self.grid.spacing * nodes
+        return inner_balls.spread_out(np.column_stack([centers, np.maximum(depth[tuple(nodes.T)], 0.0)]))
 
     def parts(self) -> list[Part]:
         """One GRID, with a tree of triangles where their distance has a sign."""
