@@ -549,7 +549,7 @@ Graph = layout(
         int, "envs", "", "1: shock propagation is ineffective for at least one island that is solved in sweeps"
     ),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
-    calm_sweeps=Field(int, "bodies", "", "maximum further sweeps of the body's island; 0 if it is not calm (calm.py)"),
+    further_sweeps=Field(int, "bodies", "", "maximum sweeps with momentum of the body's island (calm.py)"),
     sweeps=Field(int, "envs", "", "solver sweeps in the last step"),
     shock_sweeps=Field(int, "envs", "", "sweeps of shock propagation in the last step"),
     push_out_sweeps=Field(int, "envs", "", "sweeps of the push-out in the last step"),

@@ -4,7 +4,8 @@ A structure that carries load sideways, such as an arch or a card house, needs m
 load has no order, so shock propagation is of little use, and an error of the velocities deforms it before the impulses
 of earlier steps can correct the error. Islands whose bodies hardly move, and were placed where they are, are therefore
 swept until no row changes a velocity by more than STILL. At rest the impulses of the last step solve the problem, and
-no such sweep is needed.
+no such sweep is needed. A structure that topples is swept further, too, but less often: its contacts turn in each step,
+and impulses that have not converged would add energy.
 
 The sweeps of an arch of n stones reduce the error by a fraction that decreases with the fourth power of n. With the
 momentum b = (k - 1) / (k + 2) of sweep k (rounds.py), it decreases with the square of n: 27 stones need about 200
@@ -44,9 +45,9 @@ def limit_of(entry: OrderRecord, motions: Motions, graph: Graph):
     """Maximum number of further sweeps over a constraint."""
     limit = int(UNLIMITED)
     if inverse_mass_of(entry.body_a, motions) > 0.0:
-        limit = graph.calm_sweeps[entry.body_a]
+        limit = graph.further_sweeps[entry.body_a]
     if inverse_mass_of(entry.body_b, motions) > 0.0:
-        limit = wp.min(limit, graph.calm_sweeps[entry.body_b])
+        limit = wp.min(limit, graph.further_sweeps[entry.body_b])
     return limit
 
 
@@ -55,7 +56,7 @@ def any_calm(team: Team, envs: Environments, graph: Graph, motions: Motions):
     """Whether an environment has a calm island. Stores the velocities of calm islands before the first sweep."""
     found = int(0)
     for b in range(envs.first_body[team.env] + team.lane, envs.first_body[team.env + 1], team.lanes):
-        if inverse_mass_of(b, motions) > 0.0 and graph.calm_sweeps[b] > 0:
+        if inverse_mass_of(b, motions) > 0.0 and graph.further_sweeps[b] > 0:
             found = 1
             linear = load_velocity(b, VELOCITY, motions)
             store_velocity(b, START, linear, load_velocity(b, VELOCITY + 1, motions), motions)
@@ -101,8 +102,8 @@ def extrapolate(turn: int, team: Team, envs: Environments, order: Order, graph: 
     """Extrapolate velocities and impulses from their change since the sweep before."""
     env = team.env
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
-        if inverse_mass_of(b, motions) > 0.0 and turn <= graph.calm_sweeps[b]:
-            beta = momentum(turn, graph.calm_sweeps[b], MOST_MOMENTUM)
+        if inverse_mass_of(b, motions) > 0.0 and turn <= graph.further_sweeps[b]:
+            beta = momentum(turn, graph.further_sweeps[b], MOST_MOMENTUM)
             linear = load_velocity(b, VELOCITY, motions)
             angular = load_velocity(b, VELOCITY + 1, motions)
             motions.solver_bodies[b].linear = linear + beta * (linear - load_velocity(b, START, motions))

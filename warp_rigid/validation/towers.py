@@ -367,7 +367,7 @@ def falling_towers(duration):
         "V62",
         "energy of falling towers of ten cubes",
         "conservation",
-        energy_checks([0, 2, 4], [1, 3, 5], experiment.variants, 1e-4),
+        energy_checks([0, 2, 4], [1, 3, 5], experiment.variants, 1e-6),
         (experiment,),
         curve=Curve("energy", "J", lambda t: t.energy),
     )
