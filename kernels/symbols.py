@@ -8,6 +8,7 @@ SYMBOLS = {
     "parts": "signed distance functions in the pool",
     "clusters": "sample clusters in the pool",
     "samples": "surface samples in the pool",
+    "balls": "inner balls of the shapes in the pool",
     "hull_vertices": "vertices of convex meshes in the pool",
     "nodes": "grid nodes in the pool",
     "tree_nodes": "nodes of trees of triangles in the pool",
