@@ -79,7 +79,7 @@ def test_a_ragdoll_under_a_heavy_plate_comes_to_rest(device):
     scene = wr.Scene(gravity=(0, 0, -G))
     scene.add_static(wr.Plane(), friction=0.6)
     add_ragdoll(scene, (0, 0, 0.99), "doll")
-    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.89), mass=100.0, friction=0.6)
+    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.95), mass=100.0, friction=0.6)
     sim = wr.Simulator(scene, device=device)
     for _ in range(120):
         sim.step(8)
@@ -88,16 +88,16 @@ def test_a_ragdoll_under_a_heavy_plate_comes_to_rest(device):
     assert sim.penetration()[0] < 1e-4
 
 
-def test_ragdolls_that_fall_onto_each_other_at_high_speed_stay_in_one_piece(device):
-    """Two ragdolls meet at 14 m/s: no energy is gained, and the joints hold."""
+@pytest.mark.parametrize("speed", [14.0, 20.0])
+def test_ragdolls_that_fall_onto_each_other_at_high_speed_stay_in_one_piece(device, speed):
+    """Two ragdolls meet: no energy is gained, and the joints hold, also where bodies stop within a step."""
     scene = wr.Scene(gravity=(0, 0, -G))
     add_ragdoll(scene, (0, 0, 1), "still")
     count = len(scene.bodies)
     add_ragdoll(scene, (0.05, 0.02, 3), "falling")
     sim = wr.Simulator(scene, device=device)
-    sim.set("linear_velocity", (0, 0, -14.0), bodies=list(range(count, 2 * count)))
-    top = 14.0
+    sim.set("linear_velocity", (0, 0, -speed), bodies=list(range(count, 2 * count)))
     for _ in range(40):
         sim.step(2)
-        assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 2.5 * top
-        assert anchor_errors(sim).max() < 4e-3
+        assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 2.5 * speed
+        assert anchor_errors(sim).max() < 2e-6

@@ -66,6 +66,7 @@ Joints = layout(
     lower=Field(mat66d, "blocks", "SI", "block of the factor below the diagonal"),
     factorizations=Field(int, "mechanisms", "", "number of factorizations so far"),
     loaded=Field(int, "mechanisms", "", "how its contacts are solved: SWEPT, TOUCHED or LOADED (loads.py)"),
+    unsettled=Field(int, "mechanisms", "", "1: the solutions at predicted poses did not converge in this step"),
     touching=Field(int, "mechanisms", "", "pairs in contact that have a body of it"),
     search=Field(wp.vec2d, "joined", "J", "of an island: decrease and curvature of the energy by initial impulses"),
     answered=Field(int, "joined", "", "factorization of the mechanism to which `response` belongs"),

@@ -20,6 +20,7 @@ from warp_rigid.kernels.joints.loads import (
     sweep_others,
 )
 from warp_rigid.kernels.joints.mechanism import (
+    close_joints,
     is_awake,
     project,
     settle_mechanism,
@@ -195,9 +196,11 @@ def settle_joints(after_push: int, dt: float, bodies: Bodies, state: State, moti
 
 
 @wp.kernel
-def share_time_of_impact(motions: Motions, joints: Joints):
-    """One thread per mechanism: its bodies stop together, at the earliest time of impact of any of them."""
+def share_time_of_impact(dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One thread per mechanism: its bodies stop together, at the earliest time of impact, and its joints hold."""
     m = wp.tid()
+    if not is_awake(m, motions, joints):
+        return
     earliest = float(1.0)
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
         b = joints.member[i]
@@ -209,6 +212,8 @@ def share_time_of_impact(motions: Motions, joints: Joints):
             motions.next_time_of_impact[b] = earliest
             if earliest < 1.0:
                 motions.next_course[b] = earliest * motions.solver_bodies[b].linear
+    if earliest < 1.0 or joints.unsettled[m] == 1:
+        close_joints(m, dt, bodies, state, motions, joints)
 
 
 @wp.kernel

@@ -7,7 +7,7 @@ between two calls of `predict_mechanism`; after a few of them, the joints hold a
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import VELOCITY
+from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
@@ -29,6 +29,7 @@ from warp_rigid.kernels.joints.joint_rows import (
     has_coordinate,
     is_damped,
     is_locked,
+    present_rows,
     row_velocities,
     stabilize,
     store_masses,
@@ -115,7 +116,7 @@ def predict_mechanism(m: int, dt: float, anew: bool, bodies: Bodies, state: Stat
     `anew`: whether the rows become those of the predicted poses; the factors are stale then.
     """
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
-        predict_pose(joints.member[i], dt, bodies, state, motions, joints)
+        predict_pose(joints.member[i], dt, 1.0, bodies, state, motions, joints)
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         j = joints.sequence[place]
         if anew:
@@ -303,9 +304,62 @@ def settle_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: M
             anew = True
         last = change
         k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
+    joints.unsettled[m] = wp.where(last > UNSETTLED, 1, 0)
     if last > UNSETTLED:
-        # Velocities that obey the joints of the present pose leave an error to later steps, but add no energy.
+        # Velocities that obey the joints of the present pose add no energy; `close_joints` corrects the poses.
         take_back(m, motions, joints)
+
+
+@wp.func
+def gap_of(j: int, dt: float, motions: Motions, joints: Joints):
+    """Errors of the rows of a joint at the stored poses beyond the allowed ones, over dt; 0 where it is not held."""
+    errors = errors_of(j, ends_of(j, joints), joints)
+    held = present_rows(j, motions, joints)
+    row = free_row(joints.coordinate[j])
+    if row >= 0:
+        errors[row] = excess_of(j, errors[row], joints)
+        if has_coordinate(j, motions, joints) and is_held(joints.mode[j]):
+            held = held | (1 << row)
+    errors = (errors - joints.allowed[j]) / wp.float64(dt)
+    for k in range(6):
+        if not is_locked(held, k):
+            errors[k] = wp.float64(0.0)
+    return errors
+
+
+@wp.func
+def close_joints(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Push the bodies of a mechanism until its joints hold at the poses where they stop; velocities stay.
+
+    The velocities lead to poses at the end of the step at which the joints hold. On the way, bodies that turn do not
+    follow arcs but chords.
+    """
+    k = int(0)
+    while k < MOST_PREDICTIONS:
+        for i in range(joints.first_member[m], joints.first_member[m + 1]):
+            b = joints.member[i]
+            predict_pose(b, dt, motions.next_time_of_impact[b], bodies, state, motions, joints)
+        gap = float(0.0)
+        for place in range(joints.first_place[m], joints.first_place[m + 1]):
+            j = joints.sequence[place]
+            build_rows(j, bodies, joints)
+            joints.bias[j] = gap_of(j, dt, motions, joints)
+            gap = wp.max(gap, largest_of(joints.bias[j]))
+        if gap > FINE:
+            push_back(m, dt, motions, joints)
+        k = wp.where(gap > FINE, k + 1, MOST_PREDICTIONS)
+
+
+@wp.func
+def push_back(m: int, dt: float, motions: Motions, joints: Joints):
+    """Push the bodies of a mechanism such that their velocities along the rows of its joints decrease by `bias`."""
+    factorize(m, dt, motions, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        joints.solution[joints.sequence[place]] = joints.bias[joints.sequence[place]]
+    substitute(m, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        apply_impulses(j, PUSH, -joints.solution[j], motions, joints)
 
 
 @wp.func

@@ -241,8 +241,10 @@ class JointStages:
 
     def limit_motion(self) -> None:
         """Stop the bodies of a mechanism together."""
+        step = self._step
         if self.present:
-            self._per_mechanism(self.kernels.share_time_of_impact, [], [self._step.motions, self.arrays])
+            inputs = [step.dt, step.model.bodies, step.state]
+            self._per_mechanism(self.kernels.share_time_of_impact, inputs, [step.motions, self.arrays])
 
     def end(self) -> None:
         """Coordinates, forces and breaking, after the position update."""
