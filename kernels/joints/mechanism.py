@@ -7,7 +7,7 @@ between two calls of `predict_mechanism`; after a few of them, the joints hold a
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
+from warp_rigid.kernels.common.solver_body import PUSH, START, VELOCITY, load_velocity, store_velocity
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
@@ -180,6 +180,36 @@ def residual_of(j: int, dt: float, motions: Motions, joints: Joints):
 
 
 @wp.func
+def compliance_of(j: int, k: int, dt: float, joints: Joints):
+    """Velocity along an active row per impulse of a drive or of damping; 0 for a row that holds."""
+    step = wp.float64(dt)
+    if k == free_row(joints.coordinate[j]) and not is_held(joints.mode[j]):
+        return wp.float64(1.0) / drive_slope(j, step, joints)
+    if is_damped(j, k, joints):
+        return wp.float64(1.0) / damping_slope(j, step, joints)
+    return wp.float64(0.0)
+
+
+@wp.func
+def energy_terms(j: int, dt: float, motions: Motions, joints: Joints):
+    """Contribution of a joint to the two sums of the line search [J], as `contact.energy_terms`.
+
+    Rows that are not active now were released; they were solved before.
+    """
+    residual = residual_of(j, dt, motions, joints)
+    gained = row_velocities(j, VELOCITY, motions, joints) - row_velocities(j, START, motions, joints)
+    sums = wp.vec2d()
+    for k in range(6):
+        change = joints.total[j][k] - joints.start[j][k]
+        slope = wp.float64(0.0)
+        if is_locked(joints.active[j], k):
+            gained[k] = gained[k] + compliance_of(j, k, dt, joints) * change
+            slope = residual[k] - gained[k]
+        sums += change * wp.vec2d(-slope, gained[k])
+    return sums
+
+
+@wp.func
 def largest_of(v: vec6d):
     """Largest absolute value of the components."""
     most = wp.float64(0.0)
@@ -264,16 +294,21 @@ def choose_modes(m: int, dt: float, motions: Motions, joints: Joints):
 
 @wp.func
 def take_back(m: int, motions: Motions, joints: Joints):
-    """Take the impulses back that `settle_mechanism` has applied."""
+    """Return to the velocities and impulses before `settle_mechanism`."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        b = joints.member[i]
+        motions.solver_bodies[b].linear = load_velocity(b, START, motions)
+        motions.solver_bodies[b].angular = load_velocity(b, START + 1, motions)
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        apply_impulses(j, VELOCITY, joints.start[j] - joints.total[j], motions, joints)
-        joints.total[j] = joints.start[j]
+        joints.total[joints.sequence[place]] = joints.start[joints.sequence[place]]
 
 
 @wp.func
-def store_totals(m: int, joints: Joints):
-    """Store the impulses to which `take_back` returns."""
+def store_before_settling(m: int, motions: Motions, joints: Joints):
+    """Store the velocities and impulses to which `take_back` returns."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        body = motions.solver_bodies[joints.member[i]]
+        store_velocity(joints.member[i], START, body.linear, body.angular, motions)
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         joints.start[joints.sequence[place]] = joints.total[joints.sequence[place]]
 
@@ -295,7 +330,7 @@ def settle_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: M
     k = int(0)
     anew = bool(False)
     last = float(0.0)
-    store_totals(m, joints)
+    store_before_settling(m, motions, joints)
     while k < MOST_PREDICTIONS:
         predict_mechanism(m, dt, anew, bodies, state, motions, joints)
         change = solve_mechanism(m, dt, anew, motions, joints)

@@ -226,6 +226,13 @@ class JointStages:
         if self.present:
             self.sweep(self.kernels.AFTER_PASSES)
 
+    def add_energy(self) -> None:
+        """Contributions of joints to the line search."""
+        step = self._step
+        if self.present:
+            inputs = [step.pools.graph, step.motions, self.arrays]
+            self._per_team(self.kernels.add_energy_of_joints, inputs, [step.dt])
+
     def after_line_search(self) -> None:
         """Apply the step length."""
         step = self._step

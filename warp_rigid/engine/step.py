@@ -168,13 +168,7 @@ class Stages:
         """Moving ground: assign the surface velocity of the previous (`before_step`) or this step to contacts."""
         if self.model.surface_vertices:
             model, contacts = self.model, self.pools.contacts
-            inputs = [
-                int(before_step),
-                self.model.surface_node,
-                model.shapes,
-                model.bodies,
-                self.state,
-            ]
+            inputs = [int(before_step), self.model.surface_node, model.shapes, model.bodies, self.state]
             wp.launch(
                 ground_motion.set_surface_velocity,
                 dim=contacts.key.shape[0],
@@ -329,6 +323,7 @@ class Stages:
         self._color_by_color(shock.propagate, [repetition])
         self.joints.after_passes()
         self._color_by_color(line_search.sum_energy)
+        self.joints.add_energy()
         self._color_by_color(line_search.accept)
         self.joints.after_line_search()
 
