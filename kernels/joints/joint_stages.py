@@ -101,7 +101,8 @@ def warm_start_with_joints(
     """
     team = team_of(wp.tid(), lanes)
     if find_touched(team, order, motions, joints) == 1:
-        leave_out_of_shock(team, motions, joints, graph)
+        first = envs.first_body[team.env]
+        leave_out_of_shock(first, envs.first_body[team.env + 1], team, order, motions, joints, graph)
     if envs.warm_starting[team.env] == 1:
         warm_start_others(team, order, motions, rows, joints)
 
