@@ -13,7 +13,7 @@ STANDING = 1.05
 
 
 def build(dolls: int = 4) -> Scene:
-    """Ragdolls of fourteen bodies above a pit of 3 m.
+    """Ragdolls of fifteen bodies above a pit of 3 m.
 
     Args:
         dolls: number of ragdolls, 1 to 160; nine of them in a layer.

@@ -75,29 +75,56 @@ def test_a_bridge_carries_a_box_of_a_hundred_times_the_mass_of_a_plank(device):
 
 
 def test_a_ragdoll_under_a_heavy_plate_comes_to_rest(device):
-    """A plate of 100 kg falls on the head of a standing ragdoll, which folds up under it."""
+    """A plate of 100 kg falls on the head of a standing ragdoll, which folds up under it.
+
+    Its head leans on the neck's joint, which damps it: it sinks for a few seconds more.
+    """
     scene = wr.Scene(gravity=(0, 0, -G))
     scene.add_static(wr.Plane(), friction=0.6)
     add_ragdoll(scene, (0, 0, 0.99), "doll")
-    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.89), mass=100.0, friction=0.6)
+    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.95), mass=100.0, friction=0.6)
     sim = wr.Simulator(scene, device=device)
-    for _ in range(120):
+    head = [body.name in ("doll_neck", "doll_head") for body in scene.bodies]
+    for k in range(240):
         sim.step(8)
-        assert anchor_errors(sim).max() < 5e-4 and sim.penetration()[0] < 0.012
-    assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 0.01
+        assert anchor_errors(sim).max() < 2e-6 and sim.penetration()[0] < 0.012
+        if k == 120:
+            assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1)[~np.array(head)].max() < 1e-3
+    assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 1e-4
     assert sim.penetration()[0] < 1e-4
 
 
-def test_ragdolls_that_fall_onto_each_other_at_high_speed_stay_in_one_piece(device):
-    """Two ragdolls meet at 14 m/s: no energy is gained, and the joints hold."""
+@pytest.mark.parametrize("height", [1.97, 2.1])
+def test_a_plate_of_a_thousand_kilograms_on_a_ragdoll_adds_no_energy(device, height):
+    """The ragdoll is crushed: limits of its joints are reached while contacts converge slowly.
+
+    An overlap of a few millimetres that is pushed out lifts the plate: that is the only gain, of up to 40 J in a step.
+    """
+    scene = wr.Scene(gravity=(0, 0, -G))
+    scene.add_static(wr.Plane(), friction=0.6)
+    add_ragdoll(scene, (0, 0, 0.99), "doll")
+    scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, height), mass=1000.0, friction=0.6)
+    sim = wr.Simulator(scene, device=device)
+    last = np.inf
+    for _ in range(300):
+        sim.step(1)
+        names = ("kinetic_energy", "potential_energy")
+        now = sum(sim.get(name)[0].astype(np.float64).sum() for name in names)
+        assert now < last + 80.0
+        last = now
+    assert anchor_errors(sim).max() < 2e-6
+
+
+@pytest.mark.parametrize("speed", [14.0, 20.0])
+def test_ragdolls_that_fall_onto_each_other_at_high_speed_stay_in_one_piece(device, speed):
+    """Two ragdolls meet: no energy is gained, and the joints hold, also where bodies stop within a step."""
     scene = wr.Scene(gravity=(0, 0, -G))
     add_ragdoll(scene, (0, 0, 1), "still")
     count = len(scene.bodies)
     add_ragdoll(scene, (0.05, 0.02, 3), "falling")
     sim = wr.Simulator(scene, device=device)
-    sim.set("linear_velocity", (0, 0, -14.0), bodies=list(range(count, 2 * count)))
-    top = 14.0
+    sim.set("linear_velocity", (0, 0, -speed), bodies=list(range(count, 2 * count)))
     for _ in range(40):
         sim.step(2)
-        assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 2.5 * top
-        assert anchor_errors(sim).max() < 4e-3
+        assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 2.5 * speed
+        assert anchor_errors(sim).max() < 2e-6

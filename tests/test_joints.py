@@ -277,11 +277,21 @@ def add(joint=None, a=1, b=None, **more):
     return scene, scene.add_joint(joint or wr.FixedJoint(), a, b, **more)
 
 
+def join_two_statics():
+    """Add a joint between the two static bodies of a scene."""
+    scene = wr.Scene()
+    for x in (0.0, 0.2):
+        scene.add_static(wr.Box((0.1, 0.1, 0.1)), position=(x, 0, 0))
+    scene.add_joint(wr.FixedJoint(), 0, 1)
+
+
 @pytest.mark.parametrize(
     ("call", "text"),
     [
         (lambda: wr.RevoluteJoint((0, 0, 0)), "axis: must be a vector of length > 0, got (0, 0, 0)"),
         (lambda: wr.RevoluteJoint((0, 0, 1), (1, -1)), "limits: lower must be at most upper, got (1, -1)"),
+        (lambda: wr.PrismaticJoint((0, 0, 0)), "axis: must be a vector of length > 0, got (0, 0, 0)"),
+        (lambda: wr.PrismaticJoint((0, 0, 1), (0.2, 0.1)), "limits: lower must be at most upper, got (0.2, 0.1)"),
         (lambda: wr.PrismaticJoint((0, 0, 1), 3), "limits: must be (lower, upper) or None, got 3"),
         (lambda: wr.RevoluteJoint((0, 0, 1), friction=-1), "friction: must be a finite number >= 0, got -1"),
         (lambda: wr.SphericalJoint(4.0), "cone_limit: must be a number with 0 < number <= 3.14159, got 4.0"),
@@ -289,6 +299,7 @@ def add(joint=None, a=1, b=None, **more):
         (lambda: add(a=1, b=1), "body_b: must be another body than body_a, got 1 for both"),
         (lambda: add(a=7), "body_a: must be a whole number from 0 to 2, got 7"),
         (lambda: add(a=0), "body_b: one of the two bodies must be dynamic, got static and the world"),
+        (join_two_statics, "body_b: one of the two bodies must be dynamic, got static and static"),
         (lambda: add(joint="glue"), "joint: must be a DistanceJoint, FixedJoint, PrismaticJoint, "
          "RevoluteJoint, SphericalJoint, got 'glue'"),
         (lambda: add(b=2, anchor=(0, 0, 1), anchor_b=(0, 0, 1.1)), "anchor: the anchors must be at most 0.02 m apart, "

@@ -1,9 +1,15 @@
-"""Initial impulses of contacts where there are joints: those of the step before, as far as they reduce the energy.
+"""Line searches where there are joints: the initial impulses of contacts, and what the sweeps have changed.
+
+The initial impulses are those of the step before, as far as they reduce the energy.
 
 At an impact, the impulses of a step are many times larger than what the next step requires. Sweeps reduce them again,
 but joints, limits and friction make that slow, and what is left of them adds energy. The initial impulses of the
 contacts of mechanisms are therefore scaled, in each island, by the factor in [0, 1] that minimizes the energy. At rest
 it is 1.
+
+Sweeps over the contacts of mechanisms need not decrease the energy either: a visit takes a limit that is reached for a
+joint that holds both ways, and the direct solution releases it again. What shock propagation and the sweeps after it
+have changed is therefore scaled in the same way.
 """
 
 import warp as wp
@@ -11,10 +17,11 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import START, load_velocity, store_velocity
 from warp_rigid.kernels.common.team import Team, sync_team
 from warp_rigid.kernels.constraints import contact
-from warp_rigid.kernels.constraints.rows import Rows
+from warp_rigid.kernels.constraints.rows import Rows, blend_row, store_start
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.loads import is_visited, solve_joints, solve_touching
+from warp_rigid.kernels.joints.mechanism import energy_terms
 from warp_rigid.kernels.schema import Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
 from warp_rigid.kernels.solve.line_search import energy_of
@@ -46,18 +53,18 @@ def warm_start_others(team: Team, order: Order, motions: Motions, rows: Rows, jo
 def store_before_impulses(
     first: int, last: int, team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints
 ):
-    """Store velocities and impulses of joints without those of contacts, which start at 0."""
+    """Store velocities and impulses without the initial ones of the contacts of mechanisms, which start at 0."""
     none = wp.vec3(0.0, 0.0, 0.0)
     for b in range(first + team.lane, last, team.lanes):
         body = motions.solver_bodies[b]
         store_velocity(b, START, body.linear, body.angular, motions)
-        joints.search[b] = wp.vec2d()
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
         joints.start[j] = joints.total[j]
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        if entry.visited > 0:
-            for c in range(entry.begin, entry.end):
+        for c in range(entry.begin, entry.end):
+            store_start(entry.kind, c, rows)
+            if entry.visited > 0:
                 contact.set_impulse(c, contact.START_IMPULSE, none, rows.contacts)
                 contact.set_impulse(c, contact.START_ANGULAR_IMPULSE, none, rows.contacts)
     sync_team(team)
@@ -73,10 +80,39 @@ def factor_of(island: int, joints: Joints):
 
 
 @wp.func
-def scale_impulses(
+def sum_contacts(
     first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
 ):
-    """Scale what the initial impulses have changed, island by island."""
+    """Sum the changes of the energy by contacts since the start of the search, island by island, in `search`.
+
+    Joints that are solved before and after contribute nothing, except at limits.
+    """
+    if team.lane == 0:
+        for b in range(first, last):
+            joints.search[b] = wp.vec2d()
+        for k in range(order.color_start[team.env, 0], end_of_entries(team.env, order)):
+            entry = entry_at(k, order)
+            island = island_of(entry, motions, graph)
+            if island >= 0:
+                joints.search[island] = joints.search[island] + wp.vec2d(energy_of(entry, motions, rows))
+    sync_team(team)
+
+
+@wp.func
+def sum_joints(dt: float, team: Team, graph: Graph, motions: Motions, joints: Joints):
+    """Add the changes of the energy by joints."""
+    if team.lane == 0:
+        for j in range(joints.first_joint[team.env], joints.first_joint[team.env + 1]):
+            island = island_of_joint(j, motions, joints, graph)
+            joints.search[island] = joints.search[island] + energy_terms(j, dt, motions, joints)
+    sync_team(team)
+
+
+@wp.func
+def scale_changes(
+    first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
+):
+    """Scale the changes since the start of the search by the factor of each island."""
     for b in range(first + team.lane, last, team.lanes):
         if motions.role[b] == Role.FREE:
             t = factor_of(graph.island[b], joints)
@@ -86,17 +122,22 @@ def scale_impulses(
             motions.solver_bodies[b].linear = linear + t * (body.linear - linear)
             motions.solver_bodies[b].angular = angular + t * (body.angular - angular)
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
-        a = joints.body_a[j]
-        free = wp.where(motions.role[a] == Role.FREE, a, joints.body_b[j])
-        share = wp.float64(factor_of(graph.island[free], joints))
+        share = wp.float64(factor_of(island_of_joint(j, motions, joints, graph), joints))
         joints.total[j] = joints.start[j] + share * (joints.total[j] - joints.start[j])
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        if entry.visited > 0:
-            factor = factor_of(island_of(entry, motions, graph), joints)
+        island = island_of(entry, motions, graph)
+        if island >= 0:
             for c in range(entry.begin, entry.end):
-                contact.blend_row(c, factor, rows.contacts)
+                blend_row(entry.kind, c, factor_of(island, joints), rows)
     sync_team(team)
+
+
+@wp.func
+def island_of_joint(j: int, motions: Motions, joints: Joints, graph: Graph):
+    """The island of a joint's bodies."""
+    free = wp.where(motions.role[joints.body_a[j]] == Role.FREE, joints.body_a[j], joints.body_b[j])
+    return graph.island[free]
 
 
 @wp.func
@@ -115,11 +156,5 @@ def warm_start_touching(
     store_before_impulses(first, last, team, order, motions, rows, joints)
     solve_touching(1, team, order, motions, rows, joints)
     solve_joints(team, dt, motions, joints)
-    if team.lane == 0:
-        for k in range(order.color_start[team.env, 0], end_of_entries(team.env, order)):
-            entry = entry_at(k, order)
-            if entry.visited > 0:
-                island = island_of(entry, motions, graph)
-                joints.search[island] = joints.search[island] + wp.vec2d(energy_of(entry, motions, rows))
-    sync_team(team)
-    scale_impulses(first, last, team, order, graph, motions, rows, joints)
+    sum_contacts(first, last, team, order, graph, motions, rows, joints)
+    scale_changes(first, last, team, order, graph, motions, rows, joints)

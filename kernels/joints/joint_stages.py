@@ -3,13 +3,20 @@
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
-from warp_rigid.kernels.common.team import any_of_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.factor import factorize
-from warp_rigid.kernels.joints.initial_impulses import warm_start_others, warm_start_touching
+from warp_rigid.kernels.joints.initial_impulses import (
+    island_of_joint,
+    scale_changes,
+    sum_contacts,
+    sum_joints,
+    warm_start_others,
+    warm_start_touching,
+)
 from warp_rigid.kernels.joints.loads import (
     any_touched,
     choose_turns,
@@ -20,6 +27,8 @@ from warp_rigid.kernels.joints.loads import (
     sweep_others,
 )
 from warp_rigid.kernels.joints.mechanism import (
+    close_joints,
+    energy_terms,
     is_awake,
     project,
     settle_mechanism,
@@ -36,13 +45,16 @@ from warp_rigid.kernels.solve.gauss_seidel import (
     sweeps_of,
     tolerance_without_shock,
 )
-from warp_rigid.kernels.solve.line_search import accepted_share, searched
+from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
 from warp_rigid.kernels.solve.schedule import CONVERGED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 AFTER_PASSES = wp.constant(2)
 """Value of `after_shock` right after the passes of shock propagation, which leave the joints out."""
+
+MOST_OF_LARGEST = wp.constant(wp.float64(65536.0))
+"""Largest contribution of a joint to the sums of the line search, in multiples of that of a contact."""
 
 FORGOTTEN = wp.constant(0)
 """Value of `Graph.active_before` with which the next step computes islands, levels and colours again."""
@@ -89,7 +101,8 @@ def warm_start_with_joints(
     """
     team = team_of(wp.tid(), lanes)
     if find_touched(team, order, motions, joints) == 1:
-        leave_out_of_shock(team, motions, joints, graph)
+        first = envs.first_body[team.env]
+        leave_out_of_shock(first, envs.first_body[team.env + 1], team, order, motions, joints, graph)
     if envs.warm_starting[team.env] == 1:
         warm_start_others(team, order, motions, rows, joints)
 
@@ -131,28 +144,69 @@ def sweep_with_joints(
     done = int(0)
     residual = float(0.0)
     while left > 0:
-        change = float(0.0)
-        if after_shock != AFTER_PASSES:
-            if touched == 1:
-                change = sweep_others(team, order, motions, rows, joints)
-            else:
-                for level in range(layered, layered * graph.level_count[env] + 1):
-                    change = wp.max(change, sweep(level, team, order, graph, motions, rows))
-        change = wp.max(change, solve_joints(team, dt, motions, joints))
-        if touched == 1:
-            change = wp.max(change, solve_touching(0, team, order, motions, rows, joints))
+        residual = sweep_once(after_shock, touched, layered, dt, team, order, graph, motions, rows, joints)
         done += 1
-        residual = change
-        unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)
+        unsolved = any_of_team(wp.where(residual > CONVERGED, 1, 0), team)
         left = unsolved * (left - 1)
         if left == 0 and unsolved * spare > 0:
-            calm = 1 - any_of_team(wp.where(change > tolerance_without_shock(env, graph), 1, 0), team)
+            calm = 1 - any_of_team(wp.where(residual > tolerance_without_shock(env, graph), 1, 0), team)
             left = calm * spare
             spare = 0
+    if touched == 1:
+        end_sweeps(after_shock, dt, team, envs, order, graph, motions, rows, joints)
     if after_shock == 0:
         graph.converged[env] = wp.max(1 - unsolved, calm)
     if after_shock != AFTER_PASSES:
         report_sweeps(done, residual, after_shock, team, envs, graph)
+
+
+@wp.func
+def sweep_once(
+    after_shock: int,
+    touched: int,
+    layered: int,
+    dt: float,
+    team: Team,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    rows: Rows,
+    joints: Joints,
+):
+    """One sweep, and a direct solution of each mechanism. Returns a lane's largest change [m/s]."""
+    change = float(0.0)
+    if after_shock != AFTER_PASSES:
+        if touched == 1:
+            change = sweep_others(team, order, motions, rows, joints)
+        else:
+            for level in range(layered, layered * graph.level_count[team.env] + 1):
+                change = wp.max(change, sweep(level, team, order, graph, motions, rows))
+    change = wp.max(change, solve_joints(team, dt, motions, joints))
+    if touched == 1:
+        change = wp.max(change, solve_touching(0, team, order, motions, rows, joints))
+    return change
+
+
+@wp.func
+def end_sweeps(
+    after_shock: int,
+    dt: float,
+    team: Team,
+    envs: Environments,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    rows: Rows,
+    joints: Joints,
+):
+    """Solve the mechanisms once more, so that no limit pulls; the last sweeps end with a line search."""
+    solve_joints(team, dt, motions, joints)
+    if after_shock == 1 and searched(team.env, envs, graph):
+        first = envs.first_body[team.env]
+        last = envs.first_body[team.env + 1]
+        sum_contacts(first, last, team, order, graph, motions, rows, joints)
+        sum_joints(dt, team, graph, motions, joints)
+        scale_changes(first, last, team, order, graph, motions, rows, joints)
 
 
 @wp.kernel
@@ -166,14 +220,28 @@ def store_joint_start(lanes: int, envs: Environments, graph: Graph, joints: Join
 
 
 @wp.kernel
+def add_energy_of_joints(dt: float, lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
+    """One team per environment: the contributions of joints to the sums of the line search."""
+    team = team_of(wp.tid(), lanes)
+    if not searched(team.env, envs, graph):
+        return
+    for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
+        island = island_of_joint(j, motions, joints, graph)
+        terms = energy_terms(j, dt, motions, joints) * wp.float64(1.0 / graph.largest[island])
+        for k in range(2):
+            terms[k] = FINE * wp.clamp(terms[k], -MOST_OF_LARGEST, MOST_OF_LARGEST)
+        wp.atomic_add(graph.numerator, island, wp.int64(terms[0]))
+        wp.atomic_add(graph.denominator, island, wp.int64(terms[1]))
+
+
+@wp.kernel
 def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions, joints: Joints):
     """One team per environment: apply the step length of the line search to the impulses of joints."""
     team = team_of(wp.tid(), lanes)
     if not searched(team.env, envs, graph):
         return
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], lanes):
-        free = wp.where(motions.role[joints.body_a[j]] == Role.FREE, joints.body_a[j], joints.body_b[j])
-        t = wp.float64(accepted_share(graph.island[free], graph))
+        t = wp.float64(accepted_share(island_of_joint(j, motions, joints, graph), graph))
         joints.total[j] = joints.start[j] + t * (joints.total[j] - joints.start[j])
 
 
@@ -195,9 +263,11 @@ def settle_joints(after_push: int, dt: float, bodies: Bodies, state: State, moti
 
 
 @wp.kernel
-def share_time_of_impact(motions: Motions, joints: Joints):
-    """One thread per mechanism: its bodies stop together, at the earliest time of impact of any of them."""
+def share_time_of_impact(is_last: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One thread per mechanism: its bodies stop together, at the earliest time of impact, and its joints hold."""
     m = wp.tid()
+    if not is_awake(m, motions, joints):
+        return
     earliest = float(1.0)
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
         b = joints.member[i]
@@ -209,6 +279,8 @@ def share_time_of_impact(motions: Motions, joints: Joints):
             motions.next_time_of_impact[b] = earliest
             if earliest < 1.0:
                 motions.next_course[b] = earliest * motions.solver_bodies[b].linear
+    if is_last == 1 and (earliest < 1.0 or joints.unsettled[m] == 1):
+        close_joints(m, dt, bodies, state, motions, joints)
 
 
 @wp.kernel

@@ -41,6 +41,7 @@ from warp_rigid.kernels.solve.schedule import (
     forget_visits,
     stride_of_color,
 )
+from warp_rigid.kernels.solve.shock import island_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -52,8 +53,13 @@ MOST_WORK = wp.constant(2048)
 """Largest product of a mechanism's bodies and touching pairs with which its contacts are solved where the joints hold,
 unless it carries a load. A visit takes a time proportional to the bodies, too long for a chain on the ground."""
 
-SWEPT, TOUCHED, LOADED = wp.constant(0), wp.constant(1), wp.constant(2)
-"""How the contacts of a mechanism are solved: by sweeps; where the joints hold; and without shock propagation, too."""
+SWEPT, TOUCHED, LOADED, CRUSHED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
+"""How the contacts of a mechanism are solved: by sweeps, or where the joints hold.
+
+The passes of shock propagation leave the joints out, and a pile of mechanisms keeps moving with them. They are not
+executed where all contacts of an island are those of mechanisms (TOUCHED), nor for loads that joints hold to the world
+(LOADED). They are needed for a load that is heavier than the mechanism under it, which the ground carries (CRUSHED).
+"""
 
 PAIR_ROUNDS = wp.constant(4)
 """Maximum rounds over the contacts of a pair in a visit."""
@@ -71,14 +77,27 @@ def weighs_on(b: int, other: int, motions: Motions, joints: Joints):
 
 
 @wp.func
+def is_crushed(m: int, b: int, motions: Motions, joints: Joints):
+    """Whether a body is heavier than a whole mechanism that it touches, which no joint holds to the world."""
+    inverse_mass = motions.solver_bodies[b].inverse_mass
+    if joints.anchored[m] == 1 or inverse_mass == 0.0:
+        return False
+    return inverse_mass * joints.weight[m] < 1.0
+
+
+@wp.func
 def note_touch(entry: OrderRecord, motions: Motions, joints: Joints):
     """Count a pair for the mechanisms that it touches, and mark those on which it is a load."""
     m_a = joints.of_body[entry.body_a]
     m_b = joints.of_body[entry.body_b]
     if m_a >= 0:
         wp.atomic_add(joints.touching, m_a, 1)
+        if is_crushed(m_a, entry.body_b, motions, joints):
+            joints.loaded[m_a] = CRUSHED
     if m_b >= 0 and m_a != m_b:
         wp.atomic_add(joints.touching, m_b, 1)
+        if is_crushed(m_b, entry.body_a, motions, joints):
+            joints.loaded[m_b] = CRUSHED
     if weighs_on(entry.body_a, entry.body_b, motions, joints):
         joints.loaded[m_b] = LOADED
     if weighs_on(entry.body_b, entry.body_a, motions, joints):
@@ -86,16 +105,23 @@ def note_touch(entry: OrderRecord, motions: Motions, joints: Joints):
 
 
 @wp.func
-def is_heavy(m: int, motions: Motions, joints: Joints):
-    """Whether a mechanism is much heavier than its lightest body."""
+def weight_of(m: int, motions: Motions, joints: Joints):
+    """Mass of a mechanism [kg]."""
     total = float(0.0)
-    lightest = float(1.0e30)
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
         inverse_mass = inverse_mass_of(joints.member[i], motions)
         if inverse_mass > 0.0:
             total += 1.0 / inverse_mass
-            lightest = wp.min(lightest, 1.0 / inverse_mass)
-    return total > HEAVY * lightest
+    return total
+
+
+@wp.func
+def is_heavy(m: int, motions: Motions, joints: Joints):
+    """Whether a mechanism is much heavier than its lightest body."""
+    largest_inverse = float(0.0)
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        largest_inverse = wp.max(largest_inverse, inverse_mass_of(joints.member[i], motions))
+    return joints.weight[m] * largest_inverse > HEAVY
 
 
 @wp.func
@@ -106,14 +132,16 @@ def find_touched(team: Team, order: Order, motions: Motions, joints: Joints):
     for m in range(begin, end, team.lanes):
         joints.loaded[m] = SWEPT
         joints.touching[m] = 0
+        joints.weight[m] = weight_of(m, motions, joints)
     sync_team(team)
     for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
         note_touch(entry_at(k, order), motions, joints)
     sync_team(team)
     for m in range(begin, end, team.lanes):
         work = joints.touching[m] * (joints.first_member[m + 1] - joints.first_member[m])
-        if joints.loaded[m] == SWEPT and work > 0 and work <= MOST_WORK and is_heavy(m, motions, joints):
-            joints.loaded[m] = TOUCHED
+        if joints.loaded[m] != LOADED:
+            is_solved = work > 0 and work <= MOST_WORK and is_heavy(m, motions, joints)
+            joints.loaded[m] = wp.where(is_solved, wp.max(joints.loaded[m], TOUCHED), SWEPT)
     sync_team(team)
     return any_touched(team, joints)
 
@@ -126,18 +154,6 @@ def any_touched(team: Team, joints: Joints):
         if joints.loaded[m] != SWEPT:
             found = 1
     return any_of_team(found, team)
-
-
-@wp.func
-def leave_out_of_shock(team: Team, motions: Motions, joints: Joints, graph: Graph):
-    """Solve the islands of mechanisms that carry loads without shock propagation, whose passes leave the joints out."""
-    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
-        if joints.loaded[m] == LOADED:
-            for i in range(joints.first_member[m], joints.first_member[m + 1]):
-                b = joints.member[i]
-                if motions.role[b] == Role.FREE:
-                    graph.solver[graph.island[b]] = IslandSolver.SWEEPS
-    sync_team(team)
 
 
 @wp.func
@@ -205,6 +221,31 @@ def solved_mechanism(b: int, joints: Joints):
 def is_visited(entry: OrderRecord, joints: Joints):
     """Whether a pair is solved where the joints hold: the contacts of a mechanism, also between its own bodies."""
     return solved_mechanism(entry.body_a, joints) >= 0 or solved_mechanism(entry.body_b, joints) >= 0
+
+
+@wp.func
+def leave_out_of_shock(first: int, last: int, team: Team, order: Order, motions: Motions, joints: Joints, graph: Graph):
+    """Solve islands without shock propagation: those with a LOADED mechanism, or a TOUCHED one and no other contacts.
+
+    `search` is 1 for islands with other contacts.
+    """
+    for b in range(first + team.lane, last, team.lanes):
+        joints.search[b] = wp.vec2d()
+    sync_team(team)
+    for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
+        entry = entry_at(k, order)
+        if not is_visited(entry, joints):
+            joints.search[island_of(entry, motions, graph)] = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+    sync_team(team)
+    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
+        for i in range(joints.first_member[m], joints.first_member[m + 1]):
+            b = joints.member[i]
+            island = graph.island[b]
+            if motions.role[b] == Role.FREE:
+                alone = joints.loaded[m] == TOUCHED and joints.search[island][0] == wp.float64(0.0)
+                if joints.loaded[m] == LOADED or alone:
+                    graph.solver[island] = IslandSolver.SWEEPS
+    sync_team(team)
 
 
 @wp.func

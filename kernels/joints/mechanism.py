@@ -7,7 +7,7 @@ between two calls of `predict_mechanism`; after a few of them, the joints hold a
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import VELOCITY
+from warp_rigid.kernels.common.solver_body import PUSH, START, VELOCITY, load_velocity, store_velocity
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
@@ -29,6 +29,7 @@ from warp_rigid.kernels.joints.joint_rows import (
     has_coordinate,
     is_damped,
     is_locked,
+    present_rows,
     row_velocities,
     stabilize,
     store_masses,
@@ -115,7 +116,7 @@ def predict_mechanism(m: int, dt: float, anew: bool, bodies: Bodies, state: Stat
     `anew`: whether the rows become those of the predicted poses; the factors are stale then.
     """
     for i in range(joints.first_member[m], joints.first_member[m + 1]):
-        predict_pose(joints.member[i], dt, bodies, state, motions, joints)
+        predict_pose(joints.member[i], dt, 1.0, bodies, state, motions, joints)
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         j = joints.sequence[place]
         if anew:
@@ -176,6 +177,36 @@ def residual_of(j: int, dt: float, motions: Motions, joints: Joints):
             else:
                 residual[k] = speeds[k] + joints.bias[j][k] - joints.allowed[j][k] / wp.float64(dt)
     return residual
+
+
+@wp.func
+def compliance_of(j: int, k: int, dt: float, joints: Joints):
+    """Velocity along an active row per impulse of a drive or of damping; 0 for a row that holds."""
+    step = wp.float64(dt)
+    if k == free_row(joints.coordinate[j]) and not is_held(joints.mode[j]):
+        return wp.float64(1.0) / drive_slope(j, step, joints)
+    if is_damped(j, k, joints):
+        return wp.float64(1.0) / damping_slope(j, step, joints)
+    return wp.float64(0.0)
+
+
+@wp.func
+def energy_terms(j: int, dt: float, motions: Motions, joints: Joints):
+    """Contribution of a joint to the two sums of the line search [J], as `contact.energy_terms`.
+
+    Rows that are not active now were released; they were solved before.
+    """
+    residual = residual_of(j, dt, motions, joints)
+    gained = row_velocities(j, VELOCITY, motions, joints) - row_velocities(j, START, motions, joints)
+    sums = wp.vec2d()
+    for k in range(6):
+        change = joints.total[j][k] - joints.start[j][k]
+        slope = wp.float64(0.0)
+        if is_locked(joints.active[j], k):
+            gained[k] = gained[k] + compliance_of(j, k, dt, joints) * change
+            slope = residual[k] - gained[k]
+        sums += change * wp.vec2d(-slope, gained[k])
+    return sums
 
 
 @wp.func
@@ -263,16 +294,21 @@ def choose_modes(m: int, dt: float, motions: Motions, joints: Joints):
 
 @wp.func
 def take_back(m: int, motions: Motions, joints: Joints):
-    """Take the impulses back that `settle_mechanism` has applied."""
+    """Return to the velocities and impulses before `settle_mechanism`."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        b = joints.member[i]
+        motions.solver_bodies[b].linear = load_velocity(b, START, motions)
+        motions.solver_bodies[b].angular = load_velocity(b, START + 1, motions)
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        apply_impulses(j, VELOCITY, joints.start[j] - joints.total[j], motions, joints)
-        joints.total[j] = joints.start[j]
+        joints.total[joints.sequence[place]] = joints.start[joints.sequence[place]]
 
 
 @wp.func
-def store_totals(m: int, joints: Joints):
-    """Store the impulses to which `take_back` returns."""
+def store_before_settling(m: int, motions: Motions, joints: Joints):
+    """Store the velocities and impulses to which `take_back` returns."""
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        body = motions.solver_bodies[joints.member[i]]
+        store_velocity(joints.member[i], START, body.linear, body.angular, motions)
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         joints.start[joints.sequence[place]] = joints.total[joints.sequence[place]]
 
@@ -294,7 +330,7 @@ def settle_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: M
     k = int(0)
     anew = bool(False)
     last = float(0.0)
-    store_totals(m, joints)
+    store_before_settling(m, motions, joints)
     while k < MOST_PREDICTIONS:
         predict_mechanism(m, dt, anew, bodies, state, motions, joints)
         change = solve_mechanism(m, dt, anew, motions, joints)
@@ -303,9 +339,62 @@ def settle_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: M
             anew = True
         last = change
         k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
+    joints.unsettled[m] = wp.where(last > UNSETTLED, 1, 0)
     if last > UNSETTLED:
-        # Velocities that obey the joints of the present pose leave an error to later steps, but add no energy.
+        # Velocities that obey the joints of the present pose add no energy; `close_joints` corrects the poses.
         take_back(m, motions, joints)
+
+
+@wp.func
+def gap_of(j: int, dt: float, motions: Motions, joints: Joints):
+    """Errors of the rows of a joint at the stored poses beyond the allowed ones, over dt; 0 where it is not held."""
+    errors = errors_of(j, ends_of(j, joints), joints)
+    held = present_rows(j, motions, joints)
+    row = free_row(joints.coordinate[j])
+    if row >= 0:
+        errors[row] = excess_of(j, errors[row], joints)
+        if has_coordinate(j, motions, joints) and is_held(joints.mode[j]):
+            held = held | (1 << row)
+    errors = (errors - joints.allowed[j]) / wp.float64(dt)
+    for k in range(6):
+        if not is_locked(held, k):
+            errors[k] = wp.float64(0.0)
+    return errors
+
+
+@wp.func
+def close_joints(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Push the bodies of a mechanism until its joints hold at the poses where they stop; velocities stay.
+
+    The velocities lead to poses at the end of the step at which the joints hold. On the way, bodies that turn do not
+    follow arcs but chords.
+    """
+    k = int(0)
+    while k < MOST_PREDICTIONS:
+        for i in range(joints.first_member[m], joints.first_member[m + 1]):
+            b = joints.member[i]
+            predict_pose(b, dt, motions.next_time_of_impact[b], bodies, state, motions, joints)
+        gap = float(0.0)
+        for place in range(joints.first_place[m], joints.first_place[m + 1]):
+            j = joints.sequence[place]
+            build_rows(j, bodies, joints)
+            joints.bias[j] = gap_of(j, dt, motions, joints)
+            gap = wp.max(gap, largest_of(joints.bias[j]))
+        if gap > FINE:
+            push_back(m, dt, motions, joints)
+        k = wp.where(gap > FINE, k + 1, MOST_PREDICTIONS)
+
+
+@wp.func
+def push_back(m: int, dt: float, motions: Motions, joints: Joints):
+    """Push the bodies of a mechanism such that their velocities along the rows of its joints decrease by `bias`."""
+    factorize(m, dt, motions, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        joints.solution[joints.sequence[place]] = joints.bias[joints.sequence[place]]
+    substitute(m, joints)
+    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        j = joints.sequence[place]
+        apply_impulses(j, PUSH, -joints.solution[j], motions, joints)
 
 
 @wp.func

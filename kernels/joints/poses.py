@@ -37,19 +37,23 @@ def take_pose(b: int, state: State, joints: Joints):
 
 
 @wp.func
-def predict_pose(b: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """Store the pose at which `integrate_positions` will place a body that moves with its present velocities."""
+def predict_pose(b: int, dt: float, part: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """Store the pose at which `integrate_positions` will place a body that moves with its present velocities.
+
+    `part`: fraction of the step in which it moves; it is pushed out in the whole step.
+    """
     take_pose(b, state, joints)
     if motions.role[b] != Role.FREE and motions.role[b] != Role.KINEMATIC:
         return
     step = wp.float64(dt)
+    time = wp.float64(dt * part)
     turn = joints.pose_turn[b]
     spin = wp.vec3d(load_velocity(b, VELOCITY + 1, motions)) + wp.vec3d(state.angular_velocity_remainder[b])
-    kept = rotate_by(turn, step * spin)
+    kept = rotate_by(turn, time * spin)
     if bodies.motion[b] == Motion.DYNAMIC:
-        kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
+        kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), time)
     after = wp.normalize(rotate_by(kept, step * wp.vec3d(load_velocity(b, PUSH + 1, motions))))
-    travel = step * wp.vec3d(load_velocity(b, VELOCITY, motions) + load_velocity(b, PUSH, motions))
+    travel = step * wp.vec3d(part * load_velocity(b, VELOCITY, motions) + load_velocity(b, PUSH, motions))
     center = wp.vec3d(bodies.center_of_mass[b])
     shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
     joints.pose_position[b] = joints.pose_position[b] + travel - shift

@@ -57,7 +57,7 @@ class ClosedJointsOutcome:
 
 
 def add_ragdoll(scene: Scene, place: Any, name: str, damping: float = PASSIVE) -> None:
-    """Add a ragdoll of fourteen bodies that stands upright with its hip at a point [m].
+    """Add a ragdoll of fifteen bodies that stands upright with its hip at a point [m].
 
     Its joints are damped [N m s/rad]; without damping, limbs that hang freely swing and turn without end.
     """
@@ -75,10 +75,12 @@ def add_ragdoll(scene: Scene, place: Any, name: str, damping: float = PASSIVE) -
     hip = part(Box((0.14, 0.08, 0.07)), (0, 0, 0), "hip")
     belly = part(Box((0.12, 0.07, 0.06)), (0, 0, 0.15), "belly")
     chest = part(Box((0.16, 0.09, 0.11)), (0, 0, 0.34), "chest")
-    head = part(Sphere(0.1), (0, 0, 0.57), "head")
+    neck = part(Capsule(0.04, 0.02), (0, 0, 0.515), "neck")
+    head = part(Sphere(0.1), (0, 0, 0.68), "head")
     joined(SphericalJoint(0.4), belly, hip, (0, 0, 0.08))
     joined(SphericalJoint(0.4), chest, belly, (0, 0, 0.22))
-    joined(SphericalJoint(0.7), head, chest, (0, 0, 0.46))
+    joined(SphericalJoint(0.4), neck, chest, (0, 0, 0.455))
+    joined(SphericalJoint(0.5), head, neck, (0, 0, 0.575))
     for side, label in ((-1, "left"), (1, "right")):
         _add_limb(part, joined, chest, (0.22 * side, 0, 0.42), (0.04, 0.09, 0.28), f"{label}_arm", (-0.1, 2.4))
         _add_limb(part, joined, hip, (0.09 * side, 0, -0.08), (0.055, 0.14, 0.42), f"{label}_leg", (-2.4, 0.1))

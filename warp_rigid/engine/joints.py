@@ -226,6 +226,13 @@ class JointStages:
         if self.present:
             self.sweep(self.kernels.AFTER_PASSES)
 
+    def add_energy(self) -> None:
+        """Contributions of joints to the line search."""
+        step = self._step
+        if self.present:
+            inputs = [step.pools.graph, step.motions, self.arrays]
+            self._per_team(self.kernels.add_energy_of_joints, inputs, [step.dt])
+
     def after_line_search(self) -> None:
         """Apply the step length."""
         step = self._step
@@ -239,10 +246,12 @@ class JointStages:
             inputs = [after_push, step.dt, step.model.bodies, step.state]
             self._per_mechanism(self.kernels.settle_joints, inputs, [step.motions, self.arrays])
 
-    def limit_motion(self) -> None:
+    def limit_motion(self, is_last: bool) -> None:
         """Stop the bodies of a mechanism together."""
+        step = self._step
         if self.present:
-            self._per_mechanism(self.kernels.share_time_of_impact, [], [self._step.motions, self.arrays])
+            inputs = [int(is_last), step.dt, step.model.bodies, step.state]
+            self._per_mechanism(self.kernels.share_time_of_impact, inputs, [step.motions, self.arrays])
 
     def end(self) -> None:
         """Coordinates, forces and breaking, after the position update."""

@@ -170,13 +170,7 @@ class Stages:
         """Moving ground: assign the surface velocity of the previous (`before_step`) or this step to contacts."""
         if self.model.surface_vertices:
             model, contacts = self.model, self.pools.contacts
-            inputs = [
-                int(before_step),
-                self.model.surface_node,
-                model.shapes,
-                model.bodies,
-                self.state,
-            ]
+            inputs = [int(before_step), self.model.surface_node, model.shapes, model.bodies, self.state]
             wp.launch(
                 ground_motion.set_surface_velocity,
                 dim=contacts.key.shape[0],
@@ -331,6 +325,7 @@ class Stages:
         self._color_by_color(shock.propagate, [repetition])
         self.joints.after_passes()
         self._color_by_color(line_search.sum_energy)
+        self.joints.add_energy()
         self._color_by_color(line_search.accept)
         self.joints.after_line_search()
 
@@ -397,9 +392,10 @@ class Stages:
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
         self._limit_motion(turn=0)
         for turn in range(1, ccd.TURNS_IN_CROWDS if self.crowded else ccd.TURNS):
+            self.joints.limit_motion(is_last=False)
             self._per_body(ccd.close_round, [], [self.motions])
             self._limit_motion(turn)
-        self.joints.limit_motion()
+        self.joints.limit_motion(is_last=True)
 
     @stage
     def integrate_positions(self) -> None:
