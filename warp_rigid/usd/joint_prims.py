@@ -51,6 +51,7 @@ class JointReader:
         stage: the stage.
         scene: the scene, with its bodies.
         body_of: body index by collider path.
+        owners: body index by the path of the prim that is the body.
         frame_of: returns the position, rotation and stretch of a prim in the scene; the root's for None.
         kilogram: mass unit of the stage [kg].
         meter: length unit of the stage [m].
@@ -63,6 +64,7 @@ class JointReader:
         stage: Usd.Stage,
         scene: Scene,
         body_of: dict[str, int],
+        owners: dict[str, int],
         frame_of: Callable[[Usd.Prim | None], tuple[np.ndarray, np.ndarray, np.ndarray]],
         kilogram: float,
         meter: float,
@@ -70,7 +72,8 @@ class JointReader:
         change: Report,
     ):
         """Store the arguments."""
-        self._stage, self._scene, self._body_of, self._frame_of = stage, scene, body_of, frame_of
+        self._stage, self._scene, self._frame_of = stage, scene, frame_of
+        self._body_of, self._owners = body_of, owners
         self._kilogram, self._meter, self._leave_out, self._change = kilogram, meter, leave_out, change
 
     def read(self, objects: dict) -> None:
@@ -146,10 +149,12 @@ class JointReader:
         """Index of the body to which a prim belongs; None if it belongs to none."""
         while prim and not prim.IsPseudoRoot():
             path = str(prim.GetPath())
+            if prim.HasAPI(UsdPhysics.RigidBodyAPI):
+                if path not in self._owners:
+                    raise ValueError(f"its body {path} was left out")
+                return self._owners[path]
             found = {body for collider, body in self._body_of.items() if f"{collider}/".startswith(f"{path}/")}
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and not found:
-                raise ValueError(f"its body {path} was left out")
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI) or len(found) == 1:
+            if len(found) == 1:
                 return min(found)
             prim = prim.GetParent()
         return None
