@@ -40,6 +40,7 @@ def take_pose(b: int, state: State, joints: Joints):
 def predict_pose(b: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """Store the pose at which `integrate_positions` will place a body that moves with its present velocities."""
     take_pose(b, state, joints)
+    joints.pose_spin[b] = wp.vec3d()
     if motions.role[b] != Role.FREE and motions.role[b] != Role.KINEMATIC:
         return
     step = wp.float64(dt)
@@ -48,6 +49,7 @@ def predict_pose(b: int, dt: float, bodies: Bodies, state: State, motions: Motio
     kept = rotate_by(turn, step * spin)
     if bodies.motion[b] == Motion.DYNAMIC:
         kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), step)
+    joints.pose_spin[b] = spin
     after = wp.normalize(rotate_by(kept, step * wp.vec3d(load_velocity(b, PUSH + 1, motions))))
     travel = step * wp.vec3d(load_velocity(b, VELOCITY, motions) + load_velocity(b, PUSH, motions))
     center = wp.vec3d(bodies.center_of_mass[b])

@@ -14,6 +14,7 @@ from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
+from warp_rigid.usd.actuators import ACTUATOR
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
@@ -53,7 +54,10 @@ FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 
 NAMED = {"Newton": "newton:", "Mjc": "mjc:"}
 """Families whose schemas are applied without need: only the attributes with this prefix that a file sets count."""
-READ = {"newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction", "newton:torsionalFriction"}
+READ = {
+    "newton:armature", "newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction",
+    "newton:torsionalFriction", "mjc:ref", "mjc:springref", "mjc:stiffness",
+}  # fmt: skip
 """Attributes of these families that have a counterpart in a scene."""
 
 
@@ -164,7 +168,7 @@ class Reader:
             for reason in _losses(prim, unsupported):
                 self._leave_out(prim.GetPath(), reason)
             kind = prim.GetTypeName()
-            if kind and not prim.GetPrimTypeInfo().GetSchemaTypeName():
+            if kind and kind != ACTUATOR and not prim.GetPrimTypeInfo().GetSchemaTypeName():
                 self._leave_out(prim.GetPath(), f"type {kind} is not supported")
 
     def _empty_scene(self, objects: dict) -> Scene:
