@@ -179,3 +179,42 @@ def test_springs_references_and_servos_of_mujoco_become_drives(tmp_path):
         "/World/Motor": "MjcActuator: a motor whose force is its control: not imported",
         "/World/Again": "MjcActuator: another actuator drives this joint",
     }
+
+
+def test_a_joint_with_a_group_of_bodies_holds_the_world(tmp_path):
+    """Converters name the root of the file as the world, below which there may be a single collider."""
+    link = (
+        'def Xform "Link" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]) {\n'
+        " float physics:mass = 1\n float3 physics:diagonalInertia = (1, 1, 1)\n}\n"
+    )
+    wall = (
+        'def Cube "Wall" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {\n double3 xformOp:translate = (5, 0, 0)\n}\n'
+    )
+    joint = 'def PhysicsFixedJoint "Base" {\n rel physics:body0 = </World>\n rel physics:body1 = </World/Link>\n}\n'
+    scene = wr.import_usd(write_stage(tmp_path / "base.usda", link + wall + joint))
+    (entry,) = scene.joints
+    assert entry.body_b is None and scene.bodies[entry.body_a].name == "Link"
+
+
+def test_bodies_without_mass_are_parts_of_what_fixed_joints_hold_them_to(tmp_path):
+    """A base without mass between the world and an arm, and a frame at the end of the arm."""
+    empty = 'def Xform "{}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{\n}}\n'
+    fixed = 'def PhysicsFixedJoint "{}" {{\n{}}}\n'
+    ends = " rel physics:body0 = </World/{}>\n rel physics:body1 = </World/{}>\n"
+    text = (
+        empty.format("Base")
+        + empty.format("Frame")
+        + empty.format("Loose")
+        + rigid("Arm", "Cube", "double size = 1")
+        + fixed.format("Root", " rel physics:body1 = </World/Base>\n")
+        + fixed.format("Mount", ends.format("Base", "Arm"))
+        + fixed.format("Tip", ends.format("Arm", "Frame"))
+    )
+    with pytest.warns(UserWarning, match="left out"):
+        scene = wr.import_usd(write_stage(tmp_path / "parts.usda", text))
+    (entry,) = scene.joints
+    assert (entry.name, entry.body_b) == ("Mount", None) and scene.bodies[entry.body_a].name == "Arm"
+    told = {finding.path: finding.reason for finding in scene.import_report.findings}
+    assert told["/World/Base"].endswith("it is a part of the world")
+    assert told["/World/Frame"].endswith("it is a part of /World/Arm")
+    assert told["/World/Loose"] == "it has no enabled collider, and no mass"

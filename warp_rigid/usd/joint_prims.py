@@ -54,6 +54,8 @@ class JointReader:
         scene: the scene, with its bodies.
         body_of: body index by collider path.
         owners: body index by the path of the prim that is the body.
+        massless: reasons why bodies have no mass, by the paths of their prims. A fixed joint makes such a body a part
+            of another one.
         frame_of: returns the position, rotation and stretch of a prim in the scene; the root's for None.
         kilogram: mass unit of the stage [kg].
         meter: length unit of the stage [m].
@@ -67,6 +69,7 @@ class JointReader:
         scene: Scene,
         body_of: dict[str, int],
         owners: dict[str, int],
+        massless: dict[str, str],
         frame_of: Callable[[Usd.Prim | None], tuple[np.ndarray, np.ndarray, np.ndarray]],
         kilogram: float,
         meter: float,
@@ -75,7 +78,8 @@ class JointReader:
     ):
         """Store the arguments."""
         self._stage, self._scene, self._frame_of = stage, scene, frame_of
-        self._body_of, self._owners = body_of, owners
+        self._body_of, self._owners, self._massless = body_of, owners, massless
+        self._parts: dict[str, str] = {}
         self._kilogram, self._meter, self._leave_out, self._change = kilogram, meter, leave_out, change
         self._servos = read_servos(stage.GetPseudoRoot(), leave_out)
         self._in_degrees = _uses_degrees(stage)
@@ -87,6 +91,7 @@ class JointReader:
             for kind in JOINT_KINDS
             for path, description in zip(*objects.get(kind, ([], [])), strict=True)
         }
+        self._find_parts(found)
         series: dict[tuple[str, str], list[tuple[Usd.Prim, Any]]] = {}
         # MuJoCo applies the joints of a body in the order of the file.
         for prim in Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
@@ -102,6 +107,25 @@ class JointReader:
             series.setdefault(ends, []).append((prim, description))
         for joints in series.values():
             self._add_series(joints)
+
+    def _find_parts(self, found: dict[str, Any]) -> None:
+        """Make each body without mass that fixed joints hold, directly or not, a part of what they hold it to."""
+        pairs = [
+            (str(description.rel0), str(description.rel1))
+            for description in found.values()
+            if description.type == Types.FixedJoint and description.jointEnabled
+        ]
+        pairs += [pair[::-1] for pair in pairs]
+        left = dict(self._massless)
+        while taken := [(part, whole) for part, whole in pairs if part in left and whole not in left]:
+            for part, whole in taken:
+                self._parts[part] = whole
+                left.pop(part, None)
+        for part, whole in self._parts.items():
+            told = f"{self._massless[part]}: it is a part of {whole or 'the world'}"
+            self._change(self._stage.GetPrimAtPath(part), told)
+        for path, reason in left.items():
+            self._leave_out(path, reason)
 
     def _add_series(self, joints: list[tuple[Usd.Prim, Any]]) -> None:
         """Add one joint, or several in series between two bodies, with bodies between them."""
@@ -147,6 +171,8 @@ class JointReader:
         first, second = self._side(prim, "0", description.rel0), self._side(prim, "1", description.rel1)
         first = first if links[0] is None else (links[0], *first[1:])
         second = second if links[1] is None else (links[1], *second[1:])
+        if first[0] == second[0] and {str(description.rel0), str(description.rel1)} & self._parts.keys():
+            return  # It holds a part of a body.
         axis = turn_to(AXES[str(getattr(description, "axis", "X"))[-1].upper()])
         frames = [(point, rotations.multiply(turn, axis)) for _, point, turn in (second, first)]
         body_a, body_b = second[0], first[0]
@@ -204,12 +230,14 @@ class JointReader:
         while prim and not prim.IsPseudoRoot():
             path = str(prim.GetPath())
             if prim.HasAPI(UsdPhysics.RigidBodyAPI):
+                if path in self._parts:
+                    whole = self._parts[path]
+                    return self._body(self._stage.GetPrimAtPath(whole) if whole else None)
                 if path not in self._owners:
                     raise ValueError(f"its body {path} was left out")
-                return self._owners[path]
-            found = {body for collider, body in self._body_of.items() if f"{collider}/".startswith(f"{path}/")}
-            if len(found) == 1:
-                return min(found)
+            found = self._owners.get(path, self._body_of.get(path))
+            if found is not None:
+                return found
             prim = prim.GetParent()
         return None
 

@@ -2,19 +2,20 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdPhysics
 
 from warp_rigid import rotations
+from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
 from warp_rigid.usd.prims import Unreadable
 
-__all__ = ["Collider", "MassReader", "positive"]
+__all__ = ["Collider", "MassReader", "is_of_mujoco", "positive", "scale_to_total"]
 
 DEFAULT_DENSITY = 1000.0
 """Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
@@ -66,7 +67,8 @@ class MassReader:
         parts = np.array([self._mass_of(collider) for collider in group])
         given = positive(api.GetMassAttr())
         mass = float(parts.sum()) if given is None else given * self._kilogram
-        own = combine(_piece(collider, part / parts.sum()) for collider, part in zip(group, parts, strict=True))
+        weights = parts if parts.sum() > 0.0 else np.array([collider.shape.volume for collider in group])
+        own = combine(_piece(c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
         center, per_mass = self._distribution(prim, api, mass, stretch, own)
         if _is_uniform(shape, center, per_mass):
             return shape, mass
@@ -121,6 +123,21 @@ class MassReader:
         length = float(np.linalg.norm(turn))
         matrix = rotations.matrix(turn / length) if length > 0.0 else np.eye(3)
         return self._kilogram * self._meter**2 * matrix @ np.diag(moments) @ matrix.T
+
+
+def is_of_mujoco(collider: Usd.Prim) -> bool:
+    """Whether a collider comes from a file of MuJoCo."""
+    return "MjcCollisionAPI" in collider.GetPrimTypeInfo().GetAppliedAPISchemas()
+
+
+def scale_to_total(stage: Usd.Stage, scene: Scene) -> None:
+    """Scale all masses to the total that a file of MuJoCo states (`settotalmass`), if it does."""
+    for prim in stage.Traverse():
+        total = prim.GetAttribute("mjc:compiler:setTotalMass").Get()
+        if total is not None and 0.0 < total < math.inf:
+            share = float(total) / max(sum(body.mass for body in scene.bodies), 1e-30)
+            scene.bodies[:] = [replace(body, mass=share * body.mass) for body in scene.bodies]
+            return
 
 
 def positive(attribute: Usd.Attribute) -> float | None:

@@ -20,7 +20,7 @@ from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
-from warp_rigid.usd.masses import Collider, MassReader, positive
+from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
@@ -56,7 +56,8 @@ NAMED = {"Newton": "newton:", "Mjc": "mjc:"}
 """Families whose schemas are applied without need: only the attributes with this prefix that a file sets count."""
 READ = {
     "newton:armature", "newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction",
-    "newton:torsionalFriction", "mjc:ref", "mjc:springref", "mjc:stiffness",
+    "newton:torsionalFriction", "mjc:compiler:angle", "mjc:compiler:setTotalMass", "mjc:ref", "mjc:springref",
+    "mjc:stiffness",
 }  # fmt: skip
 """Attributes of these families that have a counterpart in a scene."""
 
@@ -110,6 +111,7 @@ class Reader:
         self._shapes: dict[str, Shape] = {}
         self._body_of: dict[str, int] = {}
         self._owners: dict[str, int] = {}
+        self._massless: dict[str, str] = {}
 
     def scene(self) -> Scene:
         """Build the scene.
@@ -122,6 +124,7 @@ class Reader:
         scene = self._empty_scene(objects)
         for body in self._bodies(objects):
             self._add(scene, body)
+        scale_to_total(self._stage, scene)
         descriptions = {
             str(path): description
             for kind in {Types.RigidBody, *COLLIDERS}
@@ -133,6 +136,7 @@ class Reader:
             scene,
             self._body_of,
             self._owners,
+            self._massless,
             self._frame_or_root,
             self._kilogram,
             self._meter,
@@ -281,7 +285,8 @@ class Reader:
                 self._change(body.prim, f"{reason}: it touches nothing")
                 return
             except ValueError as error:
-                reason = f"{reason}, {error}"
+                self._massless[str(body.prim.GetPath())] = f"{reason}, {error}"
+                return
         self._leave_out(body.prim.GetPath(), reason)
 
     def _add_group(self, scene: Scene, body: _Body, group: list[Collider], frame, motion: PosePath | None) -> None:
@@ -367,6 +372,8 @@ class Reader:
             if own_density is None:
                 own_density = positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
             mass = positive(mass_api.GetMassAttr()) if prim != body.prim else None
+            if mass is None and own_density is None and is_of_mujoco(prim):
+                mass = 0.0  # Where USD has a default density, MuJoCo states that there is no mass.
         except ValueError as error:
             self._leave_out(prim.GetPath(), str(error))
             return None
