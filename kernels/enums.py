@@ -127,6 +127,7 @@ class JointNumber(IntEnum):
     TARGET_VELOCITY = 7
     BREAK_FORCE = 8
     BREAK_TORQUE = 9
+    ARMATURE = 10
 
 
 class IslandSolver(IntEnum):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import warp_rigid as wr
 from tests.geometry_oracles import (
     cube,
     random_rotation,
@@ -130,3 +131,33 @@ def test_far_from_the_origin_nothing_is_lost():
     near, far = (mass_properties.polyhedron(vertices + shift, faces) for shift in (0.0, 1e4))
     assert far.volume == pytest.approx(near.volume, rel=1e-9)
     np.testing.assert_allclose(far.inertia, near.inertia, atol=1e-9)
+
+
+def test_a_distribution_that_is_given_replaces_that_of_the_children():
+    """Also where there are no children; it is saved, and distinguishes shapes."""
+    per_mass = np.array([[2.0, 0.1, 0.0], [0.1, 3.0, 0.2], [0.0, 0.2, 4.0]])
+    ball = (Sphere(0.5), (1, 0, 0), (0, 0, 0, 1))
+    for children in ([ball], []):
+        shape = Compound(children, (0.1, 0.2, 0.3), per_mass)
+        scene = wr.Scene()
+        index = scene.add_body(shape, mass=3.0, orientation=(0.5, 0.5, 0.5, 0.5))
+        sim = wr.Simulator(scene, device="cpu")
+        turn = np.roll(np.eye(3), 1, axis=0)
+        np.testing.assert_allclose(sim.get("inertia")[0, index], 3.0 * turn @ per_mass @ turn.T, rtol=1e-6)
+        np.testing.assert_allclose(sim.get("center_of_mass")[0, index], (0.3, 0.1, 0.2), rtol=1e-6)
+        data, _ = shape.to_data(lambda child: 0)
+        assert Compound.from_data(data, lambda *_: np.zeros(0), [Sphere(0.5)]) == shape
+        assert shape != Compound([ball])
+
+
+@pytest.mark.parametrize(
+    ("center", "per_mass", "told"),
+    [
+        (None, np.eye(3), "center_of_mass: must be given together"),
+        ((0, 0, 0), np.eye(2), "inertia_per_mass: must be a symmetric matrix"),
+        ((0, 0, 0), np.diag([1.0, 1.0, 0.0]), "inertia_per_mass: must have principal moments > 0"),
+    ],
+)
+def test_a_distribution_is_checked(center, per_mass, told):
+    with pytest.raises(ValueError, match=told):
+        Compound([], center, per_mass)

@@ -49,10 +49,10 @@ def test_an_ant_has_the_joints_of_its_file(robots):
         limits = [math.radians(float(x)) for x in told[name].get("range").split()]
         assert joints[name].joint.limits == pytest.approx(limits, abs=1e-5)
         assert joints[name].drive.damping == pytest.approx(1.0, rel=1e-5)
+        assert joints[name].armature == 1.0
     assert len([body for body in scene.bodies if body.mass > 0.0]) == 13
     told = {finding.path: finding.reason for finding in scene.import_report.findings}
-    assert told["/ant/Geometry/torso/front_left_leg/aux_1/hip_1"] == "newton:armature: not supported"
-    assert told["/ant/Physics/Actuator_0"] == "type MjcActuator is not supported"
+    assert told["/ant/Physics/Actuator_0"] == "MjcActuator: a motor whose force is its control: not imported"
     assert "lights are not supported" in [f.reason for f in scene.import_report.findings if f.path == ANT]
 
 

@@ -356,13 +356,60 @@ def test_what_cannot_be_taken_over_is_listed(stage):
         stage(text)
 
 
-def test_a_center_of_mass_that_is_not_the_shapes_is_told(stage):
+def test_a_distribution_of_mass_that_is_not_the_shapes_is_imported(stage):
+    """In centimetres and grams, with principal axes that are turned by 90 degrees about z."""
     values = (
-        "float physics:mass = 1; point3f physics:centerOfMass = (0.2, 0, 0); float3 physics:diagonalInertia = (1, 1, 1)"
+        "float physics:mass = 2000; point3f physics:centerOfMass = (20, 0, 0);"
+        " float3 physics:diagonalInertia = (1e6, 2e6, 3e6);"
+        " quatf physics:principalAxes = (0.70710678, 0, 0, 0.70710678)"
     )
-    scene = stage(rigid("Cube", "Cube", values, ["PhysicsMassAPI"]), strict=False)
-    reasons = [finding.reason for finding in scene.import_report.changed]
-    assert len(reasons) == 2 and "0.2 m" in reasons[0] and "moments of inertia" in reasons[1]
+    text = rigid("Cube", "Cube", values, ["PhysicsMassAPI"])
+    (body,) = stage(text, meters=0.01, kilograms=0.001).bodies
+    assert body.mass == pytest.approx(2.0)
+    assert body.shape.center_of_mass == pytest.approx([0.2, 0.0, 0.0])
+    found = body.shape.inertia / body.shape.volume * body.mass
+    assert found == pytest.approx(np.diag([0.2, 0.1, 0.3]), abs=1e-6)
+
+
+def test_colliders_of_different_densities_keep_them(stage):
+    """Two cubes of a body, the second one three times as heavy: the centre of mass is at three quarters."""
+    cube = (
+        'def Cube "{}" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"]) {{\n double size = 1\n{}\n}}\n'
+    )
+    text = (
+        'def Xform "Pair" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {\n'
+        + cube.format("A", "float physics:mass = 1")
+        + cube.format("B", "float physics:mass = 3\n" + moved(2, 0, 0).replace(";", "\n"))
+        + "}\n"
+    )
+    (body,) = stage(text).bodies
+    assert body.mass == pytest.approx(4.0) and body.shape.center_of_mass == pytest.approx([1.5, 0.0, 0.0])
+    inertia = body.shape.inertia / body.shape.volume * body.mass
+    spread = 1.0 * 1.5**2 + 3.0 * 0.5**2
+    assert inertia == pytest.approx(np.diag([4 / 6, 4 / 6 + spread, 4 / 6 + spread]))
+
+
+def test_a_body_without_colliders_moves_by_its_mass(stage, tmp_path):
+    """It falls and turns, touches nothing, and comes back from an exported file."""
+    values = (
+        "float physics:mass = 2\n float3 physics:diagonalInertia = (1, 2, 3)\n"
+        "vector3f physics:angularVelocity = (0, 0, 90)"
+    )
+    text = f'def Xform "Link" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]) {{\n{values}\n}}\n'
+    scene = stage(text + rigid("Floor", "Cube", f"bool physics:rigidBodyEnabled = 0; {moved(0, 0, -2)}"), strict=False)
+    assert [finding.reason for finding in scene.import_report.findings] == [
+        "it has no enabled collider: it touches nothing"
+    ]
+    sim = wr.Simulator(scene, device="cpu")
+    sim.step(240)
+    link = [body.name for body in scene.bodies].index("Link")
+    assert sim.get("position")[0, link, 2] == pytest.approx(-0.5 * 9.81, rel=5e-3)
+    assert sim.get("angular_velocity")[0, link] == pytest.approx([0.0, 0.0, np.pi / 2], abs=1e-5)
+    wr.export_usd(wr.record(sim, frames=1), tmp_path / "link.usda")
+    again = wr.import_usd(tmp_path / "link.usda")
+    body = again.bodies[[body.name for body in again.bodies].index("Link")]
+    assert body.mass == pytest.approx(2.0)
+    assert body.shape.inertia / body.shape.volume == pytest.approx(np.diag([0.5, 1.0, 1.5]), abs=1e-6)
 
 
 def test_a_part_of_a_stage_can_be_read(stage):

@@ -7,6 +7,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.usd_tools import moved, rigid, start_of, validator_errors, write_stage
+from warp_rigid.scene.shapes import mass_properties
 
 TURNED = (0.1, 0.2, 0.3, 0.9)
 
@@ -21,7 +22,12 @@ def joined():
     ]
     scene.add_joint(wr.FixedJoint(), bodies[0], ground, anchor=(0, 0, 0.5), break_force=100.0, break_torque=20.0)
     hinge = scene.add_joint(
-        wr.RevoluteJoint((0, 1, 1), (-1.0, 0.5), 0.25), bodies[1], bodies[0], anchor=(0.5, 0, 1), name="elbow"
+        wr.RevoluteJoint((0, 1, 1), (-1.0, 0.5), 0.25),
+        bodies[1],
+        bodies[0],
+        anchor=(0.5, 0, 1),
+        name="elbow",
+        armature=0.5,
     )
     scene.add_drive(hinge, stiffness=5.0, damping=0.5, max_force=3.0, target_position=0.25, target_velocity=0.1)
     slider = scene.add_joint(wr.PrismaticJoint((1, 0, 0), (-math.inf, 0.5)), bodies[2], bodies[1], anchor=(1.5, 0, 1))
@@ -53,7 +59,7 @@ def test_every_kind_comes_back_from_a_file(tmp_path):
             assert theirs.position == pytest.approx(own.position, abs=1e-6)
             assert abs(np.dot(theirs.orientation, own.orientation)) == pytest.approx(1.0, abs=1e-6)
         assert (other.break_force, other.break_torque) == (entry.break_force, entry.break_torque)
-        assert other.collide == entry.collide
+        assert (other.collide, other.armature) == (entry.collide, entry.armature)
         assert (other.drive is None) == (entry.drive is None)
         if entry.drive is not None:
             assert list(vars(other.drive).values()) == pytest.approx(list(vars(entry.drive).values()), rel=1e-6)
@@ -105,3 +111,110 @@ def test_hinges_that_prevent_each_other_are_named(tmp_path, axis, found):
     scene = wr.import_usd(write_stage(tmp_path / "hinges.usda", bodies + hinges))
     told = [finding.path for finding in scene.import_report.findings if "about another axis" in finding.reason]
     assert told == found and len(scene.joints) == 2
+
+
+HINGE = (
+    'def PhysicsRevoluteJoint "{name}" (prepend apiSchemas = ["MjcJointAPI", "NewtonJointAPI"]) {{\n'
+    " rel physics:body0 = </World/A>\n rel physics:body1 = </World/B>\n point3f physics:localPos0 = (0, 0, -1)\n"
+    ' point3f physics:localPos1 = (0, 0, 1)\n uniform token physics:axis = "{axis}"\n{values}\n}}\n'
+)
+TWO_BODIES = rigid("A", "Cube", "double size = 1; bool physics:kinematicEnabled = 1") + rigid(
+    "B", "Cube", f"double size = 1; {moved(0, 0, -2)}"
+)
+
+
+def test_joints_of_mujoco_in_series_are_connected_by_light_bodies(tmp_path):
+    """A hinge about y, then one about x, in the order of the file: masses and their distribution add up to B's."""
+    hinges = HINGE.format(name="Second", axis="Y", values="") + HINGE.format(name="First", axis="X", values="")
+    scene = wr.import_usd(write_stage(tmp_path / "series.usda", TWO_BODIES + hinges))
+    a, b, link = (next(body for body in scene.bodies if body.name == name) for name in ("A", "B", "B_Second"))
+    ends = {entry.name: (scene.bodies[entry.body_b], scene.bodies[entry.body_a]) for entry in scene.joints}
+    assert ends == {"Second": (a, link), "First": (link, b)}
+    assert link.mass == pytest.approx(1.0 / 6.0) and b.mass + link.mass == pytest.approx(1000.0)
+    whole = mass_properties.combine(
+        (mass_properties.MassProperties(x.mass, x.shape.center_of_mass, x.shape.inertia * x.mass / x.shape.volume), *at)
+        for x, at in ((b, (np.zeros(3), np.eye(3))), (link, (np.zeros(3), np.eye(3))))
+    )
+    assert whole.center_of_mass == pytest.approx(np.zeros(3), abs=1e-9)
+    assert whole.inertia == pytest.approx(np.eye(3) * 1000.0 / 6.0)
+    sim = wr.Simulator(scene, device="cpu", settings=wr.Settings(dt=1e-3))
+    turn = np.sin(0.1), np.cos(0.1)
+    scene_gravity = (9.81 * turn[0], 0.0, -9.81 * turn[1])
+    sim.set("gravity", scene_gravity)
+    sim.step(500)
+    # A physical pendulum about y, of 2 small amplitudes of 0.1: its angle is 0.1 (1 - cos(t sqrt(m g l / I))).
+    rate = np.sqrt(9.81 / (1.0 / 6.0 + 1.0))
+    angle = dict(zip((entry.name for entry in scene.joints), sim.get("joint_position")[0], strict=True))
+    assert abs(angle["Second"]) == pytest.approx(0.1 * (1.0 - np.cos(0.5 * rate)), rel=1e-2)
+    assert abs(angle["First"]) < 1e-5
+
+
+def test_springs_references_and_servos_of_mujoco_become_drives(tmp_path):
+    """Angles of MuJoCo count from `ref` at the initial pose; a servo has stiffness -bias[1] gear^2."""
+    values = (
+        "uniform double mjc:ref = 30\n uniform double mjc:springref = 40\n uniform double mjc:stiffness = 2\n"
+        "float newton:damping = 0.017453293\n float newton:armature = 0.5\n"
+        "float physics:lowerLimit = -60\n float physics:upperLimit = 90\n"
+    )
+    servo = 'def MjcActuator "{name}" {{\n rel mjc:target = </World/Hinge>\n{values}\n}}\n'.replace(
+        "{values}", "uniform double[] mjc:gear = [2, 0]\n{values}"
+    )
+    affine = 'uniform token mjc:biasType = "affine"\n uniform double[] mjc:biasPrm = [0, -5, -0.5]\n'
+    text = (
+        TWO_BODIES
+        + HINGE.format(name="Hinge", axis="Y", values=values)
+        + servo.format(name="Motor", values="")
+        + servo.format(name="Servo", values=affine)
+        + servo.format(name="Again", values=affine)
+    )
+    scene = wr.import_usd(write_stage(tmp_path / "servo.usda", text))
+    (entry,) = scene.joints
+    degree = math.pi / 180.0
+    assert entry.joint.limits == pytest.approx((-90 * degree, 60 * degree), abs=1e-6)
+    assert entry.armature == 0.5
+    assert entry.drive.stiffness == pytest.approx(2.0 + 20.0) and entry.drive.damping == pytest.approx(1.0 + 2.0)
+    assert entry.drive.target_position == pytest.approx((2.0 * 10 * degree - 20.0 * 30 * degree) / 22.0)
+    told = {finding.path: finding.reason for finding in scene.import_report.left_out}
+    assert told == {
+        "/World/Motor": "MjcActuator: a motor whose force is its control: not imported",
+        "/World/Again": "MjcActuator: another actuator drives this joint",
+    }
+
+
+def test_a_joint_with_a_group_of_bodies_holds_the_world(tmp_path):
+    """Converters name the root of the file as the world, below which there may be a single collider."""
+    link = (
+        'def Xform "Link" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]) {\n'
+        " float physics:mass = 1\n float3 physics:diagonalInertia = (1, 1, 1)\n}\n"
+    )
+    wall = (
+        'def Cube "Wall" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {\n double3 xformOp:translate = (5, 0, 0)\n}\n'
+    )
+    joint = 'def PhysicsFixedJoint "Base" {\n rel physics:body0 = </World>\n rel physics:body1 = </World/Link>\n}\n'
+    scene = wr.import_usd(write_stage(tmp_path / "base.usda", link + wall + joint))
+    (entry,) = scene.joints
+    assert entry.body_b is None and scene.bodies[entry.body_a].name == "Link"
+
+
+def test_bodies_without_mass_are_parts_of_what_fixed_joints_hold_them_to(tmp_path):
+    """A base without mass between the world and an arm, and a frame at the end of the arm."""
+    empty = 'def Xform "{}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{\n}}\n'
+    fixed = 'def PhysicsFixedJoint "{}" {{\n{}}}\n'
+    ends = " rel physics:body0 = </World/{}>\n rel physics:body1 = </World/{}>\n"
+    text = (
+        empty.format("Base")
+        + empty.format("Frame")
+        + empty.format("Loose")
+        + rigid("Arm", "Cube", "double size = 1")
+        + fixed.format("Root", " rel physics:body1 = </World/Base>\n")
+        + fixed.format("Mount", ends.format("Base", "Arm"))
+        + fixed.format("Tip", ends.format("Arm", "Frame"))
+    )
+    with pytest.warns(UserWarning, match="left out"):
+        scene = wr.import_usd(write_stage(tmp_path / "parts.usda", text))
+    (entry,) = scene.joints
+    assert (entry.name, entry.body_b) == ("Mount", None) and scene.bodies[entry.body_a].name == "Arm"
+    told = {finding.path: finding.reason for finding in scene.import_report.findings}
+    assert told["/World/Base"].endswith("it is a part of the world")
+    assert told["/World/Frame"].endswith("it is a part of /World/Arm")
+    assert told["/World/Loose"] == "it has no enabled collider, and no mass"

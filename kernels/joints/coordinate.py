@@ -24,7 +24,7 @@ STUCK = wp.constant(3)
 """Mode: held by friction."""
 
 IDLE = wp.constant(4)
-"""Mode: no impulse, before the step's forces are known."""
+"""Mode: no impulse but that of the armature, before the step's forces are known."""
 
 TOLERANCE = wp.constant(wp.float64(1.0e-7))
 """Distance from a limit that counts as none [m or rad]."""
@@ -49,10 +49,19 @@ def drive_impulse(j: int, dt: wp.float64, value: wp.float64, speed: wp.float64, 
 
 @wp.func
 def drive_slope(j: int, dt: wp.float64, joints: Joints):
-    """Decrease of the drive's impulse per velocity [kg or kg m^2]; 0 if it is saturated, idle, or there is none."""
+    """Decrease of the impulse of drive and armature per velocity [kg or kg m^2]."""
+    armature = number_of(j, JointNumber.ARMATURE, joints)
     if joints.mode[j][2] != 0 or joints.mode[j][0] == IDLE:
-        return wp.float64(0.0)
-    return dt * (dt * number_of(j, JointNumber.STIFFNESS, joints) + number_of(j, JointNumber.DAMPING, joints))
+        return armature
+    return (
+        dt * (dt * number_of(j, JointNumber.STIFFNESS, joints) + number_of(j, JointNumber.DAMPING, joints)) + armature
+    )
+
+
+@wp.func
+def armature_impulse(j: int, speed: wp.float64, joints: Joints):
+    """Impulse of the inertia that a rotor adds to the coordinate, from the change of its velocity in the step."""
+    return number_of(j, JointNumber.ARMATURE, joints) * (joints.speed[j] - joints.drift[j] - speed)
 
 
 @wp.func
@@ -63,19 +72,21 @@ def damping_slope(j: int, dt: wp.float64, joints: Joints):
 
 @wp.func
 def limited_drive(j: int, dt: wp.float64, value: wp.float64, speed: wp.float64, joints: Joints):
-    """Impulse of the drive, within its limit."""
+    """Impulse of the drive, within its limit, and of the armature."""
     most = dt * number_of(j, JointNumber.MAX_FORCE, joints)
-    return wp.clamp(drive_impulse(j, dt, value, speed, joints), -most, most)
+    drive = wp.clamp(drive_impulse(j, dt, value, speed, joints), -most, most)
+    return drive + armature_impulse(j, speed, joints)
 
 
 @wp.func
 def law_impulse(j: int, dt: wp.float64, value: wp.float64, speed: wp.float64, joints: Joints):
-    """Impulse of drive and sliding friction in the present mode."""
+    """Impulse of drive, armature and sliding friction in the present mode."""
     mode = joints.mode[j]
     impulse = drive_impulse(j, dt, value, speed, joints)
     if mode[2] != 0:
         impulse = wp.float64(mode[2]) * dt * number_of(j, JointNumber.MAX_FORCE, joints)
-    return impulse - wp.float64(mode[1]) * dt * number_of(j, JointNumber.FRICTION, joints)
+    friction = wp.float64(mode[1]) * dt * number_of(j, JointNumber.FRICTION, joints)
+    return impulse + armature_impulse(j, speed, joints) - friction
 
 
 @wp.func

@@ -6,7 +6,7 @@ the centres of mass. An impulse along the row acts on both bodies at the same po
 
 import warp as wp
 
-from warp_rigid.kernels.common.solver_body import PUSH, inverse_inertia_of, inverse_mass_of, load_velocity
+from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY, inverse_inertia_of, inverse_mass_of, load_velocity
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat33d, mat63d, vec6d
 from warp_rigid.kernels.joints.poses import Ends, axis_of, ends_of, free_row
@@ -172,6 +172,27 @@ def row_velocities(j: int, which: int, motions: Motions, joints: Joints):
         linear = linear - wp.vec3d(load_velocity(b, which, motions))
         speeds = speeds + joints.angular_b[j] * wp.vec3d(load_velocity(b, which + 1, motions))
     return speeds + joints.linear[j] * linear
+
+
+@wp.func
+def point_velocity(b: int, point: wp.vec3d, bodies: Bodies, motions: Motions, joints: Joints):
+    """Velocity of a point of a body at the predicted pose [m/s]."""
+    linear = wp.vec3d(load_velocity(b, VELOCITY, motions))
+    return linear + wp.cross(joints.pose_spin[b], point - center_of(b, bodies, joints))
+
+
+@wp.func
+def coordinate_rate(j: int, ends: Ends, bodies: Bodies, motions: Motions, joints: Joints):
+    """Velocity of the coordinate of a hinge or slider at the predicted poses, after the free motion of the step."""
+    a = joints.body_a[j]
+    b = joints.body_b[j]
+    angular = joints.pose_spin[a]
+    linear = point_velocity(a, ends.point_a, bodies, motions, joints)
+    if joints.to_world[j] == 0:
+        angular = angular - joints.pose_spin[b]
+        linear = linear - point_velocity(b, ends.point_a, bodies, motions, joints)
+    axis = wp.quat_rotate(ends.turn_b, wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0)))
+    return wp.dot(axis, wp.where(joints.coordinate[j] == Coordinate.ANGLE, angular, linear))
 
 
 @wp.func

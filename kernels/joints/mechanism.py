@@ -8,7 +8,7 @@ between two calls of `predict_mechanism`; after a few of them, the joints hold a
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, START, VELOCITY, load_velocity, store_velocity
-from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.enums import JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
     IDLE,
@@ -26,6 +26,7 @@ from warp_rigid.kernels.joints.factor import active_rows, factorize, substitute
 from warp_rigid.kernels.joints.joint_rows import (
     apply_impulses,
     build_rows,
+    coordinate_rate,
     has_coordinate,
     is_damped,
     is_locked,
@@ -84,6 +85,8 @@ def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joi
     row = free_row(joints.coordinate[j])
     if row >= 0:
         speed = row_velocities(j, VELOCITY, motions, joints)[row]
+        joints.speed[j] = speed
+        joints.drift[j] = wp.float64(0.0)
         joints.mode[j] = mode_before_forces(j, errors[row], speed, joints)
         errors[row] = excess_of(j, errors[row], joints)
     most = FASTEST * wp.float64(dt)
@@ -121,8 +124,13 @@ def predict_mechanism(m: int, dt: float, anew: bool, bodies: Bodies, state: Stat
         j = joints.sequence[place]
         if anew:
             build_rows(j, bodies, joints)
-        errors = errors_of(j, ends_of(j, joints), joints)
-        joints.bias[j] = errors / wp.float64(dt) - row_velocities(j, VELOCITY, motions, joints)
+        ends = ends_of(j, joints)
+        errors = errors_of(j, ends, joints)
+        speeds = row_velocities(j, VELOCITY, motions, joints)
+        joints.bias[j] = errors / wp.float64(dt) - speeds
+        if joints.numbers[j, JointNumber.ARMATURE] > 0.0:
+            after = coordinate_rate(j, ends, bodies, motions, joints)
+            joints.drift[j] = after - speeds[free_row(joints.coordinate[j])]
 
 
 @wp.func

@@ -43,6 +43,7 @@ def predict_pose(b: int, dt: float, part: float, bodies: Bodies, state: State, m
     `part`: fraction of the step in which it moves; it is pushed out in the whole step.
     """
     take_pose(b, state, joints)
+    joints.pose_spin[b] = wp.vec3d()
     if motions.role[b] != Role.FREE and motions.role[b] != Role.KINEMATIC:
         return
     step = wp.float64(dt)
@@ -52,6 +53,7 @@ def predict_pose(b: int, dt: float, part: float, bodies: Bodies, state: State, m
     kept = rotate_by(turn, time * spin)
     if bodies.motion[b] == Motion.DYNAMIC:
         kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), time)
+    joints.pose_spin[b] = spin
     after = wp.normalize(rotate_by(kept, step * wp.vec3d(load_velocity(b, PUSH + 1, motions))))
     travel = step * wp.vec3d(part * load_velocity(b, VELOCITY, motions) + load_velocity(b, PUSH, motions))
     center = wp.vec3d(bodies.center_of_mass[b])

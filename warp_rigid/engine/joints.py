@@ -62,6 +62,7 @@ def numbers_of(entry: JointEntry) -> list[float]:
         JointNumber.TARGET_VELOCITY: drive.target_velocity,
         JointNumber.BREAK_FORCE: entry.break_force,
         JointNumber.BREAK_TORQUE: entry.break_torque,
+        JointNumber.ARMATURE: entry.armature,
     }
     return [values[number] for number in JointNumber]
 

@@ -171,7 +171,7 @@ def _shape_rows(entries: list[Entry], parts: list, samples: list) -> np.ndarray:
     hull_start = exclusive_sums(np.array([len(shape.hull) for shape in shapes]))
     rows["hull_start"], rows["hull_end"] = hull_start[:-1], hull_start[1:]
     rows["inside"] = [
-        shape.hull.mean(axis=0) if len(shape.hull) else group[0].position
+        shape.hull.mean(axis=0) if len(shape.hull) else (group[0].position if group else shape.center_of_mass)
         for shape, group in zip(shapes, parts, strict=True)
     ]
     rows["lower"] = [np.clip(shape.bounds[0], -UNBOUNDED, UNBOUNDED) for shape in shapes]

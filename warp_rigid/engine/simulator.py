@@ -189,7 +189,7 @@ class Simulator:
 
         For quantities of joints it broadcasts to (envs, joints): "joint_target_position", "joint_target_velocity",
         "joint_stiffness", "joint_damping", "joint_max_force", "joint_friction", "joint_lower", "joint_upper",
-        "joint_break_force", "joint_break_torque" and "joint_broken".
+        "joint_break_force", "joint_break_torque", "joint_armature" and "joint_broken".
 
         Args:
             name: the quantity.

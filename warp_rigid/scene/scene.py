@@ -305,6 +305,7 @@ class Scene:
         break_force: float = np.inf,
         break_torque: float = np.inf,
         collide: bool = False,
+        armature: float = 0.0,
     ) -> int:
         """Add a joint between two bodies, or between a body and the world.
 
@@ -324,6 +325,8 @@ class Scene:
             break_force: the joint breaks at a larger force [N].
             break_torque: the joint breaks at a larger torque [N m].
             collide: whether the two bodies can touch each other; if not, their pair is filtered.
+            armature: inertia that the rotor of a motor, seen through its gear, adds to the coordinate of a revolute
+                joint [kg m^2] or a prismatic one [kg].
 
         Returns:
             The joint's index.
@@ -345,6 +348,7 @@ class Scene:
             break_force=break_force,
             break_torque=break_torque,
             collide=collide,
+            armature=armature,
         )
         self.joints.append(replace(entry, name=_unique(entry.name, self._copies_of_joints)))
         if second is not None and not collide:

@@ -110,7 +110,9 @@ def _joint_data(entry: JointEntry) -> dict[str, Any]:
 def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
     """Add a joint with all checks."""
     frames: dict[str, Any] = {name: JointFrame(**entry[name]) for name in ("frame_a", "frame_b")}
-    rest = {name: entry[name] for name in ("name", "break_force", "break_torque", "collide")}
+    rest = {
+        name: entry[name] for name in ("name", "break_force", "break_torque", "collide", "armature") if name in entry
+    }
     joint = JOINTS[entry["kind"]](**entry["joint"])
     index = scene.add_joint(joint, entry["body_a"], entry["body_b"], **frames, **rest)
     if entry["drive"] is not None:

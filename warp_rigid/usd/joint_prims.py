@@ -25,8 +25,10 @@ from warp_rigid.scene.joints import (
 )
 from warp_rigid.scene.joints.placing import turn_to, world_frame
 from warp_rigid.scene.scene import Scene
+from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.geometry import MARK, gf_quaternion
 from warp_rigid.usd.prims import custom_data
+from warp_rigid.usd.serial_joints import SHARE, insert_links
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
 
 __all__ = ["JOINT_KINDS", "JOINT_SCHEMAS", "JointReader", "write_joint"]
@@ -51,6 +53,9 @@ class JointReader:
         stage: the stage.
         scene: the scene, with its bodies.
         body_of: body index by collider path.
+        owners: body index by the path of the prim that is the body.
+        massless: reasons why bodies have no mass, by the paths of their prims. A fixed joint makes such a body a part
+            of another one.
         frame_of: returns the position, rotation and stretch of a prim in the scene; the root's for None.
         kilogram: mass unit of the stage [kg].
         meter: length unit of the stage [m].
@@ -63,6 +68,8 @@ class JointReader:
         stage: Usd.Stage,
         scene: Scene,
         body_of: dict[str, int],
+        owners: dict[str, int],
+        massless: dict[str, str],
         frame_of: Callable[[Usd.Prim | None], tuple[np.ndarray, np.ndarray, np.ndarray]],
         kilogram: float,
         meter: float,
@@ -70,27 +77,102 @@ class JointReader:
         change: Report,
     ):
         """Store the arguments."""
-        self._stage, self._scene, self._body_of, self._frame_of = stage, scene, body_of, frame_of
+        self._stage, self._scene, self._frame_of = stage, scene, frame_of
+        self._body_of, self._owners, self._massless = body_of, owners, massless
+        self._parts: dict[str, str] = {}
         self._kilogram, self._meter, self._leave_out, self._change = kilogram, meter, leave_out, change
+        self._servos = read_servos(stage.GetPseudoRoot(), leave_out)
+        self._in_degrees = _uses_degrees(stage)
 
     def read(self, objects: dict) -> None:
         """Add all joints, in the order of their paths."""
-        found = [
-            (str(path), description)
+        found = {
+            str(path): description
             for kind in JOINT_KINDS
             for path, description in zip(*objects.get(kind, ([], [])), strict=True)
-        ]
-        for path, description in sorted(found, key=lambda pair: pair[0]):
+        }
+        self._find_parts(found)
+        series: dict[tuple[str, str], list[tuple[Usd.Prim, Any]]] = {}
+        # MuJoCo applies the joints of a body in the order of the file.
+        for prim in Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+            path = str(prim.GetPath())
+            if path not in found:
+                continue
+            description = found[path]
             if not description.jointEnabled:
                 self._leave_out(path, "the joint is disabled")
                 continue
-            try:
-                self._add(self._stage.GetPrimAtPath(path), description)
-            except ValueError as error:
-                self._leave_out(path, str(error))
+            is_serial = "MjcJointAPI" in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+            ends = (str(description.rel0), str(description.rel1)) if is_serial else (path, "")
+            series.setdefault(ends, []).append((prim, description))
+        for joints in series.values():
+            self._add_series(joints)
 
-    def _add(self, prim: Usd.Prim, description: Any) -> None:
+    def _find_parts(self, found: dict[str, Any]) -> None:
+        """Make each body without mass that fixed joints hold, directly or not, a part of what they hold it to."""
+        pairs = [
+            (str(description.rel0), str(description.rel1))
+            for description in found.values()
+            if description.type == Types.FixedJoint and description.jointEnabled
+        ]
+        pairs += [pair[::-1] for pair in pairs]
+        left = dict(self._massless)
+        while taken := [(part, whole) for part, whole in pairs if part in left and whole not in left]:
+            for part, whole in taken:
+                self._parts[part] = whole
+                left.pop(part, None)
+        for part, whole in self._parts.items():
+            told = f"{self._massless[part]}: it is a part of {whole or 'the world'}"
+            self._change(self._stage.GetPrimAtPath(part), told)
+        for path, reason in left.items():
+            self._leave_out(path, reason)
+
+    def _add_series(self, joints: list[tuple[Usd.Prim, Any]]) -> None:
+        """Add one joint, or several in series between two bodies, with bodies between them."""
+        last, description = joints[-1]
+        try:
+            links: list[int | None] = []
+            if len(joints) > 1:
+                body = self._side(last, "1", description.rel1)[0]
+                if body is None:
+                    raise ValueError("joints in series must hold a rigid body")
+                points = [self._point_of_link(body, prim, own) for prim, own in joints[1:]]
+                names = [f"{self._scene.bodies[body].name}_{prim.GetName()}" for prim, _ in joints[:-1]]
+                links = list(insert_links(self._scene, body, points, names))
+                told = f"{len(joints)} joints in series: each body between them takes {SHARE:.1%} of the mass"
+                self._change(last, told)
+        except ValueError as error:
+            self._leave_out(last.GetPath(), str(error))
+            return
+        ends = [None, *links, None]
+        for k, (prim, own) in enumerate(joints):
+            try:
+                self._add(prim, own, (ends[k], ends[k + 1]))
+            except ValueError as error:
+                self._leave_out(prim.GetPath(), str(error))
+
+    def _point_of_link(self, body: int, prim: Usd.Prim, description: Any) -> np.ndarray:
+        """Where a body in front of a joint has its mass, in the frame of the body behind it.
+
+        On the axis of a hinge, whose rotation does not move it, and otherwise at the centre of mass.
+        """
+        center = self._scene.bodies[body].shape.center_of_mass
+        if description.type == Types.PrismaticJoint:
+            return center
+        frame = self._local(body, *self._side(prim, "1", description.rel1)[1:])
+        anchor = np.array(frame.position)
+        if description.type != Types.RevoluteJoint:
+            return anchor
+        axis = rotations.rotate(np.array(frame.orientation), np.array(AXES[str(description.axis)[-1].upper()]))
+        return anchor + axis * float(axis @ (center - anchor))
+
+    def _add(self, prim: Usd.Prim, description: Any, links: tuple[int | None, int | None]) -> None:
+        """Add one joint; `links`: bodies in place of its first and second one."""
         first, second = self._side(prim, "0", description.rel0), self._side(prim, "1", description.rel1)
+        first = first if links[0] is None else (links[0], *first[1:])
+        second = second if links[1] is None else (links[1], *second[1:])
+        if first[0] == second[0] and {str(description.rel0), str(description.rel1)} & self._parts.keys():
+            return  # It holds a part of a body.
         axis = turn_to(AXES[str(getattr(description, "axis", "X"))[-1].upper()])
         frames = [(point, rotations.multiply(turn, axis)) for _, point, turn in (second, first)]
         body_a, body_b = second[0], first[0]
@@ -110,6 +192,7 @@ class JointReader:
             break_force=_limit(description.breakForce * force),
             break_torque=_limit(description.breakTorque * force * self._meter),
             collide=bool(description.collisionEnabled),
+            armature=self._armature(prim, description.type),
         )
         self._add_drive(index, prim, description)
         if self._is_held_by_others(index):
@@ -146,11 +229,15 @@ class JointReader:
         """Index of the body to which a prim belongs; None if it belongs to none."""
         while prim and not prim.IsPseudoRoot():
             path = str(prim.GetPath())
-            found = {body for collider, body in self._body_of.items() if f"{collider}/".startswith(f"{path}/")}
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and not found:
-                raise ValueError(f"its body {path} was left out")
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI) or len(found) == 1:
-                return min(found)
+            if prim.HasAPI(UsdPhysics.RigidBodyAPI):
+                if path in self._parts:
+                    whole = self._parts[path]
+                    return self._body(self._stage.GetPrimAtPath(whole) if whole else None)
+                if path not in self._owners:
+                    raise ValueError(f"its body {path} was left out")
+            found = self._owners.get(path, self._body_of.get(path))
+            if found is not None:
+                return found
             prim = prim.GetParent()
         return None
 
@@ -167,10 +254,11 @@ class JointReader:
         """The joint with its limits."""
         kind = description.type
         friction = float(custom_data(prim).get("friction", 0.0)) or self._friction(prim, kind)
+        start = self._mujoco_coordinate(prim, kind, "ref")
         if kind == Types.RevoluteJoint:
-            return RevoluteJoint(AXES["X"], _range(description.limit, math.pi / 180.0), friction)
+            return RevoluteJoint(AXES["X"], _range(description.limit, math.pi / 180.0, start), friction)
         if kind == Types.PrismaticJoint:
-            return PrismaticJoint(AXES["X"], _range(description.limit, self._meter), friction)
+            return PrismaticJoint(AXES["X"], _range(description.limit, self._meter, start), friction)
         if kind == Types.DistanceJoint:
             low, high = (float(x) * self._meter for x in (description.limit.lower, description.limit.upper))
             return DistanceJoint(low if description.minEnabled else None, high if description.maxEnabled else None)
@@ -181,6 +269,17 @@ class JointReader:
         if len(set(given)) > 1:
             self._change(prim, "both cone angles are the smaller one")
         return SphericalJoint(math.radians(min(given)) if given else None, AXES["X"])
+
+    def _armature(self, prim: Usd.Prim, kind: Any) -> float:
+        """Armature of a joint by Newton's schema [kg m^2 or kg]."""
+        value = _authored(prim, "newton:armature")
+        if kind == Types.RevoluteJoint:
+            return value * self._kilogram * self._meter**2
+        if kind == Types.PrismaticJoint:
+            return value * self._kilogram
+        if value > 0.0:
+            self._leave_out(prim.GetPath(), "newton:armature: supported for hinges and sliders only")
+        return 0.0
 
     def _friction(self, prim: Usd.Prim, kind: Any) -> float:
         """Friction of a joint by Newton's schema [N or N m]."""
@@ -201,8 +300,7 @@ class JointReader:
         passive = float(custom_data(prim).get("damping", 0.0)) or _authored(prim, "newton:damping") * force / unit
         drive = getattr(description, "drive", None)
         if drive is None or not drive.enabled:
-            if passive > 0.0:
-                self._scene.add_drive(joint, damping=passive)
+            self._add_spring(joint, prim, description, passive)
             return
         if drive.acceleration:
             self._change(prim, "its drive is a force, not an acceleration")
@@ -217,6 +315,39 @@ class JointReader:
             target_velocity=drive.targetVelocity * unit,
         )
 
+    def _add_spring(self, joint: int, prim: Usd.Prim, description: Any, damping: float) -> None:
+        """Add the damping of a joint, and the spring and the servo that files of MuJoCo give it, as one drive."""
+        stiffness, servo = _authored(prim, "mjc:stiffness"), self._servos.get(str(prim.GetPath()))
+        if description.type == Types.SphericalJoint and stiffness > 0.0:
+            self._leave_out(prim.GetPath(), "mjc:stiffness: supported for hinges and sliders only")
+            stiffness = 0.0
+        rest, start = (self._mujoco_coordinate(prim, description.type, name) for name in ("springref", "ref"))
+        torque = stiffness * (rest - start)
+        largest = math.inf
+        if servo is not None:
+            torque += servo.offset - servo.stiffness * start
+            stiffness, damping, largest = stiffness + servo.stiffness, damping + servo.damping, servo.largest
+            if servo.largest < math.inf and (stiffness > servo.stiffness or damping > servo.damping):
+                self._change(prim, "the largest force of its actuator also limits its spring and its damping")
+        if stiffness > 0.0 or damping > 0.0:
+            target = torque / stiffness if stiffness > 0.0 else 0.0
+            self._scene.add_drive(
+                joint, stiffness=stiffness, damping=damping, max_force=largest, target_position=target
+            )
+
+    def _mujoco_coordinate(self, prim: Usd.Prim, kind: Any, name: str) -> float:
+        """A coordinate in the convention of MuJoCo, whose value at the initial pose is `mjc:ref` [rad or m]."""
+        value = prim.GetAttribute(f"mjc:{name}").Get()
+        if value is None or kind == Types.SphericalJoint:
+            return 0.0
+        return float(value) * (math.pi / 180.0 if self._in_degrees and kind == Types.RevoluteJoint else 1.0)
+
+
+def _uses_degrees(stage: Usd.Stage) -> bool:
+    """Whether the file of MuJoCo from which a stage was converted states angles in degrees, as is its default."""
+    angles = (prim.GetAttribute("mjc:compiler:angle").Get() for prim in stage.Traverse())
+    return "radian" not in [str(angle) for angle in angles if angle is not None]
+
 
 def _authored(prim: Usd.Prim, name: str) -> float:
     """A positive number that a file sets; 0 if it does not."""
@@ -229,14 +360,14 @@ def _limit(value: float) -> float:
     return value if 0.0 < value < 1.0e37 else math.inf
 
 
-def _range(limit: Any, unit: float) -> tuple[float, float] | None:
-    """Limits in SI units; None if there are none."""
+def _range(limit: Any, unit: float, start: float) -> tuple[float, float] | None:
+    """Limits in SI units, less the coordinate at the initial pose; None if there are none."""
     if not limit.enabled:
         return None
     low, high = (
         value if abs(value) < 1.0e37 else math.copysign(math.inf, value) for value in (limit.lower, limit.upper)
     )
-    return low * unit, high * unit
+    return low * unit - start, high * unit - start
 
 
 def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, paths: list[str]) -> None:
@@ -251,7 +382,10 @@ def write_joint(layer: Sdf.Layer, path: str, entry: JointEntry, paths: list[str]
     drive = entry.drive if entry.joint.coordinate != Coordinate.CONE else None
     angular = entry.joint.coordinate == Coordinate.ANGLE
     kind = "angular" if angular else "linear"
-    prim = define(layer, path, f"Physics{type(entry.joint).__name__}", [f"PhysicsDriveAPI:{kind}"] if drive else [])
+    schemas = [f"PhysicsDriveAPI:{kind}"] * (drive is not None) + ["NewtonJointAPI"] * (entry.armature > 0.0)
+    prim = define(layer, path, f"Physics{type(entry.joint).__name__}", schemas)
+    if entry.armature > 0.0:
+        set_attribute(prim, "newton:armature", NAMES.Float, entry.armature)
     for end, body, frame in (("0", entry.body_b, entry.frame_b), ("1", entry.body_a, entry.frame_a)):
         if body is not None:
             set_relationship(prim, f"physics:body{end}", paths[body])

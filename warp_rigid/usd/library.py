@@ -104,7 +104,7 @@ class Library:
                 set_relationship(prim, "material:binding:physics", f"{path}/material")
                 if separate:
                     set_attribute(prim, "purpose", Sdf.ValueTypeNames.Token, "guide", uniform=True)
-            if separate:
+            if separate and simple_shapes(shape):
                 surface = drawn_surface(shape)
                 mesh = define(self.layer, f"{path}/{RENDERED}", "Mesh", ["MaterialBindingAPI"])
                 write_mesh(mesh, surface.vertices, surface.faces)

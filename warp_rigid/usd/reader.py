@@ -1,6 +1,5 @@
 """Reader of stages with UsdPhysics."""
 
-import math
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,11 +14,13 @@ from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
+from warp_rigid.usd.actuators import ACTUATOR
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs
 from warp_rigid.usd.geometry import quaternion_of_matrix
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
+from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
 from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
@@ -27,11 +28,9 @@ from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_o
 
 __all__ = ["Reader"]
 
-DEFAULT_DENSITY = 1000.0
-"""Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
 EARTH_GRAVITY = 9.81
-TOLERANCE = 1e-3
-"""Relative tolerance within which mass properties equal those of the shape."""
+SCALE_TOLERANCE = 1e-3
+"""Relative change of an animated scale that counts as none."""
 
 Types = UsdPhysics.ObjectType
 COLLIDERS = {
@@ -55,21 +54,12 @@ FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 
 NAMED = {"Newton": "newton:", "Mjc": "mjc:"}
 """Families whose schemas are applied without need: only the attributes with this prefix that a file sets count."""
-READ = {"newton:damping", "newton:friction", "newton:rollingFriction", "newton:torsionalFriction"}
+READ = {
+    "newton:armature", "newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction",
+    "newton:torsionalFriction", "mjc:compiler:angle", "mjc:compiler:setTotalMass", "mjc:ref", "mjc:springref",
+    "mjc:stiffness",
+}  # fmt: skip
 """Attributes of these families that have a counterpart in a scene."""
-
-
-@dataclass
-class _Collider:
-    """A solid in its body's frame."""
-
-    prim: Usd.Prim
-    shape: Shape
-    position: np.ndarray
-    orientation: np.ndarray
-    coefficients: dict[str, float]
-    density: float | None
-    mass: float | None
 
 
 @dataclass
@@ -120,6 +110,8 @@ class Reader:
         self._to_z_up = FROM_Y_UP if is_y_up(self._stage) else np.eye(3)
         self._shapes: dict[str, Shape] = {}
         self._body_of: dict[str, int] = {}
+        self._owners: dict[str, int] = {}
+        self._massless: dict[str, str] = {}
 
     def scene(self) -> Scene:
         """Build the scene.
@@ -132,6 +124,7 @@ class Reader:
         scene = self._empty_scene(objects)
         for body in self._bodies(objects):
             self._add(scene, body)
+        scale_to_total(self._stage, scene)
         descriptions = {
             str(path): description
             for kind in {Types.RigidBody, *COLLIDERS}
@@ -142,6 +135,8 @@ class Reader:
             self._stage,
             scene,
             self._body_of,
+            self._owners,
+            self._massless,
             self._frame_or_root,
             self._kilogram,
             self._meter,
@@ -177,7 +172,7 @@ class Reader:
             for reason in _losses(prim, unsupported):
                 self._leave_out(prim.GetPath(), reason)
             kind = prim.GetTypeName()
-            if kind and not prim.GetPrimTypeInfo().GetSchemaTypeName():
+            if kind and kind != ACTUATOR and not prim.GetPrimTypeInfo().GetSchemaTypeName():
                 self._leave_out(prim.GetPath(), f"type {kind} is not supported")
 
     def _empty_scene(self, objects: dict) -> Scene:
@@ -248,8 +243,7 @@ class Reader:
             return
         found = [collider for prim in body.colliders if (collider := self._collider(prim, body, stretch))]
         if not found:
-            reason = "none of its colliders can be imported" if body.colliders else "it has no enabled collider"
-            self._leave_out(body.prim.GetPath(), reason)
+            self._add_without_colliders(scene, body, position, rotation, stretch)
             return
         endless = [collider for collider in found if collider.shape.static_only]
         if body.motion == Motion.STATIC:
@@ -266,11 +260,37 @@ class Reader:
         motion = self._motion(body)
         for group in groups:
             if group:
-                self._add_group(scene, body, group, position, rotation, motion)
+                self._add_group(scene, body, group, (position, rotation, stretch), motion)
 
-    def _add_group(
-        self, scene: Scene, body: _Body, group: list[_Collider], position, rotation, motion: PosePath | None
-    ) -> None:
+    @property
+    def _masses(self) -> MassReader:
+        # Not kept: a reader that refers to itself would keep the stage open, and a changed file would not be read anew.
+        return MassReader(self._kilogram, self._meter, self._change)
+
+    def _add_without_colliders(self, scene: Scene, body: _Body, position, rotation, stretch: np.ndarray) -> None:
+        """Add a dynamic body that touches nothing, from its mass and its moments of inertia."""
+        reason = "none of its colliders can be imported" if body.colliders else "it has no enabled collider"
+        if body.motion == Motion.DYNAMIC:
+            try:
+                shape, mass = self._masses.without_colliders(body.prim, stretch)
+                index = scene.add_body(
+                    shape,
+                    mass=mass,
+                    position=position,
+                    orientation=quaternion_of_matrix(rotation),
+                    name=body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
+                    **self._velocities(body.prim, rotation),
+                )
+                self._keep_index(body, index)
+                self._change(body.prim, f"{reason}: it touches nothing")
+                return
+            except ValueError as error:
+                self._massless[str(body.prim.GetPath())] = f"{reason}, {error}"
+                return
+        self._leave_out(body.prim.GetPath(), reason)
+
+    def _add_group(self, scene: Scene, body: _Body, group: list[Collider], frame, motion: PosePath | None) -> None:
+        position, rotation, stretch = frame
         shape, where, turn = _joined(group, body.motion)
         common: dict[str, Any] = {
             "position": position + rotation @ where,
@@ -286,15 +306,22 @@ class Reader:
                 index = scene.add_kinematic(shape, **common)
             else:
                 common |= self._velocities(body.prim, rotation)
-                index = scene.add_body(shape, mass=self._mass(body, group, shape), **common)
+                shape, mass = self._masses.of_colliders(body.prim, group, shape, stretch)
+                index = scene.add_body(shape, mass=mass, **common)
         except ValueError as error:
             self._leave_out(body.prim.GetPath(), str(error))
             return
         self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
-        if body.motion != Motion.STATIC and not body.prim.IsInstanceProxy():
-            self.prims.setdefault(str(body.prim.GetPath()), index)
+        self._keep_index(body, index)
         if motion is not None:
             self.paths[index] = motion
+
+    def _keep_index(self, body: _Body, index: int) -> None:
+        """Note which body of the scene a prim became."""
+        path = str(body.prim.GetPath())
+        self._owners.setdefault(path, index)
+        if body.motion != Motion.STATIC and not body.prim.IsInstanceProxy():
+            self.prims.setdefault(path, index)
 
     def _unique_name(self, name: str) -> str:
         """The name, with a number if an earlier body has it."""
@@ -329,7 +356,7 @@ class Reader:
             return np.zeros(3), self._to_z_up, self._meter * np.eye(3)
         return self._frame(prim, self._transforms)
 
-    def _collider(self, prim: Usd.Prim, body: _Body, stretch: np.ndarray) -> _Collider | None:
+    def _collider(self, prim: Usd.Prim, body: _Body, stretch: np.ndarray) -> Collider | None:
         """One collider in the frame of its body; None, with a finding, if it cannot be imported."""
         matrix = np.eye(4)
         notes: list[str] = []
@@ -341,69 +368,38 @@ class Reader:
             material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0]
             coefficients, density = self._material(prim, material.GetPrim() if material else None)
             mass_api = UsdPhysics.MassAPI(prim)
-            own_density = _positive(mass_api.GetDensityAttr())
+            own_density = positive(mass_api.GetDensityAttr())
             if own_density is None:
-                own_density = _positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
-            mass = _positive(mass_api.GetMassAttr()) if prim != body.prim else None
+                own_density = positive(UsdPhysics.MassAPI(body.prim).GetDensityAttr()) or density
+            mass = positive(mass_api.GetMassAttr()) if prim != body.prim else None
+            if mass is None and own_density is None and is_of_mujoco(prim):
+                mass = 0.0  # Where USD has a default density, MuJoCo states that there is no mass.
         except ValueError as error:
             self._leave_out(prim.GetPath(), str(error))
             return None
         for note in notes:
             self._change(prim, note)
         shape = self._shapes.setdefault(shape.key, shape)
-        return _Collider(prim, shape, position, orientation, coefficients, own_density, mass)
+        return Collider(prim, shape, position, orientation, coefficients, own_density, mass)
 
     def _material(self, prim: Usd.Prim, material: Usd.Prim | None) -> tuple[dict[str, float], float | None]:
         """Coefficients of a collider, and the density of its material in stage units."""
         if not material or not material.HasAPI(UsdPhysics.MaterialAPI):
             return {}, None
         found = read_material(material, self._meter, partial(self._change, prim))
-        return found, _positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
+        return found, positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
 
-    def _coefficients(self, body: _Body, group: list[_Collider]) -> dict[str, float]:
+    def _coefficients(self, body: _Body, group: list[Collider]) -> dict[str, float]:
         if any(collider.coefficients != group[0].coefficients for collider in group):
             self._change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
         return group[0].coefficients
 
-    def _velocities(self, prim: Usd.Prim, rotation: np.ndarray) -> dict[str, np.ndarray]:
+    def _velocities(self, prim: Usd.Prim, rotation: np.ndarray) -> dict[str, Any]:
         """Velocities in the world frame; USD has them in the body frame, in degrees."""
         api = UsdPhysics.RigidBodyAPI(prim)
         speed = np.array(api.GetVelocityAttr().Get(self._start), dtype=np.float64) * self._meter
         spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(self._start), dtype=np.float64))
         return {"linear_velocity": rotation @ speed, "angular_velocity": rotation @ spin}
-
-    def _mass(self, body: _Body, group: list[_Collider], shape: Shape) -> float:
-        """Mass of a dynamic body [kg]: the authored one, else the sum over its colliders."""
-        api = UsdPhysics.MassAPI(body.prim)
-        self._compare_mass_properties(body.prim, api, shape)
-        given = _positive(api.GetMassAttr())
-        if given is not None:
-            return given * self._kilogram
-        unit = self._kilogram / self._meter**3
-        densities = [DEFAULT_DENSITY if c.density is None else c.density * unit for c in group]
-        masses = [
-            density * c.shape.volume if c.mass is None else c.mass * self._kilogram
-            for c, density in zip(group, densities, strict=True)
-        ]
-        effective = np.array(masses) / [c.shape.volume for c in group]
-        if np.ptp(effective) > TOLERANCE * effective.max():
-            self._change(body.prim, "all its colliders get the same density, from their total mass")
-        return float(sum(masses))
-
-    def _compare_mass_properties(self, prim: Usd.Prim, api: UsdPhysics.MassAPI, shape: Shape) -> None:
-        """Report authored mass properties that differ from those of the shape, which are used instead."""
-        center = api.GetCenterOfMassAttr().Get() if api.GetCenterOfMassAttr().HasAuthoredValue() else None
-        size = float(np.max(shape.bounds[1] - shape.bounds[0]))
-        if center is not None and np.isfinite(center).all():
-            off = np.linalg.norm(np.array(center) * self._meter - shape.center_of_mass)
-            if off > TOLERANCE * size:
-                self._change(prim, f"centre of mass: that of its shape is used, {off:g} m from the authored one")
-        moments, mass = api.GetDiagonalInertiaAttr().Get(), _positive(api.GetMassAttr())
-        if mass is not None and moments is not None and min(moments) > 0.0:
-            given = np.sort(np.array(moments, dtype=np.float64)) * self._meter**2 / mass
-            own = np.linalg.eigvalsh(shape.inertia) / shape.volume
-            if np.abs(given - own).max() > TOLERANCE * own.max():
-                self._change(prim, "moments of inertia: those of its shape at uniform density are used")
 
     def _motion(self, body: _Body) -> PosePath | None:
         """The motion of an animated kinematic body; that of a static one is reported."""
@@ -414,7 +410,7 @@ class Reader:
             return None
         codes = animation_codes(self._stage, body.prim)
         frames = [self._frame(body.prim, UsdGeom.XformCache(code)) for code in codes]
-        if np.ptp([stretch for _, _, stretch in frames], axis=0).max() > TOLERANCE * self._meter:
+        if np.ptp([stretch for _, _, stretch in frames], axis=0).max() > SCALE_TOLERANCE * self._meter:
             self._change(body.prim, "its animated scale is ignored; it keeps the first one")
         orientation = continuous_signs(np.array([quaternion_of_matrix(rotation) for _, rotation, _ in frames]))
         time = (np.array(codes) - codes[0]) / self._stage.GetTimeCodesPerSecond()
@@ -430,7 +426,7 @@ def _is_animated(prim: Usd.Prim) -> bool:
     return False
 
 
-def _joined(group: list[_Collider], motion: Motion) -> tuple[Shape, np.ndarray, np.ndarray]:
+def _joined(group: list[Collider], motion: Motion) -> tuple[Shape, np.ndarray, np.ndarray]:
     """The common shape of some colliders, and its pose in the body frame."""
     first = group[0]
     if len(group) > 1:
@@ -439,20 +435,6 @@ def _joined(group: list[_Collider], motion: Motion) -> tuple[Shape, np.ndarray, 
     if identity or motion == Motion.STATIC:
         return first.shape, first.position, first.orientation
     return Compound([(first.shape, first.position, first.orientation)]), np.zeros(3), np.array([0, 0, 0, 1.0])
-
-
-def _positive(attribute: Usd.Attribute) -> float | None:
-    """A mass or density; None if it is not authored or zero, which USD ignores.
-
-    Raises:
-        Unreadable: It is negative or not finite.
-    """
-    value = attribute.Get() if attribute else None
-    if value is None or value == 0.0:
-        return None
-    if not 0.0 < value < math.inf:
-        raise Unreadable(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
-    return float(value)
 
 
 def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:

@@ -80,7 +80,10 @@ class Bodies:
         self._paths = paths
         self._write_filtered_pairs(samples.layer, paths)
         for entry in scene.joints:
-            write_joint(samples.layer, f"{root}/{_unique_name(entry.name, taken)}", entry, paths)
+            name = _unique_name(entry.name, taken)
+            write_joint(samples.layer, f"{root}/{name}", entry, paths)
+            if name != entry.name:
+                samples.layer.GetPrimAtPath(f"{root}/{name}").SetInfo("displayName", entry.name)
 
     def path_of(self, body: int) -> str:
         """Path of a body's prim."""

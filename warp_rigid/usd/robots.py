@@ -111,7 +111,7 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
     surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
     command = [program, str(path.absolute()), folder]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder)
     except subprocess.TimeoutExpired:
         raise ValueError(f"{path}: {name} was stopped after {SECONDS:.0f} s") from None
     lines = (done.stdout + done.stderr).splitlines()

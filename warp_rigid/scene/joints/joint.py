@@ -118,6 +118,7 @@ class JointEntry:
         break_force: largest force that it withstands [N].
         break_torque: largest torque that it withstands [N m].
         collide: whether the two bodies can touch each other.
+        armature: inertia that the rotor of a motor adds to the coordinate [kg m^2 or kg].
         drive: its motor, or None.
     """
 
@@ -130,6 +131,7 @@ class JointEntry:
     break_force: float = math.inf
     break_torque: float = math.inf
     collide: bool = False
+    armature: float = 0.0
     drive: Drive | None = None
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
+from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion, whole_in
 from warp_rigid.kernels.enums import Coordinate, Motion
 from warp_rigid.scene.joints.joint import JOINTS, Joint, JointEntry, JointFrame, largest
 
@@ -46,7 +46,7 @@ def place_joint(
     else:
         frame_a, frame_b = _checked_frame("frame_a", frames[0]), _checked_frame("frame_b", frames[1])
     _check_anchors(joint, a, b, frame_a, frame_b)
-    return JointEntry(joint, body_a, body_b, frame_a, frame_b, **_checked_rest(more))
+    return JointEntry(joint, body_a, body_b, frame_a, frame_b, **_checked_rest(joint, more))
 
 
 def turn_to(axis: Sequence[float]) -> np.ndarray:
@@ -122,10 +122,13 @@ def _check_anchors(joint: Joint, a: Any, b: Any, frame_a: JointFrame, frame_b: J
         )
 
 
-def _checked_rest(more: dict[str, Any]) -> dict[str, Any]:
+def _checked_rest(joint: Joint, more: dict[str, Any]) -> dict[str, Any]:
     """Check the remaining attributes of an entry."""
     for name in ("break_force", "break_torque"):
         more[name] = largest(name, more.get(name, math.inf))
+    more["armature"] = number_in("armature", more.get("armature", 0.0), 0.0)
+    if more["armature"] > 0.0 and joint.coordinate not in (Coordinate.ANGLE, Coordinate.SLIDE):
+        raise ValueError(f"armature: needs a RevoluteJoint or a PrismaticJoint, got a {type(joint).__name__}")
     if not isinstance(more["collide"], bool):
         raise ValueError(f"collide: must be True or False, got {shown(more['collide'])}")
     if not isinstance(more["name"], str):

@@ -1,5 +1,6 @@
 """Compound: several shapes rigidly joined into one."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property
@@ -12,6 +13,7 @@ from warp_rigid import rotations
 from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
+    IDENTITY_ROTATION,
     Part,
     ReadArray,
     Shape,
@@ -19,6 +21,7 @@ from warp_rigid.scene.shapes.base import (
     point_array,
 )
 from warp_rigid.scene.shapes.inner_balls import spread_out
+from warp_rigid.scene.shapes.mass_properties import MassProperties
 from warp_rigid.scene.shapes.sampling import SampleKind, SampleList
 
 
@@ -26,44 +29,73 @@ class Compound(Shape):
     """Union of shapes, each at its own pose.
 
     Masses add, so that an overlap of two children counts twice. Where the mass matters, place children in contact
-    without overlap. `size` is the smallest of the children's sizes.
+    without overlap, or give the distribution of the mass. `size` is the smallest of the children's sizes.
     """
 
-    def __init__(self, children: Iterable[tuple[Shape, ArrayLike, ArrayLike]]):
+    def __init__(
+        self,
+        children: Iterable[tuple[Shape, ArrayLike, ArrayLike]],
+        center_of_mass: ArrayLike | None = None,
+        inertia_per_mass: ArrayLike | None = None,
+    ):
         """Join shapes.
 
         Args:
-            children: at least one (shape, position (3,) [m], orientation (x, y, z, w)). Planes and
-                height fields cannot be joined; compounds can.
+            children: (shape, position (3,) [m], orientation (x, y, z, w)) of each. Planes and height fields cannot be
+                joined; compounds can. There may be none if the distribution of the mass is given: such a body touches
+                nothing.
+            center_of_mass: (3,) [m], where the mass is not distributed uniformly over the children.
+            inertia_per_mass: (3, 3) moments of inertia about the centre of mass, divided by the mass [m^2]; given
+                together with the centre of mass.
+
+        Raises:
+            ValueError: There are no children and no distribution of the mass, or a value is not what is stated above.
         """
         children = list(children)
-        if not children:
+        if not children and inertia_per_mass is None:
             raise ValueError("children: must hold at least one (shape, position, orientation)")
         self.children = tuple(_checked_child(index, child) for index, child in enumerate(children))
         self._rotations = [rotations.matrix(orientation) for _, _, orientation in self.children]
+        self.distribution = _checked_distribution(center_of_mass, inertia_per_mass)
 
     def __repr__(self) -> str:
         """Show the shapes of the children."""
         return f"Compound({', '.join(repr(shape) for shape, _, _ in self.children)})"
 
     def _content(self):
-        return [item for child in self.children for item in (child[0].key, child[1], child[2])]
+        children = [item for child in self.children for item in (child[0].key, child[1], child[2])]
+        return [*children, *(self.distribution or ())]
 
     @cached_property
     def mass_properties(self):
-        """Sum over the children, by the parallel axis theorem."""
+        """As given, else the sum over the children, by the parallel axis theorem."""
+        if self.distribution is None:
+            return self._sum_of_children()
+        center, per_mass = self.distribution
+        volume = self._sum_of_children().volume if self.children else mass_properties.sphere(self._reach).volume
+        return MassProperties(volume, center, volume * per_mass)
+
+    def _sum_of_children(self) -> MassProperties:
         return mass_properties.combine(
             (shape.mass_properties, position, rotation)
             for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True)
         )
 
+    @property
+    def _reach(self) -> float:
+        """Radius of the ball that has the mean moment of inertia of a compound without children [m]."""
+        assert self.distribution is not None
+        return math.sqrt(2.5 * float(np.trace(self.distribution[1])) / 3.0)
+
     @cached_property
     def size(self):
         """Smallest size among the children [m]: contact tolerances must fit the thinnest."""
-        return min(shape.size for shape, _, _ in self.children)
+        return min((shape.size for shape, _, _ in self.children), default=0.0) or 2.0 * self._reach
 
     def support(self, directions: np.ndarray) -> np.ndarray:
         """Largest `direction . x` over all children."""
+        if not self.children:
+            return directions @ self.center_of_mass + self._reach * np.linalg.norm(directions, axis=1)
         return np.max(
             [
                 directions @ position + shape.support(directions @ rotation)
@@ -75,11 +107,13 @@ class Compound(Shape):
     @property
     def wall(self) -> float:
         """Thinnest walls among the children [m]."""
-        return min(shape.wall for shape, _, _ in self.children)
+        return min((shape.wall for shape, _, _ in self.children), default=0.0) or self.size
 
     @cached_property
     def inner_balls(self):
         """Some of the children's."""
+        if not self.children:
+            return np.array([[*self.center_of_mass, 0.0]])
         candidates = [shape.inner_balls.copy() for shape, _, _ in self.children]
         for balls, (_, position, _), rotation in zip(candidates, self.children, self._rotations, strict=True):
             balls[:, :3] = balls[:, :3] @ rotation.T + position
@@ -117,21 +151,26 @@ class Compound(Shape):
         return sum(shape.tree_triangles for shape, _, _ in self.children)
 
     def to_data(self, place: Callable[[Shape], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """The children by index, each with its pose."""
-        return {
+        """The children by index, each with its pose, and the distribution of the mass where it is given."""
+        data: dict[str, Any] = {
             "children": [
                 [place(child), position.tolist(), orientation] for child, position, orientation in self.children
             ]
-        }, {}
+        }
+        if self.distribution is not None:
+            center, per_mass = self.distribution
+            data |= {"center_of_mass": center.tolist(), "inertia_per_mass": per_mass.tolist()}
+        return data, {}
 
     @classmethod
     def from_data(cls, data: dict[str, Any], array: ReadArray, earlier: list[Shape]) -> Self:
         """Join shapes that were saved earlier."""
         last = len(earlier) - 1
-        return cls(
+        children = [
             (earlier[whole_in("child", child, 0, last)], position, orientation)
             for child, position, orientation in data["children"]
-        )
+        ]
+        return cls(children, data.get("center_of_mass"), data.get("inertia_per_mass"))
 
     def parts(self) -> list[Part]:
         """The children's parts, in order, at their poses."""
@@ -173,7 +212,9 @@ class Compound(Shape):
         return reach < 0.0
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        """The children's surfaces together, inner walls included."""
+        """The children's surfaces together, inner walls included; without children a triangle that is a point."""
+        if not self.children:
+            return np.tile(self.center_of_mass, (3, 1)), np.array([[0, 1, 2]], np.int32)
         vertices, faces, count = [], [], 0
         for (shape, position, _), rotation in zip(self.children, self._rotations, strict=True):
             child_vertices, child_faces = shape.surface()
@@ -181,6 +222,13 @@ class Compound(Shape):
             faces.append(child_faces + count)
             count += len(child_vertices)
         return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+
+
+def with_distribution(shape: Shape, center_of_mass: ArrayLike, inertia_per_mass: ArrayLike) -> Compound:
+    """The same solid with another distribution of its mass; see Compound."""
+    if isinstance(shape, Compound):
+        return Compound(shape.children, center_of_mass, inertia_per_mass)
+    return Compound([(shape, np.zeros(3), np.array(IDENTITY_ROTATION))], center_of_mass, inertia_per_mass)
 
 
 def _checked_child(index: int, child):
@@ -195,6 +243,20 @@ def _checked_child(index: int, child):
         raise ValueError(f"{name}: must be a solid, got a {type(shape).__name__}")
     position = frozen_array(finite_vector(f"{name} position", position))
     return shape, position, unit_quaternion(f"{name} orientation", orientation)
+
+
+def _checked_distribution(center: ArrayLike | None, per_mass: ArrayLike | None) -> tuple[np.ndarray, np.ndarray] | None:
+    """The centre of mass (3,) and the inertia per mass (3, 3); None if neither is given."""
+    if center is None and per_mass is None:
+        return None
+    if center is None or per_mass is None:
+        raise ValueError("center_of_mass: must be given together with inertia_per_mass")
+    tensor = np.asarray(per_mass, np.float64)
+    if tensor.shape != (3, 3) or not np.isfinite(tensor).all() or not np.allclose(tensor, tensor.T, rtol=1e-6):
+        raise ValueError("inertia_per_mass: must be a symmetric matrix of 3 x 3 finite numbers")
+    if np.linalg.eigvalsh(tensor)[0] <= 0.0:
+        raise ValueError("inertia_per_mass: must have principal moments > 0")
+    return frozen_array(finite_vector("center_of_mass", center)), frozen_array(0.5 * (tensor + tensor.T))
 
 
 def _rim_probes(columns) -> list[np.ndarray]:

@@ -107,5 +107,10 @@ def combine(pieces) -> MassProperties:
     for (piece, _, rotation), at in zip(pieces, centers, strict=True):
         arm = at - center
         inertia += rotation @ piece.inertia @ rotation.T
-        inertia += piece.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        inertia += piece.volume * steiner(arm)
     return MassProperties(float(volume), center, inertia)
+
+
+def steiner(arm: np.ndarray) -> np.ndarray:
+    """Moment of inertia of a unit mass at an arm (3,) from the axes, (3, 3) [m^2]."""
+    return arm @ arm * np.eye(3) - np.outer(arm, arm)

@@ -228,7 +228,8 @@ class Mesh(Shape):
     def inner_balls(self):
         """About nodes of the grid."""
         depth = -self.grid.values
-        nodes = np.argwhere(depth >= inner_balls.THINNEST * max(0.0, depth.max()))
+        deepest = depth.max()  # negative if the shape is thinner than a cell of the grid
+        nodes = np.argwhere(depth >= min(inner_balls.THINNEST * deepest, deepest))
         centers = np.array(self.grid.origin) + self.grid.spacing * nodes
         return inner_balls.spread_out(np.column_stack([centers, np.maximum(depth[tuple(nodes.T)], 0.0)]))
 

@@ -1,0 +1,75 @@
+"""Armature: the inertia that the rotor of a motor adds to the coordinate of a hinge or slider."""
+
+import math
+
+import numpy as np
+import pytest
+
+import warp_rigid as wr
+from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+
+DT = 1e-3
+
+
+def simulator(scene):
+    return wr.Simulator(scene, device="cpu", settings=wr.Settings(dt=DT))
+
+
+def test_a_damped_lever_slows_down_with_the_inertia_of_its_rotor():
+    """Its speed is exp(-c t / (I + A)); without damping it is constant."""
+    inertia, armature = (1.0 + 0.01) / 12.0 + 0.25, 2.0
+    for damping in (0.0, 1.0):
+        scene = wr.Scene(gravity=(0, 0, 0))
+        lever = scene.add_body(
+            wr.Box((0.5, 0.05, 0.05)),
+            position=(0.5, 0, 1),
+            mass=1.0,
+            linear_velocity=(0, 0, -0.5),
+            angular_velocity=(0, 1, 0),
+        )
+        hinge = scene.add_joint(wr.RevoluteJoint((0, 1, 0)), lever, anchor=(0, 0, 1), armature=armature)
+        scene.add_drive(hinge, damping=damping)
+        sim = simulator(scene)
+        sim.step(1000)
+        speed = math.exp(-damping / (inertia + armature))
+        assert sim.get("joint_velocity")[0, 0] == pytest.approx(speed, rel=5e-4)
+
+
+def test_a_falling_lever_has_the_energy_of_its_rotor():
+    """m g l = (I + A) w^2 / 2 at the lowest point."""
+    inertia, armature = (1.0 + 0.01) / 12.0 + 0.25, 0.5
+    scene = wr.Scene()
+    lever = scene.add_body(wr.Box((0.5, 0.05, 0.05)), position=(0.5, 0, 1), mass=1.0)
+    scene.add_joint(wr.RevoluteJoint((0, 1, 0)), lever, anchor=(0, 0, 1), armature=armature)
+    sim = simulator(scene)
+    fastest = 0.0
+    for _ in range(100):
+        sim.step(10)
+        fastest = max(fastest, float(sim.get("joint_velocity")[0, 0]))
+    assert fastest == pytest.approx(math.sqrt(2.0 * 9.81 * 0.5 / (inertia + armature)), rel=2e-3)
+
+
+def test_a_bead_on_a_turning_rod_moves_outward_with_the_inertia_of_its_rotor():
+    """(m + A) r'' = m w^2 r, so r = r0 cosh(w t sqrt(m / (m + A)))."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    rod = scene.add_kinematic(wr.Box((1.0, 0.02, 0.02)), angular_velocity=(0, 0, 2))
+    bead = scene.add_body(wr.Sphere(0.05), position=(0.2, 0, 0), mass=0.5, linear_velocity=(0, 0.4, 0))
+    scene.add_joint(wr.PrismaticJoint((1, 0, 0)), bead, rod, anchor=(0.2, 0, 0), armature=1.5)
+    sim = simulator(scene)
+    sim.step(1000)
+    radius = 0.2 * math.cosh(2.0 * math.sqrt(0.5 / 2.0))
+    assert np.linalg.norm(sim.get("position")[0, bead]) == pytest.approx(radius, rel=2e-3)
+
+
+def test_an_armature_is_checked_saved_and_set_per_environment():
+    scene = wr.Scene()
+    ball = scene.add_body(wr.Sphere(0.1), mass=1.0)
+    with pytest.raises(ValueError, match="armature: needs a RevoluteJoint or a PrismaticJoint, got a SphericalJoint"):
+        scene.add_joint(wr.SphericalJoint(), ball, armature=1.0)
+    with pytest.raises(ValueError, match="armature: must be"):
+        scene.add_joint(wr.RevoluteJoint((0, 1, 0)), ball, armature=-1.0)
+    scene.add_joint(wr.RevoluteJoint((0, 1, 0)), ball, armature=0.25)
+    assert scene_from_data(*scene_to_data(scene)).joints[0].armature == 0.25
+    sim = wr.Simulator(scene, num_envs=2, device="cpu")
+    sim.set("joint_armature", [[0.25], [0.5]])
+    assert sim.get("joint_armature").ravel().tolist() == [0.25, 0.5]

@@ -1,0 +1,94 @@
+"""Actuators of MuJoCo: position and velocity servos of joints, which become drives."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pxr import Usd
+
+__all__ = ["ACTUATOR", "Servo", "read_servos"]
+
+ACTUATOR = "MjcActuator"
+"""Type of the prims."""
+
+Report = Callable[[Any, str], None]
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A torque `offset - stiffness * q - damping * v` of a joint, with q and v as in MuJoCo.
+
+    Attributes:
+        offset: [N or N m].
+        stiffness: [N/m or N m/rad].
+        damping: [N s/m or N m s/rad].
+        largest: largest force or torque [N or N m].
+    """
+
+    offset: float
+    stiffness: float
+    damping: float
+    largest: float
+
+
+def read_servos(root: Usd.Prim, leave_out: Report) -> dict[str, Servo]:
+    """The servos below a prim, by the paths of their joints; their controls are zero.
+
+    Args:
+        root: the prim.
+        leave_out: called with a path and a reason for an actuator that does not become a drive.
+    """
+    found: dict[str, Servo] = {}
+    for prim in Usd.PrimRange(root):
+        if prim.GetTypeName() != ACTUATOR:
+            continue
+        targets = prim.GetRelationship("mjc:target").GetTargets() if prim.HasRelationship("mjc:target") else []
+        reason = _obstacle(prim, [str(target) for target in targets], found)
+        if reason:
+            leave_out(prim.GetPath(), f"{ACTUATOR}: {reason}")
+        else:
+            found[str(targets[0])] = _servo(prim)
+    return found
+
+
+def _obstacle(prim: Usd.Prim, targets: list[str], found: dict[str, Servo]) -> str:
+    """Why an actuator does not become a drive; empty if it does."""
+    gain, bias, dynamics = (_token(prim, f"mjc:{name}Type") for name in ("gain", "bias", "dyn"))
+    target = prim.GetStage().GetPrimAtPath(targets[0]) if len(targets) == 1 else None
+    if not target or target.GetTypeName() not in ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint"):
+        return "it acts on no hinge or slider: not supported"
+    if gain not in ("", "fixed") or bias not in ("", "none", "affine"):
+        return f"gain {gain or 'fixed'} with bias {bias or 'none'}: not supported"
+    if bias != "affine":
+        return "a motor whose force is its control: not imported"
+    if dynamics not in ("", "none"):
+        return f"dynamics {dynamics}: not supported"
+    if targets[0] in found:
+        return "another actuator drives this joint"
+    servo = _servo(prim)
+    if servo.stiffness < 0.0 or servo.damping < 0.0:
+        return "its feedback is positive: not supported"
+    return ""
+
+
+def _servo(prim: Usd.Prim) -> Servo:
+    """The servo with a control of zero; see MuJoCo, "Actuation model"."""
+    gear = _numbers(prim, "mjc:gear", 1, 1.0)[0]
+    offset, position, velocity = _numbers(prim, "mjc:biasPrm", 3, 0.0)
+    ends = [abs(_numbers(prim, f"mjc:forceRange:{end}", 1, 0.0)[0]) for end in ("min", "max")]
+    limited = _token(prim, "mjc:forceLimited") != "false" and max(ends) > 0.0
+    largest = max(ends) * abs(gear) if limited else math.inf
+    return Servo(gear * offset, -gear * gear * position, -gear * gear * velocity, largest)
+
+
+def _token(prim: Usd.Prim, name: str) -> str:
+    value = prim.GetAttribute(name).Get()
+    return "" if value is None else str(value)
+
+
+def _numbers(prim: Usd.Prim, name: str, count: int, default: float) -> list[float]:
+    """The first numbers of an attribute; the default for those that it lacks."""
+    value = prim.GetAttribute(name).Get()
+    given = [] if value is None else [float(x) for x in value] if hasattr(value, "__len__") else [float(value)]
+    return (given + [default] * count)[:count]

@@ -1,0 +1,169 @@
+"""Masses of UsdPhysics: the mass of a body, its centre and its moments of inertia."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdPhysics
+
+from warp_rigid import rotations
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Compound, Shape
+from warp_rigid.scene.shapes.compound import with_distribution
+from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
+from warp_rigid.usd.prims import Unreadable
+
+__all__ = ["Collider", "MassReader", "is_of_mujoco", "positive", "scale_to_total"]
+
+DEFAULT_DENSITY = 1000.0
+"""Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
+TOLERANCE = 1e-3
+"""Relative tolerance within which mass properties equal those of the shape."""
+
+
+@dataclass
+class Collider:
+    """A solid in its body's frame."""
+
+    prim: Usd.Prim
+    shape: Shape
+    position: np.ndarray
+    orientation: np.ndarray
+    coefficients: dict[str, float]
+    density: float | None
+    mass: float | None
+
+
+class MassReader:
+    """Reads the mass properties of dynamic bodies.
+
+    Args:
+        kilogram: mass unit of the stage [kg].
+        meter: length unit of the stage [m].
+        change: called with a prim and a reason for a property that cannot be imported.
+    """
+
+    def __init__(self, kilogram: float, meter: float, change: Callable[[Any, str], None]):
+        """Store the arguments."""
+        self._kilogram, self._meter, self._change = kilogram, meter, change
+
+    def of_colliders(
+        self, prim: Usd.Prim, group: Sequence[Collider], shape: Shape, stretch: np.ndarray
+    ) -> tuple[Shape, float]:
+        """The shape of a body with the distribution of its mass, and the mass [kg].
+
+        Args:
+            prim: of the body.
+            group: its colliders.
+            shape: their common shape, in the frame of the body.
+            stretch: (3, 3) of the body [m].
+
+        Raises:
+            Unreadable: A mass or density is negative or not finite.
+        """
+        api = UsdPhysics.MassAPI(prim)
+        parts = np.array([self._mass_of(collider) for collider in group])
+        given = positive(api.GetMassAttr())
+        mass = float(parts.sum()) if given is None else given * self._kilogram
+        weights = parts if parts.sum() > 0.0 else np.array([collider.shape.volume for collider in group])
+        own = combine(_piece(c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
+        center, per_mass = self._distribution(prim, api, mass, stretch, own)
+        if _is_uniform(shape, center, per_mass):
+            return shape, mass
+        return with_distribution(shape, center, per_mass), mass
+
+    def without_colliders(self, prim: Usd.Prim, stretch: np.ndarray) -> tuple[Shape, float]:
+        """A shape that touches nothing, and the mass [kg], of a body without colliders.
+
+        Raises:
+            Unreadable: The file does not state its mass and its moments of inertia.
+        """
+        api = UsdPhysics.MassAPI(prim)
+        mass = positive(api.GetMassAttr())
+        if mass is None or self._tensor(prim, api) is None:
+            raise Unreadable(f"and no {'mass' if mass is None else 'moments of inertia'}")
+        mass *= self._kilogram
+        nothing = MassProperties(1.0, np.zeros(3), np.zeros((3, 3)))
+        return Compound([], *self._distribution(prim, api, mass, stretch, nothing)), mass
+
+    def _mass_of(self, collider: Collider) -> float:
+        """Mass of a collider by its own mass or density [kg]."""
+        if collider.mass is not None:
+            return collider.mass * self._kilogram
+        unit = self._kilogram / self._meter**3
+        return (DEFAULT_DENSITY if collider.density is None else collider.density * unit) * collider.shape.volume
+
+    def _distribution(
+        self, prim: Usd.Prim, api: UsdPhysics.MassAPI, mass: float, stretch: np.ndarray, own: MassProperties
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Centre of mass (3,) [m] and inertia about it per mass (3, 3) [m^2]; where not in the file, that of `own`."""
+        center, per_mass = own.center_of_mass, own.inertia
+        given = api.GetCenterOfMassAttr().Get() if api.GetCenterOfMassAttr().HasAuthoredValue() else None
+        # The default of the schema is minus infinity.
+        if given is not None and np.isfinite(given).all():
+            center = stretch @ np.array(given, dtype=np.float64)
+            per_mass = per_mass + steiner(center - own.center_of_mass)
+        tensor = self._tensor(prim, api)
+        return center, per_mass if tensor is None else tensor / mass
+
+    def _tensor(self, prim: Usd.Prim, api: UsdPhysics.MassAPI) -> np.ndarray | None:
+        """The inertia tensor in the frame of the body (3, 3) [kg m^2]; None if the file does not state it."""
+        given = api.GetDiagonalInertiaAttr().Get()
+        moments = np.zeros(3) if given is None else np.array(given, dtype=np.float64)
+        if not moments.any():
+            return None
+        if not (np.isfinite(moments).all() and (moments > 0.0).all()):
+            self._change(prim, "moments of inertia: must be > 0; those of its colliders are used")
+            return None
+        axes = api.GetPrincipalAxesAttr().Get()
+        turn = np.array([*axes.GetImaginary(), axes.GetReal()] if axes else [0.0, 0.0, 0.0, 1.0], dtype=np.float64)
+        # The default of the schema is a quaternion of zeros.
+        length = float(np.linalg.norm(turn))
+        matrix = rotations.matrix(turn / length) if length > 0.0 else np.eye(3)
+        return self._kilogram * self._meter**2 * matrix @ np.diag(moments) @ matrix.T
+
+
+def is_of_mujoco(collider: Usd.Prim) -> bool:
+    """Whether a collider comes from a file of MuJoCo."""
+    return "MjcCollisionAPI" in collider.GetPrimTypeInfo().GetAppliedAPISchemas()
+
+
+def scale_to_total(stage: Usd.Stage, scene: Scene) -> None:
+    """Scale all masses to the total that a file of MuJoCo states (`settotalmass`), if it does."""
+    for prim in stage.Traverse():
+        total = prim.GetAttribute("mjc:compiler:setTotalMass").Get()
+        if total is not None and 0.0 < total < math.inf:
+            share = float(total) / max(sum(body.mass for body in scene.bodies), 1e-30)
+            scene.bodies[:] = [replace(body, mass=share * body.mass) for body in scene.bodies]
+            return
+
+
+def positive(attribute: Usd.Attribute) -> float | None:
+    """A mass or density; None if it is not authored or zero, which USD ignores.
+
+    Raises:
+        Unreadable: It is negative or not finite.
+    """
+    value = attribute.Get() if attribute else None
+    if value is None or value == 0.0:
+        return None
+    if not 0.0 < value < math.inf:
+        raise Unreadable(f"{attribute.GetName()}: must be a finite number >= 0, got {value:g}")
+    return float(value)
+
+
+def _piece(collider: Collider, part: float) -> tuple[MassProperties, np.ndarray, np.ndarray]:
+    """A collider as a part of the mass of its body."""
+    own = collider.shape.mass_properties
+    scaled = MassProperties(part, own.center_of_mass, own.inertia * (part / own.volume))
+    return scaled, collider.position, rotations.matrix(collider.orientation)
+
+
+def _is_uniform(shape: Shape, center: np.ndarray, per_mass: np.ndarray) -> bool:
+    """Whether this is the distribution of a mass that is uniform over the shape."""
+    size = float(np.max(shape.bounds[1] - shape.bounds[0]))
+    own = shape.inertia / shape.volume
+    near = np.linalg.norm(center - shape.center_of_mass) <= TOLERANCE * size
+    return bool(near and np.abs(per_mass - own).max() <= TOLERANCE * np.abs(own).max())
