@@ -77,19 +77,16 @@ def test_a_bridge_carries_a_box_of_a_hundred_times_the_mass_of_a_plank(device):
 def test_a_ragdoll_under_a_heavy_plate_comes_to_rest(device):
     """A plate of 100 kg falls on the head of a standing ragdoll, which folds up under it.
 
-    Its head leans on the neck's joint, which damps it: it sinks for a few seconds more.
+    Its head hangs from the neck, which damps it: it is the last to come to rest.
     """
     scene = wr.Scene(gravity=(0, 0, -G))
     scene.add_static(wr.Plane(), friction=0.6)
     add_ragdoll(scene, (0, 0, 0.99), "doll")
     scene.add_body(wr.Box((0.5, 0.5, 0.05)), position=(0, 0, 1.95), mass=100.0, friction=0.6)
     sim = wr.Simulator(scene, device=device)
-    head = [body.name in ("doll_neck", "doll_head") for body in scene.bodies]
-    for k in range(240):
+    for _ in range(165):
         sim.step(8)
         assert anchor_errors(sim).max() < 2e-6 and sim.penetration()[0] < 0.012
-        if k == 120:
-            assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1)[~np.array(head)].max() < 1e-3
     assert np.linalg.norm(sim.get("linear_velocity")[0], axis=-1).max() < 1e-4
     assert sim.penetration()[0] < 1e-4
 

@@ -263,7 +263,7 @@ def settle_joints(after_push: int, dt: float, bodies: Bodies, state: State, moti
 
 
 @wp.kernel
-def share_time_of_impact(is_last: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+def share_time_of_impact(dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """One thread per mechanism: its bodies stop together, at the earliest time of impact, and its joints hold."""
     m = wp.tid()
     if not is_awake(m, motions, joints):
@@ -279,7 +279,7 @@ def share_time_of_impact(is_last: int, dt: float, bodies: Bodies, state: State, 
             motions.next_time_of_impact[b] = earliest
             if earliest < 1.0:
                 motions.next_course[b] = earliest * motions.solver_bodies[b].linear
-    if is_last == 1 and (earliest < 1.0 or joints.unsettled[m] == 1):
+    if earliest < 1.0 or joints.unsettled[m] == 1:
         close_joints(m, dt, bodies, state, motions, joints)
 
 

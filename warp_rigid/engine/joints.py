@@ -247,11 +247,11 @@ class JointStages:
             inputs = [after_push, step.dt, step.model.bodies, step.state]
             self._per_mechanism(self.kernels.settle_joints, inputs, [step.motions, self.arrays])
 
-    def limit_motion(self, is_last: bool) -> None:
+    def limit_motion(self) -> None:
         """Stop the bodies of a mechanism together."""
         step = self._step
         if self.present:
-            inputs = [int(is_last), step.dt, step.model.bodies, step.state]
+            inputs = [step.dt, step.model.bodies, step.state]
             self._per_mechanism(self.kernels.share_time_of_impact, inputs, [step.motions, self.arrays])
 
     def end(self) -> None:

@@ -392,10 +392,9 @@ class Stages:
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
         self._limit_motion(turn=0)
         for turn in range(1, ccd.TURNS_IN_CROWDS if self.crowded else ccd.TURNS):
-            self.joints.limit_motion(is_last=False)
             self._per_body(ccd.close_round, [], [self.motions])
             self._limit_motion(turn)
-        self.joints.limit_motion(is_last=True)
+        self.joints.limit_motion()
 
     @stage
     def integrate_positions(self) -> None:
