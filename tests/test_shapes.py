@@ -298,3 +298,9 @@ def test_bad_input_is_refused_in_one_line_that_names_the_field(make, field):
         make()
     message = str(refusal.value)
     assert message.startswith(field) and "\n" not in message
+
+
+def test_a_mesh_thinner_than_a_cell_of_its_grid_has_one_inner_ball_without_extent():
+    vertices, faces = cube(1.0)
+    balls = Mesh(vertices * [0.5, 0.5, 5e-4], faces).inner_balls
+    assert balls.shape == (1, 4) and balls[0, 3] == 0.0
