@@ -115,12 +115,14 @@ def test_itemized_check_has_a_line_for_every_variant():
 def test_every_tower_is_judged():
     """Each offset under each setting has a line; the default and two passes from zero follow statics at all of them."""
     case = next(case for case in QUICK if case.id == "V61")
-    falls = [check for check in case.checks if check.itemized]
-    assert sum(len(check.labels) for check in falls) == len(case.experiments[0].variants) == 24
-    due = [offset > 0.1 for offset in (0.0, 0.05, 0.08, 0.12, 0.15, 0.2)]
-    assert list(falls[0].reference) == list(falls[1].reference) == due
-    assert list(falls[2].reference) != due and list(falls[3].reference) != due
-    assert [label.endswith("falls") for label in falls[3].labels] == due
+    default, two_pass, one_pass, off, leans = [check for check in case.checks if check.itemized]
+    offsets = (0.0, 0.05, 0.08, 0.12, 0.15, 0.2)
+    due = [offset > 0.1 for offset in offsets]
+    assert list(default.reference) == list(two_pass.reference) == due != list(one_pass.reference)
+    assert [label.endswith("falls") for label in one_pass.labels] == due
+    assert sorted(float(label.split()[0]) for label in (*off.labels, *leans.labels)) == list(offsets)
+    assert list(off.reference) == [False, True, True, True] and list(leans.reference) == [True, True]
+    assert 3 * len(offsets) + len(off.labels) + len(leans.labels) == len(case.experiments[0].variants)
 
 
 def test_a_bar_in_a_name_does_not_end_a_cell():
