@@ -93,8 +93,7 @@ def sum_contacts(
         for k in range(order.color_start[team.env, 0], end_of_entries(team.env, order)):
             entry = entry_at(k, order)
             island = island_of(entry, motions, graph)
-            if island >= 0:
-                joints.search[island] = joints.search[island] + wp.vec2d(energy_of(entry, motions, rows))
+            joints.search[island] = joints.search[island] + wp.vec2d(energy_of(entry, motions, rows))
     sync_team(team)
 
 
@@ -126,10 +125,8 @@ def scale_changes(
         joints.total[j] = joints.start[j] + share * (joints.total[j] - joints.start[j])
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        island = island_of(entry, motions, graph)
-        if island >= 0:
-            for c in range(entry.begin, entry.end):
-                blend_row(entry.kind, c, factor_of(island, joints), rows)
+        for c in range(entry.begin, entry.end):
+            blend_row(entry.kind, c, factor_of(island_of(entry, motions, graph), joints), rows)
     sync_team(team)
 
 
