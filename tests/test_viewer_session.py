@@ -179,6 +179,19 @@ def test_pull_brings_the_held_place_to_the_pointer_and_lets_go(falling):
     assert (falling.sim.get("force") == 0.0).all() and (falling.sim.get("torque") == 0.0).all()
 
 
+def test_another_thread_may_let_go_while_the_ends_are_asked_for(falling, monkeypatch):
+    falling.pull(0, 2, falling.sim.get("position")[0, 2], np.array([0.0, 0.0, 2.0]))
+    get = falling.sim.get
+
+    def release_and_get(name):
+        falling._pull = None
+        return get(name)
+
+    monkeypatch.setattr(falling.sim, "get", release_and_get)
+    assert falling.pull_ends is not None
+    assert falling.pull_ends is None
+
+
 def busy(seconds):
     end = time.thread_time() + seconds
     while time.thread_time() < end:

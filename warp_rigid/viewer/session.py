@@ -248,10 +248,12 @@ class Session:
 
     @property
     def pull_ends(self) -> tuple[int, np.ndarray, np.ndarray] | None:
-        """Environment and both ends of the spring in the world; None where nothing is pulled."""
-        if self._pull is None:
-            return None
-        return self._pull.env, self._grip(), self._pull.target
+        """Environment and both ends of the spring in the world; None where nothing is pulled.
+
+        Another thread may let go meanwhile.
+        """
+        pull = self._pull
+        return None if pull is None else (pull.env, self._grip(pull), pull.target)
 
     _pull: Pull | None = None
 
@@ -298,10 +300,10 @@ class Session:
             return
         mass = float(self._sim.get("mass")[env, body])
         inertia = self._sim.get("inertia")[env, body].astype(np.float64)
-        arm = self._grip() - self._sim.get("center_of_mass")[env, body]
+        arm = self._grip(self._pull) - self._sim.get("center_of_mass")[env, body]
         spin = self._sim.get("angular_velocity")[env, body].astype(np.float64)
         velocity = self._sim.get("linear_velocity")[env, body] + np.cross(spin, arm)
-        wanted = PULL_RATE * (PULL_RATE * (self._pull.target - self._grip()) - 2.0 * velocity)
+        wanted = PULL_RATE * (PULL_RATE * (self._pull.target - self._grip(self._pull)) - 2.0 * velocity)
         # A force on the held place accelerates it by more than force / mass: the body gives way by turning.
         cross = np.cross(np.eye(3), arm)
         mobility = np.eye(3) / mass - cross @ np.linalg.inv(inertia) @ cross
@@ -312,11 +314,10 @@ class Session:
     def _hold(self, name: str, value: np.ndarray) -> None:
         self._sim.set(name, value, envs=[self._pull.env], bodies=[self._pull.body])
 
-    def _grip(self) -> np.ndarray:
+    def _grip(self, pull: Pull) -> np.ndarray:
         """The pulled place of the body in the world [m]."""
-        env, body = self._pull.env, self._pull.body
-        orientation = self._sim.get("orientation")[env, body].astype(np.float64)
-        return rotate(orientation, self._pull.local) + self._sim.get("position")[env, body]
+        orientation = self._sim.get("orientation")[pull.env, pull.body].astype(np.float64)
+        return rotate(orientation, pull.local) + self._sim.get("position")[pull.env, pull.body]
 
 
 def key_scenes() -> dict[str, str]:
