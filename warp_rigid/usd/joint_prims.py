@@ -6,6 +6,7 @@ first body of a joint of a scene. An axis Y or Z is turned to the x axis of both
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from warp_rigid.scene.joints.placing import turn_to, world_frame
 from warp_rigid.scene.scene import Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.geometry import MARK, gf_quaternion
+from warp_rigid.usd.masses import states_no_mass
 from warp_rigid.usd.prims import custom_data
 from warp_rigid.usd.serial_joints import SHARE, insert_links
 from warp_rigid.usd.specs import define, set_attribute, set_relationship
@@ -92,6 +94,7 @@ class JointReader:
             for path, description in zip(*objects.get(kind, ([], [])), strict=True)
         }
         self._find_parts(found)
+        self._lighten(found)
         series: dict[tuple[str, str], list[tuple[Usd.Prim, Any]]] = {}
         # MuJoCo applies the joints of a body in the order of the file.
         for prim in Usd.PrimRange(self._stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
@@ -110,12 +113,7 @@ class JointReader:
 
     def _find_parts(self, found: dict[str, Any]) -> None:
         """Make each body without mass that fixed joints hold, directly or not, a part of what they hold it to."""
-        pairs = [
-            (str(description.rel0), str(description.rel1))
-            for description in found.values()
-            if description.type == Types.FixedJoint and description.jointEnabled
-        ]
-        pairs += [pair[::-1] for pair in pairs]
+        pairs = _fixed_pairs(found)
         left = dict(self._massless)
         while taken := [(part, whole) for part, whole in pairs if part in left and whole not in left]:
             for part, whole in taken:
@@ -126,6 +124,17 @@ class JointReader:
             self._change(self._stage.GetPrimAtPath(part), told)
         for path, reason in left.items():
             self._leave_out(path, reason)
+
+    def _lighten(self, found: dict[str, Any]) -> None:
+        """Give bodies with colliders, for which the file states no mass, little of that of what they are fixed to."""
+        for part, whole in _fixed_pairs(found):
+            prim, index, other = self._stage.GetPrimAtPath(part), self._owners.get(part), self._owners.get(whole)
+            if index is None or other is None or not states_no_mass(prim):
+                continue
+            if not states_no_mass(self._stage.GetPrimAtPath(whole)):
+                body = self._scene.bodies[index]
+                self._scene.bodies[index] = replace(body, mass=SHARE * self._scene.bodies[other].mass)
+                self._change(prim, f"a mass of 0: it has {SHARE:.1%} of the mass of {whole}")
 
     def _add_series(self, joints: list[tuple[Usd.Prim, Any]]) -> None:
         """Add one joint, or several in series between two bodies, with bodies between them."""
@@ -341,6 +350,16 @@ class JointReader:
         if value is None or kind == Types.SphericalJoint:
             return 0.0
         return float(value) * (math.pi / 180.0 if self._in_degrees and kind == Types.RevoluteJoint else 1.0)
+
+
+def _fixed_pairs(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """Paths of the bodies that fixed joints hold to each other, in both orders."""
+    pairs = [
+        (str(description.rel0), str(description.rel1))
+        for description in found.values()
+        if description.type == Types.FixedJoint and description.jointEnabled
+    ]
+    return pairs + [pair[::-1] for pair in pairs]
 
 
 def _uses_degrees(stage: Usd.Stage) -> bool:

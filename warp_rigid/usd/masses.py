@@ -15,7 +15,7 @@ from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
 from warp_rigid.usd.prims import Unreadable
 
-__all__ = ["Collider", "MassReader", "is_of_mujoco", "positive", "scale_to_total"]
+__all__ = ["Collider", "MassReader", "is_of_mujoco", "positive", "scale_to_total", "states_no_mass"]
 
 DEFAULT_DENSITY = 1000.0
 """Default density of UsdPhysics, without mass or density in the file [kg/m^3]."""
@@ -128,6 +128,16 @@ class MassReader:
 def is_of_mujoco(collider: Usd.Prim) -> bool:
     """Whether a collider comes from a file of MuJoCo."""
     return "MjcCollisionAPI" in collider.GetPrimTypeInfo().GetAppliedAPISchemas()
+
+
+def states_no_mass(body: Usd.Prim) -> bool:
+    """Whether a file states that a body has no mass, such as a link of URDF that has only colliders.
+
+    USD ignores a mass of zero, but in Newton's schema such a link also has an inertia tensor of zeros.
+    """
+    tensor = body.GetAttribute("newton:inertia").Get() if body else None
+    mass = UsdPhysics.MassAPI(body).GetMassAttr().Get() if body else None
+    return tensor is not None and not any(tensor) and not mass
 
 
 def scale_to_total(stage: Usd.Stage, scene: Scene) -> None:
