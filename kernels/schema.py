@@ -558,38 +558,6 @@ Graph = layout(
     residual=Field(float, "envs", "m/s", "largest velocity change by a row in the last sweep or round"),
 )
 
-RoundRecord = packed_record(
-    "RoundRecord",
-    "A pair of bodies that is solved in rounds. The mass of a body is shared equally by all its contacts.",
-    body_a=Field(int, "", "", "first body"),
-    body_b=Field(int, "", "", "second body"),
-    begin=Field(int, "", "", "first contact"),
-    end=Field(int, "", "", "one past the last contact"),
-    env=Field(int, "", "", "environment"),
-    sharing_a=Field(int, "", "", "contacts that share the first body's mass"),
-    sharing_b=Field(int, "", "", "contacts that share the second body's mass"),
-    limit=Field(int, "", "", "maximum number of rounds"),
-)
-
-Rounds = layout(
-    "Rounds",
-    "Pairs of heaps, which are solved all at once in rounds (rounds.py): all, or those with impacts or overlaps.",
-    pairs=Field(RoundRecord, "constraints", "", "the pairs, in any order"),
-    count=Field(int, "1", "", "number of pairs"),
-    sharing=Field(int, "bodies", "", "contacts that share the body's mass"),
-    gained=Field(
-        wp.int64,
-        f"bodies, {18}",
-        "",
-        "velocity change by the impulses of all contacts, linear and angular, in multiples of 2^-40 m/s and rad/s; "
-        "three buffers: read, written and cleared in a round",
-    ),
-    last_change=Field(int, "envs", "", "last round in which a velocity changed by more than the tolerance"),
-    done=Field(int, "1", "", "rounds completed before those of this launch"),
-    latest=Field(int, "1", "", "last round after which an environment needs another one"),
-    again=Field(int, "1", "", "1: more rounds follow"),
-)
-
 Order = layout(
     "Order",
     "Active constraints in solving order, colour by colour.",

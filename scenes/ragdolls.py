@@ -5,7 +5,7 @@ import numpy as np
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box, Plane
-from warp_rigid.scenes.builders.jointed import ClosedJointsOutcome, add_ragdoll
+from warp_rigid.scenes.builders.jointed import ROLLING, ClosedJointsOutcome, add_ragdoll
 from warp_rigid.scenes.demo import Demo, below, rest_verdict
 
 WIDTH = 3.0
@@ -20,11 +20,11 @@ def build(dolls: int = 4) -> Scene:
     """
     dolls = whole_in("dolls", dolls, 1, 160)
     scene = Scene()
-    scene.add_static(Plane(), friction=0.6, name="ground")
+    scene.add_static(Plane(), friction=0.6, rolling_friction=ROLLING, name="ground")
     for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         half = (0.1, WIDTH / 2 + 0.2, 2.0) if x else (WIDTH / 2 + 0.2, 0.1, 2.0)
         at = ((WIDTH / 2 + 0.1) * x, (WIDTH / 2 + 0.1) * y, 2.0)
-        scene.add_static(Box(half), position=at, friction=0.6, name="wall")
+        scene.add_static(Box(half), position=at, friction=0.6, rolling_friction=ROLLING, name="wall")
     for k in range(dolls):
         layer, row, column = k // 9, k // 3 % 3, k % 3
         place = (0.8 * (column - 1), 0.8 * (row - 1), STANDING + 0.1 + 1.9 * layer)

@@ -14,7 +14,7 @@ from tests.oracles import random_pile, rotate_about, stages_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files import atomic
 from warp_rigid.kernels.collide.ball_pairs import BY_BALLS
-from warp_rigid.kernels.collide.narrowphase import BY_AXIS, BY_CENTER
+from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data
 from warp_rigid.scenes.builders import meshes

@@ -57,6 +57,16 @@ def test_ragdolls_in_a_pit_come_to_rest(device):
     assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 2e-4
 
 
+@pytest.mark.long
+def test_ragdolls_in_a_heap_do_not_move_when_others_land(device):
+    """Forty in one island: the impulses of those at rest must not depend on an impact somewhere else."""
+    scene = scenes.get("ragdolls").build(dolls=40)
+    sim = wr.Simulator(scene, device=device)
+    sim.step(960)
+    assert np.median(np.linalg.norm(sim.get("linear_velocity")[0], axis=-1)) < 0.01
+    assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 0.01
+
+
 def test_rolling_friction_brakes_a_ball_that_is_a_mechanism(device):
     """Two halves welded together: the centre of mass is slowed down as that of one ball, by 5 g c / (7 r)."""
     radius, coefficient, speed = 0.1, 0.004, 1.0

@@ -14,7 +14,7 @@ import warp as wp
 import warp_rigid
 from tests.robot_tools import robot_files
 from warp_rigid.commands import cli
-from warp_rigid.engine import hash_grid, step
+from warp_rigid.engine import hash_grid, heaps, step
 from warp_rigid.engine.step import Stages
 from warp_rigid.kernels.joints import joint_stages
 from warp_rigid.scene import fields
@@ -130,12 +130,13 @@ def test_every_stage_has_a_page_with_its_kernels():
         assert page.stem == "index" or (page.stem in stages and text.startswith(f"# {page.stem}\n"))
         for module, options in re.findall(r"^::: warp_rigid\.kernels\.\w+\.(\w+)\n((?: {4}.*\n)*)", text, flags=re.M):
             shown |= {(module, name) for name in re.findall(r"^ {8}- (\w+)$", options, flags=re.M)}
-    launching = inspect.getsource(Stages) + inspect.getsource(hash_grid.HashGrid)
+    classes = (Stages, hash_grid.HashGrid, heaps.HeapStages)
+    launching = "".join(inspect.getsource(each) for each in classes)
     named = set(re.findall(r"\b(\w+)\.(\w+)\b", launching))
     launched = {
         (m, name)
         for m, name in named
-        for source in (step, hash_grid)
+        for source in (step, hash_grid, heaps)
         if isinstance(getattr(getattr(source, m, None), name, None), wp.Kernel)
     }
     launched |= {("joint_stages", name) for name, value in vars(joint_stages).items() if isinstance(value, wp.Kernel)}

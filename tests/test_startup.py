@@ -14,9 +14,10 @@ from warp_rigid.engine.loading import STEP
 ROOT = Path(__file__).resolve().parents[1]
 
 WARM_SECONDS = 2.0
-COLD_KERNELS = 10.5
+COLD_KERNELS = 15.0
 """A cold start may cost as much processor time as so many processes that compile one small kernel, each 2.4 s on an
-idle machine: 8.7 to 9.5 of them now, 15 with all kernels at once. Both grow alike where other programs share cores.
+idle machine: 8.7 to 9.5 of them now, and up to 12.7 where other programs share the cores. The number of modules tells
+whether kernels are compiled that are not needed.
 """
 
 ONE_KERNEL = """
@@ -66,6 +67,7 @@ def test_a_cold_start_keeps_its_budget(tmp_path):
     )
     one = float(done.stdout.splitlines()[-1])
     cost = start_up("stack:8", "cpu")
+    assert cost["cold"]["modules"] == len(STEP)
     assert cost["warm"]["processor_seconds"] < cost["cold"]["processor_seconds"] < COLD_KERNELS * one
 
 

@@ -17,6 +17,7 @@ from tests.oracles import (
     rotate_about,
     stages_of,
 )
+from warp_rigid.engine import teams
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
@@ -323,14 +324,15 @@ def test_a_body_that_is_hit_does_not_enter_its_neighbour(device):
 
 
 @pytest.mark.parametrize("name", ["brick", "cylinder", "bunny"])
-def test_the_number_of_teams_of_a_pair_does_not_matter(device, name):
-    """The first impacts of tumbling bodies and a wall are the same, bit for bit, for one team, two and eight."""
+def test_the_number_of_lanes_does_not_matter(device, name, monkeypatch):
+    """The first impacts of tumbling bodies and a wall are the same, bit for bit, and in a repeated trace."""
     sim = fired(device, WALLS["mesh plate"](), BODIES[name]())
-    stages = stages_of(sim)
     sim.step(1)
+    stages = stages_of(sim)
     found = []
-    for sharing in (1, 2, 8):
-        stages.trace_sharing = sharing
+    for trace, look in ((32, 8), (32, 8), (8, 32), (16, 1)):
+        monkeypatch.setattr(teams, "TRACE_LANES", trace)
+        monkeypatch.setattr(teams, "LOOK_LANES", look)
         stages._per_body(ccd.limit_travel, [stages.dt], [stages.motions])
         stages._limit_motion(turn=0)
         found.append((stages.motions.first_impact.numpy(), stages.motions.next_time_of_impact.numpy()))

@@ -4,7 +4,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.samples import Search
 from warp_rigid.kernels.enums import Role
-from warp_rigid.kernels.schema import Bodies, Motions, Pairs, State
+from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -118,6 +118,28 @@ def approach_of(own: int, other: int, reach: float, bodies: Bodies, state: State
     approach.turn = back * state.orientation[own]
     approach.shift = wp.quat_rotate(back, state.position[own] - state.position[other])
     approach.reach = reach
+    return approach
+
+
+@wp.func
+def approach_from(
+    side: int,
+    pair: int,
+    dt: float,
+    size: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Relative pose for the samples of a pair's first (side 0) or second (side 1) body."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    rise = dt * (shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise)
+    reach = contact_reach(a, b, size, dt, state, motions) + rise
+    approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
+    approach.rise = rise
     return approach
 
 

@@ -17,6 +17,7 @@ from warp_rigid.kernels.collide.course import (
     FAST,
     Course,
     course_of,
+    handled_gap,
     largest_motion,
     passage_of,
     place_at,
@@ -24,9 +25,17 @@ from warp_rigid.kernels.collide.course import (
     stays_clear,
 )
 from warp_rigid.kernels.collide.culling import out_of_box
-from warp_rigid.kernels.collide.trace import ball_of, trace_ball, trace_reached
+from warp_rigid.kernels.collide.near_samples import Suspects
+from warp_rigid.kernels.collide.trace import (
+    Suspect,
+    TraceTask,
+    ball_of,
+    look_at_samples,
+    trace_ball,
+    trace_suspect,
+)
 from warp_rigid.kernels.common.crowd import is_crowded
-from warp_rigid.kernels.common.team import ballot
+from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
@@ -51,45 +60,6 @@ def traced_size(a: int, b: int, shapes: Shapes, bodies: Bodies):
     """Size of the smaller body of a pair [m], or twice the thickness of the thinner walls if that is less."""
     wall = wp.min(shapes.shapes[bodies.shape[a]].wall, shapes.shapes[bodies.shape[b]].wall)
     return wp.min(smaller_size(a, b, shapes, bodies), 2.0 * wall)
-
-
-@wp.func
-def first_touch(
-    shapes: Shapes,
-    own: Course,
-    other: Course,
-    dt: float,
-    end: float,
-    size: float,
-    touching: bool,
-    group: int,
-    groups: int,
-    lane: int,
-    lanes: int,
-):
-    """First time at which a sample, an edge or the centre of one body penetrates the other too deep, at most `end`.
-
-    The lanes of a team share the clusters of every `groups`-th group, from `group` on. The cluster before the first one
-    is the body itself, with its centre as a sample.
-    """
-    earliest = float(end)
-    if own.radius > UNBOUNDED_EXTENT:
-        return earliest
-    passage = passage_of(own, other, dt, size, touching, shapes)
-    cluster = int(-1)
-    while cluster < shapes.shapes[own.shape].cluster_end:
-        own_cluster = wp.where(cluster < 0, -1, wp.min(cluster + lane, shapes.shapes[own.shape].cluster_end - 1))
-        ball = ball_of(own, own_cluster, shapes)
-        at = float(earliest)
-        if cluster < 0 or cluster + lane < shapes.shapes[own.shape].cluster_end:
-            at = trace_ball(shapes, own, other, own_cluster, ball, earliest, passage)
-        if cluster < 0 and at >= end:
-            return earliest
-        reached = ballot(wp.where(at < earliest and (cluster >= 0 or lane + group == 0), 1, 0), lanes)
-        earliest = trace_reached(shapes, own, other, reached, ball, at, earliest, passage, lane, lanes)
-        first = shapes.shapes[own.shape].cluster_start + group * lanes
-        cluster = wp.where(cluster < 0, first, cluster + groups * lanes)
-    return earliest
 
 
 @wp.func
@@ -140,8 +110,8 @@ def list_fast_pairs(
     shapes: Shapes,
     bodies: Bodies,
     state: State,
-    envs: Environments,
     motions: Motions,
+    envs: Environments,
     pairs: Pairs,
 ):
     """The threads share the pairs: list those that must be traced, in any order.
@@ -195,45 +165,159 @@ def note_impact(pair: int, a: int, b: int, t: float, motions: Motions):
             wp.atomic_min(motions.first_impact, b, impact)
 
 
+@wp.func
+def courses_of(pair: int, side: int, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
+    """The courses of a pair's bodies: that of its first (side 0) or second (1) body comes first."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    own = course_of(wp.where(side == 0, a, b), bodies, state, motions)
+    return own, course_of(wp.where(side == 0, b, a), bodies, state, motions)
+
+
+@wp.func
+def passage_of_body(
+    pair: int, side: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
+):
+    """The courses of a pair's bodies, as `courses_of`, and the relative motion of the first of these."""
+    own, other = courses_of(pair, side, bodies, state, motions, pairs)
+    size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
+    return own, other, passage_of(own, other, dt, size, pairs.contact_count[pair] > 0, shapes)
+
+
 @wp.kernel
-def limit_motion(
-    sharing: int,
+def list_reached(
+    threads: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+    suspects: Suspects,
+):
+    """The threads share both bodies of the listed pairs: list those whose bounding sphere reaches the other body.
+
+    The centre of a convex body is traced as a sample.
+    """
+    for k in range(wp.tid(), 2 * pairs.fast_count[0], threads):
+        task = TraceTask()
+        task.pair = pairs.fast[k / 2]
+        task.side = k % 2
+        task.lanes = 1
+        suspects.impact[task.pair] = dt
+        own, other, passage = passage_of_body(task.pair, task.side, dt, shapes, bodies, state, motions, pairs)
+        if own.radius <= UNBOUNDED_EXTENT:
+            body = ball_of(own, -1, shapes)
+            begin = trace_ball(shapes, own, other, -1, body, dt, passage)
+            if begin < dt:
+                look_at_samples(shapes, own, other, body, begin, passage, task, suspects)
+                place = next_place(suspects.reached_count, 0)
+                suspects.reached[place / 2, place % 2] = 2 * task.pair + task.side
+
+
+@wp.kernel
+def list_clusters(
     teams: int,
     lanes: int,
     dt: float,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
-    pairs: Pairs,
     motions: Motions,
+    pairs: Pairs,
+    suspects: Suspects,
 ):
-    """The teams share the listed pairs: the first impact of each body.
-
-    A pair is traced by one team, or by an even number `sharing` of teams: half of them for the samples of each body.
-    """
+    """The teams share the bodies that reach others: list their clusters that do. Those that do not fit are counted."""
     lane = wp.tid() % lanes
-    for k in range(wp.tid() / lanes, pairs.fast_count[0] * sharing, teams):
-        pair = pairs.fast[k / sharing]
-        member = k % sharing
-        a = pairs.body_a[pair]
-        b = pairs.body_b[pair]
-        size = traced_size(a, b, shapes, bodies)
-        touching = pairs.contact_count[pair] > 0
-        first = course_of(a, bodies, state, motions)
-        second = course_of(b, bodies, state, motions)
-        group = member / 2
-        groups = wp.max(sharing / 2, 1)
-        t = float(dt)
-        side = int(0)
-        while side < 2:
-            if sharing == 1 or member % 2 == side:
-                t = first_touch(shapes, first, second, dt, t, size, touching, group, groups, lane, lanes)
-            swapped = first
-            first = second
-            second = swapped
-            side += 1
-        if t < dt and lane == 0:
-            note_impact(pair, a, b, t / dt, motions)
+    for k in range(wp.tid() / lanes, suspects.reached_count[0], teams):
+        body = suspects.reached[k / 2, k % 2]
+        own, other, passage = passage_of_body(body / 2, body % 2, dt, shapes, bodies, state, motions, pairs)
+        first = shapes.shapes[own.shape].cluster_start + lane
+        for cluster in range(first, shapes.shapes[own.shape].cluster_end, lanes):
+            begin = trace_ball(shapes, own, other, cluster, ball_of(own, cluster, shapes), dt, passage)
+            if begin < dt:
+                place = next_place(suspects.cluster_count, 0)
+                if place >= 0 and place < suspects.cluster.shape[0]:
+                    suspects.cluster[place] = cluster
+                    suspects.cluster_body[place] = body
+                    suspects.cluster_begin[place] = begin
+
+
+@wp.kernel
+def list_suspects(
+    which: int,
+    teams: int,
+    lanes: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+    turn: wp.array[int],
+    suspects: Suspects,
+    wanted: wp.array2d[int],
+):
+    """The teams share the listed clusters: list their samples that must be traced. Record the number of clusters."""
+    count = suspects.cluster_count[0]
+    if wp.tid() == 0:
+        wp.atomic_max(wanted, turn[0], which, count)
+    task = TraceTask()
+    task.lane = wp.tid() % lanes
+    task.lanes = lanes
+    for k in range(wp.tid() / lanes, wp.where(count > suspects.cluster.shape[0], 0, count), teams):
+        task.pair = suspects.cluster_body[k] / 2
+        task.side = suspects.cluster_body[k] % 2
+        own, other, passage = passage_of_body(task.pair, task.side, dt, shapes, bodies, state, motions, pairs)
+        ball = ball_of(own, suspects.cluster[k], shapes)
+        look_at_samples(shapes, own, other, ball, suspects.cluster_begin[k], passage, task, suspects)
+
+
+@wp.kernel
+def trace_suspects(
+    which: int,
+    threads: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+    turn: wp.array[int],
+    suspects: Suspects,
+    wanted: wp.array2d[int],
+):
+    """The threads share the listed samples: the earliest impact of each pair. Record the number of samples.
+
+    A trace ends at the earliest impact that is known so far, which cannot change the result. If there are more samples
+    than fit, the step is void, and none is traced.
+    """
+    count = suspects.count[0]
+    if wp.tid() == 0:
+        wp.atomic_max(wanted, turn[0], which, count)
+    for k in range(wp.tid(), wp.where(count > suspects.pair.shape[0], 0, count), threads):
+        pair = suspects.pair[k]
+        own, other = courses_of(pair, suspects.side[k], bodies, state, motions, pairs)
+        size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
+        near = handled_gap(own, other, dt, size, pairs.contact_count[pair] > 0, shapes)
+        suspect = Suspect()
+        suspect.sample = suspects.sample[k]
+        suspect.begin = suspects.begin[k]
+        suspect.allowed = suspects.allowed[k]
+        end = suspects.impact[pair]
+        t = trace_suspect(shapes, own, other, suspect, near, size, end)
+        if t < end:
+            wp.atomic_min(suspects.impact, pair, t)
+
+
+@wp.kernel
+def note_impacts(threads: int, dt: float, pairs: Pairs, suspects: Suspects, motions: Motions):
+    """The threads share the listed pairs: the first impact of each body."""
+    for k in range(wp.tid(), pairs.fast_count[0], threads):
+        pair = pairs.fast[k]
+        t = suspects.impact[pair]
+        if t < dt:
+            note_impact(pair, pairs.body_a[pair], pairs.body_b[pair], t / dt, motions)
 
 
 @wp.kernel

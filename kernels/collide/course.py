@@ -138,6 +138,14 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
 
 
 @wp.func
+def handled_gap(own: Course, other: Course, dt: float, size: float, touching: bool, shapes: Shapes):
+    """Samples of a body that start closer to the other are handled by the solver [m]; `touching`: it has contacts."""
+    if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST * size:
+        return NEAR * wp.min(size, shapes.shapes[other.shape].wall)
+    return DEPTH * size
+
+
+@wp.func
 def passage_of(own: Course, other: Course, dt: float, size: float, touching: bool, shapes: Shapes):
     """The relative motion of a body in the frame of another over the step; `touching`: the pair has contacts."""
     passage = Passage()
@@ -146,9 +154,7 @@ def passage_of(own: Course, other: Course, dt: float, size: float, touching: boo
     passage.end = pose_in(own, other, dt)
     passage.reach = largest_motion(own, other, dt)
     passage.size = size
-    passage.near = DEPTH * size
-    if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST * size:
-        passage.near = NEAR * wp.min(size, shapes.shapes[other.shape].wall)
+    passage.near = handled_gap(own, other, dt, size, touching, shapes)
     passage.dt = dt
     passage.rotation = dt * (wp.length(own.angular) + wp.length(other.angular))
     return passage

@@ -1,7 +1,7 @@
 """Culling: which samples of a body are close enough to another body to be tested for contact.
 
-A team of lanes tests clusters of samples, then the samples of the near ones, and queues those that are near. Bounding
-boxes, the axis of a pair of convex bodies and the grids of meshes give cheap bounds of the distance.
+Clusters of samples are tested first, then the samples of the near ones. Bounding boxes, the axis of a pair of convex
+bodies and the grids of meshes give cheap bounds of the distance.
 """
 
 import warp as wp
@@ -10,7 +10,6 @@ from warp_rigid.kernels.collide.approach import TURNED_BACK, Approach
 from warp_rigid.kernels.collide.convex_pairs import border_of
 from warp_rigid.kernels.collide.distance import has_places, has_triangles, is_near_grid, is_nearer
 from warp_rigid.kernels.collide.samples import OVERLAP
-from warp_rigid.kernels.common.team import ballot, lowest_bit
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -119,73 +118,3 @@ def sample_is_near(s: int, approach: Approach, shapes: Shapes):
     elif out_of_box(p, margin, approach.shape, shapes):
         return False
     return not has_triangles(shapes, approach.shape) or may_touch_mesh(p, margin - approach.reach, approach, shapes)
-
-
-@wp.struct
-class SampleQueue:
-    """Samples of a pair that a team will test together, and its progress through all samples.
-
-    `side`: 0 in the samples of the first body, 1 in those of the second one, 2 after them. `group`: the clusters tested
-    next, one per lane, start here. `clusters`: bits of those tested last that are near and still to be visited.
-    `sample`, `sample_end`: samples to be tested next, of the cluster visited last. `near`: bits of those tested last
-    that are near and not in the queue. `queued`: number of samples in the queue; `key`: that of this lane, 2 * sample +
-    side.
-    """
-
-    side: int
-    group: int
-    clusters: wp.uint32
-    sample: int
-    sample_end: int
-    near: wp.uint32
-    queued: int
-    key: int
-
-
-@wp.func
-def has_samples(queue: SampleQueue):
-    """Whether samples of near clusters are left."""
-    untested = queue.sample < queue.sample_end or queue.clusters != wp.uint32(0)
-    return untested or queue.near != wp.uint32(0)
-
-
-@wp.func
-def test_clusters(queue: SampleQueue, lane: int, lanes: int, approach: Approach, edges: int, shapes: Shapes):
-    """Test the next clusters of a body, one per lane."""
-    cluster = queue.group + lane
-    near = int(0)
-    if cluster < shapes.shapes[approach.own_shape].cluster_end:
-        near = cluster_is_near(cluster, approach, edges, shapes)
-    queue.clusters = ballot(near, lanes)
-    queue.group += lanes
-    return queue
-
-
-@wp.func
-def queue_samples(queue: SampleQueue, lane: int, lanes: int, approach: Approach, shapes: Shapes):
-    """Test samples of near clusters, one per lane, unless some are left from the last test, and queue those near."""
-    near = queue.near
-    sample = queue.sample
-    end = queue.sample_end
-    clusters = queue.clusters
-    while near == wp.uint32(0) and (sample < end or clusters != wp.uint32(0)):
-        if sample >= end:
-            cluster = queue.group - lanes + lowest_bit(clusters)
-            clusters = clusters & (clusters - wp.uint32(1))
-            sample = shapes.clusters[cluster].sample_start
-            end = shapes.clusters[cluster].sample_end
-        hit = int(0)
-        if sample + lane < end and sample_is_near(sample + lane, approach, shapes):
-            hit = 1
-        near = ballot(hit, lanes)
-        sample += lanes
-    while near != wp.uint32(0) and queue.queued < lanes:
-        if queue.queued == lane:
-            queue.key = 2 * (sample - lanes + lowest_bit(near)) + queue.side
-        near = near & (near - wp.uint32(1))
-        queue.queued += 1
-    queue.near = near
-    queue.sample = sample
-    queue.sample_end = end
-    queue.clusters = clusters
-    return queue

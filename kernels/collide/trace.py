@@ -6,9 +6,9 @@ few rounds are enough, and motion along a surface is not limited. For other dist
 Edges are traced as whole segments, at their deepest point, because no sample point need be close to where two edges
 cross.
 
-A team of lanes traces the samples of the clusters that reach the other body. Most of them turn out to stay clear at the
-first look. The others are queued, and traced together when there is one for each lane: their traces take most of the
-time, and their samples are in different clusters.
+A team of lanes looks at the samples of the clusters that reach the other body. Most of them turn out to stay clear at
+the first look. The others are listed, for all pairs together, and one thread traces each of them: traces take most of
+the time, and pairs have very different numbers of them.
 """
 
 import warp as wp
@@ -16,9 +16,10 @@ import warp as wp
 from warp_rigid.kernels.collide.course import DEPTH, FAST, Course, Passage, closing_speed, place_at
 from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.near_samples import Suspects
 from warp_rigid.kernels.collide.samples import gradient, slope
 from warp_rigid.kernels.collide.triangle_distance import GRID_ERROR
-from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, min_of_lanes
+from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import PartKind, SampleKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -59,23 +60,13 @@ class Suspect:
 
 
 @wp.struct
-class TraceQueue:
-    """Samples that a team will trace together, and its progress through those of the clusters that it has reached.
+class TraceTask:
+    """A lane that looks at samples of a pair's first (`side` 0) or second (1) body, with the others of its team."""
 
-    `clusters`: bits of the lanes whose clusters are still to be visited. `sample`, `sample_end`, `begin`: samples to be
-    looked at next, and the time at which the sphere of their cluster is reached. `looked_at`: the sample that this lane
-    looked at last; `waiting`: bits of the lanes in which it must be traced and is not in the queue. `queued`: number of
-    samples in the queue; `traced`: that of this lane.
-    """
-
-    clusters: wp.uint32
-    sample: int
-    sample_end: int
-    begin: float
-    looked_at: Suspect
-    waiting: wp.uint32
-    queued: int
-    traced: Suspect
+    pair: int
+    side: int
+    lane: int
+    lanes: int
 
 
 @wp.func
@@ -133,10 +124,25 @@ def trace(
 
 
 @wp.func
-def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
-    """Deepest point of a segment, middle +- slide, in a convex shape: parameter from -1 to 1, and distance.
+def level_tangent(low: wp.vec4, left: float, high: wp.vec4, right: float, slide: wp.vec3):
+    """Lower bound of a convex distance along a segment that is constant: its direction, and the distance.
 
-    Each round replaces one end of the interval by the intersection of the tangents at both ends, as in samples.py.
+    It is the combination of the tangents at two places, one that falls and one that rises, whose slopes cancel.
+    """
+    fall = -slope(low, slide)
+    rise = slope(high, slide)
+    share = fall / wp.max(fall + rise, 1.0e-20)
+    bound = (1.0 - share) * (low[3] + fall * left) + share * (high[3] - rise * right)
+    n = (1.0 - share) * gradient(low) + share * gradient(high)
+    return wp.vec4(n[0], n[1], n[2], bound)
+
+
+@wp.func
+def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
+    """Deepest point of a segment, middle +- slide, in a convex shape: its distance, and a tangent there.
+
+    Each round replaces one end of the interval by the intersection of the tangents at both ends, as in samples.py. The
+    tangent bounds the distance from below at parameters from -1 to 1: where edges cross, it is one without slope.
     """
     low = wp.vec4(0.0, 0.0, 0.0, 0.0)
     high = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -144,6 +150,7 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
     right = float(1.0)
     place = float(0.0)
     deepest = wp.vec4(0.0, 0.0, 1.0, FAR)
+    crossed = int(1)
     t = float(left)
     rounds = int(0)
     while rounds < 2 + EDGE_ROUNDS:
@@ -165,10 +172,17 @@ def deepest_place(shapes: Shapes, shape: int, middle: wp.vec3, slide: wp.vec3):
             rise = slope(high, slide)
             if fall >= 0.0 or rise <= 0.0:
                 rounds = 2 + EDGE_ROUNDS
+                crossed = 0
             t = (low[3] - high[3] + rise * right - fall * left) / wp.max(rise - fall, 1.0e-12)
             t = wp.clamp(t, left, right)
         rounds += 1
-    return place, deepest
+    tangent = deepest
+    tangent[3] -= wp.max((place - 1.0) * slope(deepest, slide), (place + 1.0) * slope(deepest, slide))
+    if crossed == 1:
+        level = level_tangent(low, left, high, right, slide)
+        if level[3] > tangent[3]:
+            tangent = level
+    return deepest[3], tangent
 
 
 @wp.func
@@ -186,8 +200,7 @@ def trace_edge(
 ):
     """`trace` for a whole segment, arm +- slide, against a convex shape; see `trace_sample` for `near` and `begin`.
 
-    The tangent at the deepest point bounds the distance of both ends, and so of all points between them, if its slope
-    along the segment is small. The slope is large where edges cross below the surface; there, the speed alone is used.
+    A tangent at the deepest point bounds the distance of both ends, and so of all points between them.
     """
     other_spin = wp.length(other.angular)
     reach = wp.max(wp.length(arm - slide), wp.length(arm + slide))
@@ -200,23 +213,22 @@ def trace_edge(
         low = place_at(own, other, arm - slide, t)
         high = place_at(own, other, arm + slide, t)
         half = 0.5 * (high - low)
-        place, d = deepest_place(shapes, other.shape, low + half, half)
+        depth, tangent = deepest_place(shapes, other.shape, low + half, half)
         if round == 0:
             # The gap at the start of the step decides how deep the segment may penetrate.
-            if d[3] - radius < near:
-                allowed = near - wp.min(d[3] - radius, 0.0)
+            if depth - radius < near:
+                allowed = near - wp.min(depth - radius, 0.0)
             elif begin > 0.0:
                 t = begin
                 continue
-        left = d[3] - radius + allowed
+        left = depth - radius + allowed
         if left < CLOSE_ENOUGH * size:
             return t
-        rise = slope(d, half)
-        bound = left - wp.max((place - 1.0) * rise, (place + 1.0) * rise)
+        bound = tangent[3] - radius + allowed
         if bound > 0.5 * left:
             closing = wp.max(
-                closing_speed(own, other, arm - slide, low, gradient(d), t),
-                closing_speed(own, other, arm + slide, high, gradient(d), t),
+                closing_speed(own, other, arm - slide, low, gradient(tangent), t),
+                closing_speed(own, other, arm + slide, high, gradient(tangent), t),
             )
             t += 2.0 * bound / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * bound), 1.0e-12)
         else:
@@ -272,9 +284,9 @@ def is_traced_edge(s: int, other: Course, shapes: Shapes):
 
 
 @wp.func
-def handled_depth(s: int, passage: Passage):
+def handled_depth(s: int, near: float, size: float):
     """Samples that start closer than this are handled by the solver, and may penetrate deeper by as much [m]."""
-    return wp.where(s >= 0, passage.near, DEPTH * passage.size)
+    return wp.where(s >= 0, near, DEPTH * size)
 
 
 @wp.func
@@ -304,8 +316,9 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
     path = path_length(own, other, arm_of(own, p), passage)
     gap = gap_of(shapes, other.shape, p, radius, path, passage)
     suspect.allowed = DEPTH * passage.size
-    if gap < handled_depth(s, passage):
-        suspect.allowed = handled_depth(s, passage) - wp.min(gap, 0.0)
+    handled = handled_depth(s, passage.near, passage.size)
+    if gap < handled:
+        suspect.allowed = handled - wp.min(gap, 0.0)
         suspect.begin = 0.0
     if gap + suspect.allowed > path:
         suspect.sample = CLEAR
@@ -313,8 +326,8 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
 
 
 @wp.func
-def trace_suspect(shapes: Shapes, own: Course, other: Course, suspect: Suspect, end: float, passage: Passage):
-    """Time at which a sample penetrates the other body too deep, or `end`."""
+def trace_suspect(shapes: Shapes, own: Course, other: Course, suspect: Suspect, near: float, size: float, end: float):
+    """Time at which a sample penetrates the other body too deep, or `end`; see `Passage` for `near` and `size`."""
     s = suspect.sample
     p = own.local_center
     radius = float(0.0)
@@ -325,104 +338,11 @@ def trace_suspect(shapes: Shapes, own: Course, other: Course, suspect: Suspect, 
     if is_traced_edge(s, other, shapes):
         slide = wp.quat_rotate(own.turn, shapes.samples[s].slide)
     arm = arm_of(own, p)
-    size = passage.size
     length = wp.length(slide)
     at = trace(shapes, own, other, arm, radius + length, suspect.allowed, 0.0, CLOSE_ENOUGH * size, suspect.begin, end)
     if length > 0.0 and at < end:
-        at = trace_edge(shapes, own, other, arm, slide, radius, handled_depth(s, passage), at, end, size)
+        at = trace_edge(shapes, own, other, arm, slide, radius, handled_depth(s, near, size), at, end, size)
     return at
-
-
-@wp.func
-def look_at_next(
-    queue: TraceQueue,
-    ball: Ball,
-    reached: float,
-    shapes: Shapes,
-    own: Course,
-    other: Course,
-    passage: Passage,
-    lane: int,
-    lanes: int,
-):
-    """Look at the next samples of the reached clusters, one per lane; `ball` is the lane's, `reached` at this time."""
-    s = int(CLEAR)
-    begin = float(0.0)
-    given = int(0)
-    while given < lanes and (queue.sample < queue.sample_end or queue.clusters != wp.uint32(0)):
-        if queue.sample >= queue.sample_end:
-            k = lowest_bit(queue.clusters)
-            queue.clusters = queue.clusters & (queue.clusters - wp.uint32(1))
-            queue.sample = broadcast_integer(ball.sample_start, k, lanes)
-            queue.sample_end = broadcast_integer(ball.sample_end, k, lanes)
-            queue.begin = broadcast(reached, k, lanes)
-        taken = wp.min(lanes - given, queue.sample_end - queue.sample)
-        if lane >= given and lane < given + taken:
-            s = queue.sample + lane - given
-            begin = queue.begin
-        given += taken
-        queue.sample += taken
-    queue.looked_at.sample = CLEAR
-    if s != CLEAR:
-        queue.looked_at = look_at(shapes, own, other, s, begin, passage)
-    queue.waiting = ballot(wp.where(queue.looked_at.sample != CLEAR, 1, 0), lanes)
-    return queue
-
-
-@wp.func
-def queue_waiting(queue: TraceQueue, lane: int, lanes: int):
-    """Queue the samples that must be traced, until there is one for each lane."""
-    while queue.waiting != wp.uint32(0) and queue.queued < lanes:
-        k = lowest_bit(queue.waiting)
-        queue.waiting = queue.waiting & (queue.waiting - wp.uint32(1))
-        sample = broadcast_integer(queue.looked_at.sample, k, lanes)
-        begin = broadcast(queue.looked_at.begin, k, lanes)
-        allowed = broadcast(queue.looked_at.allowed, k, lanes)
-        if lane == queue.queued:
-            queue.traced.sample = sample
-            queue.traced.begin = begin
-            queue.traced.allowed = allowed
-        queue.queued += 1
-    return queue
-
-
-@wp.func
-def is_unfinished(queue: TraceQueue):
-    """Whether samples of reached clusters are left that are not in the queue."""
-    left = queue.sample < queue.sample_end or queue.clusters != wp.uint32(0)
-    return left or queue.waiting != wp.uint32(0)
-
-
-@wp.func
-def trace_reached(
-    shapes: Shapes,
-    own: Course,
-    other: Course,
-    clusters: wp.uint32,
-    ball: Ball,
-    reached: float,
-    end: float,
-    passage: Passage,
-    lane: int,
-    lanes: int,
-):
-    """Earliest time at which a sample of the reached clusters penetrates the other body too deep, or `end`.
-
-    `clusters`: bits of the lanes that have reached one; `ball` is the lane's, reached at the time `reached`.
-    """
-    earliest = float(end)
-    queue = TraceQueue()
-    queue.clusters = clusters
-    while is_unfinished(queue):
-        queue.queued = 0
-        while queue.queued < lanes and is_unfinished(queue):
-            if queue.waiting == wp.uint32(0):
-                queue = look_at_next(queue, ball, reached, shapes, own, other, passage, lane, lanes)
-            queue = queue_waiting(queue, lane, lanes)
-        if lane < queue.queued:
-            earliest = trace_suspect(shapes, own, other, queue.traced, earliest, passage)
-        earliest = min_of_lanes(earliest, lanes)
-    return earliest
 
 
 @wp.func
@@ -454,3 +374,27 @@ def trace_ball(shapes: Shapes, own: Course, other: Course, cluster: int, ball: B
     arm = wp.quat_rotate(own.turn, ball.center - own.local_center)
     slack = GRID_ERROR * shapes.shapes[other.shape].cell
     return trace(shapes, own, other, arm, ball.radius, 0.0, slack, CLOSE_ENOUGH * passage.size, 0.0, end)
+
+
+@wp.func
+def look_at_samples(
+    shapes: Shapes,
+    own: Course,
+    other: Course,
+    ball: Ball,
+    begin: float,
+    passage: Passage,
+    task: TraceTask,
+    suspects: Suspects,
+):
+    """List the samples of a ball that must be traced; those that do not fit are only counted."""
+    for s in range(ball.sample_start + task.lane, ball.sample_end, task.lanes):
+        found = look_at(shapes, own, other, s, begin, passage)
+        if found.sample != CLEAR:
+            k = next_place(suspects.count, 0)
+            if k >= 0 and k < suspects.pair.shape[0]:
+                suspects.pair[k] = task.pair
+                suspects.side[k] = task.side
+                suspects.sample[k] = found.sample
+                suspects.begin[k] = found.begin
+                suspects.allowed[k] = found.allowed

@@ -59,11 +59,17 @@ def inverse_mass_of(b: int, motions: Motions):
 
 
 @wp.func
+def inertia_at(b: int, bodies: wp.array[SolverBodyRecord]):
+    """A body's inverse inertia tensor in the world frame [1/(kg m^2)]."""
+    q = read_solver_body(bodies, b, INERTIA)
+    r = read_solver_body(bodies, b, INERTIA + 1)
+    return wp.mat33(q[0], q[1], q[2], q[1], q[3], r[0], q[2], r[0], r[1])
+
+
+@wp.func
 def inverse_inertia_of(b: int, motions: Motions):
     """A body's inverse inertia tensor in the world frame [1/(kg m^2)]."""
-    q = read_solver_body(motions.solver_bodies, b, INERTIA)
-    r = read_solver_body(motions.solver_bodies, b, INERTIA + 1)
-    return wp.mat33(q[0], q[1], q[2], q[1], q[3], r[0], q[2], r[0], r[1])
+    return inertia_at(b, motions.solver_bodies)
 
 
 @wp.func

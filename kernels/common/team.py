@@ -21,9 +21,13 @@ def block_of(lanes: int) -> int:
     return SMALL_BLOCK if lanes <= 32 else BLOCK
 
 
+MECHANISM_LANES = wp.constant(8)
+"""Largest number of lanes of a team that solves a mechanism: a block of it has six rows."""
+
+
 @wp.struct
 class Team:
-    """A lane's index in the team that processes an environment."""
+    """A lane's index in the team that processes an environment, or a mechanism."""
 
     env: int
     lane: int
@@ -38,6 +42,22 @@ def team_of(thread: int, lanes: int):
     team.lane = thread % lanes
     team.lanes = lanes
     return team
+
+
+@wp.func
+def part_of_team(team: Team, most: int):
+    """The part of a team, of at most the given number of lanes, to which a lane belongs."""
+    part = Team()
+    part.env = team.env
+    part.lanes = wp.min(team.lanes, most)
+    part.lane = team.lane % part.lanes
+    return part
+
+
+@wp.func
+def single_lane():
+    """A lane that works alone."""
+    return Team(0, 0, 1)
 
 
 @wp.func_native("""
@@ -187,6 +207,33 @@ def broadcast(value: float, lane: int, lanes: int) -> float:
     ...
 
 
+@wp.func
+def broadcast_vector(value: wp.vec3, lane: int, lanes: int):
+    """The vector of one lane, broadcast to the whole team. Only for teams within a warp."""
+    return wp.vec3(broadcast(value[0], lane, lanes), broadcast(value[1], lane, lanes), broadcast(value[2], lane, lanes))
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
+    return __shfl_xor_sync(mask, value, offset, lanes);
+#else
+    return value;
+#endif
+""")
+def exchanged(value: float, offset: int, lanes: int) -> float:
+    """The value of the lane whose number differs by the bit `offset`. Only for teams within a warp."""
+    ...
+
+
+@wp.func
+def exchanged_vector(value: wp.vec3, offset: int, lanes: int):
+    """The vector of the lane whose number differs by the bit `offset`. Only for teams within a warp."""
+    return wp.vec3(
+        exchanged(value[0], offset, lanes), exchanged(value[1], offset, lanes), exchanged(value[2], offset, lanes)
+    )
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
@@ -210,12 +257,6 @@ def broadcast_integer(value: int, lane: int, lanes: int) -> int:
 def sum_of_lanes(value: float, lanes: int) -> float:
     """The sum over a team, the same in all lanes. Only for teams within a warp."""
     ...
-
-
-@wp.func
-def sum_of_vectors(value: wp.vec3, lanes: int):
-    """The sum of vectors over a team, the same in all lanes. Only for teams within a warp."""
-    return wp.vec3(sum_of_lanes(value[0], lanes), sum_of_lanes(value[1], lanes), sum_of_lanes(value[2], lanes))
 
 
 @wp.func_native("""

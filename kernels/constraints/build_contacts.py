@@ -6,7 +6,8 @@ from warp_rigid.kernels.collide.approach import Touch, approach_of, touch_of
 from warp_rigid.kernels.collide.ball_pairs import BY_BALLS, touch_balls
 from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
-from warp_rigid.kernels.collide.narrowphase import BY_AXIS, BY_CENTER, center_inside
+from warp_rigid.kernels.collide.near_samples import NARROWPHASE
+from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER, center_inside
 from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
@@ -36,9 +37,6 @@ from warp_rigid.kernels.schema import (
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False})
-
-NARROWPHASE = wp.get_module("warp_rigid.kernels.collide.narrowphase")
-"""Module of the kernels that evaluate distances; they are compiled together."""
 
 GONE = wp.constant(-1)
 """Identity of a contact reused from the last step that no longer exists; it has no impulse."""

@@ -18,12 +18,13 @@ from warp_rigid.kernels.common.team import add_together, raise_to
 from warp_rigid.kernels.constraints.contact import KIND as CONTACT
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
+from warp_rigid.kernels.graph.heap_arrays import MOST_SHARING
 from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Shapes, State
 
 wp.set_module_options({"enable_backward": False})
 
-MOST_SHARING = wp.constant(32)
-"""Maximum number of pairs that share a body's mass in a heap. With more, rounds converge too slowly."""
+MOST_PAIRS = wp.constant(MOST_SHARING)
+"""Maximum number of pairs that share a body's mass in a heap."""
 
 PATIENCE = wp.constant(8)
 """Consecutive ineffective steps after which an island is solved without shock propagation. Where it must be solved in
@@ -165,7 +166,7 @@ def vote(dt: float, shapes: Shapes, bodies: Bodies, envs: Environments, state: S
     raise_to(island, -depth, graph.island_high)
     raise_to(island, bodies.mass[b], graph.island_mass)
     raise_to(island, bodies.inverse_mass[b], graph.island_inverse_mass)
-    if graph.tied[b] == 1 or graph.touching[b] > MOST_SHARING:
+    if graph.tied[b] == 1 or graph.touching[b] > MOST_PAIRS:
         graph.needs_sweeps[island] = 1
 
 

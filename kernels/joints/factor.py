@@ -4,12 +4,26 @@ G are the rows of all joints of the mechanism, M the masses of its bodies. The o
 that are not zero are found on the host when the simulator is made. A pivot much smaller than the effective inverse mass
 of its row belongs to a row that follows from the others, as in a closed loop. Its inverse is set to zero, so that the
 row takes no impulse.
+
+A team of lanes factorizes a mechanism. The lanes share all rows of A. Joints are eliminated one after another, and the
+lanes share the rows of their blocks.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.joints.arrays import Joints, mat63d, mat66d, vec6d
+from warp_rigid.kernels.common.team import Team, sync_team
+from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import IDLE, damping_slope, drive_slope, is_held
+from warp_rigid.kernels.joints.elements import (
+    axis_row,
+    column_of,
+    component_of,
+    entry_of,
+    row_of,
+    set_component,
+    set_entry,
+    set_row,
+)
 from warp_rigid.kernels.joints.joint_rows import (
     has_coordinate,
     is_damped,
@@ -42,170 +56,199 @@ def active_rows(j: int, dt: float, motions: Motions, joints: Joints):
 
 
 @wp.func
-def masked(rows: mat63d, active: int):
-    """The rows that are active; zero for the others."""
+def masked(values: vec6d, active: int):
+    """The components of active rows; zero for the others."""
     for k in range(6):
         if not is_locked(active, k):
-            for i in range(3):
-                rows[k, i] = ZERO
-    return rows
+            values[k] = ZERO
+    return values
 
 
 @wp.func
-def coupling(j: int, k: int, b: int, joints: Joints):
-    """Velocities along the rows of joint j for unit impulses along those of joint k, through their common body b."""
-    angular_j = joints.angular_a[j]
-    angular_k = joints.angular_a[k]
-    sign = ONE
-    if joints.body_a[j] != b:
-        angular_j = joints.angular_b[j]
-        sign = -sign
+def coupling_row(j: int, i: int, k: int, b: int, joints: Joints):
+    """Velocity along row i of joint j for unit impulses along the rows of joint k, through their common body b."""
+    if not is_locked(joints.active[j], i):
+        return vec6d()
+    push = joints.inverse_mass[b] * axis_row(joints.linear, j, i)
+    spin = joints.inverse_inertia[b] * side_row(j, i, b, joints)
+    angular = joints.angular_a[k]
     if joints.body_a[k] != b:
-        angular_k = joints.angular_b[k]
-        sign = -sign
-    linear_j = masked(joints.linear[j], joints.active[j])
-    linear_k = masked(joints.linear[k], joints.active[k])
-    angular_j = masked(angular_j, joints.active[j])
-    angular_k = masked(angular_k, joints.active[k])
-    linear = (sign * joints.inverse_mass[b]) * (linear_j * wp.transpose(linear_k))
-    return linear + (angular_j * joints.inverse_inertia[b]) * wp.transpose(angular_k)
+        angular = joints.angular_b[k]
+    if (joints.body_a[j] == b) != (joints.body_a[k] == b):
+        push = -push
+    return masked(joints.linear[k] * push + angular * spin, joints.active[k])
 
 
 @wp.func
-def diagonal_block(j: int, dt: float, joints: Joints):
-    """Block of a joint on the diagonal of A, with the compliance of its drive; 1 for rows that are not active."""
-    block = coupling(j, j, joints.body_a[j], joints)
+def side_row(j: int, i: int, b: int, joints: Joints):
+    """Coefficients of the angular velocity of one of a joint's bodies in a row."""
+    if joints.body_a[j] == b:
+        return axis_row(joints.angular_a, j, i)
+    return axis_row(joints.angular_b, j, i)
+
+
+@wp.func
+def compliance_of(j: int, k: int, dt: float, joints: Joints):
+    """Velocity along an active row per impulse of a drive or of damping; 0 for a row that holds."""
+    step = wp.float64(dt)
+    if k == free_row(joints.coordinate[j]) and not is_held(joints.mode[j]):
+        return ONE / drive_slope(j, step, joints)
+    if is_damped(j, k, joints):
+        return ONE / damping_slope(j, step, joints)
+    return ZERO
+
+
+@wp.func
+def diagonal_entry(j: int, i: int, row: vec6d, dt: float, joints: Joints):
+    """Entry on the diagonal of A, with the compliance of the row; 1 for one that is not active."""
+    if not is_locked(joints.active[j], i):
+        return ONE
+    return row[i] + compliance_of(j, i, dt, joints)
+
+
+@wp.func
+def assemble_row(place: int, i: int, dt: float, joints: Joints):
+    """Row i of the blocks of A in the column of the joint at a place of the sequence.
+
+    `solution` gets the inverse of the entry on the diagonal.
+    """
+    j = joints.sequence[place]
+    row = coupling_row(j, i, j, joints.body_a[j], joints)
     if joints.to_world[j] == 0:
-        angular = masked(joints.angular_b[j], joints.active[j])
-        linear = masked(joints.linear[j], joints.active[j])
-        b = joints.body_b[j]
-        block += joints.inverse_mass[b] * (linear * wp.transpose(linear))
-        block += (angular * joints.inverse_inertia[b]) * wp.transpose(angular)
-    for k in range(6):
-        if not is_locked(joints.active[j], k):
-            block[k, k] = ONE
-    row = free_row(joints.coordinate[j])
-    if row >= 0 and is_locked(joints.active[j], row) and not is_held(joints.mode[j]):
-        block[row, row] = block[row, row] + ONE / drive_slope(j, wp.float64(dt), joints)
-    for k in range(4, 6):
-        if is_damped(j, k, joints) and is_locked(joints.active[j], k):
-            block[k, k] = block[k, k] + ONE / damping_slope(j, wp.float64(dt), joints)
-    return block
+        row += coupling_row(j, i, j, joints.body_b[j], joints)
+    entry = diagonal_entry(j, i, row, dt, joints)
+    set_row(joints.pivot, j, i, row)
+    set_entry(joints.pivot, j, i, i, entry)
+    set_component(joints.solution, j, i, wp.where(entry > ZERO, ONE / entry, ZERO))
+    for e in range(joints.column[place], joints.column[place + 1]):
+        off = vec6d()
+        if joints.shared[e] >= 0:
+            off += coupling_row(joints.row[e], i, j, joints.shared[e], joints)
+        if joints.shared_too[e] >= 0:
+            off += coupling_row(joints.row[e], i, j, joints.shared_too[e], joints)
+        set_row(joints.lower, e, i, off)
 
 
 @wp.func
-def largest_pivot(block: mat66d, scale: vec6d, taken: int):
-    """Row, not taken yet, with the largest pivot as a fraction of its diagonal entry; -1 if all are too small."""
+def largest_pivot(j: int, left: int, joints: Joints):
+    """Row, of those that are left, with the largest pivot as a fraction of its diagonal entry; -1 if all are too small.
+
+    `solution` holds the inverses of the diagonal entries.
+    """
     best = int(-1)
     most = REDUNDANT
     for k in range(6):
-        if not is_locked(taken, k) and block[k, k] > most * scale[k]:
-            most = block[k, k] / scale[k]
-            best = k
+        if is_locked(left, k):
+            share = entry_of(joints.pivot, j, k, k) * component_of(joints.solution, j, k)
+            if share > most:
+                most = share
+                best = k
     return best
 
 
 @wp.func
-def swept(k: int, block: mat66d):
-    """The symmetric block after the sweep operator for a row: the swept rows hold the negative of their inverse."""
-    pivot = block[k, k]
-    for i in range(6):
-        if i != k:
-            factor = block[i, k] / pivot
-            for j in range(6):
-                if j != k:
-                    block[i, j] = block[i, j] - factor * block[k, j]
-            block[i, k] = factor
-    for j in range(6):
-        if j != k:
-            block[k, j] = block[j, k]
-    block[k, k] = -ONE / pivot
-    return block
+def sweep_out(k: int, j: int, team: Team, joints: Joints):
+    """Apply the sweep operator for a row to a symmetric block: swept rows hold the negative of their inverse."""
+    inverse = ONE / entry_of(joints.pivot, j, k, k)
+    row = row_of(joints.pivot, j, k)
+    sync_team(team)
+    for i in range(team.lane, 6, team.lanes):
+        if i == k:
+            set_entry(joints.pivot, j, k, k, -inverse)
+        else:
+            factor = entry_of(joints.pivot, j, i, k) * inverse
+            set_row(joints.pivot, j, i, row_of(joints.pivot, j, i) - factor * row)
+            set_entry(joints.pivot, j, i, k, factor)
+            set_entry(joints.pivot, j, k, i, factor)
+    sync_team(team)
 
 
 @wp.func
-def inverse_without_redundant(given: mat66d, scale: vec6d):
-    """Inverse of a symmetric block, largest pivots first; zero in the rows whose pivots are too small."""
-    block = given
-    taken = int(0)
-    row = largest_pivot(block, scale, taken)
+def invert_without_redundant(j: int, team: Team, joints: Joints):
+    """Invert the block of a joint, largest pivots first; zero in rows that are not active or have too small pivots."""
+    left = int(joints.active[j])
+    row = largest_pivot(j, left, joints)
     while row >= 0:
-        block = swept(row, block)
-        taken = taken | (1 << row)
-        row = largest_pivot(block, scale, taken)
-    inverse = mat66d()
-    for i in range(6):
-        for j in range(6):
-            if is_locked(taken, i) and is_locked(taken, j):
-                inverse[i, j] = -block[i, j]
-    return inverse
+        sweep_out(row, j, team, joints)
+        left = left & ~(1 << row)
+        row = largest_pivot(j, left, joints)
+    sync_team(team)
+    taken = joints.active[j] & ~left
+    for i in range(team.lane, 6, team.lanes):
+        for k in range(6):
+            is_taken = is_locked(taken, i) and is_locked(taken, k)
+            set_entry(joints.pivot, j, i, k, wp.where(is_taken, -entry_of(joints.pivot, j, i, k), ZERO))
+    sync_team(team)
 
 
 @wp.func
-def assemble(place: int, dt: float, joints: Joints):
-    """The blocks of A in the column of the joint at a place of the sequence."""
-    j = joints.sequence[place]
-    block = diagonal_block(j, dt, joints)
-    joints.pivot[j] = block
-    scale = vec6d()
-    for k in range(6):
-        scale[k] = block[k, k]
-    joints.solution[j] = scale
-    for e in range(joints.column[place], joints.column[place + 1]):
-        off = mat66d()
-        if joints.shared[e] >= 0:
-            off += coupling(joints.row[e], j, joints.shared[e], joints)
-        if joints.shared_too[e] >= 0:
-            off += coupling(joints.row[e], j, joints.shared_too[e], joints)
-        joints.lower[e] = off
+def factor_row(e: int, i: int, j: int, joints: Joints):
+    """Row of the product of a block below the diagonal and the inverse, which is symmetric, of joint j."""
+    return joints.pivot[j] * row_of(joints.lower, e, i)
 
 
 @wp.func
-def eliminate(place: int, joints: Joints):
+def eliminate(place: int, team: Team, joints: Joints):
     """Eliminate the joint at a place of the sequence."""
     j = joints.sequence[place]
-    inverse = inverse_without_redundant(joints.pivot[j], joints.solution[j])
-    joints.pivot[j] = inverse
-    for u in range(joints.elimination[place], joints.elimination[place + 1]):
-        change = (joints.lower[joints.left[u]] * inverse) * wp.transpose(joints.lower[joints.right[u]])
-        joints.lower[joints.target[u]] = joints.lower[joints.target[u]] - change
-    for e in range(joints.column[place], joints.column[place + 1]):
-        block = joints.lower[e]
-        factor = block * inverse
-        k = joints.row[e]
-        joints.pivot[k] = joints.pivot[k] - factor * wp.transpose(block)
-        joints.lower[e] = factor
+    invert_without_redundant(j, team, joints)
+    for i in range(team.lane, 6, team.lanes):
+        for u in range(joints.elimination[place], joints.elimination[place + 1]):
+            change = joints.lower[joints.right[u]] * factor_row(joints.left[u], i, j, joints)
+            target = joints.target[u]
+            set_row(joints.lower, target, i, row_of(joints.lower, target, i) - change)
+        for e in range(joints.column[place], joints.column[place + 1]):
+            k = joints.row[e]
+            change = joints.lower[e] * factor_row(e, i, j, joints)
+            set_row(joints.pivot, k, i, row_of(joints.pivot, k, i) - change)
+    sync_team(team)
+    for i in range(team.lane, 6, team.lanes):
+        for e in range(joints.column[place], joints.column[place + 1]):
+            set_row(joints.lower, e, i, factor_row(e, i, j, joints))
+    sync_team(team)
 
 
 @wp.func
-def factorize(m: int, dt: float, motions: Motions, joints: Joints):
+def factorize(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     """Factorize a mechanism with the rows that are active in the present modes."""
     first = joints.first_place[m]
     end = joints.first_place[m + 1]
-    for place in range(first, end):
+    for place in range(first + team.lane, end, team.lanes):
         j = joints.sequence[place]
         joints.active[j] = active_rows(j, dt, motions, joints)
+    sync_team(team)
+    for k in range(team.lane, 6 * (end - first), team.lanes):
+        assemble_row(first + k / 6, k % 6, dt, joints)
+    sync_team(team)
     for place in range(first, end):
-        assemble(place, dt, joints)
-    for place in range(first, end):
-        eliminate(place, joints)
-    joints.factorizations[m] = joints.factorizations[m] + 1
+        eliminate(place, team, joints)
+    if team.lane == 0:
+        joints.factorizations[m] = joints.factorizations[m] + 1
+    sync_team(team)
 
 
 @wp.func
-def substitute(m: int, joints: Joints):
+def substitute(m: int, team: Team, joints: Joints):
     """Replace the right-hand side in `solution` by the solution."""
     first = joints.first_place[m]
     end = joints.first_place[m + 1]
     for place in range(first, end):
-        known = joints.solution[joints.sequence[place]]
-        for e in range(joints.column[place], joints.column[place + 1]):
-            k = joints.row[e]
-            joints.solution[k] = joints.solution[k] - joints.lower[e] * known
+        j = joints.sequence[place]
+        known = joints.solution[j]
+        sync_team(team)
+        for i in range(team.lane, 6, team.lanes):
+            for e in range(joints.column[place], joints.column[place + 1]):
+                k = joints.row[e]
+                change = wp.dot(row_of(joints.lower, e, i), known)
+                set_component(joints.solution, k, i, component_of(joints.solution, k, i) - change)
+            set_component(joints.solution, j, i, wp.dot(row_of(joints.pivot, j, i), known))
+        sync_team(team)
     for back in range(end - first):
         place = end - 1 - back
         j = joints.sequence[place]
-        found = joints.pivot[j] * joints.solution[j]
-        for e in range(joints.column[place], joints.column[place + 1]):
-            found -= wp.transpose(joints.lower[e]) * joints.solution[joints.row[e]]
-        joints.solution[j] = found
+        for i in range(team.lane, 6, team.lanes):
+            found = component_of(joints.solution, j, i)
+            for e in range(joints.column[place], joints.column[place + 1]):
+                found -= wp.dot(column_of(joints.lower, e, i), joints.solution[joints.row[e]])
+            set_component(joints.solution, j, i, found)
+        sync_team(team)

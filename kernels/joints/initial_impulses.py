@@ -3,9 +3,10 @@
 The initial impulses are those of the step before, as far as they reduce the energy.
 
 At an impact, the impulses of a step are many times larger than what the next step requires. Sweeps reduce them again,
-but joints, limits and friction make that slow, and what is left of them adds energy. The initial impulses of the
-contacts of mechanisms are therefore scaled, in each island, by the factor in [0, 1] that minimizes the energy. At rest
-it is 1.
+but joints, limits and friction make that slow, and what is left of them adds energy. After the first sweep, the
+impulses of the contacts of mechanisms are therefore scaled, in each island, by the factor in [0, 1] that minimizes the
+energy. At rest it is 1. Before that sweep, one body that lands would decide on the impulses of all others of its
+island, and a heap would fall a little at each impact.
 
 Sweeps over the contacts of mechanisms need not decrease the energy either: a visit takes a limit that is reached for a
 joint that holds both ways, and the direct solution releases it again. What shock propagation and the sweeps after it
@@ -20,7 +21,7 @@ from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import Rows, blend_row, store_start
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints
-from warp_rigid.kernels.joints.loads import is_visited, solve_joints, solve_touching
+from warp_rigid.kernels.joints.loads import is_visited, solve_joints
 from warp_rigid.kernels.joints.mechanism import energy_terms
 from warp_rigid.kernels.schema import Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
@@ -138,7 +139,7 @@ def island_of_joint(j: int, motions: Motions, joints: Joints, graph: Graph):
 
 
 @wp.func
-def warm_start_touching(
+def search_energy(
     dt: float,
     first: int,
     last: int,
@@ -149,9 +150,8 @@ def warm_start_touching(
     rows: Rows,
     joints: Joints,
 ):
-    """Apply the initial impulses of the contacts of mechanisms; bodies from `first` to `last` - 1."""
-    store_before_impulses(first, last, team, order, motions, rows, joints)
-    solve_touching(1, team, order, motions, rows, joints)
+    """Scale the changes since the start of the search such that they minimize the energy of each island."""
     solve_joints(team, dt, motions, joints)
     sum_contacts(first, last, team, order, graph, motions, rows, joints)
+    sum_joints(dt, team, graph, motions, joints)
     scale_changes(first, last, team, order, graph, motions, rows, joints)

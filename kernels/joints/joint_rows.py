@@ -7,21 +7,13 @@ the centres of mass. An impulse along the row acts on both bodies at the same po
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY, inverse_inertia_of, inverse_mass_of, load_velocity
+from warp_rigid.kernels.common.team import Team, sync_team
 from warp_rigid.kernels.enums import Coordinate, JointNumber, Role
-from warp_rigid.kernels.joints.arrays import Joints, mat33d, mat63d, vec6d
+from warp_rigid.kernels.joints.arrays import Joints, mat33d
 from warp_rigid.kernels.joints.poses import Ends, axis_of, ends_of, free_row
 from warp_rigid.kernels.schema import Bodies, Motions
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-
-@wp.func
-def with_row(k: int, v: wp.vec3d, rows: mat63d):
-    """The matrix with another row."""
-    rows[k, 0] = v[0]
-    rows[k, 1] = v[1]
-    rows[k, 2] = v[2]
-    return rows
 
 
 @wp.func
@@ -40,53 +32,32 @@ def unit_or_axis(v: wp.vec3d, turn: wp.quatd):
 
 
 @wp.func
-def store_row(j: int, k: int, linear: wp.vec3d, angular_a: wp.vec3d, angular_b: wp.vec3d, joints: Joints):
-    """Store a row of a joint."""
-    joints.linear[j] = with_row(k, linear, joints.linear[j])
-    joints.angular_a[j] = with_row(k, angular_a, joints.angular_a[j])
-    joints.angular_b[j] = with_row(k, angular_b, joints.angular_b[j])
-
-
-@wp.func
-def row_axis(k: int, turn: wp.quatd):
-    """Axis of a translation or a rotation of the frame."""
-    axis = wp.vec3d()
-    axis[k % 3] = wp.float64(1.0)
-    return wp.quat_rotate(turn, axis)
-
-
-@wp.func
-def store_length_row(j: int, ends: Ends, arm_a: wp.vec3d, arm_b: wp.vec3d, joints: Joints):
-    """The row of a distance: along the line from the second point to the first."""
-    n = unit_or_axis(ends.point_a - ends.point_b, ends.turn_b)
-    store_row(j, 0, n, wp.cross(arm_a, n), -wp.cross(arm_b, n), joints)
-
-
-@wp.func
 def build_rows(j: int, bodies: Bodies, joints: Joints):
-    """Store all rows of a joint at the stored poses of its bodies."""
+    """Store all rows of a joint at the stored poses of its bodies.
+
+    The row of a distance is along the line from the second point to the first; its other rows are not used.
+    """
     ends = ends_of(j, joints)
-    zero = wp.vec3d()
     arm_a = ends.point_a - center_of(joints.body_a[j], bodies, joints)
     base_b = ends.point_b
     if joints.to_world[j] == 0:
         base_b = center_of(joints.body_b[j], bodies, joints)
+    arm_b = ends.point_a - base_b
+    axes = wp.transpose(wp.quat_to_matrix(ends.turn_b))
+    u, v, w = axes[0], axes[1], axes[2]
+    p, q, s = axes[0], axes[1], axes[2]
     coordinate = joints.coordinate[j]
-    for k in range(3):
-        u = row_axis(k, ends.turn_b)
-        store_row(j, k, u, wp.cross(arm_a, u), -wp.cross(ends.point_a - base_b, u), joints)
-    for k in range(3, 6):
-        u = row_axis(k, ends.turn_b)
-        store_row(j, k, zero, u, -u, joints)
     if coordinate == Coordinate.CONE:
-        axis = axis_of(ends.turn_b)
-        n = unit_or_axis(wp.cross(axis, axis_of(ends.turn_a)), ends.turn_b)
-        across = wp.cross(n, axis)
-        store_row(j, 3, zero, n, -n, joints)
-        store_row(j, 4, zero, axis, -axis, joints)
-        store_row(j, 5, zero, across, -across, joints)
+        p = unit_or_axis(wp.cross(u, axis_of(ends.turn_a)), ends.turn_b)
+        q = u
+        s = wp.cross(p, u)
     if coordinate == Coordinate.LENGTH:
-        store_length_row(j, ends, arm_a, ends.point_b - base_b, joints)
+        u = unit_or_axis(ends.point_a - ends.point_b, ends.turn_b)
+        arm_b = ends.point_b - base_b
+    zero = wp.vec3d()
+    joints.linear[j] = wp.matrix_from_rows(u, v, w, zero, zero, zero)
+    joints.angular_a[j] = wp.matrix_from_rows(wp.cross(arm_a, u), wp.cross(arm_a, v), wp.cross(arm_a, w), p, q, s)
+    joints.angular_b[j] = -wp.matrix_from_rows(wp.cross(arm_b, u), wp.cross(arm_b, v), wp.cross(arm_b, w), p, q, s)
 
 
 @wp.func
@@ -102,15 +73,8 @@ def is_damped(j: int, k: int, joints: Joints):
 
 
 @wp.func
-def add_stiffness(b: int, arm: wp.vec3d, force: wp.vec3d, dt: wp.float64, joints: Joints):
-    """Add inertia to a body for the change of a joint's torque with its rotation."""
-    stiffness = wp.float64(0.5) * (wp.dot(force, arm) + wp.length(force) * wp.length(arm))
-    joints.added[b] = joints.added[b] + wp.vec2d(wp.float64(0.0), wp.float64(0.25) * dt * dt * stiffness)
-
-
-@wp.func
-def stabilize(j: int, dt: float, bodies: Bodies, joints: Joints):
-    """Add mass and inertia to the bodies of a joint, so that fast vibrations under its force are stable.
+def added_by(j: int, b: int, dt: float, bodies: Bodies, joints: Joints):
+    """Mass and moment of inertia that a joint adds to a body, so that fast vibrations under its force are stable.
 
     A joint's force F at an arm r resists small rotations with a stiffness of at most k = (F . r + |F| |r|) / 2, and a
     string of length l under tension T resists lateral motion with T / l. Vibrations of links under a large tension can
@@ -120,44 +84,46 @@ def stabilize(j: int, dt: float, bodies: Bodies, joints: Joints):
     step = wp.float64(dt)
     force = wp.vec3d(joints.impulse[j]) / step
     if wp.length(force) == wp.float64(0.0) or joints.broken[j] == 1:
-        return
-    ends = ends_of(j, joints)
-    a = joints.body_a[j]
-    b = joints.body_b[j]
-    point_b = ends.point_a
+        return wp.vec2d()
     lateral = wp.float64(0.0)
     if joints.coordinate[j] == Coordinate.LENGTH:
-        point_b = ends.point_b
+        ends = ends_of(j, joints)
         apart = ends.point_a - ends.point_b
         lateral = wp.max(-wp.dot(force, apart), wp.float64(0.0)) / wp.max(wp.length_sq(apart), wp.float64(1.0e-12))
-    mass = wp.vec2d(wp.float64(0.5) * step * step * lateral, wp.float64(0.0))
-    joints.added[a] = joints.added[a] + mass
-    add_stiffness(a, ends.point_a - center_of(a, bodies, joints), force, step, joints)
-    if joints.to_world[j] == 0:
-        joints.added[b] = joints.added[b] + mass
-        add_stiffness(b, point_b - center_of(b, bodies, joints), -force, step, joints)
+    anchor = joints.anchor_a[j]
+    if joints.body_a[j] != b:
+        anchor = joints.anchor_b[j]
+        force = -force
+    arm = wp.quat_rotate(joints.pose_turn[b], wp.vec3d(anchor - bodies.center_of_mass[b]))
+    stiffness = wp.float64(0.5) * (wp.dot(force, arm) + wp.length(force) * wp.length(arm))
+    return step * step * wp.vec2d(wp.float64(0.5) * lateral, wp.float64(0.25) * stiffness)
 
 
 @wp.func
-def store_masses(b: int, motions: Motions, joints: Joints):
-    """Inverse mass and inertia of a body with what is added for stability; 0 unless it is free to move.
+def store_masses(i: int, dt: float, bodies: Bodies, motions: Motions, joints: Joints):
+    """Inverse mass and inertia of a member with what is added for stability; 0 unless it is free to move.
 
     Contacts use the same ones in this step, so that both act on the same momentum.
     """
+    b = joints.member[i]
     joints.inverse_mass[b] = wp.float64(0.0)
     joints.inverse_inertia[b] = mat33d()
     if motions.role[b] != Role.FREE:
         return
+    added = wp.vec2d()
+    for e in range(joints.first_end[i], joints.first_end[i + 1]):
+        added += added_by(joints.joint_of_end[e], b, dt, bodies, joints)
     one = wp.float64(1.0)
-    added = joints.added[b]
     joints.inverse_mass[b] = one / (one / wp.float64(inverse_mass_of(b, motions)) + added[0])
     inverse = mat33d(inverse_inertia_of(b, motions))
     if added[1] > wp.float64(0.0):
         inverse = wp.inverse(wp.inverse(inverse) + added[1] * wp.identity(n=3, dtype=wp.float64))
-        i = wp.mat33(inverse)
+        inertia = wp.mat33(inverse)
         motions.solver_bodies[b].inverse_mass = float(joints.inverse_mass[b])
-        motions.solver_bodies[b].inverse_inertia_xx = wp.vec4(i[0, 0], i[0, 1], i[0, 2], i[1, 1])
-        motions.solver_bodies[b].inverse_inertia_yz = wp.vec3(i[1, 2], i[2, 2], 0.0)
+        motions.solver_bodies[b].inverse_inertia_xx = wp.vec4(
+            inertia[0, 0], inertia[0, 1], inertia[0, 2], inertia[1, 1]
+        )
+        motions.solver_bodies[b].inverse_inertia_yz = wp.vec3(inertia[1, 2], inertia[2, 2], 0.0)
     joints.inverse_inertia[b] = inverse
 
 
@@ -172,6 +138,19 @@ def row_velocities(j: int, which: int, motions: Motions, joints: Joints):
         linear = linear - wp.vec3d(load_velocity(b, which, motions))
         speeds = speeds + joints.angular_b[j] * wp.vec3d(load_velocity(b, which + 1, motions))
     return speeds + joints.linear[j] * linear
+
+
+@wp.func
+def row_velocity(j: int, k: int, motions: Motions, joints: Joints):
+    """Velocity along one row of a joint [m/s, rad/s]."""
+    a = joints.body_a[j]
+    linear = wp.vec3d(load_velocity(a, VELOCITY, motions))
+    speed = wp.dot(joints.angular_a[j][k], wp.vec3d(load_velocity(a, VELOCITY + 1, motions)))
+    if joints.to_world[j] == 0:
+        b = joints.body_b[j]
+        linear = linear - wp.vec3d(load_velocity(b, VELOCITY, motions))
+        speed = speed + wp.dot(joints.angular_b[j][k], wp.vec3d(load_velocity(b, VELOCITY + 1, motions)))
+    return speed + wp.dot(joints.linear[j][k], linear)
 
 
 @wp.func
@@ -208,17 +187,25 @@ def add_velocity(b: int, which: int, linear: wp.vec3d, angular: wp.vec3d, motion
 
 
 @wp.func
-def apply_impulses(j: int, which: int, impulses: vec6d, motions: Motions, joints: Joints):
-    """Apply impulses along the rows of a joint to the velocities of its bodies."""
-    a = joints.body_a[j]
-    linear = wp.transpose(joints.linear[j]) * impulses
-    if motions.role[a] == Role.FREE:
-        angular = wp.transpose(joints.angular_a[j]) * impulses
-        add_velocity(a, which, joints.inverse_mass[a] * linear, joints.inverse_inertia[a] * angular, motions)
-    b = joints.body_b[j]
-    if joints.to_world[j] == 0 and motions.role[b] == Role.FREE:
-        angular = wp.transpose(joints.angular_b[j]) * impulses
-        add_velocity(b, which, -joints.inverse_mass[b] * linear, joints.inverse_inertia[b] * angular, motions)
+def apply_solution(m: int, which: int, team: Team, motions: Motions, joints: Joints):
+    """Apply the impulses of all joints of a mechanism in `solution`, negative, to its bodies: VELOCITY or PUSH."""
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            linear = wp.vec3d()
+            angular = wp.vec3d()
+            for e in range(joints.first_end[i], joints.first_end[i + 1]):
+                j = joints.joint_of_end[e]
+                impulses = joints.solution[j]
+                along = wp.transpose(joints.linear[j]) * impulses
+                if joints.body_a[j] == b:
+                    linear -= along
+                    angular -= wp.transpose(joints.angular_a[j]) * impulses
+                else:
+                    linear += along
+                    angular -= wp.transpose(joints.angular_b[j]) * impulses
+            add_velocity(b, which, joints.inverse_mass[b] * linear, joints.inverse_inertia[b] * angular, motions)
+    sync_team(team)
 
 
 @wp.func

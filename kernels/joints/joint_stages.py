@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
-from warp_rigid.kernels.common.team import Team, any_of_team, team_of
+from warp_rigid.kernels.common.team import Team, any_of_team, min_of_lanes, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
@@ -11,11 +11,9 @@ from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.factor import factorize
 from warp_rigid.kernels.joints.initial_impulses import (
     island_of_joint,
-    scale_changes,
-    sum_contacts,
-    sum_joints,
+    search_energy,
+    store_before_impulses,
     warm_start_others,
-    warm_start_touching,
 )
 from warp_rigid.kernels.joints.loads import (
     any_touched,
@@ -27,13 +25,15 @@ from warp_rigid.kernels.joints.loads import (
     sweep_others,
 )
 from warp_rigid.kernels.joints.mechanism import (
+    IN_CONTACT,
+    STILL,
+    activity_of,
     close_joints,
     energy_terms,
-    is_awake,
+    needs_solution,
     project,
     settle_mechanism,
     start_mechanism,
-    stop_mechanism,
 )
 from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, SleepState, State
@@ -61,14 +61,22 @@ FORGOTTEN = wp.constant(0)
 
 
 @wp.kernel
-def start_joints(dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One thread per mechanism: rows and factors at the start of the step; velocities along locked rows are removed."""
-    m = wp.tid()
-    if not is_awake(m, motions, joints):
+def start_joints(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, graph: Graph, joints: Joints):
+    """One team per mechanism: rows at the start of the step, and factors for contacts.
+
+    Where there are contacts, the velocities along locked rows are removed before impacts.
+    """
+    team = team_of(wp.tid(), lanes)
+    m = team.env
+    activity = activity_of(m, team, motions, graph, joints)
+    if team.lane == 0:
+        joints.activity[m] = activity
+    if activity == STILL:
         return
-    start_mechanism(m, dt, bodies, state, motions, joints)
-    factorize(m, dt, motions, joints)
-    project(m, VELOCITY, motions, joints)
+    start_mechanism(m, dt, team, bodies, state, motions, joints)
+    if activity == IN_CONTACT:
+        factorize(m, dt, team, motions, joints)
+        project(m, VELOCITY, team, motions, joints)
 
 
 @wp.kernel
@@ -130,11 +138,12 @@ def sweep_with_joints(
         find_shock_ineffective(envs.first_body[env], envs.first_body[env + 1], team, graph)
         spare = spare_sweeps(env, envs, graph)
     touched = any_touched(team, joints)
+    starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
     if touched == 1:
         choose_turns(envs.first_body[env], envs.first_body[env + 1], team, order, graph, motions, joints)
-        if after_shock == 0 and envs.warm_starting[env] == 1:
-            first = envs.first_body[env]
-            warm_start_touching(dt, first, envs.first_body[env + 1], team, order, graph, motions, rows, joints)
+    if starts:
+        store_before_impulses(envs.first_body[env], envs.first_body[env + 1], team, order, motions, rows, joints)
+        solve_touching(1, team, order, motions, rows, joints)
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
         left = sweeps_of(env, after_shock, envs, graph)
@@ -147,6 +156,9 @@ def sweep_with_joints(
         residual = sweep_once(after_shock, touched, layered, dt, team, order, graph, motions, rows, joints)
         done += 1
         unsolved = any_of_team(wp.where(residual > CONVERGED, 1, 0), team)
+        if starts and done == 1:
+            first = envs.first_body[env]
+            search_energy(dt, first, envs.first_body[env + 1], team, order, graph, motions, rows, joints)
         left = unsolved * (left - 1)
         if left == 0 and unsolved * spare > 0:
             calm = 1 - any_of_team(wp.where(residual > tolerance_without_shock(env, graph), 1, 0), team)
@@ -200,13 +212,11 @@ def end_sweeps(
     joints: Joints,
 ):
     """Solve the mechanisms once more, so that no limit pulls; the last sweeps end with a line search."""
-    solve_joints(team, dt, motions, joints)
+    first = envs.first_body[team.env]
     if after_shock == 1 and searched(team.env, envs, graph):
-        first = envs.first_body[team.env]
-        last = envs.first_body[team.env + 1]
-        sum_contacts(first, last, team, order, graph, motions, rows, joints)
-        sum_joints(dt, team, graph, motions, joints)
-        scale_changes(first, last, team, order, graph, motions, rows, joints)
+        search_energy(dt, first, envs.first_body[team.env + 1], team, order, graph, motions, rows, joints)
+    else:
+        solve_joints(team, dt, motions, joints)
 
 
 @wp.kernel
@@ -246,41 +256,48 @@ def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions,
 
 
 @wp.kernel
-def settle_joints(after_push: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One thread per mechanism: the joints hold at the predicted poses.
+def settle_joints(
+    after_push: int, dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints
+):
+    """One team per mechanism: the joints hold at the predicted poses.
 
     Before the sweeps, this is the first solution with the forces of the step. After the push-out (`after_push`), its
     motion obeys the joints, too.
     """
-    m = wp.tid()
-    if not is_awake(m, motions, joints):
-        return
+    team = team_of(wp.tid(), lanes)
+    m = team.env
     if after_push == 1:
-        project(m, PUSH, motions, joints)
-    else:
-        stop_mechanism(m, dt, state, motions, joints)
-    settle_mechanism(m, dt, bodies, state, motions, joints)
+        if not needs_solution(m, joints):
+            return
+        project(m, PUSH, team, motions, joints)
+    elif joints.activity[m] == STILL:
+        return
+    settle_mechanism(m, dt, after_push, team, bodies, state, motions, joints)
 
 
 @wp.kernel
-def share_time_of_impact(dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One thread per mechanism: its bodies stop together, at the earliest time of impact, and its joints hold."""
-    m = wp.tid()
-    if not is_awake(m, motions, joints):
+def share_time_of_impact(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One team per mechanism: its bodies stop together, at the earliest time of impact, and its joints hold."""
+    team = team_of(wp.tid(), lanes)
+    m = team.env
+    if joints.activity[m] == STILL:
         return
     earliest = float(1.0)
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
         b = joints.member[i]
         if motions.role[b] == Role.FREE:
             earliest = wp.min(earliest, motions.next_time_of_impact[b])
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+    earliest = min_of_lanes(earliest, lanes)
+    if earliest == 1.0 and joints.unsettled[m] == 0:
+        return
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
         b = joints.member[i]
         if motions.role[b] == Role.FREE:
             motions.next_time_of_impact[b] = earliest
             if earliest < 1.0:
                 motions.next_course[b] = earliest * motions.solver_bodies[b].linear
-    if earliest < 1.0 or joints.unsettled[m] == 1:
-        close_joints(m, dt, bodies, state, motions, joints)
+    sync_team(team)
+    close_joints(m, dt, team, bodies, state, motions, joints)
 
 
 @wp.kernel
@@ -308,12 +325,14 @@ def end_joints(dt: float, envs: Environments, bodies: Bodies, motions: Motions, 
 
 
 @wp.kernel
-def note_coordinates(state: State, joints: Joints):
-    """One thread per mechanism, after the position update: the coordinates of its joints; angles count full turns."""
-    m = wp.tid()
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+def note_coordinates(lanes: int, state: State, joints: Joints):
+    """One team per mechanism, after the position update: its joints' coordinates; angles count full turns."""
+    team = team_of(wp.tid(), lanes)
+    m = team.env
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
         take_pose(joints.member[i], state, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    sync_team(team)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], lanes):
         j = joints.sequence[place]
         joints.position[j] = float(coordinate_of(joints.coordinate[j], ends_of(j, joints), joints.position[j]))
 

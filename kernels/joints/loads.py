@@ -22,14 +22,21 @@ from warp_rigid.kernels.common.solver_body import (
     with_impulse,
 )
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import Team, any_of_team, sync_team
+from warp_rigid.kernels.common.team import (
+    MECHANISM_LANES,
+    Team,
+    any_of_team,
+    part_of_team,
+    single_lane,
+    sync_team,
+)
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import Rows, distribute_load
 from warp_rigid.kernels.enums import IslandSolver, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat66d, vec6d
 from warp_rigid.kernels.joints.factor import substitute
-from warp_rigid.kernels.joints.joint_rows import add_velocity, apply_impulses, is_locked
-from warp_rigid.kernels.joints.mechanism import is_awake, solve_mechanism
+from warp_rigid.kernels.joints.joint_rows import add_velocity, apply_solution, is_locked
+from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solve_mechanism
 from warp_rigid.kernels.schema import ContactRecord, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
 from warp_rigid.kernels.solve.schedule import (
@@ -132,7 +139,8 @@ def find_touched(team: Team, order: Order, motions: Motions, joints: Joints):
     for m in range(begin, end, team.lanes):
         joints.loaded[m] = SWEPT
         joints.touching[m] = 0
-        joints.weight[m] = weight_of(m, motions, joints)
+        if joints.activity[m] == IN_CONTACT:
+            joints.weight[m] = weight_of(m, motions, joints)
     sync_team(team)
     for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
         note_touch(entry_at(k, order), motions, joints)
@@ -292,7 +300,7 @@ def solve_for(m: int, b: int, impulse: vec6d, joints: Joints):
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         j = joints.sequence[place]
         joints.solution[j] = speeds_along(j, b, velocity, joints)
-    substitute(m, joints)
+    substitute(m, single_lane(), joints)
 
 
 @wp.func
@@ -505,7 +513,7 @@ def push_mechanism(m: int, b: int, impulse: vec6d, motions: Motions, joints: Joi
     for place in range(joints.first_place[m], joints.first_place[m + 1]):
         j = joints.sequence[place]
         joints.total[j] = joints.total[j] - joints.solution[j]
-        apply_impulses(j, VELOCITY, -joints.solution[j], motions, joints)
+    apply_solution(m, VELOCITY, single_lane(), motions, joints)
 
 
 @wp.func
@@ -535,9 +543,12 @@ def visit_pair(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joi
 def solve_joints(team: Team, dt: float, motions: Motions, joints: Joints):
     """Solve all mechanisms of an environment. Returns a lane's largest residual [m/s]."""
     change = float(0.0)
-    for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
-        if is_awake(m, motions, joints):
-            change = wp.max(change, solve_mechanism(m, dt, False, motions, joints))
+    part = part_of_team(team, MECHANISM_LANES)
+    parts = team.lanes / part.lanes
+    first = joints.first_mechanism[team.env] + team.lane / part.lanes
+    for m in range(first, joints.first_mechanism[team.env + 1], parts):
+        if needs_solution(m, joints):
+            change = wp.max(change, solve_mechanism(m, dt, 0, part, motions, joints))
     sync_team(team)
     return change
 

@@ -8,6 +8,7 @@ between two calls of `predict_mechanism`; after a few of them, the joints hold a
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import PUSH, START, VELOCITY, load_velocity, store_velocity
+from warp_rigid.kernels.common.team import Team, any_of_team, max_of_lanes, sync_team
 from warp_rigid.kernels.enums import JointNumber, Role
 from warp_rigid.kernels.joints.arrays import Joints, vec6d
 from warp_rigid.kernels.joints.coordinate import (
@@ -22,9 +23,9 @@ from warp_rigid.kernels.joints.coordinate import (
     mode_before_forces,
     next_mode,
 )
-from warp_rigid.kernels.joints.factor import active_rows, factorize, substitute
+from warp_rigid.kernels.joints.factor import active_rows, compliance_of, factorize, substitute
 from warp_rigid.kernels.joints.joint_rows import (
-    apply_impulses,
+    apply_solution,
     build_rows,
     coordinate_rate,
     has_coordinate,
@@ -32,11 +33,11 @@ from warp_rigid.kernels.joints.joint_rows import (
     is_locked,
     present_rows,
     row_velocities,
-    stabilize,
+    row_velocity,
     store_masses,
 )
 from warp_rigid.kernels.joints.poses import ends_of, errors_of, free_row, predict_pose, take_pose
-from warp_rigid.kernels.schema import Bodies, Motions, State
+from warp_rigid.kernels.schema import Bodies, Graph, Motions, State
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -67,24 +68,45 @@ FINE = wp.constant(1.0e-5)
 """Residual of a joint below which it counts as solved [m/s, rad/s]: less than 0.1 micrometres per step."""
 
 
+STILL, UNTOUCHED, IN_CONTACT = wp.constant(0), wp.constant(1), wp.constant(2)
+"""Activity of a mechanism in a step: no body is free to move; none has a contact; some have contacts.
+
+Nothing but its joints changes the velocities of an UNTOUCHED mechanism after those of the step's forces. It is solved
+once, for the pose at the end of the step. Impulses that made its velocities obey the joints before would act along the
+same rows, so they are part of that solution.
+"""
+
+
 @wp.func
-def is_awake(m: int, motions: Motions, joints: Joints):
-    """Whether a mechanism has a body that is free to move."""
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
-        if motions.role[joints.member[i]] == Role.FREE:
-            return True
-    return False
+def activity_of(m: int, team: Team, motions: Motions, graph: Graph, joints: Joints):
+    """Activity of a mechanism in this step."""
+    free = int(0)
+    touched = int(0)
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            free = 1
+            touched |= wp.where(graph.touching[b] > 0, 1, 0)
+    touched = any_of_team(touched, team)
+    return any_of_team(free, team) * wp.where(touched == 1, IN_CONTACT, UNTOUCHED)
+
+
+@wp.func
+def needs_solution(m: int, joints: Joints):
+    """Whether a mechanism is solved again after its first solution in a step."""
+    return joints.activity[m] == IN_CONTACT or (joints.activity[m] == UNTOUCHED and joints.unsettled[m] == 1)
 
 
 @wp.func
 def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joints):
-    """Rows of a joint at the start of a step, and the errors that may remain after it."""
+    """Rows of a joint at the start of a step, its errors over dt as the bias, and those that may remain after it."""
     build_rows(j, bodies, joints)
     errors = errors_of(j, ends_of(j, joints), joints)
+    joints.bias[j] = errors / wp.float64(dt)
     joints.mode[j] = wp.vec3i(IDLE, 0, 0)
     row = free_row(joints.coordinate[j])
     if row >= 0:
-        speed = row_velocities(j, VELOCITY, motions, joints)[row]
+        speed = row_velocity(j, row, motions, joints)
         joints.speed[j] = speed
         joints.drift[j] = wp.float64(0.0)
         joints.mode[j] = mode_before_forces(j, errors[row], speed, joints)
@@ -95,68 +117,80 @@ def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joi
         allowed[k] = errors[k] - wp.clamp((wp.float64(1.0) - KEPT_ERROR) * errors[k], -most, most)
     joints.allowed[j] = allowed
     joints.total[j] = vec6d()
-    joints.bias[j] = vec6d()
 
 
 @wp.func
-def start_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+def start_mechanism(m: int, dt: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """Rows and allowed errors of all joints of a mechanism."""
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         take_pose(joints.member[i], state, joints)
-        joints.added[joints.member[i]] = wp.vec2d()
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        stabilize(joints.sequence[place], dt, bodies, joints)
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
-        store_masses(joints.member[i], motions, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    sync_team(team)
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
+        store_masses(i, dt, bodies, motions, joints)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         start_joint(joints.sequence[place], dt, bodies, motions, joints)
+    sync_team(team)
 
 
 @wp.func
-def predict_mechanism(m: int, dt: float, anew: bool, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+def predict_joint(j: int, dt: float, anew: int, bodies: Bodies, motions: Motions, joints: Joints):
+    """Errors of a joint at the predicted poses, as a bias of the velocities along its rows."""
+    if anew == 1:
+        build_rows(j, bodies, joints)
+    ends = ends_of(j, joints)
+    errors = errors_of(j, ends, joints)
+    speeds = row_velocities(j, VELOCITY, motions, joints)
+    joints.bias[j] = errors / wp.float64(dt) - speeds
+    if joints.numbers[j, JointNumber.ARMATURE] > 0.0:
+        after = coordinate_rate(j, ends, bodies, motions, joints)
+        joints.drift[j] = after - speeds[free_row(joints.coordinate[j])]
+
+
+@wp.func
+def predict_mechanism(
+    m: int, dt: float, anew: int, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints
+):
     """Errors of all joints at the predicted poses, as a bias of the velocities along their rows.
 
-    `anew`: whether the rows become those of the predicted poses; the factors are stale then.
+    `anew`: 1 if the rows become those of the predicted poses; the factors are stale then.
     """
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         predict_pose(joints.member[i], dt, 1.0, bodies, state, motions, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        if anew:
-            build_rows(j, bodies, joints)
-        ends = ends_of(j, joints)
-        errors = errors_of(j, ends, joints)
-        speeds = row_velocities(j, VELOCITY, motions, joints)
-        joints.bias[j] = errors / wp.float64(dt) - speeds
-        if joints.numbers[j, JointNumber.ARMATURE] > 0.0:
-            after = coordinate_rate(j, ends, bodies, motions, joints)
-            joints.drift[j] = after - speeds[free_row(joints.coordinate[j])]
+    sync_team(team)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
+        predict_joint(joints.sequence[place], dt, anew, bodies, motions, joints)
+    sync_team(team)
 
 
 @wp.func
-def extrapolate_mechanism(m: int, dt: float, state: State, joints: Joints):
-    """Errors of all joints at the start of the step as the bias: the prediction is linear in the velocities."""
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
-        take_pose(joints.member[i], state, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        joints.bias[j] = errors_of(j, ends_of(j, joints), joints) / wp.float64(dt)
+def constant_change(j: int, dt: float, motions: Motions, joints: Joints):
+    """Change of the impulse of a coordinate that does not depend on the velocities.
 
-
-@wp.func
-def apply_constant(j: int, dt: float, motions: Motions, joints: Joints):
-    """Apply the impulse of a coordinate that does not depend on the velocities: saturated drive, sliding friction."""
+    It is that of a saturated drive or of sliding friction.
+    """
     row = free_row(joints.coordinate[j])
     if not has_coordinate(j, motions, joints) or is_locked(joints.active[j], row):
-        return
-    change = law_impulse(j, wp.float64(dt), wp.float64(0.0), wp.float64(0.0), joints) - joints.total[j][row]
+        return wp.float64(0.0)
     if joints.mode[j][1] == 0 and joints.mode[j][2] == 0:
-        change = -joints.total[j][row]
-    if change != wp.float64(0.0):
+        return -joints.total[j][row]
+    return law_impulse(j, wp.float64(dt), wp.float64(0.0), wp.float64(0.0), joints) - joints.total[j][row]
+
+
+@wp.func
+def apply_constants(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
+    """Apply the impulses of coordinates that do not depend on the velocities."""
+    found = int(0)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
+        j = joints.sequence[place]
+        change = constant_change(j, dt, motions, joints)
         impulses = vec6d()
-        impulses[row] = change
-        joints.total[j] = joints.total[j] + impulses
-        apply_impulses(j, VELOCITY, impulses, motions, joints)
+        if change != wp.float64(0.0):
+            impulses[free_row(joints.coordinate[j])] = change
+            joints.total[j] = joints.total[j] + impulses
+            found = 1
+        joints.solution[j] = -impulses
+    if any_of_team(found, team) == 1:
+        apply_solution(m, VELOCITY, team, motions, joints)
 
 
 @wp.func
@@ -188,17 +222,6 @@ def residual_of(j: int, dt: float, motions: Motions, joints: Joints):
 
 
 @wp.func
-def compliance_of(j: int, k: int, dt: float, joints: Joints):
-    """Velocity along an active row per impulse of a drive or of damping; 0 for a row that holds."""
-    step = wp.float64(dt)
-    if k == free_row(joints.coordinate[j]) and not is_held(joints.mode[j]):
-        return wp.float64(1.0) / drive_slope(j, step, joints)
-    if is_damped(j, k, joints):
-        return wp.float64(1.0) / damping_slope(j, step, joints)
-    return wp.float64(0.0)
-
-
-@wp.func
 def energy_terms(j: int, dt: float, motions: Motions, joints: Joints):
     """Contribution of a joint to the two sums of the line search [J], as `contact.energy_terms`.
 
@@ -227,130 +250,155 @@ def largest_of(v: vec6d):
 
 
 @wp.func
-def solve_once(m: int, dt: float, motions: Motions, joints: Joints):
+def solve_once(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     """One direct solution in the present modes. Returns the largest residual that it removed [m/s, rad/s]."""
     change = float(0.0)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        apply_constant(joints.sequence[place], dt, motions, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    apply_constants(m, dt, team, motions, joints)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         residual = residual_of(j, dt, motions, joints)
         joints.solution[j] = residual
         change = wp.max(change, largest_of(residual))
-    substitute(m, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        impulses = -joints.solution[j]
-        joints.total[j] = joints.total[j] + impulses
-        apply_impulses(j, VELOCITY, impulses, motions, joints)
-    return change
+    sync_team(team)
+    apply_substituted(m, VELOCITY, team, motions, joints)
+    return max_of_lanes(change, team.lanes)
 
 
 @wp.func
-def update_modes(m: int, dt: float, motions: Motions, joints: Joints):
-    """Check the modes of all coordinates after a solution. Returns whether any changed."""
+def apply_substituted(m: int, which: int, team: Team, motions: Motions, joints: Joints):
+    """Solve for the impulses that remove the velocities in `solution`, and apply them: VELOCITY or PUSH."""
+    substitute(m, team, joints)
+    if which == VELOCITY:
+        for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
+            j = joints.sequence[place]
+            joints.total[j] = joints.total[j] - joints.solution[j]
+    apply_solution(m, which, team, motions, joints)
+
+
+@wp.func
+def update_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
+    """Check the modes of all coordinates after a solution. Returns 1 if any changed."""
     step = wp.float64(dt)
-    changed = bool(False)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    changed = int(0)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         if has_coordinate(j, motions, joints):
             row = free_row(joints.coordinate[j])
-            speed = row_velocities(j, VELOCITY, motions, joints)[row]
+            speed = row_velocity(j, row, motions, joints)
             mode = next_mode(j, step, step * (speed + joints.bias[j][row]), speed, joints)
             if not (mode == joints.mode[j]):
                 joints.mode[j] = mode
-                changed = True
-    return changed
+                changed = 1
+    return any_of_team(changed, team)
 
 
 @wp.func
-def solve_mechanism(m: int, dt: float, is_stale: bool, motions: Motions, joints: Joints):
+def solve_mechanism(m: int, dt: float, is_stale: int, team: Team, motions: Motions, joints: Joints):
     """Solve all joints of a mechanism for the velocities. Returns the largest residual [m/s], 0 below FINE.
 
-    `is_stale`: whether the factors are not those of the present modes.
+    `is_stale`: 1 if the factors are not those of the present modes.
     """
     change = float(0.0)
     left = int(MOST_CHANGES)
-    stale = is_stale
-    while left > 0 or stale:
-        if stale:
-            factorize(m, dt, motions, joints)
-            stale = False
+    stale = int(is_stale)
+    while left > 0 or stale == 1:
+        if stale == 1:
+            factorize(m, dt, team, motions, joints)
+            stale = 0
         if left > 0:
-            change = wp.max(change, solve_once(m, dt, motions, joints))
-            left -= 1
-            if update_modes(m, dt, motions, joints):
-                stale = True
-            else:
-                left = 0
+            change = wp.max(change, solve_once(m, dt, team, motions, joints))
+            stale = update_modes(m, dt, team, motions, joints)
+            left = stale * (left - 1)
     return wp.where(change > FINE, change, 0.0)
 
 
 @wp.func
-def choose_modes(m: int, dt: float, motions: Motions, joints: Joints):
-    """Modes of all coordinates from their predicted values. Returns whether the active rows differ from the factors."""
-    differ = bool(False)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+def choose_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
+    """Modes of all coordinates from their predicted values. Returns 1 if the active rows differ from the factors."""
+    differ = int(0)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         if has_coordinate(j, motions, joints):
             row = free_row(joints.coordinate[j])
-            speed = row_velocities(j, VELOCITY, motions, joints)[row]
+            speed = row_velocity(j, row, motions, joints)
             joints.mode[j] = first_mode(j, wp.float64(dt) * (speed + joints.bias[j][row]), joints)
-            differ = differ or joints.active[j] != active_rows(j, dt, motions, joints)
-    return differ
+            differ |= wp.where(joints.active[j] != active_rows(j, dt, motions, joints), 1, 0)
+    return any_of_team(differ, team)
 
 
 @wp.func
-def take_back(m: int, motions: Motions, joints: Joints):
+def take_back(m: int, team: Team, motions: Motions, joints: Joints):
     """Return to the velocities and impulses before `settle_mechanism`."""
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]
         motions.solver_bodies[b].linear = load_velocity(b, START, motions)
         motions.solver_bodies[b].angular = load_velocity(b, START + 1, motions)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         joints.total[joints.sequence[place]] = joints.start[joints.sequence[place]]
+    sync_team(team)
 
 
 @wp.func
-def store_before_settling(m: int, motions: Motions, joints: Joints):
+def store_before_settling(m: int, team: Team, motions: Motions, joints: Joints):
     """Store the velocities and impulses to which `take_back` returns."""
-    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         body = motions.solver_bodies[joints.member[i]]
         store_velocity(joints.member[i], START, body.linear, body.angular, motions)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         joints.start[joints.sequence[place]] = joints.total[joints.sequence[place]]
 
 
 @wp.func
-def stop_mechanism(m: int, dt: float, state: State, motions: Motions, joints: Joints):
-    """First solution in a step, with new modes and a prediction that is linear in the velocities.
-
-    The impulses with which contacts start may give light bodies high velocities, at which predicted poses mean nothing.
-    """
-    extrapolate_mechanism(m, dt, state, joints)
-    is_stale = choose_modes(m, dt, motions, joints)
-    solve_mechanism(m, dt, is_stale, motions, joints)
+def first_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
+    """Choose the modes for the first solution in a step. Returns 1 if the factors are not those of the modes."""
+    differ = choose_modes(m, dt, team, motions, joints)
+    if joints.activity[m] == UNTOUCHED:
+        return 1
+    return differ
 
 
 @wp.func
-def settle_mechanism(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """Solve a mechanism at newly predicted poses until its joints hold."""
+def settle_mechanism(
+    m: int, dt: float, after_push: int, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints
+):
+    """Solve a mechanism at newly predicted poses until its joints hold.
+
+    The first solution in a step has a prediction that is linear in the velocities: the impulses with which contacts
+    start may give light bodies high velocities, at which predicted poses mean nothing.
+    """
     k = int(0)
-    anew = bool(False)
+    anew = int(0)
+    stale = int(0)
     last = float(0.0)
-    store_before_settling(m, motions, joints)
+    if after_push == 1:
+        store_before_settling(m, team, motions, joints)
+    else:
+        k = -1
+        stale = first_modes(m, dt, team, motions, joints)
     while k < MOST_PREDICTIONS:
-        predict_mechanism(m, dt, anew, bodies, state, motions, joints)
-        change = solve_mechanism(m, dt, anew, motions, joints)
-        if k > 0 and change > SLOW * last and not anew:
-            take_back(m, motions, joints)
-            anew = True
-        last = change
-        k = wp.where(change == 0.0, MOST_PREDICTIONS, k + 1)
-    joints.unsettled[m] = wp.where(last > UNSETTLED, 1, 0)
+        if k >= 0:
+            predict_mechanism(m, dt, anew, team, bodies, state, motions, joints)
+        change = solve_mechanism(m, dt, stale, team, motions, joints)
+        if k < 0:
+            store_before_settling(m, team, motions, joints)
+            k = 0
+        else:
+            if k > 0 and change > SLOW * last and anew == 0:
+                take_back(m, team, motions, joints)
+                anew = 1
+            left = change
+            if k > 0 and anew == 0 and joints.activity[m] == UNTOUCHED:
+                # Each solution decreases the residual by the same ratio, or more. Contacts need a known residual.
+                left = change * change / last
+            last = change
+            k = wp.where(left <= FINE, MOST_PREDICTIONS, k + 1)
+        stale = anew
+    if team.lane == 0:
+        joints.unsettled[m] = wp.where(last > UNSETTLED, 1, 0)
     if last > UNSETTLED:
         # Velocities that obey the joints of the present pose add no energy; `close_joints` corrects the poses.
-        take_back(m, motions, joints)
+        take_back(m, team, motions, joints)
+    sync_team(team)
 
 
 @wp.func
@@ -371,7 +419,7 @@ def gap_of(j: int, dt: float, motions: Motions, joints: Joints):
 
 
 @wp.func
-def close_joints(m: int, dt: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+def close_joints(m: int, dt: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """Push the bodies of a mechanism until its joints hold at the poses where they stop; velocities stay.
 
     The velocities lead to poses at the end of the step at which the joints hold. On the way, bodies that turn do not
@@ -379,36 +427,37 @@ def close_joints(m: int, dt: float, bodies: Bodies, state: State, motions: Motio
     """
     k = int(0)
     while k < MOST_PREDICTIONS:
-        for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
             b = joints.member[i]
             predict_pose(b, dt, motions.next_time_of_impact[b], bodies, state, motions, joints)
+        sync_team(team)
         gap = float(0.0)
-        for place in range(joints.first_place[m], joints.first_place[m + 1]):
+        for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
             j = joints.sequence[place]
             build_rows(j, bodies, joints)
             joints.bias[j] = gap_of(j, dt, motions, joints)
             gap = wp.max(gap, largest_of(joints.bias[j]))
+        gap = max_of_lanes(gap, team.lanes)
+        sync_team(team)
         if gap > FINE:
-            push_back(m, dt, motions, joints)
+            push_back(m, dt, team, motions, joints)
         k = wp.where(gap > FINE, k + 1, MOST_PREDICTIONS)
 
 
 @wp.func
-def push_back(m: int, dt: float, motions: Motions, joints: Joints):
+def push_back(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     """Push the bodies of a mechanism such that their velocities along the rows of its joints decrease by `bias`."""
-    factorize(m, dt, motions, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    factorize(m, dt, team, motions, joints)
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         joints.solution[joints.sequence[place]] = joints.bias[joints.sequence[place]]
-    substitute(m, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        apply_impulses(j, PUSH, -joints.solution[j], motions, joints)
+    sync_team(team)
+    apply_substituted(m, PUSH, team, motions, joints)
 
 
 @wp.func
-def project(m: int, which: int, motions: Motions, joints: Joints):
+def project(m: int, which: int, team: Team, motions: Motions, joints: Joints):
     """Remove the velocities along the active rows: those that are locked or held; `which`: VELOCITY or PUSH."""
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
+    for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         speeds = row_velocities(j, which, motions, joints)
         row = free_row(joints.coordinate[j])
@@ -417,9 +466,5 @@ def project(m: int, which: int, motions: Motions, joints: Joints):
             if is_driven or not is_locked(joints.active[j], k):
                 speeds[k] = wp.float64(0.0)
         joints.solution[j] = speeds
-    substitute(m, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        if which == VELOCITY:
-            joints.total[j] = joints.total[j] - joints.solution[j]
-        apply_impulses(j, which, -joints.solution[j], motions, joints)
+    sync_team(team)
+    apply_substituted(m, which, team, motions, joints)

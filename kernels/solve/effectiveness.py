@@ -3,8 +3,9 @@
 import warp as wp
 
 from warp_rigid.kernels.enums import IslandSolver, Motion, Role
+from warp_rigid.kernels.graph.heap_arrays import Rounds
 from warp_rigid.kernels.graph.islands import FLIGHT, LANDED, PATIENCE
-from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Rounds, State
+from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, State
 from warp_rigid.kernels.solve.line_search import accepted_share, searched
 
 wp.set_module_options({"enable_backward": False})

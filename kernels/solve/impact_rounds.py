@@ -10,9 +10,16 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import load_bodies
 from warp_rigid.kernels.constraints.contact import read_contact
-from warp_rigid.kernels.schema import Contacts, Environments, Motions, RoundRecord, Rounds
+from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
+from warp_rigid.kernels.schema import Contacts, Environments, Motions
 from warp_rigid.kernels.solve.restitution import after_impact, set_targets
-from warp_rigid.kernels.solve.rounds import add_gain, add_to_velocity, list_round_pair, read_round_pair, split_pair
+from warp_rigid.kernels.solve.rounds import (
+    clear_slots,
+    list_round_pair,
+    read_round_pair,
+    store_change,
+    with_split_masses,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -43,10 +50,12 @@ def find_impacts(
     rounds: Rounds,
     motions: Motions,
     contacts: Contacts,
+    slots: Slots,
 ):
     """The threads share the pairs of heaps: list those with an impact, and set the target velocities."""
     for k in range(wp.tid(), solved.count[0], threads):
         entry = read_round_pair(k, solved.pairs)
+        clear_slots(entry, slots)
         if rounds.done[0] < envs.collision_iterations[entry.env] and can_rebound(entry, contacts):
             pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
             pull = relative_acceleration(entry, envs, motions)
@@ -55,7 +64,9 @@ def find_impacts(
 
 
 @wp.kernel
-def impact_round(dt: float, threads: int, envs: Environments, rounds: Rounds, motions: Motions, contacts: Contacts):
+def impact_round(
+    dt: float, threads: int, envs: Environments, rounds: Rounds, motions: Motions, contacts: Contacts, slots: Slots
+):
     """The threads share the pairs: solve the impacts of each for its copies of the bodies."""
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
@@ -63,20 +74,13 @@ def impact_round(dt: float, threads: int, envs: Environments, rounds: Rounds, mo
         entry.sharing_b = rounds.sharing[entry.body_b]
         share_a = float(entry.sharing_a)
         share_b = float(entry.sharing_b)
-        before = split_pair(entry, 1.0, 0, rounds, motions)
+        before = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
+        before = with_split_masses(entry, before, motions.solver_bodies)
         lag = 0.5 * dt * relative_acceleration(entry, envs, motions)
         after = after_impact(entry.begin, entry.end, share_a, share_b, lag, before, contacts)
         if before.inverse_mass_a > 0.0:
-            add_gain(entry.body_a, 6, (after.linear_a - before.linear_a) / share_a, rounds)
-            add_gain(entry.body_a, 9, (after.angular_a - before.angular_a) / share_a, rounds)
+            store_change(entry.slot_a, 0, 0, (after.linear_a - before.linear_a) / share_a, slots)
+            store_change(entry.slot_a, 1, 0, (after.angular_a - before.angular_a) / share_a, slots)
         if before.inverse_mass_b > 0.0:
-            add_gain(entry.body_b, 6, (after.linear_b - before.linear_b) / share_b, rounds)
-            add_gain(entry.body_b, 9, (after.angular_b - before.angular_b) / share_b, rounds)
-
-
-@wp.kernel
-def finish_impacts(threads: int, rounds: Rounds, motions: Motions):
-    """The threads share the bodies: the velocities after a round of impacts."""
-    for b in range(wp.tid(), rounds.sharing.shape[0], threads):
-        if rounds.sharing[b] > 0:
-            add_to_velocity(b, 1, rounds, motions)
+            store_change(entry.slot_b, 0, 0, (after.linear_b - before.linear_b) / share_b, slots)
+            store_change(entry.slot_b, 1, 0, (after.angular_b - before.angular_b) / share_b, slots)

@@ -8,7 +8,8 @@ by the number of such contacts.
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
-from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, inverse_mass_of, store_velocity
+from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity
+from warp_rigid.kernels.common.team import max_of_lanes, raise_to
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     contact_velocity,
@@ -16,36 +17,45 @@ from warp_rigid.kernels.constraints.contact import (
     read_impulse,
     write_impulse,
 )
+from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
 from warp_rigid.kernels.schema import (
     Bodies,
     Contacts,
-    Graph,
     Motions,
     Pairs,
-    RoundRecord,
-    Rounds,
     Shapes,
+    SolverBodyRecord,
 )
 from warp_rigid.kernels.solve.push_out import ENOUGH, wanted_speed
 from warp_rigid.kernels.solve.rounds import (
     MOST_MOMENTUM,
     Wrench,
-    add_gains,
     body_change,
-    clear_buffer,
+    change_of,
+    clear_slots,
     count_rounds,
-    gained_of,
+    lanes_of_pair,
     list_round_pair,
     momentum,
     needs_round,
     read_round_pair,
     record_change,
-    split_pair,
-    sum_of_wrenches,
+    store_changes,
+    velocities_of,
     with_impulse_of,
 )
 
 wp.set_module_options({"enable_backward": False})
+
+SHARE_OF_TARGET = wp.constant(0.03)
+"""Rounds end when no pseudo-velocity changes by more than this share of the largest separation speed in the
+environment, or by ENOUGH if that is more. While bodies fall on each other, overlaps change from step to step."""
+
+
+@wp.func
+def tolerance(env: int, rounds: Rounds):
+    """Change of a pseudo-velocity with which rounds end [m/s]."""
+    return wp.max(ENOUGH, SHARE_OF_TARGET * rounds.largest_target[env])
 
 
 @wp.kernel
@@ -59,6 +69,7 @@ def find_overlaps_in_heaps(
     contacts: Contacts,
     solved: Rounds,
     rounds: Rounds,
+    slots: Slots,
 ):
     """The threads share the pairs of heaps: the separation speed of each contact; list the pairs that need one.
 
@@ -66,12 +77,16 @@ def find_overlaps_in_heaps(
     """
     for k in range(wp.tid(), solved.count[0], threads):
         entry = read_round_pair(k, solved.pairs)
+        clear_slots(entry, slots)
         deep = int(0)
+        largest = float(0.0)
         for c in range(entry.begin, entry.end):
             target = wanted_speed(c, dt, shapes, bodies, pairs, motions, contacts)
             write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(0.0, 0.0, 0.0), target)
             deep += wp.where(target > 0.0, 1, 0)
+            largest = wp.max(largest, target)
         if deep > 0:
+            raise_to(entry.env, largest, rounds.largest_target)
             list_round_pair(entry, deep, rounds, motions)
 
 
@@ -102,43 +117,52 @@ def push_contact_apart(c: int, entry: RoundRecord, beta: float, pair: BodyPair, 
 
 
 @wp.kernel
-def push_round(place: int, threads: int, lanes: int, rounds: Rounds, motions: Motions, contacts: Contacts):
-    """One round, the one at `place` of its group: teams of lanes share the pairs, and clear a buffer."""
+def push_round(
+    place: int,
+    teams: int,
+    rounds: Rounds,
+    slots: Slots,
+    bodies: wp.array[SolverBodyRecord],
+    contacts: Contacts,
+):
+    """One round, the one at `place` of its group: teams of lanes share the pairs."""
     turn = rounds.done[0] + place
+    lanes = lanes_of_pair()
     lane = wp.tid() % lanes
-    clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
-    for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
+    for k in range(wp.tid() / lanes, rounds.count[0], teams):
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
-            pair = split_pair(entry, 0.0, (turn - 1) % 3, rounds, motions)
+            pair = velocities_of(entry, 0.0, (turn - 1) % 2, lane, lanes, slots, bodies)
             beta = momentum(turn, entry.limit, MOST_MOMENTUM)
             wrench = Wrench()
             for c in range(entry.begin + lane, entry.end, lanes):
                 wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
-            wrench = sum_of_wrenches(lanes, wrench)
-            add_gains(entry, turn % 3, lane, lanes, wrench, pair, rounds)
-            record_change(entry, turn, body_change(wrench.change, entry), ENOUGH, rounds)
+            store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
+            change = body_change(max_of_lanes(wrench.change, lanes), entry)
+            record_change(entry, turn, change, tolerance(entry.env, rounds), rounds)
 
 
 @wp.kernel
-def finish_push(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
+def finish_push(
+    threads: int, rounds: Rounds, slots: Slots, motions: Motions, contacts: Contacts, counts: wp.array[int]
+):
     """The threads share the pairs: add up the pseudo-impulses of the last round, which are not extrapolated."""
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
-        count_rounds(entry, rounds, graph.push_out_rounds)
+        count_rounds(entry, rounds, counts)
         wrench = Wrench()
         for c in range(entry.begin, entry.end):
             stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
             if stored[3] > 0.0:
                 wrench = with_impulse_of(read_contact(c, contacts.rows), wp.vec3(stored[1], 0.0, 0.0), wrench)
-        buffer = (rounds.done[0] + 1) % 3
-        add_gains(entry, buffer, 0, 1, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
+        store_changes(entry, 0, 0, 1, wrench, slots, motions.solver_bodies)
 
 
 @wp.kernel
-def store_push(threads: int, rounds: Rounds, motions: Motions):
+def store_push(threads: int, rounds: Rounds, slots: Slots, motions: Motions):
     """The threads share the bodies: the pseudo-velocities after the last round."""
-    buffer = (rounds.done[0] + 1) % 3
     for b in range(wp.tid(), rounds.sharing.shape[0], threads):
-        if rounds.sharing[b] > 0 and inverse_mass_of(b, motions) > 0.0:
-            store_velocity(b, PUSH, gained_of(b, 6 * buffer, rounds), gained_of(b, 6 * buffer + 3, rounds), motions)
+        if rounds.sharing[b] > 0:
+            first = slots.first[b]
+            end = first + slots.count[b]
+            store_velocity(b, PUSH, change_of(first, end, 0, 0, slots), change_of(first, end, 1, 0, slots), motions)

@@ -12,8 +12,9 @@ slides is not the gradient of an energy. With it, restarts (O'Donoghue and Cande
 that was measured. The fixed point is the Coulomb problem that sweeps solve, too.
 
 Since v is affine in l, the mean over the copies equals v(y): the velocity before the solve, plus the changes by the
-impulses of all contacts. These are summed up as whole multiples of 2^-40 m/s, so the sum does not depend on the order
-of the threads. Each round writes another of three buffers while it reads the second and clears the third.
+impulses of all contacts. Each pair stores the changes of its two bodies in slots, and whoever needs the velocity of a
+body in the next round adds up the slots of the body. Slots are in the order of the constraints, so the sum does not
+depend on the order of the threads. A round reads the slots that the last one wrote, and writes those of another buffer.
 """
 
 import warp as wp
@@ -21,13 +22,14 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import (
     VELOCITY,
     BodyPair,
-    inverse_inertia_of,
+    first_three,
+    inertia_at,
     inverse_mass_of,
-    load_velocity,
+    read_solver_body,
     with_impulse,
 )
 from warp_rigid.kernels.common.tangents import world_vector
-from warp_rigid.kernels.common.team import max_of_lanes, next_place, raise_to, sum_of_vectors
+from warp_rigid.kernels.common.team import broadcast_vector, exchanged_vector, max_of_lanes, next_place, raise_to
 from warp_rigid.kernels.constraints.contact import (
     ANGULAR_IMPULSE,
     IMPULSE,
@@ -41,8 +43,9 @@ from warp_rigid.kernels.constraints.contact import (
     velocity_change,
 )
 from warp_rigid.kernels.constraints.records import is_active
-from warp_rigid.kernels.declare import record_reader
+from warp_rigid.kernels.declare import group_writer, record_reader
 from warp_rigid.kernels.enums import Motion
+from warp_rigid.kernels.graph.heap_arrays import ChangeRecord, RoundRecord, Rounds, Slots
 from warp_rigid.kernels.graph.islands import most_rounds
 from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import (
@@ -53,8 +56,7 @@ from warp_rigid.kernels.schema import (
     Environments,
     Graph,
     Motions,
-    RoundRecord,
-    Rounds,
+    SolverBodyRecord,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -62,20 +64,19 @@ wp.set_module_options({"enable_backward": False})
 read_round_pair = record_reader(RoundRecord)
 """Reads a pair that is solved in rounds: (k, pairs)."""
 
+write_change = group_writer(ChangeRecord)
+
 MOST_MOMENTUM = wp.constant(0.9)
 """Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
 
 PLAIN_ROUNDS = wp.constant(3)
 """Rounds without momentum at the end, if the limit is reached. They do not increase the energy."""
 
+LANES = wp.constant(4)
+"""Lanes that visit a pair on a GPU."""
+
 SETTLED = wp.constant(1.0e-5)
 """Rounds end when no contact changes the velocity of a body by more than this [m/s]."""
-
-UNIT = wp.constant(2.0**-40)
-"""Unit of the sums [m/s, rad/s]."""
-
-LARGEST_GAIN = wp.constant(4.0e6)
-"""Largest velocity change by one pair [m/s, rad/s]: sums stay within 63 bits."""
 
 
 @wp.func
@@ -86,63 +87,113 @@ def momentum(turn: int, limit: int, most: float):
     return wp.min(float(turn - 1) / float(turn + 2), most)
 
 
-@wp.func
-def gained_of(b: int, first: int, rounds: Rounds):
-    """Three components of the summed velocity changes of a body, from column `first`."""
-    units = wp.vec3(
-        float(rounds.gained[b, first]), float(rounds.gained[b, first + 1]), float(rounds.gained[b, first + 2])
-    )
-    return UNIT * units
+@wp.func_native("""
+    float x = 0.0f, y = 0.0f, z = 0.0f, w = 0.0f;
+    #pragma unroll 4
+    for (int s = first; s < end; ++s) {
+        const float* p = (const float*)__builtin_assume_aligned((const float*)(changes.data + s) + 4 * group, 16);
+        x += p[0]; y += p[1]; z += p[2]; w += p[3];
+    }
+    return wp::vec4(x, y, z, w);
+""")
+def sum_of_changes(first: int, end: int, group: int, changes: wp.array[ChangeRecord]) -> wp.vec4:
+    """The sum of four words of consecutive slots, in their order."""
+    ...
 
 
 @wp.func
-def add_gain(b: int, first: int, gain: wp.vec3, rounds: Rounds):
-    """Add a velocity change of a body."""
-    for i in range(3):
-        units = wp.int64(wp.clamp(gain[i], -LARGEST_GAIN, LARGEST_GAIN) / UNIT)
-        wp.atomic_add(rounds.gained, b, first + i, units)
+def buffer_start(buffer: int, slots: Slots):
+    """Index of the first slot of a buffer, 0 or 1."""
+    return buffer * (slots.changes.shape[0] / 2)
 
 
 @wp.func
-def add_to_velocity(b: int, buffer: int, rounds: Rounds, motions: Motions):
-    """Add the summed velocity changes of a buffer to the velocity of a body."""
-    if inverse_mass_of(b, motions) > 0.0:
-        motions.solver_bodies[b].linear += gained_of(b, 6 * buffer, rounds)
-        motions.solver_bodies[b].angular += gained_of(b, 6 * buffer + 3, rounds)
+def change_of(first: int, end: int, group: int, buffer: int, slots: Slots):
+    """Velocity change of a body, the sum over its slots; group 0: linear, 1: angular."""
+    start = buffer_start(buffer, slots)
+    return first_three(sum_of_changes(start + first, start + end, group, slots.changes))
 
 
 @wp.func
-def clear_buffer(thread: int, threads: int, buffer: int, rounds: Rounds):
-    """Clear a buffer of the sums; the threads share the bodies."""
-    for b in range(thread, rounds.sharing.shape[0], threads):
-        if rounds.sharing[b] > 0:
-            for i in range(6):
-                rounds.gained[b, 6 * buffer + i] = wp.int64(0)
+def part_of_velocity(
+    part: int, entry: RoundRecord, base: float, buffer: int, slots: Slots, bodies: wp.array[SolverBodyRecord]
+):
+    """Linear (part 0) and angular (1) velocity of the first body of a pair, or of the second (2 and 3).
+
+    It is `base` times that before the rounds, plus the changes by the impulses of a buffer.
+    """
+    b = wp.where(part < 2, entry.body_a, entry.body_b)
+    first = wp.where(part < 2, entry.first_a, entry.first_b)
+    end = wp.where(part < 2, entry.end_a, entry.end_b)
+    before = first_three(read_solver_body(bodies, b, VELOCITY + part % 2))
+    return base * before + change_of(first, end, part % 2, buffer, slots)
+
+
+@wp.func_native(f"""
+#if defined(__CUDA_ARCH__)
+    return {LANES};
+#else
+    return 1;
+#endif
+""")
+def lanes_of_pair() -> int:
+    """Number of lanes that visit a pair. It is known when a kernel is compiled, so that loops over lanes unroll."""
+    ...
 
 
 @wp.func
-def split_pair(entry: RoundRecord, base: float, buffer: int, rounds: Rounds, motions: Motions):
-    """The two bodies of a pair with split masses; velocities are `base` times the current ones plus a buffer's sums."""
-    a = entry.body_a
-    b = entry.body_b
+def velocities_of(
+    entry: RoundRecord,
+    base: float,
+    buffer: int,
+    lane: int,
+    lanes: int,
+    slots: Slots,
+    bodies: wp.array[SolverBodyRecord],
+):
+    """The velocities of a pair (`part_of_velocity`), without masses. Of four lanes, each adds up one part."""
+    pair = BodyPair()
+    if lanes == LANES:
+        own = part_of_velocity(lane, entry, base, buffer, slots, bodies)
+        pair.linear_a = broadcast_vector(own, 0, lanes)
+        pair.angular_a = broadcast_vector(own, 1, lanes)
+        pair.linear_b = broadcast_vector(own, 2, lanes)
+        pair.angular_b = broadcast_vector(own, 3, lanes)
+    else:
+        pair.linear_a = part_of_velocity(0, entry, base, buffer, slots, bodies)
+        pair.angular_a = part_of_velocity(1, entry, base, buffer, slots, bodies)
+        pair.linear_b = part_of_velocity(2, entry, base, buffer, slots, bodies)
+        pair.angular_b = part_of_velocity(3, entry, base, buffer, slots, bodies)
+    return pair
+
+
+@wp.func
+def with_split_masses(entry: RoundRecord, pair: BodyPair, bodies: wp.array[SolverBodyRecord]):
+    """The pair with the masses and inertias of the copies of its bodies."""
     share_a = float(entry.sharing_a)
     share_b = float(entry.sharing_b)
-    pair = BodyPair()
-    pair.inverse_mass_a = share_a * inverse_mass_of(a, motions)
-    pair.inverse_mass_b = share_b * inverse_mass_of(b, motions)
-    pair.linear_a = base * load_velocity(a, VELOCITY, motions)
-    pair.angular_a = base * load_velocity(a, VELOCITY + 1, motions)
-    pair.linear_b = base * load_velocity(b, VELOCITY, motions)
-    pair.angular_b = base * load_velocity(b, VELOCITY + 1, motions)
-    if pair.inverse_mass_a > 0.0:
-        pair.inverse_inertia_a = share_a * inverse_inertia_of(a, motions)
-        pair.linear_a += gained_of(a, 6 * buffer, rounds)
-        pair.angular_a += gained_of(a, 6 * buffer + 3, rounds)
-    if pair.inverse_mass_b > 0.0:
-        pair.inverse_inertia_b = share_b * inverse_inertia_of(b, motions)
-        pair.linear_b += gained_of(b, 6 * buffer, rounds)
-        pair.angular_b += gained_of(b, 6 * buffer + 3, rounds)
+    pair.inverse_mass_a = share_a * read_solver_body(bodies, entry.body_a, VELOCITY)[3]
+    pair.inverse_mass_b = share_b * read_solver_body(bodies, entry.body_b, VELOCITY)[3]
+    if share_a > 0.0:
+        pair.inverse_inertia_a = share_a * inertia_at(entry.body_a, bodies)
+    if share_b > 0.0:
+        pair.inverse_inertia_b = share_b * inertia_at(entry.body_b, bodies)
     return pair
+
+
+@wp.func
+def store_change(slot: int, group: int, buffer: int, change: wp.vec3, slots: Slots):
+    """Store a velocity change in a slot; a body that is not dynamic has none."""
+    if slot >= 0:
+        write_change(slots.changes, buffer_start(buffer, slots) + slot, group, change, 0.0)
+
+
+@wp.func
+def clear_slots(entry: RoundRecord, slots: Slots):
+    """Clear the slots of a pair, which does not take part or starts from zero."""
+    for part in range(4):
+        store_change(entry.slot_a, part % 2, part / 2, wp.vec3(), slots)
+        store_change(entry.slot_b, part % 2, part / 2, wp.vec3(), slots)
 
 
 @wp.struct
@@ -179,31 +230,56 @@ def with_moment_of(row: ContactRecord, angular_impulse: wp.vec3, wrench: Wrench)
 
 
 @wp.func
-def sum_of_wrenches(lanes: int, wrench: Wrench):
-    """The sum of the wrenches of a team."""
-    wrench.impulse = sum_of_vectors(wrench.impulse, lanes)
-    wrench.moment_a = sum_of_vectors(wrench.moment_a, lanes)
-    wrench.moment_b = sum_of_vectors(wrench.moment_b, lanes)
-    wrench.change = max_of_lanes(wrench.change, lanes)
-    return wrench
+def part_of_wrench(part: int, wrench: Wrench):
+    """What acts on a velocity (`part_of_velocity`): the impulse, or the moment about a body's centre of mass."""
+    if part % 2 == 0:
+        return wrench.impulse
+    return wp.where(part < 2, wrench.moment_a, wrench.moment_b)
 
 
 @wp.func
-def add_gains(entry: RoundRecord, buffer: int, lane: int, lanes: int, wrench: Wrench, pair: BodyPair, rounds: Rounds):
-    """Add the velocity changes by a wrench to both bodies, with their whole masses; the lanes share the sums."""
-    whole_a = 1.0 / float(wp.max(entry.sharing_a, 1))
-    whole_b = -1.0 / float(wp.max(entry.sharing_b, 1))
-    for part in range(lane, 4, lanes):
-        gain = whole_a * pair.inverse_mass_a * wrench.impulse
-        if part == 1:
-            gain = whole_a * (pair.inverse_inertia_a * wrench.moment_a)
-        if part == 2:
-            gain = whole_b * pair.inverse_mass_b * wrench.impulse
-        if part == 3:
-            gain = whole_b * (pair.inverse_inertia_b * wrench.moment_b)
-        b = wp.where(part < 2, entry.body_a, entry.body_b)
-        if wp.where(part < 2, pair.inverse_mass_a, pair.inverse_mass_b) > 0.0:
-            add_gain(b, 6 * buffer + 3 * (part % 2), gain, rounds)
+def sum_of_parts(lane: int, wrench: Wrench):
+    """The sum of `part_of_wrench` over a team of four lanes: each gets the part with its own number.
+
+    In two exchanges, a lane passes on what another one needs, so half as many values are exchanged as for whole sums.
+    """
+    impulse = wrench.impulse + exchanged_vector(wrench.impulse, 2, LANES)
+    moment = part_of_wrench(lane | 1, wrench) + exchanged_vector(part_of_wrench(3 - (lane & 2), wrench), 2, LANES)
+    even = lane % 2 == 0
+    passed_on = wp.where(even, moment, impulse)
+    return wp.where(even, impulse, moment) + exchanged_vector(passed_on, 1, LANES)
+
+
+@wp.func
+def store_part(
+    part: int, cause: wp.vec3, entry: RoundRecord, buffer: int, slots: Slots, bodies: wp.array[SolverBodyRecord]
+):
+    """Store the change of a velocity by its part of a wrench, with the whole mass of the body."""
+    b = wp.where(part < 2, entry.body_a, entry.body_b)
+    change = wp.where(part < 2, 1.0, -1.0) * cause
+    if part % 2 == 0:
+        change = read_solver_body(bodies, b, VELOCITY)[3] * change
+    else:
+        change = inertia_at(b, bodies) * change
+    store_change(wp.where(part < 2, entry.slot_a, entry.slot_b), part % 2, buffer, change, slots)
+
+
+@wp.func
+def store_changes(
+    entry: RoundRecord,
+    buffer: int,
+    lane: int,
+    lanes: int,
+    wrench: Wrench,
+    slots: Slots,
+    bodies: wp.array[SolverBodyRecord],
+):
+    """Store the velocity changes of both bodies by the wrenches of a team."""
+    if lanes == LANES:
+        store_part(lane, sum_of_parts(lane, wrench), entry, buffer, slots, bodies)
+    else:
+        for part in range(4):
+            store_part(part, part_of_wrench(part, wrench), entry, buffer, slots, bodies)
 
 
 @wp.func
@@ -250,20 +326,35 @@ def body_change(change: float, entry: RoundRecord):
 
 @wp.kernel
 def open_rounds(done: int, threads: int, rounds: Rounds):
-    """The threads share the bodies and environments: no pairs, nothing gained, and `done` more rounds; 0: from 0."""
+    """The threads share the bodies and environments: no pairs, and `done` more rounds; 0: from 0."""
     tid = wp.tid()
     for b in range(tid, rounds.sharing.shape[0], threads):
-        if rounds.sharing[b] > 0:
-            for i in range(rounds.gained.shape[1]):
-                rounds.gained[b, i] = wp.int64(0)
         rounds.sharing[b] = 0
     for env in range(tid, rounds.last_change.shape[0], threads):
         rounds.last_change[env] = 0
+        rounds.largest_target[env] = 0.0
     if tid == 0:
         rounds.count[0] = 0
         rounds.done[0] = wp.where(done > 0, rounds.done[0] + done, 0)
         rounds.latest[0] = 0
         rounds.again[0] = 0
+
+
+@wp.kernel
+def open_slots(threads: int, slots: Slots):
+    """The threads share the bodies: no slots."""
+    tid = wp.tid()
+    for b in range(tid, slots.count.shape[0], threads):
+        slots.count[b] = 0
+    if tid == 0:
+        slots.used[0] = 0
+
+
+@wp.func
+def add_member(b: int, constraint: int, motions: Motions, slots: Slots):
+    """Add a pair to those of a dynamic body."""
+    if inverse_mass_of(b, motions) > 0.0:
+        slots.members[b, wp.atomic_add(slots.count, b, 1)] = constraint
 
 
 @wp.kernel
@@ -275,6 +366,7 @@ def list_heaps(
     constraints: Constraints,
     graph: Graph,
     rounds: Rounds,
+    slots: Slots,
 ):
     """The threads share the constraints: list the pairs of heaps."""
     for k in range(wp.tid(), constraints.start[constraints.start.shape[0] - 1], threads):
@@ -285,36 +377,71 @@ def list_heaps(
             entry.begin = constraints.first_row[k]
             entry.end = entry.begin + constraints.row_count[k]
             entry.env = bodies.env[entry.body_a]
+            entry.constraint = k
             dynamic = wp.where(bodies.motion[entry.body_a] == Motion.DYNAMIC, entry.body_a, entry.body_b)
             entry.limit = most_rounds(graph.island[dynamic], envs.contact_iterations[entry.env], graph)
+            add_member(entry.body_a, k, motions, slots)
+            add_member(entry.body_b, k, motions, slots)
             list_round_pair(entry, entry.end - entry.begin, rounds, motions)
 
 
+@wp.kernel
+def assign_slots(threads: int, slots: Slots):
+    """The threads share the bodies: a slot for each pair. Where they lie does not matter."""
+    for b in range(wp.tid(), slots.count.shape[0], threads):
+        if slots.count[b] > 0:
+            slots.first[b] = wp.atomic_add(slots.used, 0, slots.count[b])
+
+
 @wp.func
-def apply_impulses(entry: RoundRecord, buffer: int, rounds: Rounds, motions: Motions, contacts: Contacts):
-    """Add the velocity changes by the current impulses of a pair. Returns 1 if they are finite."""
+def slot_of(b: int, constraint: int, slots: Slots):
+    """The slot of a pair among those of a body, which are in the order of the constraints; -1 if it has none."""
+    if slots.count[b] == 0:
+        return -1
+    slot = slots.first[b]
+    for i in range(slots.count[b]):
+        slot += wp.where(slots.members[b, i] < constraint, 1, 0)
+    return slot
+
+
+@wp.kernel
+def place_pairs(threads: int, rounds: Rounds, slots: Slots, contacts: Contacts):
+    """The threads share the pairs: split the masses, and find the slots."""
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        entry.sharing_a = rounds.sharing[entry.body_a]
+        entry.sharing_b = rounds.sharing[entry.body_b]
+        entry.slot_a = slot_of(entry.body_a, entry.constraint, slots)
+        entry.slot_b = slot_of(entry.body_b, entry.constraint, slots)
+        entry.first_a = slots.first[entry.body_a]
+        entry.first_b = slots.first[entry.body_b]
+        entry.end_a = entry.first_a + slots.count[entry.body_a]
+        entry.end_b = entry.first_b + slots.count[entry.body_b]
+        row = read_contact(entry.begin, contacts.rows)
+        entry.rolls = wp.where(row.rolling_friction + row.spinning_friction > 0.0, 1, 0)
+        rounds.pairs[k] = entry
+
+
+@wp.func
+def apply_impulses(entry: RoundRecord, slots: Slots, motions: Motions, contacts: Contacts):
+    """Store the velocity changes by the current impulses of a pair, in the buffer that the first round reads."""
     wrench = Wrench()
     for c in range(entry.begin, entry.end):
         row = read_contact(c, contacts.rows)
         wrench = with_impulse_of(row, impulse_of(c, IMPULSE, contacts), wrench)
         wrench = with_moment_of(row, impulse_of(c, ANGULAR_IMPULSE, contacts), wrench)
-    add_gains(entry, buffer, 0, 1, wrench, split_pair(entry, 0.0, buffer, rounds, motions), rounds)
-    sum = wrench.impulse + wrench.moment_a + wrench.moment_b
-    return wp.where(wp.isfinite(sum[0] + sum[1] + sum[2]), 1, 0)
+    store_changes(entry, 0, 0, 1, wrench, slots, motions.solver_bodies)
 
 
 @wp.kernel
-def start_rounds(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts):
-    """The threads share the pairs: split the masses, and apply the initial impulses."""
+def start_rounds(threads: int, rounds: Rounds, slots: Slots, motions: Motions, contacts: Contacts):
+    """The threads share the pairs: apply the initial impulses."""
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
-        entry.sharing_a = rounds.sharing[entry.body_a]
-        entry.sharing_b = rounds.sharing[entry.body_b]
-        rounds.pairs[k] = entry
         for c in range(entry.begin, entry.end):
             set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)
             set_impulse(c, START_ANGULAR_IMPULSE, impulse_of(c, ANGULAR_IMPULSE, contacts), contacts)
-        apply_impulses(entry, 0, rounds, motions, contacts)
+        apply_impulses(entry, slots, motions, contacts)
 
 
 @wp.func
@@ -327,7 +454,15 @@ def extrapolated(c: int, which: int, before: wp.vec3, new: wp.vec3, beta: float,
 
 
 @wp.func
-def solve_contact(c: int, entry: RoundRecord, beta: float, pair: BodyPair, wrench: Wrench, contacts: Contacts):
+def solve_contact(
+    c: int,
+    entry: RoundRecord,
+    beta: float,
+    pair: BodyPair,
+    wrench: Wrench,
+    bodies: wp.array[SolverBodyRecord],
+    contacts: Contacts,
+):
     """Solve a contact for its copies of the bodies, and add its extrapolated impulses to the wrench."""
     share_a = float(entry.sharing_a)
     share_b = float(entry.sharing_b)
@@ -337,9 +472,10 @@ def solve_contact(c: int, entry: RoundRecord, beta: float, pair: BodyPair, wrenc
     new = next_impulse(old, share_a, share_b, row, pair)
     wrench = with_impulse_of(row, extrapolated(c, IMPULSE, before, new, beta, contacts), wrench)
     wrench.change = wp.max(wrench.change, velocity_change(new - old, share_a, share_b, row))
-    if row.rolling_friction + row.spinning_friction > 0.0:
+    if entry.rolls == 1:
         gained = world_vector(row.normal, row.tangent, new - old)
-        solve_rolling(c, new[0], row, with_impulse(row.arm_a, row.arm_b, gained, pair), contacts)
+        copies = with_impulse(row.arm_a, row.arm_b, gained, with_split_masses(entry, pair, bodies))
+        solve_rolling(c, new[0], row, copies, contacts)
         moment = impulse_of(c, ANGULAR_IMPULSE, contacts)
         start = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
         wrench = with_moment_of(row, extrapolated(c, ANGULAR_IMPULSE, start, moment, beta, contacts), wrench)
@@ -348,26 +484,31 @@ def solve_contact(c: int, entry: RoundRecord, beta: float, pair: BodyPair, wrenc
 
 @wp.kernel
 def solve_round(
-    place: int, threads: int, lanes: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph
+    place: int,
+    teams: int,
+    rounds: Rounds,
+    slots: Slots,
+    bodies: wp.array[SolverBodyRecord],
+    contacts: Contacts,
+    residual: wp.array[float],
 ):
-    """One round, the one at `place` of its group: teams of lanes share the pairs, and clear a buffer."""
+    """One round, the one at `place` of its group: teams of lanes share the pairs."""
     turn = rounds.done[0] + place
+    lanes = lanes_of_pair()
     lane = wp.tid() % lanes
-    clear_buffer(wp.tid(), threads, (turn + 1) % 3, rounds)
-    for k in range(wp.tid() / lanes, rounds.count[0], threads / lanes):
+    for k in range(wp.tid() / lanes, rounds.count[0], teams):
         entry = read_round_pair(k, rounds.pairs)
         if needs_round(entry, turn, rounds):
-            pair = split_pair(entry, 1.0, (turn - 1) % 3, rounds, motions)
+            pair = velocities_of(entry, 1.0, (turn - 1) % 2, lane, lanes, slots, bodies)
             beta = momentum(turn, entry.limit, MOST_MOMENTUM)
             wrench = Wrench()
             for c in range(entry.begin + lane, entry.end, lanes):
-                wrench = solve_contact(c, entry, beta, pair, wrench, contacts)
-            wrench = sum_of_wrenches(lanes, wrench)
-            add_gains(entry, turn % 3, lane, lanes, wrench, pair, rounds)
-            change = body_change(wrench.change, entry)
+                wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)
+            store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
+            change = body_change(max_of_lanes(wrench.change, lanes), entry)
             record_change(entry, turn, change, SETTLED, rounds)
             if change <= SETTLED or turn == entry.limit:
-                raise_to(entry.env, change, graph.residual)
+                raise_to(entry.env, change, residual)
 
 
 @wp.kernel
@@ -378,25 +519,24 @@ def close_rounds(count: int, rounds: Rounds):
 
 
 @wp.kernel
-def finish_pairs(threads: int, rounds: Rounds, motions: Motions, contacts: Contacts, graph: Graph):
-    """The threads share the pairs: take the impulses of the last round, which are not extrapolated.
-
-    A non-finite velocity change cannot be summed as whole numbers; it makes the velocities of its bodies non-finite.
-    """
+def finish_pairs(
+    threads: int, rounds: Rounds, slots: Slots, motions: Motions, contacts: Contacts, counts: wp.array[int]
+):
+    """The threads share the pairs: take the impulses of the last round, which are not extrapolated."""
     for k in range(wp.tid(), rounds.count[0], threads):
         entry = read_round_pair(k, rounds.pairs)
-        count_rounds(entry, rounds, graph.rounds)
+        count_rounds(entry, rounds, counts)
         for c in range(entry.begin, entry.end):
             set_impulse(c, IMPULSE, impulse_of(c, START_IMPULSE, contacts), contacts)
             set_impulse(c, ANGULAR_IMPULSE, impulse_of(c, START_ANGULAR_IMPULSE, contacts), contacts)
-        if apply_impulses(entry, (rounds.done[0] + 1) % 3, rounds, motions, contacts) == 0:
-            motions.solver_bodies[entry.body_a].angular = wp.vec3(wp.nan, wp.nan, wp.nan)
-            motions.solver_bodies[entry.body_b].angular = wp.vec3(wp.nan, wp.nan, wp.nan)
+        apply_impulses(entry, slots, motions, contacts)
 
 
 @wp.kernel
-def finish_bodies(threads: int, rounds: Rounds, motions: Motions):
-    """The threads share the bodies: the velocities after the last round."""
-    for b in range(wp.tid(), rounds.sharing.shape[0], threads):
-        if rounds.sharing[b] > 0:
-            add_to_velocity(b, (rounds.done[0] + 1) % 3, rounds, motions)
+def finish_bodies(threads: int, slots: Slots, motions: Motions):
+    """The threads share the bodies: add the velocity changes in the first buffer to the velocities."""
+    for b in range(wp.tid(), slots.count.shape[0], threads):
+        if slots.count[b] > 0:
+            first = slots.first[b]
+            motions.solver_bodies[b].linear += change_of(first, first + slots.count[b], 0, 0, slots)
+            motions.solver_bodies[b].angular += change_of(first, first + slots.count[b], 1, 0, slots)

@@ -14,6 +14,8 @@ from warp_rigid.scenes.demo import Verdict, below
 X = (1.0, 0.0, 0.0)
 PASSIVE = 0.5
 """Damping of a ragdoll's joints [N m s/rad], about that of relaxed human ones."""
+ROLLING = 0.01
+"""Rolling friction of a ragdoll's head and limbs [m]: without it, a round head on the ground rolls on for seconds."""
 
 
 def anchor_errors(sim: Any) -> np.ndarray:
@@ -66,7 +68,8 @@ def add_ragdoll(scene: Scene, place: Any, name: str, damping: float = PASSIVE) -
 
     def part(shape, offset, label):
         at = (x + offset[0], y + offset[1], z + offset[2])
-        return scene.add_body(shape, position=at, friction=friction, name=f"{name}_{label}")
+        rolling = 0.0 if isinstance(shape, Box) else ROLLING
+        return scene.add_body(shape, position=at, friction=friction, rolling_friction=rolling, name=f"{name}_{label}")
 
     def joined(joint, body, other, offset):
         index = scene.add_joint(joint, body, other, anchor=(x + offset[0], y + offset[1], z + offset[2]))

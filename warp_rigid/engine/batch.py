@@ -228,7 +228,7 @@ class Shards:
         if too_much.any():
             void, short = self._shortage(wanted, too_much)
         known = wanted[:, : void + 1, : len(NAMES)].sum(axis=0)
-        if void < steps and too_much[:, void, 0].any():
+        if void < steps and too_much[:, void, [0, 3]].any():
             known[void, 1] = 0
         if void < steps and too_much[:, void, 2].any():
             known[void] = 0
@@ -242,7 +242,7 @@ class Shards:
         """The first step invalid in any shard, and the sizes required by each shard in its first invalid step.
 
         A step in which a pool was too small is invalid, as are all later steps. Its number of pairs is still known,
-        unless the candidates were too many.
+        unless the candidates were too many, and its number of contacts, unless the pairs or near samples were.
         """
         short = []
         void = too_much.shape[1]

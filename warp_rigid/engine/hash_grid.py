@@ -10,6 +10,7 @@ import warp as wp
 from warp_rigid.engine.layout import exclusive_sums
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import candidates
+from warp_rigid.kernels.common.crowd import CROWDED
 
 if TYPE_CHECKING:
     from warp_rigid.engine.model import Model
@@ -31,15 +32,17 @@ LANES = 32
 
 
 def grid_sizes(bodies_per_env: np.ndarray) -> dict[str, int]:
-    """Symbols of the data layout and their values; all are 0 where all pairs are tested in every environment.
+    """Symbols of the data layout and their values; all are 0 in batches of small environments.
+
+    These have no heaps that are solved in rounds, and all of their pairs are tested.
 
     Args:
         bodies_per_env: (envs,) number of bodies of each environment.
     """
     buckets, bodies = int(_buckets(bodies_per_env).sum()), int(bodies_per_env.sum())
-    if buckets == 0:
-        return {"boxed": 0, "buckets": 0, "candidates": 0}
-    return {"boxed": bodies, "buckets": buckets, "candidates": bodies * CANDIDATES_PER_BODY}
+    crowd = bodies if bodies_per_env.max() > CROWDED else 0
+    boxed = bodies if buckets > 0 else 0
+    return {"crowd": crowd, "boxed": boxed, "buckets": buckets, "candidates": boxed * CANDIDATES_PER_BODY}
 
 
 class HashGrid:

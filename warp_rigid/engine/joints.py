@@ -43,6 +43,7 @@ def counts(scene: Scene) -> dict[str, int]:
         "joints": len(scene.joints),
         "mechanisms": len(found.members),
         "members": sum(len(bodies) for bodies in found.members),
+        "ends": sum(map(len, _joints_of_members(scene, found))),
         "blocks": len(found.row),
         "eliminations": len(found.products),
     }
@@ -128,6 +129,7 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
     found = mechanisms_of(scene)
     shared = np.array(found.shared, np.int32).reshape(-1, 2)
     products = np.array(found.products, np.int32).reshape(-1, 3)
+    ends = _joints_of_members(scene, found)
     lists = {
         "body_a": [entry.body_a for entry in scene.joints],
         "body_b": [entry.body_a if entry.body_b is None else entry.body_b for entry in scene.joints],
@@ -136,6 +138,8 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
         "first_place": found.first_place,
         "first_member": np.cumsum([0, *map(len, found.members)]),
         "member": [body for bodies in found.members for body in bodies],
+        "first_end": np.cumsum([0, *map(len, ends)]),
+        "joint_of_end": [joint for joints in ends for joint in joints],
         "anchored": [any(_is_anchor(scene, joint) for joint in joints) for joints in found.joints],
         "of_body": _mechanism_of_each_body(scene, found),
         "sequence": found.sequence,
@@ -149,6 +153,13 @@ def _indices(scene: Scene) -> dict[str, np.ndarray]:
         "target": products[:, 2],
     }
     return {name: np.array(values, np.int32) for name, values in lists.items()}
+
+
+def _joints_of_members(scene: Scene, found: Mechanisms) -> list[list[int]]:
+    """The joints that each member has in its mechanism, in the order of elimination."""
+    ends = [(entry.body_a, entry.body_b) for entry in scene.joints]
+    groups = zip(found.members, found.joints, strict=True)
+    return [[joint for joint in joints if body in ends[joint]] for bodies, joints in groups for body in bodies]
 
 
 def _is_anchor(scene: Scene, joint: int) -> bool:
@@ -193,8 +204,9 @@ class JointStages:
         """Rows and factors of the step."""
         step = self._step
         if self.present:
-            inputs = [step.dt, step.model.bodies, step.state]
-            self._per_mechanism(self.kernels.start_joints, inputs, [step.motions, self.arrays])
+            inputs = [step.model.bodies, step.state]
+            changed = [step.motions, step.pools.graph, self.arrays]
+            self._per_mechanism(self.kernels.start_joints, [step.dt], inputs, changed)
 
     def warm_start(self, otherwise: Any) -> None:
         """Initial impulses of contacts; those of mechanisms are applied before the first sweep.
@@ -244,15 +256,17 @@ class JointStages:
         """Solve the mechanisms for the pose that the step ends with, before the sweeps or after the push-out."""
         step = self._step
         if self.present:
-            inputs = [after_push, step.dt, step.model.bodies, step.state]
-            self._per_mechanism(self.kernels.settle_joints, inputs, [step.motions, self.arrays])
+            inputs = [step.model.bodies, step.state]
+            changed = [step.motions, self.arrays]
+            self._per_mechanism(self.kernels.settle_joints, [after_push, step.dt], inputs, changed)
 
     def limit_motion(self) -> None:
         """Stop the bodies of a mechanism together."""
         step = self._step
         if self.present:
-            inputs = [step.dt, step.model.bodies, step.state]
-            self._per_mechanism(self.kernels.share_time_of_impact, inputs, [step.motions, self.arrays])
+            inputs = [step.model.bodies, step.state]
+            changed = [step.motions, self.arrays]
+            self._per_mechanism(self.kernels.share_time_of_impact, [step.dt], inputs, changed)
 
     def end(self) -> None:
         """Coordinates, forces and breaking, after the position update."""
@@ -260,7 +274,7 @@ class JointStages:
         if self.present:
             inputs = [step.dt, step.envs, step.model.bodies, step.motions]
             self._launch(self.kernels.end_joints, self._joints, inputs, [self.arrays, step.pools.graph])
-            self._per_mechanism(self.kernels.note_coordinates, [step.state], [self.arrays])
+            self._per_mechanism(self.kernels.note_coordinates, [], [step.state], [self.arrays])
 
     def support(self) -> None:
         """Sleeping: islands that hang from the world are supported."""
@@ -269,8 +283,9 @@ class JointStages:
             inputs = [step.model.bodies, step.motions, step.pools.graph, self.arrays]
             self._launch(self.kernels.support_joined, self._joints, inputs, [step.sleep_state])
 
-    def _per_mechanism(self, kernel: Any, inputs: Sequence, outputs: Sequence) -> None:
-        self._launch(kernel, self._mechanisms, inputs, outputs)
+    def _per_mechanism(self, kernel: Any, before: Sequence, inputs: Sequence, outputs: Sequence) -> None:
+        lanes = int(team.MECHANISM_LANES) if self._step.device.is_cuda else 1
+        self._launch(kernel, self._mechanisms * lanes, [*before, lanes, *inputs], outputs)
 
     def _per_team(self, kernel: Any, inputs: Sequence, before: Sequence = ()) -> None:
         step = self._step

@@ -59,7 +59,12 @@ as this takes a tenth as long as the import of the package."""
 def everything() -> tuple[Any, ...]:
     """All kernel modules; the slowest to compile come first."""
     others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
-    return (import_module(JOINTS), narrowphase, ccd, *others)
+    return (import_module(JOINTS), *STEP[:2], *others)
+
+
+def blocks_of_searches(search_block: int) -> dict[str, int]:
+    """Lanes of the blocks of modules that search samples, by name; of the narrow phase they are `search_block`."""
+    return {narrowphase.__name__: search_block, ccd.__name__: team.SMALL_BLOCK}
 
 
 def load_kernels(
@@ -89,11 +94,7 @@ def load_kernels(
             return sorted({team.block_of(size) for size in lanes})
         if module in HEAPS:
             return [team.BLOCK, team.SMALL_BLOCK]
-        if module is narrowphase:
-            return sorted(set(search_blocks))
-        if module is ccd:
-            return [team.SMALL_BLOCK]
-        return [team.BLOCK]
+        return sorted({blocks_of_searches(block).get(module.__name__, team.BLOCK) for block in search_blocks})
 
     jobs = [(module, block) for module in modules for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:

@@ -11,24 +11,29 @@ from warp_rigid.engine.layout import KINDS, Layout
 from warp_rigid.engine.shape_pool import distinct_shapes
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.collide.near_samples import NearSamples, Suspects
+from warp_rigid.kernels.graph import heap_arrays
 from warp_rigid.scene.shapes.triangle_tree import tree_bytes
 
 LARGEST_LIMIT = 2**50
 
 
 def pool_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all arrays sized with the pools: candidates, lists, contacts, history and rounds twice, graph, order."""
+    """Bytes of all arrays sized with the pools: candidates, lists, contacts, history and rounds twice, and so on."""
     structs = (
         schema.Cells,
         schema.Constraints,
         schema.Pairs,
+        NearSamples,
+        Suspects,
         schema.Contacts,
         schema.History,
         schema.History,
         schema.Graph,
         schema.Order,
-        schema.Rounds,
-        schema.Rounds,
+        heap_arrays.Rounds,
+        heap_arrays.Rounds,
+        heap_arrays.Slots,
     )
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 

@@ -8,11 +8,13 @@ import warp as wp
 
 from warp_rigid.engine.layout import Layout
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.collide.near_samples import NearSamples, Suspects
+from warp_rigid.kernels.graph import heap_arrays
 
 NAMES = ("pairs", "contacts")
 """Names of the pools whose capacity users can give."""
 
-POOLS = (*NAMES, "candidates")
+POOLS = (*NAMES, "candidates", "near_samples")
 """Names of all pools, in the order of `wanted` on the device."""
 
 LARGEST = 2**30
@@ -20,6 +22,9 @@ LARGEST = 2**30
 
 CHUNK = 16
 """Maximum number of steps between two capacity checks; as many are repeated after an overflow."""
+
+NEAR_PER_PAIR, LEAST_NEAR = 4, 16384
+"""Initial capacity for near samples: per pair, and at least."""
 
 HEADROOM = 1.5
 """A pool that is too small grows to this factor times the required size."""
@@ -33,6 +38,8 @@ class Pools:
         layout: the environments.
         sizes: symbols of the data layout and their values.
         pairs: candidate pairs.
+        near: samples of the searched pairs that may touch.
+        suspects: samples that continuous collision detection traces.
         contacts: contact rows.
         history: contacts of the last step.
         constraints: all constraints of the step.
@@ -40,13 +47,16 @@ class Pools:
         order: constraints that are solved in sweeps, by colour.
         rounds: pairs of heaps, which are solved in rounds.
         selected: pairs of heaps with an impact, then those with an overlap.
+        slots: velocity changes of the bodies of heaps by each of their pairs.
         turn: (1,) row of `wanted` for the current step.
-        wanted: (CHUNK, 3) required number of pairs, contacts and candidates of each step.
+        wanted: (CHUNK, 4) required number of pairs, contacts, candidates and near samples of each step.
     """
 
     layout: Layout
     sizes: dict[str, int]
     pairs: Any
+    near: Any
+    suspects: Any
     contacts: Any
     history: Any
     constraints: Any
@@ -54,6 +64,7 @@ class Pools:
     order: Any
     rounds: Any
     selected: Any
+    slots: Any
     turn: wp.array
     wanted: wp.array
 
@@ -66,13 +77,16 @@ class Pools:
             layout=layout,
             sizes=sizes,
             pairs=declare.allocate(schema.Pairs, sizes, device),
+            near=declare.allocate(NearSamples, sizes, device),
+            suspects=declare.allocate(Suspects, sizes, device),
             contacts=declare.allocate(schema.Contacts, sizes, device),
             history=declare.allocate(schema.History, sizes, device),
             constraints=constraints,
             graph=declare.allocate(schema.Graph, sizes, device),
             order=declare.allocate(schema.Order, sizes, device),
-            rounds=declare.allocate(schema.Rounds, sizes, device),
-            selected=declare.allocate(schema.Rounds, sizes, device),
+            rounds=declare.allocate(heap_arrays.Rounds, sizes, device),
+            selected=declare.allocate(heap_arrays.Rounds, sizes, device),
+            slots=declare.allocate(heap_arrays.Slots, sizes, device),
             turn=wp.zeros(1, dtype=int, device=device),
             wanted=wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device),
         )
@@ -104,8 +118,7 @@ class Pools:
     def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
         """Sizes enlarged to the required numbers of entries, times HEADROOM."""
         larger = {name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}
-        pairs = larger.get("pairs", self.sizes["pairs"])
-        return {**self.sizes, **larger, "constraints": pairs + self.sizes["others"]}
+        return with_constraints({**self.sizes, **larger})
 
     def grown(self, sizes: dict[str, int]) -> "Pools":
         """Larger pools with the same history."""
@@ -126,7 +139,15 @@ def sizes_for(others: int, pairs: int, contacts: int, layout: dict[str, int]) ->
         contacts: capacity for contacts.
         layout: sizes of the layout, with those of `grid_sizes`.
     """
-    return {**layout, "others": others, "pairs": pairs, "contacts": contacts, "constraints": pairs + others}
+    near = min(max(NEAR_PER_PAIR * pairs, LEAST_NEAR), LARGEST)
+    own = {"others": others, "pairs": pairs, "contacts": contacts, "near_samples": near}
+    return with_constraints({**layout, **own})
+
+
+def with_constraints(sizes: dict[str, int]) -> dict[str, int]:
+    """Sizes of the data layout with those of the lists of constraints."""
+    count = sizes["pairs"] + sizes["others"]
+    return {**sizes, "constraints": count, "crowd_pairs": count if sizes["crowd"] > 0 else 0}
 
 
 def expected_pairs(dynamic: np.ndarray) -> np.ndarray:

@@ -10,12 +10,13 @@ import warp as wp
 
 from warp_rigid.engine import loading, teams
 from warp_rigid.engine.hash_grid import HashGrid
+from warp_rigid.engine.heaps import HeapStages
 from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap
+from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
 from warp_rigid.kernels.common import capacity, crowd, team
 from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
@@ -25,20 +26,14 @@ from warp_rigid.kernels.solve import (
     calm,
     effectiveness,
     gauss_seidel,
-    impact_rounds,
     line_search,
     push_out,
-    push_rounds,
     restitution,
-    rounds,
     shock,
 )
 from warp_rigid.kernels.update import ground_motion, integrate, predict, sleep, watch
 
-PAIRS, CONTACTS, CANDIDATES = 0, 1, 2
-
-ROUNDS_OF_A_GROUP = 6
-"""Rounds between two decisions on whether more follow."""
+PAIRS, CONTACTS, CANDIDATES, NEAR_SAMPLES = 0, 1, 2, 3
 
 AT_REST = 0.05
 """Speed below which a body counts as resting [m/s]."""
@@ -104,10 +99,10 @@ class Stages:
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
         self.crowded = layout.most_bodies > crowd.CROWDED
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
-        self.search_lanes, search_block = teams.search_team(layout.has_many_samples)
-        self.trace_sharing = teams.trace_sharing(self.device, layout.has_many_samples)
-        self.blocks = {narrowphase.keep_contacts.module: search_block, ccd.limit_motion.module: team.SMALL_BLOCK}
+        self.search = teams.search_teams(layout.has_many_samples)
+        self.blocks = loading.blocks_of_searches(self.search.block)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
+        self.moving = [dt, model.shapes, model.bodies, state, self.motions]
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
         self.grid = HashGrid(model, pools.sizes, self.device)
         self.constraint_rows = Rows()
@@ -115,6 +110,7 @@ class Stages:
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
         self.joints = JointStages(self)
+        self.heaps = HeapStages(self)
         optional = (
             (loading.SLEEP, sleeping),
             (loading.GROUND, model.surface_vertices > 0),
@@ -124,7 +120,7 @@ class Stages:
             ((self.joints.kernels,), self.joints.present),
         )
         modules = [module for modules, used in optional if used for module in modules]
-        loading.load_kernels(self.device, modules, [self.lanes], [search_block])
+        loading.load_kernels(self.device, modules, [self.lanes], [self.search.block])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -215,7 +211,6 @@ class Stages:
     def find_contacts(self) -> None:
         """Narrow phase: find touching samples, reduce them, build contact rows, and list all constraints."""
         pairs, contacts = self.pools.pairs, self.pools.contacts
-        bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
         pairs.contact_count.zero_()
         self._search_contacts(woken=0)
         if self.sleeping:
@@ -223,7 +218,7 @@ class Stages:
             self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
-        inputs = [self.dt, *bodies_of_pair, pairs, self.pools.history]
+        inputs = [*self.moving, self.envs, pairs, self.pools.history]
         self._share_pairs(build_contacts.build_contacts, teams.BUILD_LANES, inputs, [contacts])
         self._list_constraints()
 
@@ -254,7 +249,7 @@ class Stages:
         self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
         self._per_body(islands.choose_solver, [self.dt, bodies, self.envs], [graph])
         if self.crowded:
-            self._list_heaps()
+            self.heaps.list_pairs()
         own = [self.lanes, self.envs, bodies, constraints]
         self._per_team(support.find_structure, own, [graph])
         self._per_team(coloring.color_constraints, own, [graph])
@@ -276,25 +271,7 @@ class Stages:
         """Restitution: solve impacts."""
         self._color_by_color(restitution.solve_impacts, [self.dt])
         if self.crowded:
-            self.solve_impacts_of_heaps()
-
-    def solve_impacts_of_heaps(self) -> None:
-        """Rounds of impacts, as many as the setting allows, until there are none."""
-        pools, hit = self.pools, self.pools.selected
-        changed = [self.motions, pools.contacts]
-
-        def find(done: int) -> None:
-            self._shared(rounds.open_rounds, self.rows, [done], [], [hit])
-            inputs = [self.envs, pools.rounds, hit]
-            self._shared(impact_rounds.find_impacts, pools.sizes["constraints"], [self.dt], inputs, changed)
-
-        def solve() -> None:
-            self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], changed, [self.dt])
-            self._shared(impact_rounds.finish_impacts, self.rows, [], [hit], [self.motions])
-            find(done=1)
-
-        find(done=0)
-        wp.capture_while(hit.again, solve)
+            self.heaps.solve_impacts()
 
     @stage
     def solve_contacts(self) -> None:
@@ -306,7 +283,7 @@ class Stages:
         self.sweep_constraints(after_shock=1)
         self._color_by_color(calm.sweep_calm_islands)
         if self.crowded:
-            self.solve_heaps()
+            self.heaps.solve()
         found = [self.dt, self.model.bodies, self.envs, self.motions, self.pools.graph, self.pools.rounds]
         self._per_body(effectiveness.count_ineffective_steps, found, [self.state])
 
@@ -329,15 +306,6 @@ class Stages:
         self._color_by_color(line_search.accept)
         self.joints.after_line_search()
 
-    def solve_heaps(self) -> None:
-        """Rounds: solve all pairs of heaps at once, until nothing changes."""
-        pools, solved = self.pools, self.pools.rounds
-        changed = [self.motions, pools.contacts]
-        self._per_round_pair(rounds.start_rounds, solved, [], changed)
-        self._repeat_rounds(rounds.solve_round, solved, [*changed, pools.graph])
-        self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph])
-        self._shared(rounds.finish_bodies, self.rows, [], [solved], [self.motions])
-
     @stage
     def push_out(self) -> None:
         """Push-out: separate remaining overlaps without adding velocity."""
@@ -349,42 +317,8 @@ class Stages:
         )
         self._color_by_color(push_out.push_apart)
         if self.crowded:
-            self.push_heaps()
+            self.heaps.push_out()
         self.joints.settle(after_push=1)
-
-    def push_heaps(self) -> None:
-        """Push-out of heaps, in rounds."""
-        model, pools, pushed = self.model, self.pools, self.pools.selected
-        self._shared(rounds.open_rounds, self.rows, [0], [], [pushed])
-        inputs = [model.shapes, model.bodies, pools.pairs, self.motions, pools.contacts, pools.rounds]
-        self._shared(push_rounds.find_overlaps_in_heaps, pools.sizes["constraints"], [self.dt], inputs, [pushed])
-        self._shared(push_rounds.share_masses, pools.sizes["constraints"], [], [], [pushed])
-        changed = [self.motions, pools.contacts]
-        self._repeat_rounds(push_rounds.push_round, pushed, changed)
-        self._per_round_pair(push_rounds.finish_push, pushed, [], [*changed, pools.graph])
-        self._shared(push_rounds.store_push, self.rows, [], [pushed], [self.motions])
-
-    def _list_heaps(self) -> None:
-        """List the pairs that are solved in rounds."""
-        pools = self.pools
-        self._shared(rounds.open_rounds, self.rows, [0], [], [pools.rounds])
-        found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
-        self._per_constraint(rounds.list_heaps, found, [pools.rounds])
-
-    def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
-        """Launch rounds in groups, until no environment needs another one."""
-        cuda = self.device.is_cuda
-        lanes = teams.ROUND_LANES if cuda else 1
-        threads = min(self.pools.sizes["constraints"] * lanes, teams.most_lanes(self.device)) if cuda else 1
-        block = team.SMALL_BLOCK if cuda else 1
-
-        def group() -> None:
-            for place in range(1, ROUNDS_OF_A_GROUP + 1):
-                inputs = [place, threads, lanes, some]
-                wp.launch(kernel, threads, inputs, changed, block_dim=block, device=self.device)
-            wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
-
-        wp.capture_while(some.again, group)
 
     @stage
     def detect_continuous_collisions(self) -> None:
@@ -500,10 +434,6 @@ class Stages:
         """Launch a kernel whose threads share all constraints."""
         self._shared(kernel, self.pools.sizes["constraints"], [], inputs, outputs)
 
-    def _per_round_pair(self, kernel: Any, some: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:
-        """Launch a kernel whose threads share the pairs that are solved in rounds."""
-        self._shared(kernel, self.pools.sizes["constraints"], [*before], [*inputs, some], outputs)
-
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
         self._launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
@@ -545,24 +475,31 @@ class Stages:
 
     def _limit_motion(self, turn: int) -> None:
         """One round of continuous collision detection: over all pairs, or again over those of bodies that were hit."""
-        pairs, size = self.pools.pairs, self.pools.sizes["pairs"]
-        inputs = [self.dt, self.model.shapes, self.model.bodies, self.state]
-        listed = [*inputs, self.envs, self.motions]
+        pools, pairs, suspects = self.pools, self.pools.pairs, self.pools.suspects
+        size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
         pairs.fast_count.zero_()
-        self._shared(ccd.list_fast_pairs, size, [turn], listed, [pairs])
-        before, tasks = [self.trace_sharing], self.trace_sharing * size
-        self._share(ccd.limit_motion, tasks, teams.TRACE_LANES, before, [*inputs, pairs], [self.motions])
+        for count in (suspects.count, suspects.reached_count, suspects.cluster_count):
+            count.zero_()
+        self._shared(ccd.list_fast_pairs, size, [turn], [*self.moving, self.envs], [pairs])
+        self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
+        self._share(ccd.list_clusters, 2 * size, teams.TRACE_LANES, [], [*self.moving, pairs], [suspects])
+        inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
+        self._share(ccd.list_suspects, samples, teams.LOOK_LANES, before, inputs, outputs)
+        self._shared(ccd.trace_suspects, samples, before, inputs, outputs)
+        self._shared(ccd.note_impacts, size, [], [self.dt, pairs, suspects], [self.motions])
         self._per_body(ccd.change_courses, [pairs], [self.motions])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
-        pairs = self.pools.pairs
-        bodies_of_pair = [self.model.shapes, self.model.bodies, self.state, self.motions, self.envs]
+        pools, pairs, near = self.pools, self.pools.pairs, self.pools.near
+        searched = [*self.moving, self.envs]
         pairs.candidate_count.zero_()
-        inputs = [self.dt, *bodies_of_pair, self.pools.history]
-        self._shared(narrowphase.keep_contacts, self.pools.sizes["pairs"], [woken], inputs, [pairs])
-        inputs = [self.dt, *bodies_of_pair]
-        self._share_pairs(narrowphase.search_contacts, self.search_lanes, inputs, [pairs])
+        near.count.zero_()
+        self._shared(narrowphase.keep_contacts, pools.sizes["pairs"], [woken], [*searched, pools.history], [pairs])
+        self._share_pairs(narrowphase.list_near_samples, self.search.listing, searched, [pairs, near])
+        inputs, outputs = [*self.moving, pairs, pools.turn], [near, pools.wanted]
+        self._shared(touches.touch_near_samples, pools.sizes["near_samples"], [NEAR_SAMPLES], inputs, outputs)
+        self._share_pairs(pair_contacts.choose_contacts, self.search.choosing, [*searched, near], [pairs])
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
@@ -572,11 +509,11 @@ class Stages:
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
-        threads = size if self.device.is_cuda else 1
+        threads = min(size, teams.most_lanes(self.device)) if self.device.is_cuda else 1
         self._launch(kernel, threads, [*before, threads, *inputs], outputs)
 
     def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
-        block = self.blocks.get(kernel.module, team.BLOCK)
+        block = self.blocks.get(kernel.module.name, team.BLOCK)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:

@@ -1,5 +1,6 @@
 """Team sizes: the number of device lanes that process one environment, or one pair of bodies."""
 
+from dataclasses import dataclass
 from typing import Any
 
 from warp_rigid.kernels.common import team
@@ -9,8 +10,8 @@ WARP = 32
 MOST_BODIES_OF_A_WARP = 128
 """Above this number of bodies, an environment is processed by a block."""
 
-BUILD_LANES, TRACE_LANES, ROUND_LANES = 4, 32, 4
-"""GPU lanes that build the rows of one pair, that trace it, and that visit it in a round."""
+BUILD_LANES, TRACE_LANES, LOOK_LANES = 4, 32, 8
+"""GPU lanes that build the rows of a pair, trace clusters of a body, and look at samples."""
 
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
@@ -44,29 +45,32 @@ def most_lanes(device: Any) -> int:
     return device.sm_count * RESIDENT_LANES
 
 
-def search_team(many_samples: bool) -> tuple[int, int]:
-    """Number of lanes that search for the contacts of a pair, and number of lanes of a block.
+@dataclass(frozen=True)
+class SearchTeams:
+    """Teams of the narrow phase and of continuous collision detection.
 
-    Of the samples of a box, five are near another box, so four lanes are enough. Pairs of shapes with hundreds of
-    samples take very different times, and a block ends with its slowest pair; so it is small. For few samples it is
-    large: its lanes execute the same instructions at about the same time, and find them in the instruction cache.
+    Attributes:
+        listing: lanes that list the near samples of a pair.
+        choosing: lanes that choose the contacts of a pair.
+        block: lanes of a block of the narrow phase.
+    """
+
+    listing: int
+    choosing: int
+    block: int
+
+
+def search_teams(many_samples: bool) -> SearchTeams:
+    """The teams for shapes of few or of many samples.
+
+    Of the samples of a box, five are near another box, and two or three touch it, so a few lanes are enough. Pairs of
+    shapes with hundreds of samples take very different times, and a block ends with its slowest pair; so it is small.
+    For few samples it is large: its lanes execute the same instructions at
+    about the same time, and find them in the instruction cache.
 
     Args:
         many_samples: whether a shape has hundreds of samples.
     """
-    return (WARP, team.SMALL_BLOCK) if many_samples else (4, team.BLOCK)
-
-
-def trace_sharing(device: Any, many_samples: bool) -> int:
-    """Number of teams that share the trace of a pair: half of them trace the samples of each body.
-
-    Few pairs are traced in a step, so that the slowest one would decide on the time. On the CPU, the time of impact of
-    one body shortens the traces of the other.
-
-    Args:
-        device: the Warp device.
-        many_samples: whether a shape has hundreds of samples.
-    """
-    if not device.is_cuda:
-        return 1
-    return 4 if many_samples else 2
+    if many_samples:
+        return SearchTeams(listing=WARP, choosing=8, block=team.SMALL_BLOCK)
+    return SearchTeams(listing=4, choosing=1, block=team.BLOCK)

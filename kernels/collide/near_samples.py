@@ -1,0 +1,43 @@
+"""Declaration of the lists of samples, over all pairs: those that may touch in a step, and those that are traced."""
+
+import warp as wp
+
+from warp_rigid.kernels.declare import Field, layout
+
+NARROWPHASE = wp.get_module("warp_rigid.kernels.collide.narrowphase")
+"""Module of the kernels of the narrow phase. They are compiled together, as they share functions of distances."""
+
+NearSamples = layout(
+    "NearSamples",
+    "Samples that may touch in a step, of all pairs that are searched. A pair has a chain of batches in sample order.",
+    count=Field(int, "1", "", "number of near samples, also of those that do not fit"),
+    first=Field(int, "pairs", "", "first sample of the first batch of a pair, -1 if it has none"),
+    next=Field(int, "near_samples", "", "at the first sample of a batch: that of the pair's next batch, or -1"),
+    end=Field(int, "near_samples", "", "at the first sample of a batch: one past its last sample"),
+    pair=Field(int, "near_samples", "", "the sample's pair"),
+    key=Field(int, "near_samples", "", "identity: 2 * sample + side"),
+    position=Field(wp.vec3, "near_samples", "m", "contact point in the frame of the pair's second body"),
+    normal=Field(wp.vec3, "near_samples", "", "contact normal in the frame of the pair's second body"),
+    gap=Field(float, "near_samples", "m", "distance at the start of the step; FAR if the sample does not touch"),
+    closing=Field(int, "near_samples", "", "1 if the gap closes in the step"),
+)
+
+Suspects = layout(
+    "Suspects",
+    "Samples that continuous collision detection traces in a round, in any order.",
+    count=Field(int, "1", "", "number of samples, also of those that do not fit"),
+    pair=Field(int, "near_samples", "", "the sample's pair"),
+    side=Field(int, "near_samples", "", "0: sample of the pair's first body, 1: of the second one"),
+    sample=Field(int, "near_samples", "", "index of the sample; -1 for the centre of the body"),
+    begin=Field(float, "near_samples", "s", "the sample cannot penetrate before this time"),
+    allowed=Field(float, "near_samples", "m", "depth of penetration at which its body is stopped"),
+    reached_count=Field(int, "1", "", "number of bodies of traced pairs whose bounding sphere reaches the other body"),
+    reached=Field(int, "pairs, 2", "", "these bodies, in any order: 2 * pair + side"),
+    cluster_count=Field(int, "1", "", "number of clusters of these bodies that reach the other body"),
+    cluster=Field(int, "near_samples", "", "these clusters, in any order"),
+    cluster_body=Field(int, "near_samples", "", "the cluster's body: 2 * pair + side"),
+    cluster_begin=Field(float, "near_samples", "s", "time at which the cluster reaches the other body"),
+    impact=Field(
+        float, "pairs", "s", "of a traced pair: earliest time at which a sample is too deep, or the time step"
+    ),
+)

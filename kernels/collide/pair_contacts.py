@@ -1,0 +1,263 @@
+"""Contact choice: the touching samples of each pair are reduced to a few contacts (contact_reduction.py).
+
+Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
+each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
+made with the largest ball inside one body, which overlaps the other body only if the bodies overlap, or between a ball
+inside one body and a ball inside the other (ball_pairs.py). It also replaces contacts that show less than a third of
+its overlap.
+
+A team of lanes processes a pair. Touching samples are broadcast to all lanes in sample order, and each lane updates its
+own slots.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.collide.approach import Touch, smaller_approach, touch_of, travel
+from warp_rigid.kernels.collide.ball_pairs import ball_of, deepest_balls
+from warp_rigid.kernels.collide.contact_reduction import (
+    contradictory,
+    deepest_gap,
+    gap_weight,
+    keep_slots,
+    offer_sample,
+)
+from warp_rigid.kernels.collide.convex import is_solid
+from warp_rigid.kernels.collide.convex_pairs import check_by_axis
+from warp_rigid.kernels.collide.culling import out_of_box
+from warp_rigid.kernels.collide.distance import FAR, signed_distance
+from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
+from warp_rigid.kernels.collide.samples import MUCH_DEEPER, Search, gradient
+from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
+from warp_rigid.kernels.enums import PartKind
+from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, Motions, Pairs, Shapes, State
+from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+BY_CENTER = wp.constant(-2)
+"""Identity of the contact of the first body's inscribed sphere; that of the second body is one less."""
+
+BY_AXIS = wp.constant(-4)
+"""Identity of the contact of two convex bodies along the axis of their least overlap."""
+
+MOST_KEPT = wp.constant(PAIR_SLOTS)
+"""Maximum number of contacts of a pair."""
+
+
+@wp.func
+def broadcast_touch(touch: Touch, lane: int, lanes: int):
+    """The contact point of one lane, broadcast to the whole team."""
+    result = Touch()
+    for i in range(3):
+        result.position[i] = broadcast(touch.position[i], lane, lanes)
+        result.normal[i] = broadcast(touch.normal[i], lane, lanes)
+    result.gap = broadcast(touch.gap, lane, lanes)
+    return result
+
+
+@wp.func
+def touch_at(k: int, end: int, near: NearSamples):
+    """The contact point of a near sample; its gap is FAR beyond the end of the batch."""
+    touch = Touch()
+    touch.gap = FAR
+    if k < end:
+        touch.position = near.position[k]
+        touch.normal = near.normal[k]
+        touch.gap = near.gap[k]
+        touch.closing = near.closing[k]
+    return touch
+
+
+@wp.func
+def offer_touches(pair: int, key: int, touch: Touch, weight: float, size: float, lane: int, lanes: int, pairs: Pairs):
+    """Offer the contact points of all lanes to the slots of their patches, in the order of the lanes."""
+    hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
+    while hits != wp.uint32(0):
+        k = lowest_bit(hits)
+        hits = hits & (hits - wp.uint32(1))
+        hit = broadcast_touch(touch, k, lanes)
+        own_key = broadcast_integer(key, k, lanes)
+        offer_sample(pair, own_key, hit.position, hit.normal, hit.gap, weight, size, lane, lanes, pairs)
+
+
+@wp.func
+def has_exact_distance(shapes: Shapes, shape: int):
+    """Whether the distance outside a shape is exact everywhere: it consists of analytic parts."""
+    kind = shapes.parts[shapes.shapes[shape].part_start].kind
+    return shapes.shapes[shape].cell == 0.0 and kind != PartKind.HEIGHTFIELD
+
+
+@wp.func
+def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """The contact of the inner ball of a pair's first (side 0) or second (side 1) body.
+
+    If it penetrates the other body, the two bodies overlap. That of a convex body is about its centre of mass, and any
+    overlap with analytic parts counts; else its centre must be inside the other body. The gap is FAR if it is not
+    known: outside a grid the distance is only a bound.
+    """
+    own = wp.where(side == 0, a, b)
+    other = wp.where(side == 0, b, a)
+    shape = bodies.shape[own]
+    convex = shapes.shapes[shape].convex
+    query = bodies.center_of_mass[own]
+    x = motions.center[own]
+    inner = float(0.0)
+    radius = float(0.0)
+    evaluated = int(0)
+    if convex == 0:
+        ball = ball_of(0, shape, shapes)
+        query = wp.vec3(ball[0], ball[1], ball[2])
+        inner = ball[3]
+        x = wp.quat_rotate(state.orientation[own], query) + state.position[own]
+    placed = Search()
+    placed.query = wp.quat_rotate_inv(state.orientation[other], x - state.position[other])
+    placed.distance = FAR
+    while evaluated < 2:
+        # First the radius of the ball, then its distance from the other body.
+        # The grid of a mesh may be wrong by almost a cell: its triangles tell whether the centre is inside.
+        d = signed_distance(shapes, shape, query, wp.where(evaluated == 1, 0.0, -FAR))
+        if evaluated == 1 and (
+            d[3] < 0.0 or (is_solid(shapes, bodies.shape[own]) and has_exact_distance(shapes, shape))
+        ):
+            placed.direction = gradient(d)
+            placed.distance = d[3] - radius
+            placed.query -= radius * placed.direction
+        elif evaluated == 0:
+            radius = wp.where(convex == 1, -d[3], inner)
+        shape = bodies.shape[other]
+        query = placed.query
+        evaluated = wp.where(radius > 0.0 and not out_of_box(query, radius, shape, shapes), evaluated + 1, 2)
+    return touch_of(placed, side, other, state)
+
+
+@wp.func
+def keep_balls(
+    pair: int,
+    kept: int,
+    size: float,
+    lane: int,
+    lanes: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+):
+    """Replace the contacts of a deep overlap by that of an inner ball, if there is one.
+
+    The largest ball of a body replaces contacts that show much less than its overlap or, if they oppose each other, not
+    much more. Two balls replace whatever shows much less than their overlap. Contacts show an overlap of the contact
+    distance at least: a ball that touches the ground as the corners do is deeper by a rounding error.
+    """
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    shown = wp.where(kept == 0, 0.0, wp.min(deepest_gap(pair, pairs), -CONTACT_DISTANCE * size))
+    deepest = wp.where(contradictory(pair, pairs), 1.0 / MUCH_DEEPER, MUCH_DEEPER) * shown
+    key = int(0)
+    side = int(0)
+    while side < 2:
+        touch = center_inside(side, a, b, shapes, bodies, state, motions)
+        if touch.gap < deepest:
+            deepest = touch.gap
+            key = BY_CENTER - side
+        side += 1
+    shown = wp.where(key == 0, shown, deepest)
+    found = deepest_balls(a, b, MUCH_DEEPER * shown, lane, lanes, shapes, bodies, state)
+    key = wp.where(found == 0, key, found)
+    if key == 0:
+        return kept
+    if lane == 0:
+        pairs.kept[pair, 0] = key
+    return 1
+
+
+@wp.func
+def add_contact(pair: int, key: int, kept: int, lane: int, pairs: Pairs):
+    """Append a contact to those of a pair, in place of the last one if there are too many. Returns their number."""
+    place = wp.min(kept, MOST_KEPT - 1)
+    if lane == 0:
+        pairs.kept[pair, place] = key
+    return place + 1
+
+
+@wp.func
+def offer_near_samples(pair: int, weight: float, size: float, lane: int, lanes: int, near: NearSamples, pairs: Pairs):
+    """Offer all touching samples of a pair to the slots of their patches. Returns 1 if one of them closes."""
+    closing = int(0)
+    batch = near.first[pair]
+    while batch >= 0:
+        end = near.end[batch]
+        for start in range(batch, end, lanes):
+            touch = touch_at(start + lane, end, near)
+            closing |= touch.closing
+            offer_touches(pair, near.key[wp.min(start + lane, end - 1)], touch, weight, size, lane, lanes, pairs)
+        batch = near.next[batch]
+    return wp.where(ballot(closing, lanes) == wp.uint32(0), 0, 1)
+
+
+@wp.func
+def choose(
+    pair: int,
+    lane: int,
+    lanes: int,
+    dt: float,
+    size: float,
+    edges: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    near: NearSamples,
+    pairs: Pairs,
+):
+    """Choose the samples that become contacts of a pair. Returns the number of contacts, 0 if no sample closes."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    if lane == 0:
+        pairs.patch_count[pair] = 0
+    sync_warp(lanes)
+    weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
+    closing = offer_near_samples(pair, weight, size, lane, lanes, near, pairs)
+    sync_warp(lanes)
+    solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])
+    along = int(0)
+    if solid:
+        along = check_by_axis(pair, closing, lane, lanes, size, shapes, bodies, state, pairs)
+        sync_warp(lanes)
+    kept = int(keep_slots(pair, size, lane, lanes, pairs))
+    sync_warp(lanes)
+    kept *= closing
+    if along == 1:
+        return add_contact(pair, BY_AXIS, kept, lane, pairs)
+    if not solid:
+        kept = keep_balls(pair, kept, size, lane, lanes, shapes, bodies, state, motions, pairs)
+    return kept
+
+
+@wp.kernel(module=NARROWPHASE)
+def choose_contacts(
+    teams: int,
+    lanes: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    envs: Environments,
+    near: NearSamples,
+    pairs: Pairs,
+):
+    """The teams share the listed pairs: choose the samples that represent a pair's contact."""
+    lane = wp.tid() % lanes
+    for k in range(wp.tid() / lanes, pairs.candidate_count[0], teams):
+        pair = pairs.candidates[k]
+        a = pairs.body_a[pair]
+        size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
+        edges = envs.edge_samples[bodies.env[a]]
+        kept = choose(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, near, pairs)
+        if lane == 0:
+            approach = smaller_approach(pair, bodies, state, motions, pairs)
+            pairs.contact_count[pair] = kept
+            pairs.searched[pair] = edges + 1
+            pairs.searched_orientation[pair] = approach.turn
+            pairs.searched_position[pair] = approach.shift

@@ -1,0 +1,96 @@
+"""Heaps: the launches of the kernels that solve their pairs in rounds."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from warp_rigid.engine import teams
+from warp_rigid.kernels.common import team
+from warp_rigid.kernels.solve import impact_rounds, push_rounds, rounds
+
+ROUNDS_OF_A_GROUP = 6
+"""Rounds between two decisions on whether more follow."""
+
+
+class HeapStages:
+    """What the stages of a step launch for heaps, which exist in environments of many bodies only.
+
+    Args:
+        stages: the stages of the step.
+    """
+
+    def __init__(self, stages: Any) -> None:
+        """Launch nothing yet."""
+        self.model, self.envs, self.pools, self.motions = stages.model, stages.envs, stages.pools, stages.motions
+        self.dt, self.device, self.shared = stages.dt, stages.device, stages._shared
+        self.bodies, self.most_pairs = stages.rows, stages.pools.sizes["constraints"]
+
+    def list_pairs(self) -> None:
+        """List the pairs that are solved in rounds, and give them slots."""
+        pools, solved = self.pools, self.pools.rounds
+        self.shared(rounds.open_rounds, self.bodies, [0], [], [solved])
+        self.shared(rounds.open_slots, self.bodies, [], [], [pools.slots])
+        found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
+        self.shared(rounds.list_heaps, self.most_pairs, [], found, [solved, pools.slots])
+        self.shared(rounds.assign_slots, self.bodies, [], [], [pools.slots])
+        self._per_round_pair(rounds.place_pairs, solved, [], [pools.slots, pools.contacts])
+
+    def solve_impacts(self) -> None:
+        """Rounds of impacts, as many as the setting allows, until there are none."""
+        pools, hit = self.pools, self.pools.selected
+        changed = [self.motions, pools.contacts, pools.slots]
+
+        def find(done: int) -> None:
+            self.shared(rounds.open_rounds, self.bodies, [done], [], [hit])
+            inputs = [self.envs, pools.rounds, hit]
+            self.shared(impact_rounds.find_impacts, self.most_pairs, [self.dt], inputs, changed)
+
+        def solve() -> None:
+            self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], changed, [self.dt])
+            self.shared(rounds.finish_bodies, self.bodies, [], [pools.slots], [self.motions])
+            find(done=1)
+
+        find(done=0)
+        wp.capture_while(hit.again, solve)
+
+    def solve(self) -> None:
+        """Rounds: solve all pairs of heaps at once, until nothing changes."""
+        pools, solved = self.pools, self.pools.rounds
+        changed = [pools.slots, self.motions, pools.contacts]
+        self._per_round_pair(rounds.start_rounds, solved, [], changed)
+        self._repeat_rounds(rounds.solve_round, solved, [pools.contacts, pools.graph.residual])
+        self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph.rounds])
+        self.shared(rounds.finish_bodies, self.bodies, [], [pools.slots], [self.motions])
+
+    def push_out(self) -> None:
+        """Push-out of heaps, in rounds."""
+        model, pools, pushed = self.model, self.pools, self.pools.selected
+        self.shared(rounds.open_rounds, self.bodies, [0], [], [pushed])
+        inputs = [model.shapes, model.bodies, pools.pairs, self.motions, pools.contacts, pools.rounds]
+        found = [pushed, pools.slots]
+        self.shared(push_rounds.find_overlaps_in_heaps, self.most_pairs, [self.dt], inputs, found)
+        self.shared(push_rounds.share_masses, self.most_pairs, [], [], [pushed])
+        changed = [pools.slots, self.motions, pools.contacts]
+        self._repeat_rounds(push_rounds.push_round, pushed, [pools.contacts])
+        self._per_round_pair(push_rounds.finish_push, pushed, [], [*changed, pools.graph.push_out_rounds])
+        self.shared(push_rounds.store_push, self.bodies, [], [pushed, pools.slots], [self.motions])
+
+    def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
+        """Launch rounds in groups, until no environment needs another one."""
+        cuda = self.device.is_cuda
+        lanes = rounds.LANES if cuda else 1
+        count = min(self.most_pairs, teams.most_lanes(self.device) // lanes) if cuda else 1
+        block = team.SMALL_BLOCK if cuda else 1
+
+        def group() -> None:
+            for place in range(1, ROUNDS_OF_A_GROUP + 1):
+                inputs = [place, count, some, self.pools.slots, self.motions.solver_bodies]
+                wp.launch(kernel, count * lanes, inputs, changed, block_dim=block, device=self.device)
+            wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
+
+        wp.capture_while(some.again, group)
+
+    def _per_round_pair(self, kernel: Any, some: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:
+        """Launch a kernel whose threads share the pairs that are solved in rounds."""
+        self.shared(kernel, self.most_pairs, [*before], [*inputs, some], outputs)
