@@ -227,13 +227,18 @@ Motions = layout(
     radius=Field(float, "bodies", "m", "radius of the bounding sphere about the centre of mass"),
     role=Field(int, "bodies", "", "role in this step: absent, static, asleep, kinematic or free"),
     max_travel=Field(float, "bodies", "m", "largest displacement covered by the broad phase; limits the motion"),
-    time_of_impact=Field(float, "bodies", "", "time of impact of the previous round, as a fraction of the step"),
+    time_of_impact=Field(float, "bodies", "", "fraction of the step after the impacts of the previous round (ccd.py)"),
     next_time_of_impact=Field(
-        float, "bodies", "", "time of impact after the current round; the body rotates for this fraction of the step"
+        float, "bodies", "", "after the current round; the body rotates freely for this fraction of the step"
     ),
     course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the previous round"),
     next_course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the current round"),
+    shared_spin=Field(
+        wp.vec3, "bodies", "rad/s", "mean rotation with bodies that were hit, after the impacts of the previous round"
+    ),
+    next_shared_spin=Field(wp.vec3, "bodies", "rad/s", "the same after the impacts of the current round"),
     first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the current round (ccd.py)"),
+    changed=Field(int, "bodies", "", "1: the motion was changed by an impact of the previous round"),
     overlap=Field(float, "bodies", "m", "deepest of the deep overlaps; 0 outside a health check"),
 )
 

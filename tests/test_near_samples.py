@@ -82,8 +82,8 @@ def test_the_list_of_traced_samples_grows(device, monkeypatch):
         for sim in (roomy, tight):
             sim.step()
         stages = stages_of(roomy)
-        stages._per_body(ccd.limit_travel, [stages.dt], [stages.motions])
-        stages._limit_motion(turn=0)
+        stages._per_body(ccd.limit_travel, [stages.dt], [stages.motions, stages.pools.suspects])
+        stages._find_impacts()
         traced = max(traced, int(stages.pools.suspects.count.numpy()[0]))
         assert tight.get("position").tobytes() == roomy.get("position").tobytes()
         assert tight.get("orientation").tobytes() == roomy.get("orientation").tobytes()

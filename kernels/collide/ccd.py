@@ -4,18 +4,23 @@ The narrow phase finds contacts near the pose at the start of a step. Further al
 the normal of a contact is known. Therefore, before the bodies move, pairs whose motion in the step is large compared
 with the smaller of both sizes are traced with the velocities computed by the solver: first the bounding sphere of a
 body, then the bounding spheres of its clusters, then its samples and its centre, each against the signed distance of
-the other body (trace.py). From its time of impact on, a pair moves together for the rest of the step, with the slower
-of both velocities, and without rotation. The next step finds the contact there, with the true normal and the full
-speed, so that the bodies rebound correctly. If the bodies stopped instead, those that fall behind them in a heap would
-run into them: by up to 0.6 sizes where 4096 boxes land at 10 m/s with two steps per frame.
+the other body (trace.py). From its time of impact on, a pair moves as one body for the rest of the step, with the
+slowest motion that the two can share (course.py). The next step finds the contact there, with the true normal and the
+full speed, so that the bodies rebound correctly. If the bodies stopped instead, those that fall behind them in a heap
+would run into them: by up to 0.6 sizes where 4096 boxes land at 10 m/s with two steps per frame. If they did not rotate
+together, the slower one would leave its own contacts.
 """
 
 import warp as wp
 
+from warp_rigid.kernels.collide.advancement import impact_of_solids
+from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.course import (
     DEPTH,
     FAST,
     Course,
+    common_motion,
+    common_share,
     course_of,
     handled_gap,
     largest_motion,
@@ -45,8 +50,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 TURNS = wp.constant(2)
 """Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain."""
-TURNS_IN_CROWDS = wp.constant(4)
-"""Rounds in crowded environments, where heaps land: 4096 boxes then overlap half as much as with two rounds."""
+TURNS_IN_CROWDS = wp.constant(8)
+"""Rounds in crowded environments, where heaps land."""
 
 NO_IMPACT = wp.constant(wp.int64(2**62))
 """Value of `first_impact` without an impact; it is the time in units, times MOST_PAIRS, plus the pair otherwise."""
@@ -74,17 +79,43 @@ def may_touch(shapes: Shapes, a: Course, b: Course, dt: float):
     return not out_of_box(center, small.radius + largest_motion(a, b, dt), large.shape, shapes)
 
 
+@wp.func
+def rounds_of(env: int, envs: Environments):
+    """Maximum number of rounds in an environment."""
+    return wp.where(is_crowded(env, envs), TURNS_IN_CROWDS, TURNS)
+
+
 @wp.kernel
-def limit_travel(dt: float, motions: Motions):
+def limit_travel(dt: float, motions: Motions, suspects: Suspects):
     """One thread per body: limit its displacement to the distance covered by the broad phase. No body has been hit."""
     b = wp.tid()
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
     way = dt * wp.length(motions.solver_bodies[b].linear)
     share = wp.min(1.0, motions.max_travel[b] / wp.max(way, 1.0e-12))
-    motions.time_of_impact[b] = share
     motions.next_time_of_impact[b] = share
-    motions.course[b] = share * wp.where(moves, motions.solver_bodies[b].linear, wp.vec3(0.0, 0.0, 0.0))
+    motions.next_course[b] = share * wp.where(moves, motions.solver_bodies[b].linear, wp.vec3(0.0, 0.0, 0.0))
+    motions.next_shared_spin[b] = wp.vec3(0.0, 0.0, 0.0)
+    motions.changed[b] = 0
+    if b == 0:
+        suspects.round[0] = -1
+        suspects.again[0] = 1
+
+
+@wp.kernel
+def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
+    """One thread per body: a round starts from the result of the last one, with empty lists."""
+    b = wp.tid()
+    motions.time_of_impact[b] = motions.next_time_of_impact[b]
+    motions.course[b] = motions.next_course[b]
+    motions.shared_spin[b] = motions.next_shared_spin[b]
     motions.first_impact[b] = NO_IMPACT
+    if b == 0:
+        suspects.round[0] += 1
+        suspects.again[0] = 0
+        pairs.fast_count[0] = 0
+        suspects.count[0] = 0
+        suspects.reached_count[0] = 0
+        suspects.cluster_count[0] = 0
 
 
 @wp.func
@@ -104,7 +135,6 @@ def was_hit(a: int, b: int, first: Course, second: Course, size: float, dt: floa
 
 @wp.kernel
 def list_fast_pairs(
-    turn: int,
     threads: int,
     dt: float,
     shapes: Shapes,
@@ -112,18 +142,20 @@ def list_fast_pairs(
     state: State,
     motions: Motions,
     envs: Environments,
+    suspects: Suspects,
     pairs: Pairs,
 ):
     """The threads share the pairs: list those that must be traced, in any order.
 
-    A body that has been hit moves otherwise, so further rounds repeat the pairs of all bodies that were hit.
+    A body that is hit moves otherwise, so a further round traces the pairs of all bodies that the last one changed.
     """
+    turn = suspects.round[0]
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if turn >= TURNS and not is_crowded(bodies.env[a], envs):
+        if turn >= rounds_of(bodies.env[a], envs):
             continue
-        if turn == 0 or motions.time_of_impact[a] < 1.0 or motions.time_of_impact[b] < 1.0:
+        if turn == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
             size = traced_size(a, b, shapes, bodies)
             first = course_of(a, bodies, state, motions)
             second = course_of(b, bodies, state, motions)
@@ -134,35 +166,6 @@ def list_fast_pairs(
                 continue
             if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
-
-
-@wp.func
-def common_velocity(a: int, b: int, motions: Motions):
-    """The slowest velocity between those of two bodies, as a fraction of the way from the first to the second.
-
-    A kinematic body keeps its velocity.
-    """
-    if motions.role[a] == Role.KINEMATIC:
-        return 0.0
-    if motions.role[b] == Role.KINEMATIC:
-        return 1.0
-    apart = motions.course[a] - motions.course[b]
-    return wp.clamp(wp.dot(motions.course[a], apart) / wp.max(wp.length_sq(apart), 1.0e-30), 0.0, 1.0)
-
-
-@wp.func
-def note_impact(pair: int, a: int, b: int, t: float, motions: Motions):
-    """Note an impact at a fraction of the step: of both rotations, and of the bodies that change their velocity."""
-    common = common_velocity(a, b, motions)
-    impact = wp.int64(t * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
-    if motions.role[a] == Role.FREE:
-        wp.atomic_min(motions.next_time_of_impact, a, motions.time_of_impact[a] * t)
-        if common > 0.0:
-            wp.atomic_min(motions.first_impact, a, impact)
-    if motions.role[b] == Role.FREE:
-        wp.atomic_min(motions.next_time_of_impact, b, motions.time_of_impact[b] * t)
-        if common < 1.0:
-            wp.atomic_min(motions.first_impact, b, impact)
 
 
 @wp.func
@@ -182,6 +185,35 @@ def passage_of_body(
     own, other = courses_of(pair, side, bodies, state, motions, pairs)
     size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
     return own, other, passage_of(own, other, dt, size, pairs.contact_count[pair] > 0, shapes)
+
+
+@wp.func
+def are_solids(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
+    """Whether both bodies of a pair are convex solids."""
+    shape_a = bodies.shape[pairs.body_a[pair]]
+    return is_solid(shapes, shape_a) and is_solid(shapes, bodies.shape[pairs.body_b[pair]])
+
+
+@wp.kernel
+def advance_solids(
+    threads: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    pairs: Pairs,
+    suspects: Suspects,
+):
+    """The threads share the listed pairs: the time of impact of those of convex solids; `dt` for the others."""
+    for k in range(wp.tid(), pairs.fast_count[0], threads):
+        pair = pairs.fast[k]
+        t = dt
+        if are_solids(pair, shapes, bodies, pairs):
+            first, second = courses_of(pair, 0, bodies, state, motions, pairs)
+            size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
+            t = impact_of_solids(first, second, pairs.axis[pair], dt, size, shapes)
+        suspects.impact[pair] = t
 
 
 @wp.kernel
@@ -204,7 +236,8 @@ def list_reached(
         task.pair = pairs.fast[k / 2]
         task.side = k % 2
         task.lanes = 1
-        suspects.impact[task.pair] = dt
+        if are_solids(task.pair, shapes, bodies, pairs):
+            continue
         own, other, passage = passage_of_body(task.pair, task.side, dt, shapes, bodies, state, motions, pairs)
         if own.radius <= UNBOUNDED_EXTENT:
             body = ball_of(own, -1, shapes)
@@ -311,35 +344,41 @@ def trace_suspects(
 
 
 @wp.kernel
-def note_impacts(threads: int, dt: float, pairs: Pairs, suspects: Suspects, motions: Motions):
-    """The threads share the listed pairs: the first impact of each body."""
+def note_impacts(
+    threads: int, dt: float, bodies: Bodies, state: State, pairs: Pairs, suspects: Suspects, motions: Motions
+):
+    """The threads share the listed pairs: the first impact of each body whose motion it changes."""
     for k in range(wp.tid(), pairs.fast_count[0], threads):
         pair = pairs.fast[k]
         t = suspects.impact[pair]
         if t < dt:
-            note_impact(pair, pairs.body_a[pair], pairs.body_b[pair], t / dt, motions)
+            a = pairs.body_a[pair]
+            b = pairs.body_b[pair]
+            impact = wp.int64(t / dt * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
+            share = common_share(
+                a, b, course_of(a, bodies, state, motions), course_of(b, bodies, state, motions), motions
+            )
+            if motions.role[a] == Role.FREE and share > 0.0:
+                wp.atomic_min(motions.first_impact, a, impact)
+            if motions.role[b] == Role.FREE and share < 1.0:
+                wp.atomic_min(motions.first_impact, b, impact)
 
 
 @wp.kernel
-def change_courses(pairs: Pairs, motions: Motions):
-    """One thread per body: from its first impact on, it moves with the common velocity of both bodies."""
+def change_courses(
+    bodies: Bodies, state: State, envs: Environments, pairs: Pairs, motions: Motions, suspects: Suspects
+):
+    """One thread per body: from its first impact on, it moves with the other body. Whether another round follows."""
     b = wp.tid()
     impact = motions.first_impact[b]
-    course = motions.course[b]
-    if impact != NO_IMPACT:
-        pair = int(impact % MOST_PAIRS)
-        t = float(impact / MOST_PAIRS) / UNITS_OF_TIME
-        first = pairs.body_a[pair]
-        second = pairs.body_b[pair]
-        common = common_velocity(first, second, motions)
-        course = t * course + (1.0 - t) * wp.lerp(motions.course[first], motions.course[second], common)
-    motions.next_course[b] = course
-
-
-@wp.kernel
-def close_round(motions: Motions):
-    """One thread per body: the next round starts from the result of this one."""
-    b = wp.tid()
-    motions.time_of_impact[b] = motions.next_time_of_impact[b]
-    motions.course[b] = motions.next_course[b]
-    motions.first_impact[b] = NO_IMPACT
+    motions.changed[b] = wp.where(impact == NO_IMPACT, 0, 1)
+    if impact == NO_IMPACT:
+        return
+    pair = int(impact % MOST_PAIRS)
+    t = float(impact / MOST_PAIRS) / UNITS_OF_TIME
+    after = common_motion(b, pairs.body_a[pair], pairs.body_b[pair], bodies, state, motions)
+    motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
+    motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
+    motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
+    if suspects.round[0] + 1 < rounds_of(bodies.env[b], envs):
+        suspects.again[0] = 1

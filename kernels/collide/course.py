@@ -1,4 +1,9 @@
-"""Courses: the motion of two bodies within a step, with the velocities computed by the solver."""
+"""Courses: the motion of two bodies within a step, with the velocities computed by the solver.
+
+From an impact on, two bodies move as one: each point of either has a velocity between those that the two bodies have
+there. Of these motions it is the slowest one, so that a body at rest stops the other, and bodies that meet head-on both
+stop. A kinematic body keeps its motion.
+"""
 
 import warp as wp
 
@@ -15,6 +20,12 @@ FAST = wp.constant(0.25)
 
 DEPTH = wp.constant(0.02)
 """Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
+
+CLOSE_ENOUGH = wp.constant(2.0e-3)
+"""A trace or an advancement ends when the remaining distance is below this fraction of the smaller size."""
+
+TURNING_ARM = wp.constant(0.5)
+"""A rotation counts as the velocity at this fraction of the radius, which is close to the radius of gyration."""
 
 
 @wp.struct
@@ -62,8 +73,52 @@ def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
     course.shape = bodies.shape[b]
     course.linear = motions.course[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
-        course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular
+        course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular + motions.shared_spin[b]
     return course
+
+
+@wp.func
+def velocity_at(p: wp.vec3, course: Course):
+    """Velocity of a point that moves with a body [m/s]."""
+    return course.linear + wp.cross(course.angular, p - course.center)
+
+
+@wp.func
+def common_share(a: int, b: int, first: Course, second: Course, motions: Motions):
+    """Where the slowest motion of a pair lies between those of both bodies, as a fraction of the way to the second."""
+    if motions.role[a] == Role.KINEMATIC:
+        return 0.0
+    if motions.role[b] == Role.KINEMATIC:
+        return 1.0
+    middle = 0.5 * (first.center + second.center)
+    arm = TURNING_ARM * wp.min(first.radius, second.radius)
+    v = velocity_at(middle, first)
+    apart = v - velocity_at(middle, second)
+    turning = arm * (first.angular - second.angular)
+    along = wp.dot(v, apart) + arm * wp.dot(first.angular, turning)
+    return wp.clamp(along / wp.max(wp.length_sq(apart) + wp.length_sq(turning), 1.0e-30), 0.0, 1.0)
+
+
+@wp.func
+def common_motion(own: int, a: int, b: int, bodies: Bodies, state: State, motions: Motions):
+    """The motion of a body after an impact of a pair to which it belongs.
+
+    Unless the other one is kinematic, the body becomes no faster, so that chains of impacts come to an end.
+    """
+    first = course_of(a, bodies, state, motions)
+    second = course_of(b, bodies, state, motions)
+    share = common_share(a, b, first, second, motions)
+    after = course_of(own, bodies, state, motions)
+    arm = TURNING_ARM * after.radius
+    before = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
+    after.linear = wp.lerp(velocity_at(after.center, first), velocity_at(after.center, second), share)
+    after.angular = wp.lerp(first.angular, second.angular, share)
+    if motions.role[a] == Role.FREE and motions.role[b] == Role.FREE:
+        speed = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
+        slower = wp.min(1.0, wp.sqrt(before / wp.max(speed, 1.0e-30)))
+        after.linear *= slower
+        after.angular *= slower
+    return after
 
 
 @wp.func

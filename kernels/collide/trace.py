@@ -13,7 +13,7 @@ the time, and pairs have very different numbers of them.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.course import DEPTH, FAST, Course, Passage, closing_speed, place_at
+from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, FAST, Course, Passage, closing_speed, place_at
 from warp_rigid.kernels.collide.culling import matters, out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import Suspects
@@ -25,9 +25,6 @@ from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-
-CLOSE_ENOUGH = wp.constant(2.0e-3)
-"""A trace ends when the remaining distance is below this fraction of the smaller size."""
 
 ROUNDS = wp.constant(64)
 """Maximum rounds of a trace; a trace that needs more counts as touching at the point reached."""

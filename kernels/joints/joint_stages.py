@@ -296,6 +296,7 @@ def share_time_of_impact(dt: float, lanes: int, bodies: Bodies, state: State, mo
             motions.next_time_of_impact[b] = earliest
             if earliest < 1.0:
                 motions.next_course[b] = earliest * motions.solver_bodies[b].linear
+                motions.next_shared_spin[b] = wp.vec3(0.0, 0.0, 0.0)
     sync_team(team)
     close_joints(m, dt, team, bodies, state, motions, joints)
 

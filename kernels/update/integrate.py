@@ -261,7 +261,7 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     turning = wp.float64(dt * motions.next_time_of_impact[b])
     turn = precise(state.orientation[b], state.orientation_remainder[b])
     spin = wp.vec3d(motions.solver_bodies[b].angular) + wp.vec3d(state.angular_velocity_remainder[b])
-    push_turn = wp.float64(dt) * wp.vec3d(motions.solver_bodies[b].push_angular)
+    push_turn = wp.float64(dt) * wp.vec3d(motions.solver_bodies[b].push_angular + motions.next_shared_spin[b])
     missed = dt * (motions.solver_bodies[b].linear - motions.next_course[b])
     linear = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], missed)
     kept = rotate_by(turn, turning * spin)

@@ -323,11 +323,8 @@ class Stages:
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
-        self._per_body(ccd.limit_travel, [self.dt], [self.motions])
-        self._limit_motion(turn=0)
-        for turn in range(1, ccd.TURNS_IN_CROWDS if self.crowded else ccd.TURNS):
-            self._per_body(ccd.close_round, [], [self.motions])
-            self._limit_motion(turn)
+        self._per_body(ccd.limit_travel, [self.dt], [self.motions, self.pools.suspects])
+        wp.capture_while(self.pools.suspects.again, self._find_impacts)
         self.joints.limit_motion()
 
     @stage
@@ -473,21 +470,22 @@ class Stages:
             device=self.device,
         )
 
-    def _limit_motion(self, turn: int) -> None:
-        """One round of continuous collision detection: over all pairs, or again over those of bodies that were hit."""
-        pools, pairs, suspects = self.pools, self.pools.pairs, self.pools.suspects
+    def _find_impacts(self) -> None:
+        """One round of continuous collision detection: over all pairs, or over those of bodies that were hit."""
+        model, pools, pairs, suspects = self.model, self.pools, self.pools.pairs, self.pools.suspects
         size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
-        pairs.fast_count.zero_()
-        for count in (suspects.count, suspects.reached_count, suspects.cluster_count):
-            count.zero_()
-        self._shared(ccd.list_fast_pairs, size, [turn], [*self.moving, self.envs], [pairs])
+        self._per_body(ccd.open_round, [pairs], [self.motions, suspects])
+        self._shared(ccd.list_fast_pairs, size, [], [*self.moving, self.envs, suspects], [pairs])
+        self._shared(ccd.advance_solids, size, [], [*self.moving, pairs], [suspects])
         self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
         self._share(ccd.list_clusters, 2 * size, teams.TRACE_LANES, [], [*self.moving, pairs], [suspects])
         inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
         self._share(ccd.list_suspects, samples, teams.LOOK_LANES, before, inputs, outputs)
         self._shared(ccd.trace_suspects, samples, before, inputs, outputs)
-        self._shared(ccd.note_impacts, size, [], [self.dt, pairs, suspects], [self.motions])
-        self._per_body(ccd.change_courses, [pairs], [self.motions])
+        inputs = [self.dt, model.bodies, self.state, pairs, suspects]
+        self._shared(ccd.note_impacts, size, [], inputs, [self.motions])
+        inputs = [model.bodies, self.state, self.envs, pairs]
+        self._per_body(ccd.change_courses, inputs, [self.motions, suspects])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
