@@ -20,7 +20,7 @@ PYTEST := $(BIN)/python -m pytest -q
 OTHER_PYTHONS := 3.12 3.13
 PART := public_names packaging simulator determinism cli sweep_files usd_export viewer_parts
 # One worker a core; the tests of a file stay together, for they share what is costly to make.
-WORKERS := -n auto --dist loadfile
+WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-all other-pythons other-python-test frameworks browser-test fuzz dist pins validate lint docs format clean
 
