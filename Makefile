@@ -19,8 +19,8 @@ PYTEST := $(BIN)/python -m pytest -q
 # Besides the version of PYTHON; the tests are those of files that use most of the standard library and the dependencies.
 OTHER_PYTHONS := 3.12 3.13
 PART := public_names packaging simulator determinism cli sweep_files usd_export viewer_parts
-# One worker a core; the tests of a file stay together, for they share what is costly to make.
-WORKERS := -n auto --dist loadfile
+# One worker a core; the tests of a file stay together, for they share what is costly to make. The longest files first.
+WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-all other-pythons other-python-test frameworks browser-test fuzz dist pins validate lint docs format clean
 
@@ -31,7 +31,8 @@ demo: $(READY)
 		--picture $(OUT)/box_stack.png --contact-sheet $(OUT)/box_stack_sheet.png
 	@echo "next: $(BIN)/warp-rigid view seesaw"
 
-# The tests that every change must pass: about 4 minutes on 2 cores. Tests that measure time run last, alone.
+# The tests that every change must pass. The longest compiles the joints' kernels for a GPU: about 3 minutes of one core.
+# Tests that measure time run last, alone.
 test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) $(WORKERS) -m "not long and not quiet"; others=$$?; \
 	$(PYTEST) -m "quiet and not long" && exit $$others

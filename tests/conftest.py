@@ -5,6 +5,7 @@ simulation takes the cores of another worker's. All kernels are compiled before 
 workers compile the same one.
 """
 
+import functools
 import os
 import subprocess
 import sys
@@ -14,6 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 MOST_WORKERS = 4
 """More workers need 1.5 GB of memory each and gain little: the longest files take a tenth of the whole time each."""
+
+LONGEST = ("ahead_of_time", "fuzz", "validation", "worlds", "convex", "readme", "startup", "sweep_costs", "usd_scene")
+"""Files that take longest, in this order: the workers begin with them, so that none is left for one worker alone."""
 
 
 def keep_to_own_cores():
@@ -51,6 +55,43 @@ def pytest_sessionstart(session):
         done = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL)
         if done.returncode:
             pytest.exit("the kernels do not compile", returncode=done.returncode)
+
+
+def untraced(function):
+    """Pause the thread's coverage while a function of another package runs."""
+
+    @functools.wraps(function)
+    def call(*arguments, **options):
+        tracer = sys.gettrace()
+        if not hasattr(tracer, "stop"):
+            return function(*arguments, **options)
+        tracer.stop()
+        try:
+            return function(*arguments, **options)
+        finally:
+            tracer.start()
+
+    return call
+
+
+def pytest_configure(config):
+    """Let coverage not follow Warp's own lines: it counts none of them, and that doubled the time of the tests."""
+    if config.pluginmanager.hasplugin("_cov"):
+        for owner, names in ((wp, ("launch", "zeros", "copy", "clone")), (wp.array, ("__init__", "zero_", "numpy"))):
+            for name in names:
+                setattr(owner, name, untraced(getattr(owner, name)))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Leave out the short form of a test whose long form is run as well, and begin with the longest files."""
+    long_ones = {item.function for item in items if item.get_closest_marker("long")}
+    repeated = [item for item in items if item.get_closest_marker("short") and item.function in long_ones]
+    if repeated:
+        config.hook.pytest_deselected(items=repeated)
+        items[:] = [item for item in items if item not in repeated]
+    place = {f"test_{name}": number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 @pytest.fixture(params=[str(device) for device in wp.get_devices()])

@@ -26,7 +26,13 @@ def kernels_of(name):
     return set(wp.get_module(MODULES[name].__name__).kernels)
 
 
-@pytest.mark.parametrize("ptx", [True, pytest.param(False, marks=pytest.mark.long)], ids=["compiled", "assembled"])
+@pytest.mark.parametrize(
+    "ptx",
+    [
+        pytest.param(True, marks=pytest.mark.short, id="compiled"),
+        pytest.param(False, marks=pytest.mark.long, id="assembled"),
+    ],
+)
 @pytest.mark.parametrize("name", [name for name in NAMES if kernels_of(name)])
 def test_module_compiles_for_compute_capability_90(name, ptx, tmp_path):
     """To PTX, and also to the code of the GPU, which takes up to a minute for the largest module."""

@@ -14,7 +14,15 @@ from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.usd.check import check_usd
 
-SMALL = {"bunny_pile": {"bodies": 2}, "carpet": {}, "bone_pile": {}, "rings_on_poles": {}}
+SMALL = {
+    "bunny_pile": {"bodies": 2},
+    "domino_spiral": {"dominoes": 12},
+    "wrecking_ball": {"rows": 3, "pyramids": 1},
+    "chain": {"links": 12},
+    "bridge": {"planks": 10},
+    "ragdolls": {"dolls": 1},
+    "demolition": {"rows": 5, "columns": 4},
+}
 """Sizes of scenes that would take long otherwise; the kinds of bodies stay the same."""
 
 EVERY_KIND_OF_SHAPE = ("showcase", "skull_and_brain", "terrain")

@@ -82,6 +82,7 @@ class Stage:
 
     def press(self, key):
         """A key, with nothing focused that would take it."""
+        self.done()
         self.page.evaluate("document.activeElement && document.activeElement.blur()")
         self.page.keyboard.press(key)
 
@@ -107,20 +108,42 @@ class Stage:
         row = self.page.get_by_text(label, exact=True).locator(f"xpath=ancestor::*[descendant::{kind}][1]")
         return row.locator(kind)
 
+    def until_shown(self, label, field):
+        """Wait until the viewer has done what was asked before, and the page shows its value of a control.
+
+        Without it, a value that is still under way to the page could replace what the test enters.
+        """
+        self.done()
+        widgets = self.viewer.server.gui._gui_input_handle_from_uuid.values()
+        # Two tabs may have a control of the same name; the page holds only those of the open tab.
+        named = [widget for widget in widgets if widget.label == label]
+        (widget,) = (one for one in named if self.page.locator(f"[id='{one._impl.uuid}']").count())
+        kind = type(widget.value)
+
+        def shown():
+            return field.is_checked() if kind is bool else kind(field.input_value() or 0)
+
+        self.until(lambda: shown() == widget.value, f"the page shows {label} = {widget.value}")
+
     def type_number(self, label, value):
         """A number into the field beside a slider."""
         field = self.control(label).last
+        self.until_shown(label, field)
         field.fill(str(value))
         field.press("Enter")
 
     def choose(self, label, option):
         """An entry of a menu."""
-        self.control(label).first.click()
+        field = self.control(label).first
+        self.until_shown(label, field)
+        field.click()
         self.page.get_by_role("option", name=option, exact=True).click()
 
     def check(self, label):
         """Turn a switch over."""
-        self.control(label).first.click()
+        field = self.control(label).first
+        self.until_shown(label, field)
+        field.click()
 
     def shot(self):
         """The 3-D view as numbers, (height, width, 3)."""

@@ -25,6 +25,7 @@ def test_keys_load_the_six_scenes_and_each_runs_and_is_drawn(stage):
         live.until(lambda: live.session.time > 0.2, f"{name} runs")
         live.press("Space")
         live.until(lambda: not live.session.running, "Space pauses")
+        live.until_shown("Scene", live.control("Scene").first)
         live.page.wait_for_timeout(300)
         picture = live.shot()
         assert picture.std(axis=(0, 1)).max() > 8.0, f"{name} shows a blank page"
@@ -115,7 +116,7 @@ def test_click_pushes_the_body_that_is_hit_and_drag_pulls_it(stage):
     live.tab("Touch")
     live.until(lambda: "pushed small with 10 N s" in live.page.inner_text("body"), "the page tells the impulse")
     live.press("r")
-    live.press("Space")
+    # Paused: a slow page takes hold later than the mouse went down, and the body must still be there.
     x, y = live.on_screen(session.sim.get("position")[0, small])
     live.page.mouse.move(x, y)
     live.page.mouse.down()
@@ -123,6 +124,7 @@ def test_click_pushes_the_body_that_is_hit_and_drag_pulls_it(stage):
         live.page.mouse.move(x, y - 6.0 * part)
         live.page.wait_for_timeout(60)
     live.until(lambda: session.pull_ends is not None, "the drag holds the body")
+    live.press("Space")
     live.until(lambda: session.sim.get("position")[0, small, 2] > 0.75, "the body is lifted")
     live.page.mouse.up()
     live.until(lambda: session.pull_ends is None, "letting go releases it")
@@ -201,6 +203,8 @@ def test_a_batch_shows_all_or_one_environment(stage):
     live.until(lambda: list(live.viewer.rows) == [2], "and the last one")
     live.type_number("Friction", 0.33)
     live.until(lambda: np.allclose(live.session.sim.get("friction")[2], 0.33), "a change applies to the one shown")
+    live.until_shown("Friction", live.control("Friction").last)
+    assert live.control("Friction").last.input_value() == "0.33"
     assert not np.allclose(live.session.sim.get("friction")[0], 0.33)
 
 

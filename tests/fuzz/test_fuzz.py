@@ -14,7 +14,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from tests.fuzz import harness
 
 GIVEN_CASES = int(os.environ.get("FUZZ_CASES", "0"))
-CASES = [GIVEN_CASES] if GIVEN_CASES else [300, pytest.param(1500, marks=pytest.mark.long)]
+SHORT, LONG = pytest.param(300, marks=pytest.mark.short), pytest.param(1500, marks=pytest.mark.long)
+CASES = [GIVEN_CASES] if GIVEN_CASES else [SHORT, LONG]
 MODULES = sorted({p.stem for p in Path(__file__).parent.glob("*.py")} - {"harness", "test_fuzz", "test_corpus"})
 TARGETS = [target for name in MODULES for target in import_module(f"tests.fuzz.{name}").TARGETS]
 

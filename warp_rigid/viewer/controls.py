@@ -3,6 +3,7 @@
 import inspect
 import logging
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,13 @@ ROUNDING = 1.0e-9
 log = logging.getLogger(__name__)
 
 
-def accept_checked_messages(server: viser.ViserServer) -> None:
-    """Let a server handle only messages that the viewer's page sends, and only checked values and cameras."""
+def accept_checked_messages(server: viser.ViserServer, inputs: threading.RLock) -> None:
+    """Let a server handle only messages that the viewer's page sends, and only checked values and cameras.
+
+    Args:
+        server: which.
+        inputs: held while a control takes a value from the page and while its callbacks that are coroutines run.
+    """
     connection, gui = server._websock_server, server.gui
     for kind in tuple(connection._incoming_handlers):
         if kind not in ACCEPTED:
@@ -40,7 +46,9 @@ def accept_checked_messages(server: viser.ViserServer) -> None:
             widget = gui._gui_input_handle_from_uuid.get(message.uuid)
             if widget is not None:
                 check_update(widget, message.updates)
-                await gui._handle_gui_updates(client_id, message)
+                # Those who hold it do not wait for this thread.
+                with inputs:
+                    await gui._handle_gui_updates(client_id, message)
         except Exception as error:
             _refuse(server, client_id, widget, error)
 

@@ -1,6 +1,7 @@
 """Controls of the live page. They queue requests, which the viewer's thread executes."""
 
 import math
+from collections import Counter
 from functools import partial
 from typing import Any
 
@@ -68,6 +69,7 @@ class Panel:
         self._gui = viewer.server.gui
         self._contact_iterations = 10
         self._widgets: dict[str, Any] = {}
+        self._waiting: Counter[str] = Counter()  # changes by the page that are queued, per control
         self._add_player()
         self.hud = Hud(viewer.server)
         tabs = self._gui.add_tab_group()
@@ -297,11 +299,19 @@ class Panel:
     def _add(self, name: str, widget: Any) -> None:
         self._widgets[name] = widget
 
+        # A coroutine is called before the program can set the control again; a function would be called later.
         @widget.on_update
-        def _(event) -> None:
+        async def _(event) -> None:
             # What the program sets itself comes back without a client.
             if event.client is not None:
-                self._viewer.ask(self._changed, name, widget.value)
+                self._waiting[name] += 1
+                self._viewer.ask(self._execute, name, widget.value)
+
+    def _execute(self, name: str, value: Any) -> None:
+        """Execute a queued change by the page."""
+        with self._viewer.server.inputs:
+            self._waiting[name] -= 1
+        self._changed(name, value)
 
     def _changed(self, name: str, value: Any) -> None:
         """Execute the request of a control; called by the viewer's thread.
@@ -336,8 +346,10 @@ class Panel:
             viewer.option(name, value)
 
     def _set(self, name: str, value: Any) -> None:
-        if self._widgets[name].value != value:
-            self._widgets[name].value = value
+        """Show a value, unless the page has changed it meanwhile: the change is queued and will take effect."""
+        with self._viewer.server.inputs:
+            if not self._waiting[name] and self._widgets[name].value != value:
+                self._widgets[name].value = value
 
     def _options(self, name: str, options: list[str], value: str | None) -> None:
         widget = self._widgets[name]

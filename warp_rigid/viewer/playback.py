@@ -112,8 +112,9 @@ class FilmViewer:
         wire = gui.add_checkbox("Wireframe", False)
         play = gui.add_command("Play or pause", hotkey="space")
 
+        # A coroutine is called before the next frame sets the slider.
         @self._scrubber.on_update
-        def _(event) -> None:
+        async def _(event) -> None:
             if event.client is not None:
                 self.seek(int(self._scrubber.value))
 

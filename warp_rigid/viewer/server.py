@@ -42,6 +42,9 @@ class CheckedServer(viser.ViserServer):
         host: address to listen on.
         port: the first to try.
 
+    Attributes:
+        inputs: lock, held while a control takes a value from the page and while its callbacks that are coroutines run.
+
     Raises:
         ValueError: No port from `port` on is free, or the host is not an address of this machine.
         RuntimeError: The installed viser starts in a way that cannot be checked.
@@ -56,7 +59,8 @@ class CheckedServer(viser.ViserServer):
         if not checks.installed:
             self.stop()
             raise RuntimeError(f"viser {viser.__version__}: its connections cannot be checked; viser 1.1.1 works")
-        accept_checked_messages(self)
+        self.inputs = threading.RLock()
+        accept_checked_messages(self, self.inputs)
 
     @property
     def url(self) -> str:
