@@ -233,6 +233,11 @@ Motions = layout(
     ),
     course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the previous round"),
     next_course=Field(wp.vec3, "bodies", "m/s", "mean velocity over the step after the impacts of the current round"),
+    onward=Field(
+        wp.vec3, "bodies", "m/s", "velocity with which the body would move without rotation: `course`, or its mean"
+    ),
+    joined=Field(int, "bodies", "", "1: the body stops together with others of its mechanism"),
+    turned=Field(int, "bodies", "", "1: its motion was changed in the previous round, or this is the first one"),
     first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the current round (ccd.py)"),
     overlap=Field(float, "bodies", "m", "deepest of the deep overlaps; 0 outside a health check"),
 )

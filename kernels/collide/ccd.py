@@ -48,6 +48,9 @@ TURNS = wp.constant(2)
 TURNS_IN_CROWDS = wp.constant(4)
 """Rounds in crowded environments, where heaps land: 4096 boxes then overlap half as much as with two rounds."""
 
+TURNS_OF_MECHANISMS = wp.constant(8)
+"""Rounds in environments with joints: mechanisms that fall with another one stop one after the other."""
+
 NO_IMPACT = wp.constant(wp.int64(2**62))
 """Value of `first_impact` without an impact; it is the time in units, times MOST_PAIRS, plus the pair otherwise."""
 MOST_PAIRS = wp.constant(wp.int64(2**31))
@@ -84,6 +87,9 @@ def limit_travel(dt: float, motions: Motions):
     motions.time_of_impact[b] = share
     motions.next_time_of_impact[b] = share
     motions.course[b] = share * wp.where(moves, motions.solver_bodies[b].linear, wp.vec3(0.0, 0.0, 0.0))
+    motions.onward[b] = motions.course[b]
+    motions.joined[b] = 0
+    motions.turned[b] = 1
     motions.first_impact[b] = NO_IMPACT
 
 
@@ -102,6 +108,14 @@ def was_hit(a: int, b: int, first: Course, second: Course, size: float, dt: floa
     return relative_motion(change_of(a, first, state), change_of(b, second, state), dt) > DEPTH * size
 
 
+@wp.func
+def turns_of(env: int, envs: Environments):
+    """Rounds of impacts in an environment."""
+    if envs.passive[env] == 0:
+        return TURNS_OF_MECHANISMS
+    return wp.where(is_crowded(env, envs), TURNS_IN_CROWDS, TURNS)
+
+
 @wp.kernel
 def list_fast_pairs(
     turn: int,
@@ -116,14 +130,14 @@ def list_fast_pairs(
 ):
     """The threads share the pairs: list those that must be traced, in any order.
 
-    A body that has been hit moves otherwise, so further rounds repeat the pairs of all bodies that were hit.
+    A body that has been hit moves otherwise, so a further round repeats the pairs of all bodies hit in the last one.
     """
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if turn >= TURNS and not is_crowded(bodies.env[a], envs):
+        if turn >= turns_of(bodies.env[a], envs):
             continue
-        if turn == 0 or motions.time_of_impact[a] < 1.0 or motions.time_of_impact[b] < 1.0:
+        if motions.turned[a] == 1 or motions.turned[b] == 1:
             size = traced_size(a, b, shapes, bodies)
             first = course_of(a, bodies, state, motions)
             second = course_of(b, bodies, state, motions)
@@ -146,8 +160,23 @@ def common_velocity(a: int, b: int, motions: Motions):
         return 0.0
     if motions.role[b] == Role.KINEMATIC:
         return 1.0
-    apart = motions.course[a] - motions.course[b]
-    return wp.clamp(wp.dot(motions.course[a], apart) / wp.max(wp.length_sq(apart), 1.0e-30), 0.0, 1.0)
+    apart = motions.onward[a] - motions.onward[b]
+    return wp.clamp(wp.dot(motions.onward[a], apart) / wp.max(wp.length_sq(apart), 1.0e-30), 0.0, 1.0)
+
+
+@wp.func
+def time_of(impact: wp.int64):
+    """Time of an impact in `first_impact`, as a fraction of the step."""
+    return float(impact / MOST_PAIRS) / UNITS_OF_TIME
+
+
+@wp.func
+def velocity_after(impact: wp.int64, pairs: Pairs, motions: Motions):
+    """The common velocity of both bodies after an impact in `first_impact`."""
+    pair = int(impact % MOST_PAIRS)
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    return wp.lerp(motions.onward[a], motions.onward[b], common_velocity(a, b, motions))
 
 
 @wp.func
@@ -327,12 +356,8 @@ def change_courses(pairs: Pairs, motions: Motions):
     impact = motions.first_impact[b]
     course = motions.course[b]
     if impact != NO_IMPACT:
-        pair = int(impact % MOST_PAIRS)
-        t = float(impact / MOST_PAIRS) / UNITS_OF_TIME
-        first = pairs.body_a[pair]
-        second = pairs.body_b[pair]
-        common = common_velocity(first, second, motions)
-        course = t * course + (1.0 - t) * wp.lerp(motions.course[first], motions.course[second], common)
+        t = time_of(impact)
+        course = t * course + (1.0 - t) * velocity_after(impact, pairs, motions)
     motions.next_course[b] = course
 
 
@@ -340,6 +365,9 @@ def change_courses(pairs: Pairs, motions: Motions):
 def close_round(motions: Motions):
     """One thread per body: the next round starts from the result of this one."""
     b = wp.tid()
+    stops = motions.next_time_of_impact[b] < motions.time_of_impact[b]
+    motions.turned[b] = wp.where(stops or not (motions.next_course[b] == motions.course[b]), 1, 0)
     motions.time_of_impact[b] = motions.next_time_of_impact[b]
     motions.course[b] = motions.next_course[b]
+    motions.onward[b] = motions.next_course[b]
     motions.first_impact[b] = NO_IMPACT

@@ -16,10 +16,20 @@ FAST = wp.constant(0.25)
 DEPTH = wp.constant(0.02)
 """Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
 
+DEPTH_OF_CONTACTS = wp.constant(0.1)
+"""The same for samples of touching bodies one of which is joined to others.
+
+They are left to the solver and the push-out. All bodies of a mechanism stop together; at a smaller depth, a heap of
+mechanisms that fold up would stop in nearly every step.
+"""
+
 
 @wp.struct
 class Course:
-    """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass."""
+    """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass.
+
+    `joined`: 1 if it is a body of a mechanism.
+    """
 
     center: wp.vec3
     turn: wp.quat
@@ -28,6 +38,7 @@ class Course:
     angular: wp.vec3
     radius: float
     shape: int
+    joined: int
 
 
 @wp.struct
@@ -61,6 +72,7 @@ def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
     course.radius = motions.radius[b]
     course.shape = bodies.shape[b]
     course.linear = motions.course[b]
+    course.joined = motions.joined[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
         course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular
     return course
@@ -142,6 +154,8 @@ def handled_gap(own: Course, other: Course, dt: float, size: float, touching: bo
     """Samples of a body that start closer to the other are handled by the solver [m]; `touching`: it has contacts."""
     if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST * size:
         return NEAR * wp.min(size, shapes.shapes[other.shape].wall)
+    if touching and own.joined + other.joined > 0:
+        return DEPTH_OF_CONTACTS * size
     return DEPTH * size
 
 

@@ -318,17 +318,19 @@ class Stages:
         self._color_by_color(push_out.push_apart)
         if self.crowded:
             self.heaps.push_out()
-        self.joints.settle(after_push=1)
+        self.joints.push_out()
 
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
+        self.joints.join_courses()
         self._limit_motion(turn=0)
-        for turn in range(1, ccd.TURNS_IN_CROWDS if self.crowded else ccd.TURNS):
+        for turn in range(1, self._turns()):
             self._per_body(ccd.close_round, [], [self.motions])
+            self.joints.join_courses()
             self._limit_motion(turn)
-        self.joints.limit_motion()
+        self.joints.close_stopped()
 
     @stage
     def integrate_positions(self) -> None:
@@ -473,6 +475,12 @@ class Stages:
             device=self.device,
         )
 
+    def _turns(self) -> int:
+        """Rounds of continuous collision detection: the most that any environment needs."""
+        if self.joints.present:
+            return ccd.TURNS_OF_MECHANISMS
+        return ccd.TURNS_IN_CROWDS if self.crowded else ccd.TURNS
+
     def _limit_motion(self, turn: int) -> None:
         """One round of continuous collision detection: over all pairs, or again over those of bodies that were hit."""
         pools, pairs, suspects = self.pools, self.pools.pairs, self.pools.suspects
@@ -488,6 +496,7 @@ class Stages:
         self._shared(ccd.trace_suspects, samples, before, inputs, outputs)
         self._shared(ccd.note_impacts, size, [], [self.dt, pairs, suspects], [self.motions])
         self._per_body(ccd.change_courses, [pairs], [self.motions])
+        self.joints.share_impacts()
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
