@@ -249,6 +249,7 @@ Environments = layout(
     friction_rule=Field(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
     restitution_rule=Field(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
     out_of_bounds=Field(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
+    impact_rounds=Field(int, "envs", "", "rounds of continuous collision detection"),
     lower=Field(wp.vec3, "envs", "m", "lower corner of the bounds"),
     upper=Field(wp.vec3, "envs", "m", "upper corner of the bounds"),
     gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),

@@ -34,7 +34,6 @@ from warp_rigid.kernels.collide.trace import (
     trace_ball,
     trace_suspect,
 )
-from warp_rigid.kernels.common.crowd import is_crowded
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -48,8 +47,10 @@ TURNS = wp.constant(2)
 TURNS_IN_CROWDS = wp.constant(4)
 """Rounds in crowded environments, where heaps land: 4096 boxes then overlap half as much as with two rounds."""
 
-TURNS_OF_MECHANISMS = wp.constant(8)
-"""Rounds in environments with joints: mechanisms that fall with another one stop one after the other."""
+TURNS_OF_A_MECHANISM = wp.constant(2)
+MOST_TURNS = wp.constant(8)
+"""Rounds for each mechanism of an environment, and the most rounds: mechanisms that fall together stop one after the
+other, and each stop changes the motion of all bodies of a mechanism."""
 
 NO_IMPACT = wp.constant(wp.int64(2**62))
 """Value of `first_impact` without an impact; it is the time in units, times MOST_PAIRS, plus the pair otherwise."""
@@ -108,14 +109,6 @@ def was_hit(a: int, b: int, first: Course, second: Course, size: float, dt: floa
     return relative_motion(change_of(a, first, state), change_of(b, second, state), dt) > DEPTH * size
 
 
-@wp.func
-def turns_of(env: int, envs: Environments):
-    """Rounds of impacts in an environment."""
-    if envs.passive[env] == 0:
-        return TURNS_OF_MECHANISMS
-    return wp.where(is_crowded(env, envs), TURNS_IN_CROWDS, TURNS)
-
-
 @wp.kernel
 def list_fast_pairs(
     turn: int,
@@ -135,7 +128,7 @@ def list_fast_pairs(
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if turn >= turns_of(bodies.env[a], envs):
+        if turn >= envs.impact_rounds[bodies.env[a]]:
             continue
         if motions.turned[a] == 1 or motions.turned[b] == 1:
             size = traced_size(a, b, shapes, bodies)

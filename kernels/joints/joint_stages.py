@@ -4,7 +4,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.ccd import NO_IMPACT, time_of, velocity_after
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
-from warp_rigid.kernels.common.team import Team, any_of_team, single_lane, sync_team, team_of
+from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
@@ -267,9 +267,11 @@ def push_joined(
     env = team.env
     if graph.overlapping[env] == 0 or any_touched(team, joints) == 0:
         return
-    for m in range(joints.first_mechanism[env] + team.lane, joints.first_mechanism[env + 1], lanes):
+    part = part_of_team(team, MECHANISM_LANES)
+    first = joints.first_mechanism[env] + team.lane / part.lanes
+    for m in range(first, joints.first_mechanism[env + 1], team.lanes / part.lanes):
         if needs_solution(m, joints):
-            project(m, PUSH, single_lane(), motions, joints)
+            project(m, PUSH, part, motions, joints)
     sync_team(team)
     choose_turns(envs.first_body[env], envs.first_body[env + 1], team, order, graph, motions, joints)
     left = int(PUSH_OUT_SWEEPS)

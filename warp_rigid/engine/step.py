@@ -13,7 +13,7 @@ from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.heaps import HeapStages
 from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.layout import KINDS
-from warp_rigid.engine.model import Model
+from warp_rigid.engine.model import Model, impact_rounds
 from warp_rigid.engine.pools import Pools
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
@@ -98,6 +98,7 @@ class Stages:
         self.num_envs, self.rows = layout.num_envs, layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
         self.crowded = layout.most_bodies > crowd.CROWDED
+        self.impact_rounds = max(map(impact_rounds, layout.scenes))
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
         self.search = teams.search_teams(layout.has_many_samples)
         self.blocks = loading.blocks_of_searches(self.search.block)
@@ -326,7 +327,7 @@ class Stages:
         self._per_body(ccd.limit_travel, [self.dt], [self.motions])
         self.joints.join_courses()
         self._limit_motion(turn=0)
-        for turn in range(1, self._turns()):
+        for turn in range(1, self.impact_rounds):
             self._per_body(ccd.close_round, [], [self.motions])
             self.joints.join_courses()
             self._limit_motion(turn)
@@ -474,12 +475,6 @@ class Stages:
             outputs=[start],
             device=self.device,
         )
-
-    def _turns(self) -> int:
-        """Rounds of continuous collision detection: the most that any environment needs."""
-        if self.joints.present:
-            return ccd.TURNS_OF_MECHANISMS
-        return ccd.TURNS_IN_CROWDS if self.crowded else ccd.TURNS
 
     def _limit_motion(self, turn: int) -> None:
         """One round of continuous collision detection: over all pairs, or again over those of bodies that were hit."""
