@@ -237,6 +237,8 @@ Motions = layout(
         wp.vec3, "bodies", "rad/s", "mean rotation with bodies that were hit, after the impacts of the previous round"
     ),
     next_shared_spin=Field(wp.vec3, "bodies", "rad/s", "the same after the impacts of the current round"),
+    onward=Field(wp.vec3, "bodies", "m/s", "mean velocity with which the body's mechanism would move on"),
+    joined=Field(int, "bodies", "", "1: the body stops together with others of its mechanism"),
     first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the current round (ccd.py)"),
     changed=Field(int, "bodies", "", "1: the motion was changed by an impact of the previous round"),
     overlap=Field(float, "bodies", "m", "deepest of the deep overlaps; 0 outside a health check"),
@@ -249,6 +251,7 @@ Environments = layout(
     friction_rule=Field(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
     restitution_rule=Field(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
     out_of_bounds=Field(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
+    impact_rounds=Field(int, "envs", "", "rounds of continuous collision detection"),
     lower=Field(wp.vec3, "envs", "m", "lower corner of the bounds"),
     upper=Field(wp.vec3, "envs", "m", "upper corner of the bounds"),
     gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),

@@ -67,6 +67,59 @@ def test_ragdolls_in_a_heap_do_not_move_when_others_land(device):
     assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 0.01
 
 
+def test_ragdolls_that_fall_together_do_not_enter_each_other(device):
+    """Four, one above the other, at 20 m/s: 8 cm in a step, as thick as a neck. They stop one after the other."""
+    scene = wr.Scene(gravity=(0, 0, -G))
+    scene.add_static(wr.Plane(), friction=0.6)
+    places = np.random.default_rng(0).uniform(-0.05, 0.05, (3, 2))
+    for k, (x, y) in enumerate([(0.0, 0.0), *places]):
+        add_ragdoll(scene, (x, y, 1.1 + 1.95 * k), f"doll_{k}")
+    sim = wr.Simulator(scene, device=device)
+    sim.set("linear_velocity", (0, 0, -20.0), bodies=list(range(1, len(scene.bodies))))
+    last = energy(sim)
+    for _ in range(240):
+        sim.step(1)
+        assert sim.penetration()[0] < 0.045 and anchor_errors(sim).max() < 2e-6
+        now = energy(sim)
+        assert now < last + 0.1
+        last = now
+
+
+def test_the_motion_of_a_heap_that_lands_is_not_slowed(device):
+    """Two ragdolls fall side by side at 20 m/s, arm at arm: the arms meet, but both fall on as far as alone."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    count = []
+    for x in (-0.33, 0.33):
+        add_ragdoll(scene, (x, 0, 1), f"doll_{x}")
+        count.append(len(scene.bodies))
+    sim = wr.Simulator(scene, device=device)
+    bodies = np.arange(count[1])
+    swing = np.where(bodies < count[0], 6.0, -6.0)
+    velocity = np.stack([swing, 0 * swing, 0 * swing - 20.0], axis=1)
+    sim.set("linear_velocity", velocity[None])
+    start = sim.get("position")[0]
+    sim.step(24)
+    assert np.ptp(sim.get("position")[0, :, 0]) < np.ptp(start[:, 0]), "they have met"
+    mass = sim.get("mass")[0]
+    fallen = (mass @ (start - sim.get("position")[0])[:, 2]) / mass.sum()
+    assert fallen == pytest.approx(20.0 * 24 / 240, rel=0.02)
+
+
+def test_an_overlap_of_a_light_foot_of_a_heavy_mechanism_is_pushed_out(device):
+    """By a quarter in each step, as one of a single body: 100 kg on a foot of 1 kg that starts 4 mm in the ground."""
+    scene = wr.Scene(gravity=(0, 0, 0))
+    scene.add_static(wr.Plane())
+    foot = scene.add_body(wr.Box((0.1, 0.1, 0.05)), position=(0, 0, 0.046), mass=1.0)
+    leg = scene.add_body(wr.Box((0.1, 0.1, 0.4)), position=(0, 0, 0.5), mass=100.0)
+    scene.add_joint(wr.SphericalJoint(), leg, foot, anchor=(0, 0, 0.1))
+    sim = wr.Simulator(scene, device=device)
+    for share in (0.75, 0.75**2, 0.75**3, 0.75**4):
+        sim.step(1)
+        assert sim.penetration()[0] == pytest.approx(0.004 * share, abs=5e-5)
+    assert anchor_errors(sim).max() < 1e-6
+    assert np.abs(sim.get("linear_velocity")).max() < 1e-5
+
+
 def test_rolling_friction_brakes_a_ball_that_is_a_mechanism(device):
     """Two halves welded together: the centre of mass is slowed down as that of one ball, by 5 g c / (7 r)."""
     radius, coefficient, speed = 0.1, 0.004, 1.0

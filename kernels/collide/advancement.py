@@ -40,16 +40,16 @@ def time_to_close(left: float, closing: float, first: Course, second: Course, t:
 
 
 @wp.func
-def impact_of_solids(first: Course, second: Course, axis: wp.vec3, dt: float, size: float, shapes: Shapes):
-    """Time at which two convex solids overlap by more than DEPTH sizes more than at the start; `dt` if they do not.
+def impact_of_solids(first: Course, second: Course, axis: wp.vec3, near: float, dt: float, size: float, shapes: Shapes):
+    """Time at which two convex solids overlap by more than DEPTH sizes; `dt` if they do not.
 
+    Solids that start closer than `near` are handled by the solver, and may overlap by as much more than at the start.
     `axis`: one along which they may have a gap at the start of the step, in the frame of the second body.
     """
-    near = DEPTH * size
     solids = solids_at(first, second, 0.0, size)
     n = find_axis(solids, shapes, axis, near)
     gap = gap_along(solids, shapes, n)
-    allowed = near - wp.min(gap, 0.0)
+    allowed = wp.where(gap < near, near - wp.min(gap, 0.0), DEPTH * size)
     t = float(0.0)
     advances = int(0)
     while advances < ADVANCES:

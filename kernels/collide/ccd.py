@@ -24,6 +24,7 @@ from warp_rigid.kernels.collide.course import (
     course_of,
     handled_gap,
     largest_motion,
+    onward_course,
     passage_of,
     place_at,
     relative_motion,
@@ -39,7 +40,6 @@ from warp_rigid.kernels.collide.trace import (
     trace_ball,
     trace_suspect,
 )
-from warp_rigid.kernels.common.crowd import is_crowded
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -52,6 +52,11 @@ TURNS = wp.constant(2)
 """Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain."""
 TURNS_IN_CROWDS = wp.constant(8)
 """Rounds in crowded environments, where heaps land."""
+
+TURNS_OF_A_MECHANISM = wp.constant(2)
+MOST_TURNS = wp.constant(8)
+"""Rounds for each mechanism of an environment, and the most rounds: mechanisms that fall together stop one after the
+other, and each stop changes the motion of all bodies of a mechanism."""
 
 NO_IMPACT = wp.constant(wp.int64(2**62))
 """Value of `first_impact` without an impact; it is the time in units, times MOST_PAIRS, plus the pair otherwise."""
@@ -79,12 +84,6 @@ def may_touch(shapes: Shapes, a: Course, b: Course, dt: float):
     return not out_of_box(center, small.radius + largest_motion(a, b, dt), large.shape, shapes)
 
 
-@wp.func
-def rounds_of(env: int, envs: Environments):
-    """Maximum number of rounds in an environment."""
-    return wp.where(is_crowded(env, envs), TURNS_IN_CROWDS, TURNS)
-
-
 @wp.kernel
 def limit_travel(dt: float, motions: Motions, suspects: Suspects):
     """One thread per body: limit its displacement to the distance covered by the broad phase. No body has been hit."""
@@ -95,6 +94,7 @@ def limit_travel(dt: float, motions: Motions, suspects: Suspects):
     motions.next_time_of_impact[b] = share
     motions.next_course[b] = share * wp.where(moves, motions.solver_bodies[b].linear, wp.vec3(0.0, 0.0, 0.0))
     motions.next_shared_spin[b] = wp.vec3(0.0, 0.0, 0.0)
+    motions.joined[b] = 0
     motions.changed[b] = 0
     if b == 0:
         suspects.round[0] = -1
@@ -153,7 +153,7 @@ def list_fast_pairs(
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if turn >= rounds_of(bodies.env[a], envs):
+        if turn >= envs.impact_rounds[bodies.env[a]]:
             continue
         if turn == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
             size = traced_size(a, b, shapes, bodies)
@@ -212,7 +212,8 @@ def advance_solids(
         if are_solids(pair, shapes, bodies, pairs):
             first, second = courses_of(pair, 0, bodies, state, motions, pairs)
             size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
-            t = impact_of_solids(first, second, pairs.axis[pair], dt, size, shapes)
+            near = handled_gap(first, second, dt, size, pairs.contact_count[pair] > 0, shapes)
+            t = impact_of_solids(first, second, pairs.axis[pair], near, dt, size, shapes)
         suspects.impact[pair] = t
 
 
@@ -343,6 +344,26 @@ def trace_suspects(
             wp.atomic_min(suspects.impact, pair, t)
 
 
+@wp.func
+def time_of(impact: wp.int64):
+    """Time of an impact in `first_impact`, as a fraction of the step."""
+    return float(impact / MOST_PAIRS) / UNITS_OF_TIME
+
+
+@wp.func
+def motion_after(b: int, impact: wp.int64, bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
+    """The motion of a body after an impact in `first_impact`."""
+    pair = int(impact % MOST_PAIRS)
+    return common_motion(b, pairs.body_a[pair], pairs.body_b[pair], bodies, state, motions)
+
+
+@wp.func
+def note_impact(b: int, changes: bool, impact: wp.int64, motions: Motions):
+    """Note the first impact of a body. The joints of a mechanism stop also where its mean velocity does not change."""
+    if motions.role[b] == Role.FREE and (changes or motions.joined[b] == 1):
+        wp.atomic_min(motions.first_impact, b, impact)
+
+
 @wp.kernel
 def note_impacts(
     threads: int, dt: float, bodies: Bodies, state: State, pairs: Pairs, suspects: Suspects, motions: Motions
@@ -355,13 +376,10 @@ def note_impacts(
             a = pairs.body_a[pair]
             b = pairs.body_b[pair]
             impact = wp.int64(t / dt * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
-            share = common_share(
-                a, b, course_of(a, bodies, state, motions), course_of(b, bodies, state, motions), motions
-            )
-            if motions.role[a] == Role.FREE and share > 0.0:
-                wp.atomic_min(motions.first_impact, a, impact)
-            if motions.role[b] == Role.FREE and share < 1.0:
-                wp.atomic_min(motions.first_impact, b, impact)
+            first = onward_course(a, bodies, state, motions)
+            share = common_share(a, b, first, onward_course(b, bodies, state, motions), motions)
+            note_impact(a, share > 0.0, impact, motions)
+            note_impact(b, share < 1.0, impact, motions)
 
 
 @wp.kernel
@@ -374,11 +392,10 @@ def change_courses(
     motions.changed[b] = wp.where(impact == NO_IMPACT, 0, 1)
     if impact == NO_IMPACT:
         return
-    pair = int(impact % MOST_PAIRS)
-    t = float(impact / MOST_PAIRS) / UNITS_OF_TIME
-    after = common_motion(b, pairs.body_a[pair], pairs.body_b[pair], bodies, state, motions)
+    t = time_of(impact)
+    after = motion_after(b, impact, bodies, state, pairs, motions)
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
     motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
-    if suspects.round[0] + 1 < rounds_of(bodies.env[b], envs):
+    if suspects.round[0] + 1 < envs.impact_rounds[bodies.env[b]]:
         suspects.again[0] = 1

@@ -21,6 +21,13 @@ FAST = wp.constant(0.25)
 DEPTH = wp.constant(0.02)
 """Depth of penetration at which a body is stopped, as a fraction of the smaller size."""
 
+DEPTH_OF_CONTACTS = wp.constant(0.1)
+"""The same for touching bodies one of which is joined to others.
+
+They are left to the solver and the push-out. All bodies of a mechanism stop together; at a smaller depth, a heap of
+mechanisms that fold up would stop in nearly every step.
+"""
+
 CLOSE_ENOUGH = wp.constant(2.0e-3)
 """A trace or an advancement ends when the remaining distance is below this fraction of the smaller size."""
 
@@ -30,7 +37,10 @@ TURNING_ARM = wp.constant(0.5)
 
 @wp.struct
 class Course:
-    """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass."""
+    """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass.
+
+    `joined`: 1 if it is a body of a mechanism.
+    """
 
     center: wp.vec3
     turn: wp.quat
@@ -39,6 +49,7 @@ class Course:
     angular: wp.vec3
     radius: float
     shape: int
+    joined: int
 
 
 @wp.struct
@@ -72,8 +83,19 @@ def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
     course.radius = motions.radius[b]
     course.shape = bodies.shape[b]
     course.linear = motions.course[b]
+    course.joined = motions.joined[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:
         course.angular = motions.time_of_impact[b] * motions.solver_bodies[b].angular + motions.shared_spin[b]
+    return course
+
+
+@wp.func
+def onward_course(b: int, bodies: Bodies, state: State, motions: Motions):
+    """The motion with which a body would go on: its course; a mechanism would go on as a whole, without rotation."""
+    course = course_of(b, bodies, state, motions)
+    if course.joined == 1:
+        course.linear = motions.onward[b]
+        course.angular = wp.vec3(0.0, 0.0, 0.0)
     return course
 
 
@@ -105,10 +127,10 @@ def common_motion(own: int, a: int, b: int, bodies: Bodies, state: State, motion
 
     Unless the other one is kinematic, the body becomes no faster, so that chains of impacts come to an end.
     """
-    first = course_of(a, bodies, state, motions)
-    second = course_of(b, bodies, state, motions)
+    first = onward_course(a, bodies, state, motions)
+    second = onward_course(b, bodies, state, motions)
     share = common_share(a, b, first, second, motions)
-    after = course_of(own, bodies, state, motions)
+    after = onward_course(own, bodies, state, motions)
     arm = TURNING_ARM * after.radius
     before = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
     after.linear = wp.lerp(velocity_at(after.center, first), velocity_at(after.center, second), share)
@@ -197,6 +219,8 @@ def handled_gap(own: Course, other: Course, dt: float, size: float, touching: bo
     """Samples of a body that start closer to the other are handled by the solver [m]; `touching`: it has contacts."""
     if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST * size:
         return NEAR * wp.min(size, shapes.shapes[other.shape].wall)
+    if touching and own.joined + other.joined > 0:
+        return DEPTH_OF_CONTACTS * size
     return DEPTH * size
 
 

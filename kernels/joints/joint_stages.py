@@ -2,8 +2,9 @@
 
 import warp as wp
 
+from warp_rigid.kernels.collide.ccd import NO_IMPACT, motion_after, time_of
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
-from warp_rigid.kernels.common.team import Team, any_of_team, min_of_lanes, sync_team, team_of
+from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
@@ -36,7 +37,8 @@ from warp_rigid.kernels.joints.mechanism import (
     start_mechanism,
 )
 from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
-from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, SleepState, State
+from warp_rigid.kernels.joints.push import push_touching
+from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, Pairs, SleepState, State
 from warp_rigid.kernels.solve.gauss_seidel import (
     find_shock_ineffective,
     report_sweeps,
@@ -46,6 +48,7 @@ from warp_rigid.kernels.solve.gauss_seidel import (
     tolerance_without_shock,
 )
 from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
+from warp_rigid.kernels.solve.push_out import ENOUGH, PUSH_OUT_SWEEPS
 from warp_rigid.kernels.solve.schedule import CONVERGED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -256,6 +259,28 @@ def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions,
 
 
 @wp.kernel
+def push_joined(
+    lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
+):
+    """One team per environment, after the push-out of single bodies: separate the contacts of mechanisms."""
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    if graph.overlapping[env] == 0 or any_touched(team, joints) == 0:
+        return
+    part = part_of_team(team, MECHANISM_LANES)
+    first = joints.first_mechanism[env] + team.lane / part.lanes
+    for m in range(first, joints.first_mechanism[env + 1], team.lanes / part.lanes):
+        if needs_solution(m, joints):
+            project(m, PUSH, part, motions, joints)
+    sync_team(team)
+    choose_turns(envs.first_body[env], envs.first_body[env + 1], team, order, graph, motions, joints)
+    left = int(PUSH_OUT_SWEEPS)
+    while left > 0:
+        change = push_touching(team, order, motions, rows, joints)
+        left = any_of_team(wp.where(change > ENOUGH, 1, 0), team) * (left - 1)
+
+
+@wp.kernel
 def settle_joints(
     after_push: int, dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints
 ):
@@ -276,29 +301,84 @@ def settle_joints(
 
 
 @wp.kernel
-def share_time_of_impact(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """One team per mechanism: its bodies stop together, at the earliest time of impact, and its joints hold."""
+def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
+    """One team per mechanism, before a round of impacts: its bodies rotate for the same time, and would move on alike.
+
+    A mechanism would move on with the mean velocity of its bodies; if it is held to the world, it would stop.
+    """
     team = team_of(wp.tid(), lanes)
     m = team.env
     if joints.activity[m] == STILL:
         return
-    earliest = float(1.0)
-    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
+    share = float(1.0)
+    mass = float(0.0)
+    momentum = wp.vec3(0.0, 0.0, 0.0)
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
         b = joints.member[i]
         if motions.role[b] == Role.FREE:
-            earliest = wp.min(earliest, motions.next_time_of_impact[b])
-    earliest = min_of_lanes(earliest, lanes)
-    if earliest == 1.0 and joints.unsettled[m] == 0:
-        return
-    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
+            share = wp.min(share, motions.time_of_impact[b])
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
         b = joints.member[i]
         if motions.role[b] == Role.FREE:
-            motions.next_time_of_impact[b] = earliest
-            if earliest < 1.0:
-                motions.next_course[b] = earliest * motions.solver_bodies[b].linear
-                motions.next_shared_spin[b] = wp.vec3(0.0, 0.0, 0.0)
+            mass += bodies.mass[b]
+            momentum += bodies.mass[b] * (share / motions.time_of_impact[b]) * motions.course[b]
     sync_team(team)
-    close_joints(m, dt, team, bodies, state, motions, joints)
+    onward = wp.where(joints.anchored[m] == 1, wp.vec3(0.0, 0.0, 0.0), momentum / mass)
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            motions.course[b] = (share / motions.time_of_impact[b]) * motions.course[b]
+            motions.next_course[b] = motions.course[b]
+            motions.time_of_impact[b] = share
+            motions.next_time_of_impact[b] = share
+            motions.onward[b] = onward
+            motions.joined[b] = 1
+
+
+@wp.kernel
+def share_impacts(lanes: int, bodies: Bodies, state: State, pairs: Pairs, motions: Motions, joints: Joints):
+    """One team per mechanism, after a round: at its first impact, its joints stop, and it moves on as a whole.
+
+    The motion after the impact of the body that is hit is that of all its bodies, without rotation.
+    """
+    team = team_of(wp.tid(), lanes)
+    m = team.env
+    if joints.activity[m] == STILL:
+        return
+    hit = joints.member[joints.first_member[m]]
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        if motions.first_impact[joints.member[i]] < motions.first_impact[hit]:
+            hit = joints.member[i]
+    first = motions.first_impact[hit]
+    if first == NO_IMPACT:
+        return
+    t = time_of(first)
+    after = motion_after(hit, first, bodies, state, pairs, motions)
+    if joints.anchored[m] == 1:
+        after.linear = wp.vec3(0.0, 0.0, 0.0)
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
+            motions.next_shared_spin[b] = wp.vec3(0.0, 0.0, 0.0)
+            motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
+            motions.changed[b] = 1
+
+
+@wp.kernel
+def close_stopped(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One team per mechanism, after the last round: where its joints stopped, they hold."""
+    team = team_of(wp.tid(), lanes)
+    m = team.env
+    if joints.activity[m] == STILL:
+        return
+    stopped = joints.unsettled[m]
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE and motions.next_time_of_impact[b] < 1.0:
+            stopped = 1
+    if stopped == 1:
+        close_joints(m, dt, team, bodies, state, motions, joints)
 
 
 @wp.kernel

@@ -504,16 +504,17 @@ def warm_started(entry: OrderRecord, visit: Visit, rows: Rows, joints: Joints):
 
 
 @wp.func
-def push_mechanism(m: int, b: int, impulse: vec6d, motions: Motions, joints: Joints):
-    """Apply an impulse and an angular impulse to a body of a mechanism, whose joints stay solved."""
+def push_mechanism(m: int, b: int, impulse: vec6d, which: int, motions: Motions, joints: Joints):
+    """Apply an impulse and an angular impulse to a body of a mechanism, whose joints stay solved: VELOCITY or PUSH."""
     solve_for(m, b, impulse, joints)
     velocity = free_velocity(b, impulse, joints)
     linear = wp.vec3d(velocity[0], velocity[1], velocity[2])
-    add_velocity(b, VELOCITY, linear, wp.vec3d(velocity[3], velocity[4], velocity[5]), motions)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        joints.total[j] = joints.total[j] - joints.solution[j]
-    apply_solution(m, VELOCITY, single_lane(), motions, joints)
+    add_velocity(b, which, linear, wp.vec3d(velocity[3], velocity[4], velocity[5]), motions)
+    if which == VELOCITY:
+        for place in range(joints.first_place[m], joints.first_place[m + 1]):
+            j = joints.sequence[place]
+            joints.total[j] = joints.total[j] - joints.solution[j]
+    apply_solution(m, which, single_lane(), motions, joints)
 
 
 @wp.func
@@ -533,9 +534,9 @@ def visit_pair(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joi
             left = wp.where(visit.change > CONVERGED, left - 1, 0)
     store_bodies(visit.a, visit.b, visit.pair, motions)
     if visit.m_a >= 0:
-        push_mechanism(visit.m_a, visit.a, visit.on_a, motions, joints)
+        push_mechanism(visit.m_a, visit.a, visit.on_a, VELOCITY, motions, joints)
     if visit.m_b >= 0:
-        push_mechanism(visit.m_b, visit.b, visit.on_b, motions, joints)
+        push_mechanism(visit.m_b, visit.b, visit.on_b, VELOCITY, motions, joints)
     return first
 
 

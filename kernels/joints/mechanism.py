@@ -155,7 +155,8 @@ def predict_mechanism(
     `anew`: 1 if the rows become those of the predicted poses; the factors are stale then.
     """
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
-        predict_pose(joints.member[i], dt, 1.0, bodies, state, motions, joints)
+        b = joints.member[i]
+        predict_pose(b, dt, 1.0, load_velocity(b, VELOCITY, motions), bodies, state, motions, joints)
     sync_team(team)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         predict_joint(joints.sequence[place], dt, anew, bodies, motions, joints)
@@ -429,7 +430,8 @@ def close_joints(m: int, dt: float, team: Team, bodies: Bodies, state: State, mo
     while k < MOST_PREDICTIONS:
         for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
             b = joints.member[i]
-            predict_pose(b, dt, motions.next_time_of_impact[b], bodies, state, motions, joints)
+            part = motions.next_time_of_impact[b]
+            predict_pose(b, dt, part, motions.next_course[b], bodies, state, motions, joints)
         sync_team(team)
         gap = float(0.0)
         for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):

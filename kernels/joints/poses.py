@@ -37,10 +37,12 @@ def take_pose(b: int, state: State, joints: Joints):
 
 
 @wp.func
-def predict_pose(b: int, dt: float, part: float, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+def predict_pose(
+    b: int, dt: float, part: float, course: wp.vec3, bodies: Bodies, state: State, motions: Motions, joints: Joints
+):
     """Store the pose at which `integrate_positions` will place a body that moves with its present velocities.
 
-    `part`: fraction of the step in which it moves; it is pushed out in the whole step.
+    `part`: fraction of the step in which it rotates. `course`: mean velocity over the step [m/s], without the push-out.
     """
     take_pose(b, state, joints)
     joints.pose_spin[b] = wp.vec3d()
@@ -55,7 +57,7 @@ def predict_pose(b: int, dt: float, part: float, bodies: Bodies, state: State, m
         kept, spin = turn_freely(turn, spin, mat33d(bodies.inertia[b]), time)
     joints.pose_spin[b] = spin
     after = wp.normalize(rotate_by(kept, step * wp.vec3d(load_velocity(b, PUSH + 1, motions))))
-    travel = step * wp.vec3d(part * load_velocity(b, VELOCITY, motions) + load_velocity(b, PUSH, motions))
+    travel = step * wp.vec3d(course + load_velocity(b, PUSH, motions))
     center = wp.vec3d(bodies.center_of_mass[b])
     shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
     joints.pose_position[b] = joints.pose_position[b] + travel - shift

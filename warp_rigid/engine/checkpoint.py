@@ -34,7 +34,7 @@ VERSION = 11  # raise whenever older files could no longer be read
 FROM_SCENE = ("env", "shape", "motion", "center_of_mass", "filtered_start", "filtered")
 """Arrays of bodies that follow from the scenes."""
 
-RULES = ("first_body", "friction_rule", "restitution_rule", "out_of_bounds", "lower", "upper")
+RULES = ("first_body", "friction_rule", "restitution_rule", "out_of_bounds", "impact_rounds", "lower", "upper")
 """Arrays of environments that follow from the scenes."""
 
 SCENE_OF = "scene_of"

@@ -260,13 +260,34 @@ class JointStages:
             changed = [step.motions, self.arrays]
             self._per_mechanism(self.kernels.settle_joints, [after_push, step.dt], inputs, changed)
 
-    def limit_motion(self) -> None:
-        """Stop the bodies of a mechanism together."""
+    def push_out(self) -> None:
+        """Separate the contacts of mechanisms."""
+        step = self._step
+        if self.present:
+            inputs = [step.pools.order, step.pools.graph, step.motions, step.constraint_rows, self.arrays]
+            self._per_team(self.kernels.push_joined, inputs)
+            self.settle(after_push=1)
+
+    def join_courses(self) -> None:
+        """Before a round of impacts: the bodies of a mechanism move on alike after one."""
+        step = self._step
+        if self.present:
+            self._per_mechanism(self.kernels.join_courses, [], [step.model.bodies], [step.motions, self.arrays])
+
+    def share_impacts(self) -> None:
+        """After a round: the impact of a body is that of its mechanism."""
+        step = self._step
+        if self.present:
+            inputs = [step.model.bodies, step.state, step.pools.pairs]
+            self._per_mechanism(self.kernels.share_impacts, [], inputs, [step.motions, self.arrays])
+
+    def close_stopped(self) -> None:
+        """After the last round: close the joints that stopped."""
         step = self._step
         if self.present:
             inputs = [step.model.bodies, step.state]
             changed = [step.motions, self.arrays]
-            self._per_mechanism(self.kernels.share_time_of_impact, [step.dt], inputs, changed)
+            self._per_mechanism(self.kernels.close_stopped, [step.dt], inputs, changed)
 
     def end(self) -> None:
         """Coordinates, forces and breaking, after the position update."""

@@ -12,6 +12,8 @@ from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
 from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels.collide import ccd
+from warp_rigid.kernels.common import crowd
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -131,6 +133,7 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
         "restitution_rule": [COMBINE_RULES.index(scene.restitution_combine) for scene in layout.scenes],
         "out_of_bounds": [_out_of_bounds(scene) for scene in layout.scenes],
         "passive": [not (scene.constraints or scene.joints) for scene in layout.scenes],
+        "impact_rounds": [impact_rounds(scene) for scene in layout.scenes],
         "lower": np.array([lower for lower, _ in bounds], np.float32),
         "upper": np.array([upper for _, upper in bounds], np.float32),
     }
@@ -140,6 +143,13 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
     for name in PER_ENVIRONMENT:
         getattr(envs, name).fill_(check_setting(name, getattr(settings, name)))
     return envs
+
+
+def impact_rounds(scene: Scene) -> int:
+    """Rounds of continuous collision detection in an environment."""
+    least = ccd.TURNS_IN_CROWDS if len(scene.bodies) > crowd.CROWDED else ccd.TURNS
+    for_mechanisms = ccd.TURNS_OF_A_MECHANISM * len(joints.mechanisms_of(scene).members)
+    return max(least, min(for_mechanisms, ccd.MOST_TURNS))
 
 
 def _out_of_bounds(scene: Scene) -> OutOfBounds:

@@ -318,14 +318,14 @@ class Stages:
         self._color_by_color(push_out.push_apart)
         if self.crowded:
             self.heaps.push_out()
-        self.joints.settle(after_push=1)
+        self.joints.push_out()
 
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
         self._per_body(ccd.limit_travel, [self.dt], [self.motions, self.pools.suspects])
         wp.capture_while(self.pools.suspects.again, self._find_impacts)
-        self.joints.limit_motion()
+        self.joints.close_stopped()
 
     @stage
     def integrate_positions(self) -> None:
@@ -475,6 +475,7 @@ class Stages:
         model, pools, pairs, suspects = self.model, self.pools, self.pools.pairs, self.pools.suspects
         size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
         self._per_body(ccd.open_round, [pairs], [self.motions, suspects])
+        self.joints.join_courses()
         self._shared(ccd.list_fast_pairs, size, [], [*self.moving, self.envs, suspects], [pairs])
         self._shared(ccd.advance_solids, size, [], [*self.moving, pairs], [suspects])
         self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
@@ -486,6 +487,7 @@ class Stages:
         self._shared(ccd.note_impacts, size, [], inputs, [self.motions])
         inputs = [model.bodies, self.state, self.envs, pairs]
         self._per_body(ccd.change_courses, inputs, [self.motions, suspects])
+        self.joints.share_impacts()
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""

@@ -1,0 +1,130 @@
+"""Push-out of mechanisms: contacts are separated where the joints hold, as their velocities are solved (loads.py).
+
+The push-out of single bodies moves the body that is touched alone. Where the joints of a figure of 45 kg then move a
+foot of 1 kg back, a twentieth of the correction is left.
+"""
+
+import warp as wp
+
+from warp_rigid.kernels.common.arithmetic import quotient
+from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity, with_velocities
+from warp_rigid.kernels.common.team import Team, any_of_team
+from warp_rigid.kernels.constraints import contact
+from warp_rigid.kernels.constraints.rows import Rows
+from warp_rigid.kernels.joints.arrays import Joints
+from warp_rigid.kernels.joints.loads import PAIR_ROUNDS, Visit, open_visit, push_mechanism, pushed, with_responses
+from warp_rigid.kernels.schema import Motions, Order, OrderRecord
+from warp_rigid.kernels.solve.push_out import ENOUGH
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+
+@wp.func
+def wants_push(entry: OrderRecord, rows: Rows):
+    """Whether a contact of a pair requires a separation speed."""
+    if entry.kind == contact.KIND:
+        for c in range(entry.begin, entry.end):
+            if contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)[3] > 0.0:
+                return True
+    return False
+
+
+@wp.func
+def targets_of(entry: OrderRecord, along: BodyPair, rows: Rows):
+    """Sum over the contacts of a pair of the squares of required separation speeds, and of these times present ones."""
+    sums = wp.vec2(0.0, 0.0)
+    for c in range(entry.begin, entry.end):
+        target = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)[3]
+        row = contact.read_contact(c, rows.contacts.rows)
+        sums += target * wp.vec2(target, wp.dot(contact.contact_velocity(row, along), row.normal))
+    return sums
+
+
+@wp.func
+def push_all(entry: OrderRecord, share: float, visit: Visit, rows: Rows, joints: Joints):
+    """The visit after pseudo-impulses of all contacts of a pair: `share` [kg] times the speeds that they require."""
+    for c in range(entry.begin, entry.end):
+        target = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)[3]
+        if target > 0.0:
+            row = contact.read_contact(c, rows.contacts.rows)
+            visit = pushed(row, share * target * row.normal, visit, joints)
+    return visit
+
+
+@wp.func
+def push_together(entry: OrderRecord, visit: Visit, rows: Rows, joints: Joints):
+    """The visit after the best pseudo-impulses in proportion to the required speeds, as in a method of descent.
+
+    One contact after the other would turn a light foot to and fro below a heavy leg.
+    """
+    before = targets_of(entry, visit.pair, rows)
+    trial = push_all(entry, 1.0, visit, rows, joints)
+    gained = targets_of(entry, trial.pair, rows)[1] - before[1]
+    share = wp.max(quotient(before[0] - before[1], wp.max(gained, 1.0e-30)), 0.0)
+    for c in range(entry.begin, entry.end):
+        stored = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)
+        new = stored[0] + share * stored[3]
+        contact.set_target_impulse(c, wp.vec3(new, 0.0, 0.0), stored[3], rows.contacts)
+    return push_all(entry, share, visit, rows, joints)
+
+
+@wp.func
+def push_touch(c: int, visit: Visit, rows: Rows, joints: Joints):
+    """The visit after the pseudo-impulse of a contact, as `push_contact`."""
+    stored = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)
+    if stored[3] <= 0.0:
+        return visit
+    row = with_responses(contact.read_contact(c, rows.contacts.rows), visit, joints)
+    k = row.normal_a + row.normal_b
+    if k <= 0.0:
+        return visit
+    missing = stored[3] - wp.dot(contact.contact_velocity(row, visit.pair), row.normal)
+    new = wp.max(stored[0] + quotient(missing, k), 0.0)
+    contact.set_target_impulse(c, wp.vec3(new, 0.0, 0.0), stored[3], rows.contacts)
+    visit.change = wp.max(visit.change, k * wp.abs(new - stored[0]))
+    return pushed(row, (new - stored[0]) * row.normal, visit, joints)
+
+
+@wp.func
+def push_visited(entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
+    """Separate a pair with its responses. Returns the largest change of a pseudo-velocity [m/s]."""
+    visit = open_visit(entry, motions, joints)
+    visit.pair = with_velocities(visit.a, visit.b, PUSH, visit.pair, motions)
+    visit = push_together(entry, visit, rows, joints)
+    first = float(0.0)
+    left = int(PAIR_ROUNDS)
+    while left > 0:
+        visit.change = 0.0
+        for c in range(entry.begin, entry.end):
+            visit = push_touch(c, visit, rows, joints)
+        first = wp.max(first, visit.change)
+        left = wp.where(visit.change > ENOUGH, left - 1, 0)
+    if visit.pair.inverse_mass_a > 0.0:
+        store_velocity(visit.a, PUSH, visit.pair.linear_a, visit.pair.angular_a, motions)
+    if visit.pair.inverse_mass_b > 0.0:
+        store_velocity(visit.b, PUSH, visit.pair.linear_b, visit.pair.angular_b, motions)
+    if visit.m_a >= 0:
+        push_mechanism(visit.m_a, visit.a, visit.on_a, PUSH, motions, joints)
+    if visit.m_b >= 0:
+        push_mechanism(visit.m_b, visit.b, visit.on_b, PUSH, motions, joints)
+    return first
+
+
+@wp.func
+def push_touching(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
+    """Separate all pairs of mechanisms, turn by turn, as `solve_touching`. Returns a lane's largest change [m/s]."""
+    change = float(0.0)
+    turn = int(1)
+    left = int(1)
+    while left == 1:
+        later = int(0)
+        for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
+            entry = entry_at(k, order)
+            if entry.visited == turn and wants_push(entry, rows):
+                change = wp.max(change, push_visited(entry, motions, rows, joints))
+            if entry.visited > turn:
+                later = 1
+        turn += 1
+        left = any_of_team(later, team)
+    return change
