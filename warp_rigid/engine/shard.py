@@ -139,7 +139,7 @@ class Shard:
         self.save(attempt)
         for step in range(done + 1, done + steps + 1):
             self.stages.replay()
-            if step % health_checks.EVERY == 0:
+            if health_checks.is_due(step):
                 wp.capture_launch(self._checking)
         self.seconds = time.perf_counter() - begin
 
