@@ -1,10 +1,10 @@
 """Contact choice: the touching samples of each pair are reduced to a few contacts (contact_reduction.py).
 
 Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
-each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
-made with the largest ball inside one body, which overlaps the other body only if the bodies overlap, or between a ball
-inside one body and a ball inside the other (ball_pairs.py). It also replaces contacts that show less than a third of
-its overlap.
+each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Others come apart along one
+direction, as long as samples that are no contacts are inside (parting.py). If there are none, the contact is made with
+the largest ball inside one body, which overlaps the other body only if the bodies overlap. It also replaces contacts
+that show less than a third of its overlap.
 
 A team of lanes processes a pair. Touching samples are broadcast to all lanes in sample order, and each lane updates its
 own slots.
@@ -13,7 +13,6 @@ own slots.
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Touch, smaller_approach, touch_of, travel
-from warp_rigid.kernels.collide.ball_pairs import ball_of, deepest_balls
 from warp_rigid.kernels.collide.contact_reduction import (
     contradictory,
     deepest_gap,
@@ -107,7 +106,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     radius = float(0.0)
     evaluated = int(0)
     if convex == 0:
-        ball = ball_of(0, shape, shapes)
+        ball = shapes.balls[shapes.shapes[shape].ball_start]
         query = wp.vec3(ball[0], ball[1], ball[2])
         inner = ball[3]
         x = wp.quat_rotate(state.orientation[own], query) + state.position[own]
@@ -133,12 +132,11 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
 
 
 @wp.func
-def keep_balls(
+def keep_ball(
     pair: int,
     kept: int,
     size: float,
     lane: int,
-    lanes: int,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
@@ -148,8 +146,8 @@ def keep_balls(
     """Replace the contacts of a deep overlap by that of an inner ball, if there is one.
 
     The largest ball of a body replaces contacts that show much less than its overlap or, if they oppose each other, not
-    much more. Two balls replace whatever shows much less than their overlap. Contacts show an overlap of the contact
-    distance at least: a ball that touches the ground as the corners do is deeper by a rounding error.
+    much more. Contacts show an overlap of the contact distance at least: a ball that touches the ground as the corners
+    do is deeper by a rounding error.
     """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
@@ -163,9 +161,6 @@ def keep_balls(
             deepest = touch.gap
             key = BY_CENTER - side
         side += 1
-    shown = wp.where(key == 0, shown, deepest)
-    found = deepest_balls(a, b, MUCH_DEEPER * shown, lane, lanes, shapes, bodies, state)
-    key = wp.where(found == 0, key, found)
     if key == 0:
         return kept
     if lane == 0:
@@ -282,7 +277,7 @@ def choose(
     if not are_solid(bodies.shape[a], bodies.shape[b], shapes):
         kept = part(pair, kept, offered & CROSSED, lane, lanes, shapes, bodies, state, near, pairs)
     if not solid and wp.length_sq(pairs.axis[pair]) == 0.0:
-        kept = keep_balls(pair, kept, size, lane, lanes, shapes, bodies, state, motions, pairs)
+        kept = keep_ball(pair, kept, size, lane, shapes, bodies, state, motions, pairs)
     return kept
 
 

@@ -10,7 +10,6 @@ step by step, until none is left.
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import approach_of
-from warp_rigid.kernels.collide.ball_pairs import ball_of
 from warp_rigid.kernels.collide.convex import are_solid
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NearSamples
@@ -22,7 +21,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 CROSSED = wp.constant(2)
 """Value of NearSamples.closing of a sample that is no contact, but inside the other body."""
 
-HIDDEN = wp.constant(0.1)
+HIDDEN = wp.constant(0.05)
 """Depth from which such a sample shows that two bodies are crossed, as a fraction of the radius of the smaller one of
 their largest inner balls."""
 
@@ -43,8 +42,8 @@ def hidden_depth(a: int, b: int, shapes: Shapes):
     """
     if are_solid(a, b, shapes):
         return FAR
-    first = ball_of(0, a, shapes)
-    second = ball_of(0, b, shapes)
+    first = shapes.balls[shapes.shapes[a].ball_start]
+    second = shapes.balls[shapes.shapes[b].ball_start]
     radius = wp.min(first[3], second[3])
     return wp.where(radius > 0.0, HIDDEN * radius, FAR)
 

@@ -3,7 +3,6 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Touch, approach_of, touch_of
-from warp_rigid.kernels.collide.ball_pairs import BY_BALLS, touch_balls
 from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE
@@ -150,16 +149,12 @@ def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contact
 
 
 @wp.func
-def touch_again(
-    key: int, pair: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
-):
+def touch_again(key: int, pair: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
     """Evaluate the contact point of a known sample of a pair again."""
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     if key == BY_AXIS:
         return touch_along(pairs.axis[pair], a, b, shapes, bodies, state)
-    if key <= BY_BALLS:
-        return touch_balls(key, a, b, shapes, bodies, state)
     if key <= BY_CENTER:
         return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
     side = key % 2
