@@ -267,6 +267,8 @@ def _upload(world: World, rows: dict[str, np.ndarray]) -> None:
         array.assign(rows[name])
     island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - _first_bodies(world), 0)
     world.sleep_state.island.assign(island.astype(np.int32))
+    for shard in world.shards:
+        shard.note_masses()
 
 
 def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
