@@ -21,7 +21,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 CROSSED = wp.constant(2)
 """Value of NearSamples.closing of a sample that is no contact, but inside the other body."""
 
-HIDDEN = wp.constant(0.05)
+HIDDEN = wp.constant(0.1)
 """Depth from which such a sample shows that two bodies are crossed, as a fraction of the radius of the smaller one of
 their largest inner balls."""
 
