@@ -346,7 +346,8 @@ Pairs = layout(
         wp.vec3,
         "pairs",
         "",
-        "of convex bodies: last axis that separates them or along which they touch, in the second body's frame, or 0",
+        "last axis that separates two convex bodies or along which they touch, or the direction in which two others "
+        "come apart, in the second body's frame, or 0",
     ),
 )
 

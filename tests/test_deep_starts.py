@@ -30,6 +30,14 @@ def open_ring():
     return trimesh.boolean.difference([ring, gap], engine="manifold")
 
 
+def tray(wall, height):
+    """A box of 0.3 m width, open at the top."""
+    hollow = trimesh.creation.box(
+        (0.3 - 2 * wall,) * 2 + (height,), trimesh.transformations.translation_matrix((0, 0, wall))
+    )
+    return trimesh.boolean.difference([trimesh.creation.box((0.3, 0.3, height)), hollow], engine="manifold")
+
+
 BRANCHED = {
     "corner": arms((0.1, 0, 0.1)),
     "channel": arms((0.1, 0, 0.1), (-0.1, 0, 0.1)),
@@ -37,14 +45,16 @@ BRANCHED = {
     "plus": arms((0, 0, 0)),
     "open ring": open_ring(),
 }
+VESSELS = {"tray": tray(0.02, 0.1), "thick tray": tray(0.05, 0.12), "crate": tray(0.02, 0.3)}
 SHAPES = {
-    **{name: wr.Mesh.from_trimesh(mesh) for name, mesh in BRANCHED.items()},
+    **{name: wr.Mesh.from_trimesh(mesh) for name, mesh in {**BRANCHED, **VESSELS}.items()},
     "sphere": wr.Sphere(RADIUS),
     "box": wr.Box((0.15, 0.1, 0.12)),
     "capsule": wr.Capsule(0.08, 0.12),
     "cube": wr.Mesh.from_trimesh(trimesh.creation.box((0.25,) * 3)),
     "boxes": wr.Compound(BOXES),
     "rod": wr.Box((0.2, 0.03, 0.03)),
+    "disc": wr.Cylinder(RADIUS, 0.05),
     "ball": BALL,
     "bunny": meshes.bunny(0.2),
     "torus": meshes.torus(0.2, 0.08),
@@ -98,6 +108,26 @@ def test_no_arms_of_meshes_that_start_deep_stay_crossed(device, name):
     assert max(shared_volumes(sim, BRANCHED[name])) > 0.1
     sim.step(240)
     assert max(shared_volumes(sim, BRANCHED[name])) < 1e-4
+
+
+@pytest.mark.parametrize("name", VESSELS)
+def test_no_walls_that_cross_at_the_start_stay_crossed(device, name):
+    """By the volume that both meshes share, of Manifold's intersection: none after a second."""
+    sim, _ = overlapping(device, SHAPES[name], SHAPES[name])
+    assert min(shared_volumes(sim, VESSELS[name])) > 1e-3
+    sim.step(240)
+    assert max(shared_volumes(sim, VESSELS[name])) < 1e-4
+    assert np.abs(sim.get("linear_velocity")).max() < 1e-3
+
+
+@pytest.mark.parametrize("second", ["boxes", "corner", "tray"])
+def test_a_disc_that_starts_in_arms_or_walls_comes_apart(device, second):
+    """Its rim may be in an inner corner, and an arm may pierce it: within two seconds none of it is left."""
+    sim, _ = overlapping(device, SHAPES["disc"], SHAPES[second])
+    assert sim.penetration().max() > 0.3 * SHAPES["disc"].size
+    sim.step(480)
+    assert sim.penetration().max() < 1e-3 * SHAPES["disc"].size
+    assert np.abs(sim.get("linear_velocity")).max() < 1e-3
 
 
 def shared_volumes(sim, mesh):

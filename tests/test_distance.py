@@ -245,6 +245,21 @@ def test_cylinder_border_keeps_a_flush_rim_above_the_cap(device):
         np.testing.assert_allclose(direction, np.tile([0, 0, 1.0], (32, 1)), atol=1e-6)
 
 
+def test_a_point_inside_a_cylinder_is_held_to_its_side_or_caps(device):
+    """Whatever way a sample points: no face is nearer than the nearest one, and none points around the axis."""
+    cylinder = Cylinder(0.4, 0.25)
+    points = probe(cylinder, seed=6)
+    expected, _ = exact_distance(cylinder, points)
+    points, expected = points[expected < -0.01], expected[expected < -0.01]
+    normals = np.random.default_rng(7).normal(size=points.shape)
+    found, direction = measure(cylinder, points, device, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    held = found < 0.5 * distance.FAR
+    assert held.sum() > 200
+    assert (found[held] < expected[held] + 1e-6).all()
+    around = np.cross(points[held], [0, 0, 1])
+    np.testing.assert_allclose(np.einsum("ij,ij->i", direction[held], around), 0.0, atol=1e-6)
+
+
 def test_border_rule_holds_for_parts_at_their_own_pose(device):
     """The sample's normal is turned into the part's frame too."""
     turn = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))

@@ -14,7 +14,7 @@ together, the slower one would leave its own contacts.
 import warp as wp
 
 from warp_rigid.kernels.collide.advancement import impact_of_solids
-from warp_rigid.kernels.collide.convex import is_solid
+from warp_rigid.kernels.collide.convex import are_solid
 from warp_rigid.kernels.collide.course import (
     DEPTH,
     FAST,
@@ -188,10 +188,9 @@ def passage_of_body(
 
 
 @wp.func
-def are_solids(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
-    """Whether both bodies of a pair are convex solids."""
-    shape_a = bodies.shape[pairs.body_a[pair]]
-    return is_solid(shapes, shape_a) and is_solid(shapes, bodies.shape[pairs.body_b[pair]])
+def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
+    """Whether both bodies of a pair are convex solids, so that no samples are traced."""
+    return are_solid(bodies.shape[pairs.body_a[pair]], bodies.shape[pairs.body_b[pair]], shapes)
 
 
 @wp.kernel
@@ -209,7 +208,7 @@ def advance_solids(
     for k in range(wp.tid(), pairs.fast_count[0], threads):
         pair = pairs.fast[k]
         t = dt
-        if are_solids(pair, shapes, bodies, pairs):
+        if is_advanced(pair, shapes, bodies, pairs):
             first, second = courses_of(pair, 0, bodies, state, motions, pairs)
             size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
             near = handled_gap(first, second, dt, size, pairs.contact_count[pair] > 0, shapes)
@@ -237,7 +236,7 @@ def list_reached(
         task.pair = pairs.fast[k / 2]
         task.side = k % 2
         task.lanes = 1
-        if are_solids(task.pair, shapes, bodies, pairs):
+        if is_advanced(task.pair, shapes, bodies, pairs):
             continue
         own, other, passage = passage_of_body(task.pair, task.side, dt, shapes, bodies, state, motions, pairs)
         if own.radius <= UNBOUNDED_EXTENT:

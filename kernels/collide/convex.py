@@ -75,6 +75,12 @@ def is_solid(shapes: Shapes, shape: int):
 
 
 @wp.func
+def are_solid(a: int, b: int, shapes: Shapes):
+    """Whether two shapes are convex solids."""
+    return is_solid(shapes, a) and is_solid(shapes, b)
+
+
+@wp.func
 def signed(x: float, toward: float):
     """A length with the sign of `toward`."""
     return wp.where(toward < 0.0, -x, x)

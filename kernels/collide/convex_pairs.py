@@ -4,7 +4,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach, approach_of, contact_reach, touch_of
 from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory, deepest_gap
-from warp_rigid.kernels.collide.convex import Solids, deepest_point, find_axis, furthest_point, gap_along, is_solid
+from warp_rigid.kernels.collide.convex import Solids, are_solid, deepest_point, find_axis, furthest_point, gap_along
 from warp_rigid.kernels.collide.distance import BORDER, FAR
 from warp_rigid.kernels.collide.samples import Search
 from warp_rigid.kernels.common.team import sync_warp
@@ -114,7 +114,7 @@ def cut_by_axis(approach: Approach, axis: wp.vec3, side: int, shapes: Shapes):
     On side 0 the approach is that of the first body in the frame of the second one, and of this the axis is. On side 1
     it is the inverse.
     """
-    if wp.length_sq(axis) == 0.0:
+    if wp.length_sq(axis) == 0.0 or not are_solid(approach.own_shape, approach.shape, shapes):
         return approach
     n = axis
     if side == 1:
@@ -142,23 +142,23 @@ def is_apart(
     """Whether an axis shows that two convex solids cannot touch in this step, first of all that of the last step.
 
     Another one is searched for only if the solids had no contact. Samples slightly beyond the border of a face may be
-    in contact with it (distance.py), so the gap must exceed the reach by as much.
+    in contact with it (distance.py), so the gap must exceed the reach by as much. Other pairs keep their axis.
     """
-    pairs.axis[pair] = wp.vec3(0.0, 0.0, 0.0)
+    axis = wp.vec3(0.0, 0.0, 0.0)
+    touched = int(0)
+    if last >= 0:
+        axis = history.axis[last]
+        touched = history.contact_start[last + 1] - history.contact_start[last]
+    pairs.axis[pair] = axis
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     shape_a = bodies.shape[a]
     shape_b = bodies.shape[b]
-    if not is_solid(shapes, shape_a) or not is_solid(shapes, shape_b):
+    if not are_solid(shape_a, shape_b, shapes):
         return False
     reach = contact_reach(a, b, size, dt, state, motions)
     reach += border_of(shape_a, shape_b, shapes)
     solids = solids_of(a, b, size, bodies, state)
-    touched = int(0)
-    axis = wp.vec3(0.0, 0.0, 0.0)
-    if last >= 0:
-        axis = history.axis[last]
-        touched = history.contact_start[last + 1] - history.contact_start[last]
     if touched == 0:
         axis = find_axis(solids, shapes, axis, reach)
     pairs.axis[pair] = axis

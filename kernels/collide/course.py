@@ -8,7 +8,7 @@ stop. A kinematic body keeps its motion.
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import NEAR
-from warp_rigid.kernels.collide.convex import Solids, gap_along, is_solid
+from warp_rigid.kernels.collide.convex import Solids, are_solid, gap_along
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Shapes, State
 
@@ -200,7 +200,7 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
     """
     if wp.length_sq(axis) == 0.0 or relative_motion(own, other, dt) > 2.0 * FAST * size:
         return False
-    if not is_solid(shapes, own.shape) or not is_solid(shapes, other.shape):
+    if not are_solid(own.shape, other.shape, shapes):
         return False
     allowed = float(0.0)
     halves = int(0)

@@ -161,8 +161,9 @@ def cylinder_distance(p: Any, size: Any, sample_normal: Any):
         side = wp.vector(p.dtype(1.0), p.dtype(0.0), p.dtype(0.0))
     cap = outward(p[2], wp.vector(p.dtype(0.0), p.dtype(0.0), p.dtype(1.0)))
     far = p.dtype(FAR)
+    # There is no face around the axis, on either side.
     separation = wp.vector(wp.length(radial) - size[0], -far, wp.abs(p[2]) - size[1])
-    thickness = wp.vector(far, far, p.dtype(2.0) * size[1])
+    thickness = wp.vector(far, p.dtype(2.0) * far, p.dtype(2.0) * size[1])
     around = wp.cross(cap, side)
     return facing_slab_distance(separation, thickness, side, around, cap, sample_normal, wp.min(size[0], size[1]))
 

@@ -1,10 +1,10 @@
 """Contact choice: the touching samples of each pair are reduced to a few contacts (contact_reduction.py).
 
 Bodies may overlap so deeply that no sample of one opposes the surface of the other, or that contact normals oppose
-each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Otherwise the contact is
-made with the largest ball inside one body, which overlaps the other body only if the bodies overlap, or between a ball
-inside one body and a ball inside the other (ball_pairs.py). It also replaces contacts that show less than a third of
-its overlap.
+each other. Two convex bodies then touch along the axis of their least overlap (convex.py). Others come apart along one
+direction, as long as samples that are no contacts are inside (parting.py). If there are none, the contact is made with
+the largest ball inside one body, which overlaps the other body only if the bodies overlap. It also replaces contacts
+that show less than a third of its overlap.
 
 A team of lanes processes a pair. Touching samples are broadcast to all lanes in sample order, and each lane updates its
 own slots.
@@ -13,7 +13,6 @@ own slots.
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Touch, smaller_approach, touch_of, travel
-from warp_rigid.kernels.collide.ball_pairs import ball_of, deepest_balls
 from warp_rigid.kernels.collide.contact_reduction import (
     contradictory,
     deepest_gap,
@@ -21,11 +20,12 @@ from warp_rigid.kernels.collide.contact_reduction import (
     keep_slots,
     offer_sample,
 )
-from warp_rigid.kernels.collide.convex import is_solid
+from warp_rigid.kernels.collide.convex import are_solid, is_solid
 from warp_rigid.kernels.collide.convex_pairs import check_by_axis
 from warp_rigid.kernels.collide.culling import out_of_box
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
+from warp_rigid.kernels.collide.parting import CROSSED, deepest_hidden, way_out
 from warp_rigid.kernels.collide.samples import MUCH_DEEPER, Search, gradient
 from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind
@@ -57,14 +57,15 @@ def broadcast_touch(touch: Touch, lane: int, lanes: int):
 
 @wp.func
 def touch_at(k: int, end: int, near: NearSamples):
-    """The contact point of a near sample; its gap is FAR beyond the end of the batch."""
+    """The contact point of a near sample; its gap is FAR if there is none, and beyond the end of the batch."""
     touch = Touch()
     touch.gap = FAR
     if k < end:
         touch.position = near.position[k]
         touch.normal = near.normal[k]
-        touch.gap = near.gap[k]
         touch.closing = near.closing[k]
+        if touch.closing != CROSSED:
+            touch.gap = near.gap[k]
     return touch
 
 
@@ -105,7 +106,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     radius = float(0.0)
     evaluated = int(0)
     if convex == 0:
-        ball = ball_of(0, shape, shapes)
+        ball = shapes.balls[shapes.shapes[shape].ball_start]
         query = wp.vec3(ball[0], ball[1], ball[2])
         inner = ball[3]
         x = wp.quat_rotate(state.orientation[own], query) + state.position[own]
@@ -131,12 +132,11 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
 
 
 @wp.func
-def keep_balls(
+def keep_ball(
     pair: int,
     kept: int,
     size: float,
     lane: int,
-    lanes: int,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
@@ -146,8 +146,8 @@ def keep_balls(
     """Replace the contacts of a deep overlap by that of an inner ball, if there is one.
 
     The largest ball of a body replaces contacts that show much less than its overlap or, if they oppose each other, not
-    much more. Two balls replace whatever shows much less than their overlap. Contacts show an overlap of the contact
-    distance at least: a ball that touches the ground as the corners do is deeper by a rounding error.
+    much more. Contacts show an overlap of the contact distance at least: a ball that touches the ground as the corners
+    do is deeper by a rounding error.
     """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
@@ -161,9 +161,6 @@ def keep_balls(
             deepest = touch.gap
             key = BY_CENTER - side
         side += 1
-    shown = wp.where(key == 0, shown, deepest)
-    found = deepest_balls(a, b, MUCH_DEEPER * shown, lane, lanes, shapes, bodies, state)
-    key = wp.where(found == 0, key, found)
     if key == 0:
         return kept
     if lane == 0:
@@ -182,7 +179,10 @@ def add_contact(pair: int, key: int, kept: int, lane: int, pairs: Pairs):
 
 @wp.func
 def offer_near_samples(pair: int, weight: float, size: float, lane: int, lanes: int, near: NearSamples, pairs: Pairs):
-    """Offer all touching samples of a pair to the slots of their patches. Returns 1 if one of them closes."""
+    """Offer all touching samples of a pair to the slots of their patches.
+
+    Returns 1 if one of them closes, plus CROSSED if a sample is inside the other body that is no contact.
+    """
     closing = int(0)
     batch = near.first[pair]
     while batch >= 0:
@@ -192,7 +192,51 @@ def offer_near_samples(pair: int, weight: float, size: float, lane: int, lanes: 
             closing |= touch.closing
             offer_touches(pair, near.key[wp.min(start + lane, end - 1)], touch, weight, size, lane, lanes, pairs)
         batch = near.next[batch]
-    return wp.where(ballot(closing, lanes) == wp.uint32(0), 0, 1)
+    crossed = wp.where(ballot(closing & CROSSED, lanes) == wp.uint32(0), 0, CROSSED)
+    return crossed + wp.where(ballot(closing & 1, lanes) == wp.uint32(0), 0, 1)
+
+
+@wp.func
+def part(
+    pair: int,
+    kept: int,
+    crossed: int,
+    lane: int,
+    lanes: int,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    near: NearSamples,
+    pairs: Pairs,
+):
+    """Begin to part a pair that overlaps where no contact shows it, or end it. Returns the number of contacts.
+
+    It begins with the deepest sample alone, and ends when no sample is inside. The next step searches again.
+    """
+    axis = pairs.axis[pair]
+    deepest = int(-1)
+    if wp.length_sq(axis) > 0.0:
+        if kept > 0:
+            return kept
+        axis = wp.vec3(0.0, 0.0, 0.0)
+    elif crossed > 0:
+        shown = wp.where(kept == 0, 0.0, deepest_gap(pair, pairs))
+        shown *= wp.where(contradictory(pair, pairs), 1.0 / MUCH_DEEPER, MUCH_DEEPER)
+        deepest = deepest_hidden(pair, lane, lanes, near)
+        if near.gap[deepest] < shown:
+            axis = way_out(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies, state)
+        if wp.length_sq(axis) == 0.0:
+            return kept
+    else:
+        return kept
+    sync_warp(lanes)
+    if lane == 0:
+        pairs.axis[pair] = axis
+        pairs.searched[pair] = 0
+        if deepest >= 0:
+            pairs.kept[pair, 0] = near.key[deepest]
+    sync_warp(lanes)
+    return wp.where(deepest >= 0, 1, 0)
 
 
 @wp.func
@@ -217,7 +261,8 @@ def choose(
         pairs.patch_count[pair] = 0
     sync_warp(lanes)
     weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
-    closing = offer_near_samples(pair, weight, size, lane, lanes, near, pairs)
+    offered = offer_near_samples(pair, weight, size, lane, lanes, near, pairs)
+    closing = offered & 1
     sync_warp(lanes)
     solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])
     along = int(0)
@@ -229,8 +274,10 @@ def choose(
     kept *= closing
     if along == 1:
         return add_contact(pair, BY_AXIS, kept, lane, pairs)
-    if not solid:
-        kept = keep_balls(pair, kept, size, lane, lanes, shapes, bodies, state, motions, pairs)
+    if not are_solid(bodies.shape[a], bodies.shape[b], shapes):
+        kept = part(pair, kept, offered & CROSSED, lane, lanes, shapes, bodies, state, near, pairs)
+    if not solid and wp.length_sq(pairs.axis[pair]) == 0.0:
+        kept = keep_ball(pair, kept, size, lane, shapes, bodies, state, motions, pairs)
     return kept
 
 
@@ -254,10 +301,12 @@ def choose_contacts(
         a = pairs.body_a[pair]
         size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
         edges = envs.edge_samples[bodies.env[a]]
+        if lane == 0:
+            pairs.searched[pair] = edges + 1
+        sync_warp(lanes)
         kept = choose(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, near, pairs)
         if lane == 0:
             approach = smaller_approach(pair, bodies, state, motions, pairs)
             pairs.contact_count[pair] = kept
-            pairs.searched[pair] = edges + 1
             pairs.searched_orientation[pair] = approach.turn
             pairs.searched_position[pair] = approach.shift

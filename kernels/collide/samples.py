@@ -90,11 +90,12 @@ BALL_LAST = wp.constant(27)
 class Search:
     """State of the search of a sample. The distance is evaluated next at `query`, with the sample normal `facing`.
 
-    `evaluations`: number of distances so far, for measurements.
+    `evaluations`: number of distances so far, for measurements. `least`: the least of them, at most 0.
     """
 
     stage: int
     evaluations: int
+    least: float
     query: wp.vec3
     facing: wp.vec3
     normal: wp.vec3
@@ -503,6 +504,7 @@ def bring_to_touch(
             exact_below = wp.where(kind == SampleKind.EDGE and search.stage > EDGE_MIDDLE, along_edge, near)
             d = contact_distance(shapes, shape, search.query, search.facing, exact_below)
         search.evaluations += 1
+        search.least = wp.min(search.least, d[3])
         if search.stage >= BALL_CENTER:
             search = ball_next(search, d, radius, size, exact)
         elif kind == SampleKind.EDGE:
@@ -529,14 +531,16 @@ def opposed(cosine: float, kind: int, other: int):
 
 
 @wp.func
-def place_sample(shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float):
-    """Contact point of sample s; the distance is FAR if the sample does not oppose the surface.
+def place_sample(
+    shapes: Shapes, s: int, own_shape: int, shape: int, turn: wp.quat, shift: wp.vec3, reach: float, weight: float
+):
+    """Contact point of sample s; with weight 1, the distance is FAR if the sample does not oppose the surface.
 
     An edge that ends on a face without leaving it is not a contact: the distance to the faces that it opposes is not
     its true distance.
     """
-    found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, 1.0)
+    found = bring_to_touch(shapes, s, own_shape, shape, turn, shift, reach, weight)
     other = shapes.parts[shapes.shapes[shape].part_start].kind
-    if not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
+    if weight > 0.0 and not opposed(wp.dot(found.direction, found.normal), shapes.samples[s].kind, other):
         found.distance = FAR
     return found

@@ -16,7 +16,8 @@ from warp_rigid.kernels.collide.approach import (
 )
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
-from warp_rigid.kernels.collide.samples import place_sample
+from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
+from warp_rigid.kernels.collide.samples import Search, place_sample
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -24,14 +25,51 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
 @wp.func
+def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes):
+    """The contact point of a near sample; `crossing` if it is none, but inside the other body.
+
+    Of a pair that comes apart, every sample inside is a contact.
+    """
+    weight = wp.where(parting, 0.0, 1.0)
+    placed = Search()
+    crossing = int(0)
+    again = int(1)
+    while again == 1:
+        again = 0
+        placed = place_sample(
+            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.reach, weight
+        )
+        if weight > 0.0 and placed.distance >= FAR and placed.least < 0.0:
+            if placed.least < -hidden_depth(approach.own_shape, approach.shape, shapes):
+                weight = 0.0
+                crossing = 1
+                again = 1
+    placed.crossing = crossing
+    return placed
+
+
+@wp.func
 def touching(
-    s: int, side: int, approach: Approach, dt: float, size: float, shapes: Shapes, state: State, motions: Motions
+    s: int,
+    side: int,
+    approach: Approach,
+    parting: bool,
+    dt: float,
+    size: float,
+    shapes: Shapes,
+    state: State,
+    motions: Motions,
 ):
     """The contact point of a near sample in the second body's frame; its gap is FAR if there is none."""
     result = Touch()
     result.gap = FAR
-    placed = place_sample(shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, approach.reach)
-    if placed.distance >= approach.reach:
+    placed = place_near_sample(s, approach, parting, shapes)
+    if placed.crossing == 1:
+        if placed.distance < -hidden_depth(approach.own_shape, approach.shape, shapes):
+            result.gap = placed.distance
+            result.closing = CROSSED
+        return result
+    if placed.distance >= wp.where(parting, 0.0, approach.reach):
         return result
     touch = touch_of(placed, side, approach.other, state)
     a = wp.where(side == 0, approach.own, approach.other)
@@ -72,7 +110,11 @@ def touch_near_samples(
         side = near.key[k] % 2
         size = smaller_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
         approach = approach_from(side, pair, dt, size, shapes, bodies, state, motions, pairs)
-        touch = touching(near.key[k] / 2, side, approach, dt, size, shapes, state, motions)
+        parting = is_parting(pair, shapes, bodies, pairs)
+        touch = touching(near.key[k] / 2, side, approach, parting, dt, size, shapes, state, motions)
+        if parting:
+            touch.normal = pairs.axis[pair]
+            touch.closing = 1
         near.position[k] = touch.position
         near.normal[k] = touch.normal
         near.gap[k] = touch.gap

@@ -3,11 +3,11 @@
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import Touch, approach_of, touch_of
-from warp_rigid.kernels.collide.ball_pairs import BY_BALLS, touch_balls
 from warp_rigid.kernels.collide.convex_pairs import touch_along
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER, center_inside
+from warp_rigid.kernels.collide.parting import is_parting
 from warp_rigid.kernels.collide.samples import place_sample
 from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
@@ -149,20 +149,24 @@ def start_from_history(c: int, pair: int, row: ContactRecord, warm: int, contact
 
 
 @wp.func
-def touch_again(
-    key: int, a: int, b: int, axis: wp.vec3, shapes: Shapes, bodies: Bodies, state: State, motions: Motions
-):
-    """Evaluate the contact point of a known sample again; `axis`: that of the pair, if both bodies are convex."""
+def touch_again(key: int, pair: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs):
+    """Evaluate the contact point of a known sample of a pair again."""
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
     if key == BY_AXIS:
-        return touch_along(axis, a, b, shapes, bodies, state)
-    if key <= BY_BALLS:
-        return touch_balls(key, a, b, shapes, bodies, state)
+        return touch_along(pairs.axis[pair], a, b, shapes, bodies, state)
     if key <= BY_CENTER:
         return center_inside(BY_CENTER - key, a, b, shapes, bodies, state, motions)
     side = key % 2
     approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), FAR, bodies, state)
-    placed = place_sample(shapes, key / 2, approach.own_shape, approach.shape, approach.turn, approach.shift, FAR)
-    return touch_of(placed, side, approach.other, state)
+    parting = is_parting(pair, shapes, bodies, pairs)
+    weight = wp.where(parting, 0.0, 1.0)
+    own = approach.own_shape
+    placed = place_sample(shapes, key / 2, own, approach.shape, approach.turn, approach.shift, FAR, weight)
+    touch = touch_of(placed, side, approach.other, state)
+    if parting:
+        touch.normal = wp.quat_rotate(state.orientation[b], pairs.axis[pair])
+    return touch
 
 
 @wp.func
@@ -204,7 +208,7 @@ def build_contacts(
         rules = wp.vec2i(envs.friction_rule[env], envs.restitution_rule[env])
         for k in range(wp.tid() % lanes, count, lanes):
             c = start + k
-            touch = touch_again(pairs.kept[pair, k], a, b, pairs.axis[pair], shapes, bodies, state, motions)
+            touch = touch_again(pairs.kept[pair, k], pair, shapes, bodies, state, motions, pairs)
             contacts.key[c] = pairs.kept[pair, k]
             if touch.gap >= FAR:
                 touch.position = motions.center[a]

@@ -51,28 +51,36 @@ def is_overloaded(b: int, impulse: float, dt: float, bodies: Bodies, motions: Mo
 
 
 @wp.kernel
-def check_pairs(
+def check_overlaps(threads: int, shapes: Shapes, bodies: Bodies, pairs: Pairs, history: History, motions: Motions):
+    """The threads share the pairs: the deepest of the deep overlaps of each body."""
+    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
+        depth = float(0.0)
+        for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
+            depth = wp.max(depth, -history.gap[c])
+        a = pairs.body_a[pair]
+        b = pairs.body_b[pair]
+        if depth > DEEP * smaller_size(a, b, shapes, bodies):
+            wp.atomic_max(motions.overlap, a, depth)
+            wp.atomic_max(motions.overlap, b, depth)
+
+
+@wp.kernel
+def check_loads(
     dt: float,
     threads: int,
-    shapes: Shapes,
     bodies: Bodies,
     pairs: Pairs,
     history: History,
     motions: Motions,
     envs: Environments,
 ):
-    """The threads share the pairs: the deepest of the deep overlaps of each body, and overloaded bodies."""
+    """The threads share the pairs: overloaded bodies."""
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
-        depth = float(0.0)
         impulse = wp.vec3(0.0, 0.0, 0.0)
         for c in range(history.contact_start[pair], history.contact_start[pair + 1]):
-            depth = wp.max(depth, -history.gap[c])
             impulse += history.impulse[c]
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if depth > DEEP * smaller_size(a, b, shapes, bodies):
-            wp.atomic_max(motions.overlap, a, depth)
-            wp.atomic_max(motions.overlap, b, depth)
         env = bodies.env[a]
         if is_overloaded(a, wp.length(impulse), dt, bodies, motions):
             wp.atomic_max(envs.overloaded, env, envs.first_body[env + 1] - a)

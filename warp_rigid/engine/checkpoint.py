@@ -23,7 +23,7 @@ from warp_rigid.engine.world import World
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide.ball_pairs import LAST_BALLS
+from warp_rigid.kernels.collide.pair_contacts import BY_AXIS
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.version import __version__
@@ -216,7 +216,7 @@ def _checked(
     if last == "broken" and struct == "Joints":
         _within(name, rows, 0, 1)
     if last == "key":
-        _within(name, rows, LAST_BALLS, 2 * world.model.shapes.samples.shape[0] - 1)
+        _within(name, rows, BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
     return rows
 
 
@@ -267,6 +267,8 @@ def _upload(world: World, rows: dict[str, np.ndarray]) -> None:
         array.assign(rows[name])
     island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - _first_bodies(world), 0)
     world.sleep_state.island.assign(island.astype(np.int32))
+    for shard in world.shards:
+        shard.note_masses()
 
 
 def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -5,15 +5,47 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_rigid.engine.model import Model
 from warp_rigid.engine.step import Stages
-from warp_rigid.kernels.enums import WarningKind
+from warp_rigid.kernels.enums import Motion, WarningKind
 from warp_rigid.kernels.update import health
 
 EVERY = 64
 """Steps from one check to the next."""
 
+
+UNEQUAL = 1e3
+"""Ratio of the masses of an environment up to which every load is carried, as towers and chains of 1000 : 1 show."""
+
 WARNING_NAMES = ("env", "warning", "step", "time", "body")
 WARNING_RECORD = np.dtype(list(zip(WARNING_NAMES, (np.int64, "U9", np.int64, np.float64, np.int64), strict=True)))
+
+
+def may_be_overloaded(model: Model) -> bool:
+    """Whether a body of an environment can carry more than HEAVIEST_LOAD times its weight: all others, if at rest.
+
+    The masses must be unequal besides. Loads are then checked in every step: they throw bodies apart in fewer steps
+    than lie between two checks, and are gone then.
+    """
+    masses = np.where(model.bodies.motion.numpy() == Motion.DYNAMIC, model.bodies.mass.numpy(), np.nan)
+    rows = model.layout.by_environment(masses.astype(np.float64))
+    rows = rows[~np.isnan(rows).all(axis=1)]
+    least = np.nanmin(rows, axis=1)
+    overload = np.nansum(rows, axis=1) > float(health.HEAVIEST_LOAD) * least
+    return bool((overload & (np.nanmax(rows, axis=1) > UNEQUAL * least)).any())
+
+
+def check_loads(stages: Stages) -> None:
+    """Note overloaded bodies of all environments of a shard after a step, for the next check."""
+    pools, device = stages.pools, stages.device
+    threads = pools.sizes["pairs"] if device.is_cuda else 1
+    wp.launch(
+        health.check_loads,
+        dim=threads,
+        inputs=[stages.dt, threads, stages.model.bodies, pools.pairs, pools.history, stages.motions],
+        outputs=[stages.envs],
+        device=device,
+    )
 
 
 def check(stages: Stages) -> None:
@@ -21,12 +53,13 @@ def check(stages: Stages) -> None:
     model, pools, device = stages.model, stages.pools, stages.device
     threads = pools.sizes["pairs"] if device.is_cuda else 1
     wp.launch(
-        health.check_pairs,
+        health.check_overlaps,
         dim=threads,
-        inputs=[stages.dt, threads, model.shapes, model.bodies, pools.pairs, pools.history],
-        outputs=[stages.motions, stages.envs],
+        inputs=[threads, model.shapes, model.bodies, pools.pairs, pools.history],
+        outputs=[stages.motions],
         device=device,
     )
+    check_loads(stages)
     inputs = [model.shapes, model.bodies, stages.motions]
     for kernel, dim in ((health.check_bodies, stages.rows), (health.check_environments, stages.num_envs)):
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=[stages.state, stages.envs], device=device)

@@ -289,6 +289,8 @@ def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
             hosts[name][targets[own]] = values
     for name, host in hosts.items():
         getattr(world.model.bodies, name).assign(host)
+    for shard in world.shards:
+        shard.note_masses()
 
 
 def _check_mass_ratios(world: World, new: np.ndarray, targets: np.ndarray) -> None:

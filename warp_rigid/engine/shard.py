@@ -83,6 +83,11 @@ class Shard:
         self._saved_envs = [(array, wp.clone(array)) for array in (getattr(self._envs, name) for name in WATCHED)]
         self._saved_in: int | None = None
         self.pools = Pools.allocate(self.layout, sizes, self._device)
+        self.note_masses()
+
+    def note_masses(self) -> None:
+        """Read the masses of the bodies; to be called when they have been changed."""
+        self._overload = health_checks.may_be_overloaded(self._model)
 
     @property
     def stages(self) -> Stages:
@@ -121,8 +126,10 @@ class Shard:
             pools.begin()
         with wp.ScopedCapture(self._device, force_module_load=False) as checking:
             health_checks.check(stages)
+        with wp.ScopedCapture(self._device, force_module_load=False) as loads:
+            health_checks.check_loads(stages)
         self.pools, self._stages, self._kept, self._keeping = pools, stages, kept, capture.graph
-        self._checking = checking.graph
+        self._checking, self._checking_loads = checking.graph, loads.graph
         self._measuring: Any = None
 
     def watch(self, watches: Any) -> None:
@@ -141,6 +148,8 @@ class Shard:
             self.stages.replay()
             if step % health_checks.EVERY == 0:
                 wp.capture_launch(self._checking)
+            elif self._overload:
+                wp.capture_launch(self._checking_loads)
         self.seconds = time.perf_counter() - begin
 
     def save(self, attempt: int) -> None:

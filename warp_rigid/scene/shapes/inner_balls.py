@@ -1,12 +1,13 @@
-"""Inner balls: a few large balls inside a shape, by which a deep overlap of two bodies is found.
+"""Inner balls: a few large balls inside a shape, by which a deep overlap of two bodies is found and measured.
 
-The surfaces of bodies that overlap deeply may oppose each other nowhere; a ball in one body still overlaps a ball in
-the other. A shape of several arms needs several balls.
+The surfaces of bodies that overlap deeply may oppose each other nowhere; a ball in one body still overlaps the other. A
+shape of several arms needs several balls.
 """
 
 import numpy as np
 
-from warp_rigid.kernels.collide.ball_pairs import MOST_BALLS
+MOST_BALLS = 32
+"""Maximum number of inner balls of a shape."""
 
 THINNEST = 0.7
 """Smallest ball, as a fraction of the largest one."""
