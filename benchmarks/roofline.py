@@ -468,11 +468,9 @@ def _follow(c: Counts) -> Work:
     read = c.rows * (row(schema.State, "bodies", "position", "orientation") + VELOCITY)
     read += c.rows * row(schema.Motions, "bodies", "center", "radius", "max_travel")
     read += c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b")
-    return Work(
-        read,
-        c.rows * row(schema.Motions, "bodies", "time_of_impact", "next_time_of_impact"),
-        c.pairs * OPERATIONS["course"],
-    )
+    own = ("time_of_impact", "course", "shared_spin")
+    kept = row(schema.Motions, "bodies", *own, *(f"next_{name}" for name in own), "first_impact", "changed", "joined")
+    return Work(read, c.rows * kept, c.pairs * OPERATIONS["course"])
 
 
 def _move(c: Counts) -> Work:

@@ -7,6 +7,7 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
@@ -14,6 +15,7 @@ import warp as wp
 from warp_rigid.commands import cli
 from warp_rigid.diagnostics import machine, selftest
 from warp_rigid.engine.loading import everything, load_kernels
+from warp_rigid.engine.simulator import choose_device
 from warp_rigid.scene.shapes import distance_grid
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -104,6 +106,22 @@ def test_a_driver_that_warp_cannot_use_is_a_fault(monkeypatch):
     assert not check.passed and "update the NVIDIA driver" in check.advice
     monkeypatch.setattr(machine.shutil, "which", lambda _: None)
     monkeypatch.setattr(machine.Path, "exists", lambda _: False)
+    assert machine._cuda().passed
+
+
+def test_a_driver_older_than_cuda_12_4_is_named(monkeypatch, caplog):
+    """Conditional nodes of CUDA graphs, with which a step repeats rounds, need it."""
+    monkeypatch.setattr(machine.wp, "is_cuda_available", lambda: True)
+    monkeypatch.setattr(machine.wp, "get_cuda_driver_version", lambda: (12, 2))
+    monkeypatch.setattr(machine.wp, "is_conditional_graph_supported", lambda: False)
+    check = machine._cuda()
+    assert not check.passed and check.found.endswith("driver for CUDA 12.2") and "12.4" in check.advice
+    assert str(choose_device(None)) == "cpu"
+    assert "CUDA 12.4 or newer" in caplog.text
+    monkeypatch.setattr(machine.wp, "get_device", lambda name: SimpleNamespace(is_cuda=True))
+    with pytest.raises(ValueError, match=r"CUDA 12\.4 or newer; update it, or use cpu"):
+        choose_device("cuda:0")
+    monkeypatch.setattr(machine.wp, "is_conditional_graph_supported", lambda: True)
     assert machine._cuda().passed
 
 

@@ -102,7 +102,11 @@ def _cuda() -> MachineCheck:
     """MachineCheck CUDA; a machine without an NVIDIA driver passes."""
     if wp.is_cuda_available():
         driver = ".".join(str(part) for part in wp.get_cuda_driver_version() or ())
-        return MachineCheck("cuda", True, f"{wp.get_cuda_device_count()} device(s), driver for CUDA {driver}")
+        found = f"{wp.get_cuda_device_count()} device(s), driver for CUDA {driver}"
+        usable = wp.is_conditional_graph_supported()
+        return MachineCheck(
+            "cuda", usable, found, "" if usable else "update the NVIDIA driver: CUDA 12.4 is the oldest"
+        )
     if not (shutil.which("nvidia-smi") or Path("/proc/driver/nvidia").exists()):
         return MachineCheck("cuda", True, "no NVIDIA driver; simulations run on the CPU")
     advice = "update the NVIDIA driver, or give the container access to the GPU; `nvidia-smi` must list a GPU"

@@ -424,14 +424,20 @@ def choose_device(device: Any) -> Any:
     """Return a Warp device; None selects the first CUDA device, or else the CPU, and logs which.
 
     Raises:
-        ValueError: there is no such device.
+        ValueError: there is no such device, or its driver is too old.
     """
+    too_old = wp.is_cuda_available() and not wp.is_conditional_graph_supported()
     if device is None:
-        chosen = wp.get_cuda_device() if wp.is_cuda_available() else wp.get_device("cpu")
+        chosen = wp.get_cuda_device() if wp.is_cuda_available() and not too_old else wp.get_device("cpu")
         log.info("simulating on %s", chosen)
+        if too_old:
+            log.warning("the GPU is not used: its driver must support CUDA 12.4 or newer")
         return chosen
     try:
-        return wp.get_device(device)
+        chosen = wp.get_device(device)
     except Exception as error:
         names = ", ".join(str(d) for d in wp.get_devices())
         raise ValueError(f"device: must be one of {names}, got {device!r}") from error
+    if chosen.is_cuda and too_old:
+        raise ValueError(f"device: the driver of {chosen} must support CUDA 12.4 or newer; update it, or use cpu")
+    return chosen
