@@ -212,7 +212,7 @@ def count_samples(
                     if culling.sample_is_near(s, approach, shapes):
                         counted[pair, 3] += 1
                         found = samples.place_sample(
-                            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, reach
+                            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, reach, 1.0
                         )
                         counted[pair, 4] += found.evaluations
         side += 1

@@ -23,6 +23,7 @@ from warp_rigid.kernels.collide.course import (
     common_share,
     course_of,
     handled_gap,
+    handled_gap_of_solids,
     largest_motion,
     onward_course,
     passage_of,
@@ -211,7 +212,7 @@ def advance_solids(
         if is_advanced(pair, shapes, bodies, pairs):
             first, second = courses_of(pair, 0, bodies, state, motions, pairs)
             size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
-            near = handled_gap(first, second, dt, size, pairs.contact_count[pair] > 0, shapes)
+            near = handled_gap_of_solids(first, second, size, pairs.contact_count[pair] > 0)
             t = impact_of_solids(first, second, pairs.axis[pair], near, dt, size, shapes)
         suspects.impact[pair] = t
 

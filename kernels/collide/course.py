@@ -215,13 +215,17 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
 
 
 @wp.func
+def handled_gap_of_solids(own: Course, other: Course, size: float, touching: bool):
+    """`handled_gap` of two convex solids."""
+    return wp.where(touching and own.joined + other.joined > 0, DEPTH_OF_CONTACTS, DEPTH) * size
+
+
+@wp.func
 def handled_gap(own: Course, other: Course, dt: float, size: float, touching: bool, shapes: Shapes):
     """Samples of a body that start closer to the other are handled by the solver [m]; `touching`: it has contacts."""
     if touching and shapes.shapes[other.shape].convex == 0 and relative_motion(own, other, dt) > FAST * size:
         return NEAR * wp.min(size, shapes.shapes[other.shape].wall)
-    if touching and own.joined + other.joined > 0:
-        return DEPTH_OF_CONTACTS * size
-    return DEPTH * size
+    return handled_gap_of_solids(own, other, size, touching)
 
 
 @wp.func
