@@ -2,13 +2,14 @@
 
 The narrow phase finds contacts near the pose at the start of a step. Further along the motion, neither the position nor
 the normal of a contact is known. Therefore, before the bodies move, pairs whose motion in the step is large compared
-with the smaller of both sizes are traced with the velocities computed by the solver: first the bounding sphere of a
-body, then the bounding spheres of its clusters, then its samples and its centre, each against the signed distance of
-the other body (trace.py). From its time of impact on, a pair moves as one body for the rest of the step, with the
-slowest motion that the two can share (course.py). The next step finds the contact there, with the true normal and the
-full speed, so that the bodies rebound correctly. If the bodies stopped instead, those that fall behind them in a heap
-would run into them: by up to 0.6 sizes where 4096 boxes land at 10 m/s with two steps per frame. If they did not rotate
-together, the slower one would leave its own contacts.
+with the smaller of both sizes are traced with the velocities computed by the solver. Two convex solids are advanced
+until they overlap (advancement.py). For other pairs, first the bounding sphere of a body, then the bounding spheres of
+its clusters, then its samples and its centre are traced, each against the signed distance of the other body (trace.py).
+From its time of impact on, a pair moves as one body for the rest of the step, with the slowest motion that the two can
+share (course.py). The next step finds the contact there, with the true normal and the full speed, so that the bodies
+rebound correctly. If the bodies stopped instead, those that fall behind them in a heap would run into them: by up to
+0.6 sizes where 4096 boxes land at 10 m/s with two steps per frame. If they did not rotate together, the slower one
+would leave its own contacts.
 """
 
 import warp as wp
