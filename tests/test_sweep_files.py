@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import polars
+import pyarrow
 import pyarrow.parquet
 import pytest
 import zarr
@@ -19,7 +20,7 @@ import warp_rigid as wr
 from tests.test_sweep import ball, quick, values
 from warp_rigid.files import atomic
 from warp_rigid.sweep import batch_run as batch_module
-from warp_rigid.sweep import merge, read
+from warp_rigid.sweep import merge, read, read_series
 from warp_rigid.sweep import table as table_module
 from warp_rigid.sweep.table import SweepResult, write
 
@@ -127,6 +128,13 @@ def test_an_error_in_the_caller_keeps_what_is_done(tmp_path):
         quick(AXES, output=tmp_path / "t.parquet", batch=2, on_progress=stop)
     kept = read(tmp_path / "t.parquet")
     assert len(kept) == 4 and kept.about["state"] == "interrupted"
+
+
+def test_series_are_read_where_a_killed_process_left_half_a_file(tmp_path):
+    rows = pyarrow.table({"run": [1, 0], "time": [0.0, 0.0], "drift": [2.0, 3.0]})
+    pyarrow.parquet.write_table(rows, tmp_path / "a.parquet")
+    (tmp_path / ".b.0123456789abcdef.parquet").write_bytes(b"PAR1")
+    assert read_series(tmp_path)["drift"].to_pylist() == [3.0, 2.0]
 
 
 def test_killed_processes_leave_a_table_to_resume(tmp_path):

@@ -161,7 +161,8 @@ def read_series(folder: Any) -> Any:
         raise FileNotFoundError(f"{folder}: no such folder")
     if Path(folder).suffix == ZARR:
         return _table_of_zarr(Path(folder))
-    return _in_order([pyarrow.parquet.read_table(path) for path in sorted(Path(folder).glob("*.parquet"))])
+    # A process that is killed while it writes leaves a temporary file, whose name begins with a dot.
+    return _in_order([pyarrow.parquet.read_table(path) for path in sorted(Path(folder).glob("[!.]*.parquet"))])
 
 
 def _table_of_zarr(folder: Path) -> Any:
