@@ -42,6 +42,7 @@ from warp_rigid.kernels.collide.trace import (
     trace_ball,
     trace_suspect,
 )
+from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -294,13 +295,11 @@ def list_suspects(
     wanted: wp.array2d[int],
 ):
     """The teams share the listed clusters: list their samples that must be traced. Record the number of clusters."""
-    count = suspects.cluster_count[0]
-    if wp.tid() == 0:
-        wp.atomic_max(wanted, turn[0], which, count)
+    count = usable_count(wp.tid(), which, suspects.cluster_count[0], suspects.cluster.shape[0], turn, wanted)
     task = TraceTask()
     task.lane = wp.tid() % lanes
     task.lanes = lanes
-    for k in range(wp.tid() / lanes, wp.where(count > suspects.cluster.shape[0], 0, count), teams):
+    for k in range(wp.tid() / lanes, count, teams):
         task.pair = suspects.cluster_body[k] / 2
         task.side = suspects.cluster_body[k] % 2
         own, other, passage = passage_of_body(task.pair, task.side, dt, shapes, bodies, state, motions, pairs)
@@ -327,10 +326,8 @@ def trace_suspects(
     A trace ends at the earliest impact that is known so far, which cannot change the result. If there are more samples
     than fit, the step is void, and none is traced.
     """
-    count = suspects.count[0]
-    if wp.tid() == 0:
-        wp.atomic_max(wanted, turn[0], which, count)
-    for k in range(wp.tid(), wp.where(count > suspects.pair.shape[0], 0, count), threads):
+    count = usable_count(wp.tid(), which, suspects.count[0], suspects.pair.shape[0], turn, wanted)
+    for k in range(wp.tid(), count, threads):
         pair = suspects.pair[k]
         own, other = courses_of(pair, suspects.side[k], bodies, state, motions, pairs)
         size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)

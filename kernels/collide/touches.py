@@ -18,6 +18,7 @@ from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
 from warp_rigid.kernels.collide.samples import Search, place_sample
+from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -102,10 +103,8 @@ def touch_near_samples(
 
     If there are more than fit, the step is void, and no sample touches.
     """
-    count = near.count[0]
-    if wp.tid() == 0:
-        wp.atomic_max(wanted, turn[0], which, count)
-    for k in range(wp.tid(), wp.where(count > near.key.shape[0], 0, count), threads):
+    count = usable_count(wp.tid(), which, near.count[0], near.key.shape[0], turn, wanted)
+    for k in range(wp.tid(), count, threads):
         pair = near.pair[k]
         side = near.key[k] % 2
         size = smaller_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)

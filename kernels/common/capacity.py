@@ -37,3 +37,11 @@ def empty_if_over(which: int, capacity: int, turn: wp.array[int], wanted: wp.arr
     """Empty a list that exceeds the capacity of its pool."""
     if wanted[turn[0], which] > capacity:
         start[wp.tid()] = 0
+
+
+@wp.func
+def usable_count(thread: int, which: int, count: int, capacity: int, turn: wp.array[int], wanted: wp.array2d[int]):
+    """Record the length of a list that threads have filled. Returns it, or 0 if it exceeds the capacity."""
+    if thread == 0:
+        wp.atomic_max(wanted, turn[0], which, count)
+    return wp.where(count > capacity, 0, count)

@@ -518,6 +518,15 @@ def push_mechanism(m: int, b: int, impulse: vec6d, which: int, motions: Motions,
 
 
 @wp.func
+def push_mechanisms(visit: Visit, which: int, motions: Motions, joints: Joints):
+    """Apply the impulses of a visit to the mechanisms of both bodies: VELOCITY or PUSH."""
+    if visit.m_a >= 0:
+        push_mechanism(visit.m_a, visit.a, visit.on_a, which, motions, joints)
+    if visit.m_b >= 0:
+        push_mechanism(visit.m_b, visit.b, visit.on_b, which, motions, joints)
+
+
+@wp.func
 def visit_pair(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
     """Solve a pair with its responses, or apply its initial impulses (`start`). Returns the largest change [m/s]."""
     visit = open_visit(entry, motions, joints)
@@ -533,10 +542,7 @@ def visit_pair(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joi
             first = wp.max(first, visit.change)
             left = wp.where(visit.change > CONVERGED, left - 1, 0)
     store_bodies(visit.a, visit.b, visit.pair, motions)
-    if visit.m_a >= 0:
-        push_mechanism(visit.m_a, visit.a, visit.on_a, VELOCITY, motions, joints)
-    if visit.m_b >= 0:
-        push_mechanism(visit.m_b, visit.b, visit.on_b, VELOCITY, motions, joints)
+    push_mechanisms(visit, VELOCITY, motions, joints)
     return first
 
 

@@ -12,7 +12,7 @@ from warp_rigid.kernels.common.team import Team, any_of_team
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.joints.arrays import Joints
-from warp_rigid.kernels.joints.loads import PAIR_ROUNDS, Visit, open_visit, push_mechanism, pushed, with_responses
+from warp_rigid.kernels.joints.loads import PAIR_ROUNDS, Visit, open_visit, push_mechanisms, pushed, with_responses
 from warp_rigid.kernels.schema import Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.push_out import ENOUGH
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
@@ -104,10 +104,7 @@ def push_visited(entry: OrderRecord, motions: Motions, rows: Rows, joints: Joint
         store_velocity(visit.a, PUSH, visit.pair.linear_a, visit.pair.angular_a, motions)
     if visit.pair.inverse_mass_b > 0.0:
         store_velocity(visit.b, PUSH, visit.pair.linear_b, visit.pair.angular_b, motions)
-    if visit.m_a >= 0:
-        push_mechanism(visit.m_a, visit.a, visit.on_a, PUSH, motions, joints)
-    if visit.m_b >= 0:
-        push_mechanism(visit.m_b, visit.b, visit.on_b, PUSH, motions, joints)
+    push_mechanisms(visit, PUSH, motions, joints)
     return first
 
 
