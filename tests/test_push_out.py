@@ -8,17 +8,17 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels.solve.push_out import FASTEST, RECOVERY, SLOP
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Sphere
 from warp_rigid.scenes.builders import meshes
 
 DT = 1 / 240
 
 
-def depths_after(depth, size, steps):
+def depths_after(depth, size, steps, dt=DT):
     """The overlap after each step: the stated part of what exceeds the slop goes, at limited speed."""
     series = []
     for _ in range(steps):
-        depth -= min(RECOVERY * max(depth - SLOP * size, 0.0), FASTEST * DT)
+        depth -= min(RECOVERY * max(depth - SLOP * size, 0.0), FASTEST * dt)
         series.append(depth)
     return series
 
@@ -166,3 +166,52 @@ def test_what_is_caught_between_lower_bodies_pushes_them_apart(device):
     sim.step(60)
     assert sim.get("level")[0].tolist() == [0, 0, 1, 2, 1]
     assert sim.penetration()[0] < 0.1 * depth
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2, 2.0], ids=["at_rest", "slow", "fast"])
+@pytest.mark.parametrize("shape", [Sphere(0.05), Cylinder(0.05, 0.1), Capsule(0.05, 0.1)], ids=str)
+@pytest.mark.parametrize("dt", [1 / 60, DT], ids=["60_hz", "240_hz"])
+def test_overlap_of_a_rolling_body_shrinks_as_that_of_one_at_rest(device, shape, speed, dt):
+    """A step turns the fast one by 38 degrees. Its lowest point rises, its surface does not."""
+    depth = 1e-3
+    scene = Scene()
+    scene.add_static(GROUND)
+    scene.add_body(
+        shape,
+        position=(0, 0, 0.05 - depth),
+        orientation=rotate_about((1, 0, 0), 90.0),
+        linear_velocity=(speed, 0, 0),
+        angular_velocity=(0, speed / 0.05, 0),
+    )
+    sim, _ = opened(scene, device, settings=Settings(dt=dt))
+    found = []
+    for _ in range(25):
+        sim.step()
+        found.append(0.05 - sim.get("position")[0, 1, 2])
+    np.testing.assert_allclose(found, depths_after(depth, 0.1, 25, dt), atol=2e-6)
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.05), Cylinder(0.05, 0.2), Capsule(0.05, 0.2)], ids=str)
+def test_a_spinning_body_does_not_push_the_ball_that_touches_it(device, shape):
+    """A flat surface would turn into the ball by a hundredth of a metre in a step."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_kinematic(shape, angular_velocity=(0, 0, 40.0), friction=0.0)
+    scene.add_body(Sphere(0.05), position=(0.1, 0, 0), friction=0.0)
+    sim, _ = opened(scene, device, settings=Settings(dt=1 / 60))
+    sim.step(60)
+    assert sim.get("position")[0, 1] == pytest.approx([0.1, 0, 0], abs=1e-6)
+
+
+def test_a_ball_with_its_weight_off_its_center_does_not_sink_as_it_turns(device):
+    """Its surface does move: the middle circles around the centre of mass, and pushes it up where it comes below."""
+    weighted = Compound([(Sphere(0.05), (0, 0, 0), (0, 0, 0, 1))], (0, 0, 0.02), 1e-3 * np.eye(3))
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_static(GROUND, friction=0.0)
+    scene.add_body(weighted, position=(0, 0, 0.05), angular_velocity=(0, 20.0, 0), friction=0.0)
+    sim, _ = opened(scene, device, settings=Settings(dt=1 / 60))
+    lowest = []
+    for _ in range(30):
+        sim.step()
+        lowest.append(sim.get("position")[0, 1, 2] - 0.05)
+    assert min(lowest) >= -1.5 * SLOP * 0.1
+    assert max(lowest) > 0.01

@@ -29,7 +29,7 @@ from warp_rigid.kernels.constraints.contact import (
     set_target_impulse,
 )
 from warp_rigid.kernels.constraints.rows import Rows
-from warp_rigid.kernels.enums import ShockMode
+from warp_rigid.kernels.enums import PartKind, ShockMode
 from warp_rigid.kernels.schema import (
     Bodies,
     ContactRecord,
@@ -41,6 +41,7 @@ from warp_rigid.kernels.schema import (
     OrderRecord,
     Pairs,
     Shapes,
+    State,
 )
 from warp_rigid.kernels.solve.schedule import entry_at, first_of_color, stride_of_color
 from warp_rigid.kernels.update.predict import smaller_size
@@ -66,6 +67,9 @@ LIGHTER = wp.constant(10.0)
 ENOUGH = wp.constant(1.0e-4)
 """Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
 
+CENTERED = wp.constant(1.0e-3)
+"""Largest distance of the centre of mass from an axis of symmetry on which it lies, as a fraction of the size."""
+
 FASTEST = wp.constant(2.0)
 """Largest speed at which bodies are pushed apart [m/s]."""
 
@@ -80,10 +84,37 @@ def rotate_by_spin(v: wp.vec3, spin: wp.vec3, dt: float):
 
 
 @wp.func
+def spin_of_surface(b: int, spin: wp.vec3, shapes: Shapes, bodies: Bodies, state: State):
+    """The part of a body's spin that moves its surface.
+
+    A rotation about the axis of a cylinder or capsule, or about the centre of a sphere, leaves the surface in place,
+    although it moves the material points that touch. This holds if the centre of mass lies on the axis.
+    """
+    shape = bodies.shape[b]
+    part = shapes.shapes[shape].part_start
+    kind = shapes.parts[part].kind
+    ball = kind == PartKind.SPHERE
+    round = ball or kind == PartKind.CAPSULE or kind == PartKind.CYLINDER
+    if shapes.shapes[shape].convex == 0 or not round:
+        return spin
+    axis = wp.quat_rotate(shapes.parts[part].orientation, wp.vec3(0.0, 0.0, 1.0))
+    offset = bodies.center_of_mass[b] - shapes.parts[part].position
+    if not ball:
+        offset -= wp.dot(offset, axis) * axis
+    if wp.length(offset) > CENTERED * shapes.shapes[shape].size:
+        return spin
+    if ball:
+        return wp.vec3(0.0, 0.0, 0.0)
+    axis = wp.quat_rotate(state.orientation[b], axis)
+    return spin - wp.dot(spin, axis) * axis
+
+
+@wp.func
 def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair):
     """Gap of a contact after the step, including the rotation of arms and normal, which velocities do not account for.
 
-    The normal rotates with the body whose surface it belongs to: the second body if the key is even, else the first.
+    The spins of the pair are those of the surfaces. The normal rotates with the body whose surface it belongs to: the
+    second body if the key is even, else the first.
     """
     way_a = dt * pair.linear_a + rotate_by_spin(row.arm_a, pair.angular_a, dt) - row.arm_a
     way_b = dt * pair.linear_b + rotate_by_spin(row.arm_b, pair.angular_b, dt) - row.arm_b
@@ -94,13 +125,24 @@ def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair):
 
 
 @wp.func
-def wanted_speed(c: int, dt: float, shapes: Shapes, bodies: Bodies, pairs: Pairs, motions: Motions, contacts: Contacts):
+def wanted_speed(
+    c: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    pairs: Pairs,
+    motions: Motions,
+    contacts: Contacts,
+):
     """Separation speed that the contact requires [m/s], 0 if none."""
     row = read_contact(c, contacts.rows)
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
     size = smaller_size(a, b, shapes, bodies)
     pair = load_bodies(a, b, 0.0, 0.0, motions)
+    pair.angular_a = spin_of_surface(a, pair.angular_a, shapes, bodies, state)
+    pair.angular_b = spin_of_surface(b, pair.angular_b, shapes, bodies, state)
     overlap = wp.max(-gap_after(row, contacts.key[c], dt, pair) - SLOP * size, 0.0)
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
     return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
@@ -174,6 +216,7 @@ def find_overlaps(
     lanes: int,
     shapes: Shapes,
     bodies: Bodies,
+    state: State,
     envs: Environments,
     pairs: Pairs,
     motions: Motions,
@@ -191,7 +234,7 @@ def find_overlaps(
     end = pairs.contact_start[pairs.start[envs.first_body[env + 1]]]
     found = int(0)
     for c in range(begin + team.lane, end, lanes):
-        target = wanted_speed(c, dt, shapes, bodies, pairs, motions, rows.contacts)
+        target = wanted_speed(c, dt, shapes, bodies, state, pairs, motions, rows.contacts)
         set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, rows.contacts)
         if target > 0.0 and envs.contact_iterations[env] > 0:
             found = 1

@@ -25,6 +25,7 @@ from warp_rigid.kernels.schema import (
     Pairs,
     Shapes,
     SolverBodyRecord,
+    State,
 )
 from warp_rigid.kernels.solve.push_out import ENOUGH, wanted_speed
 from warp_rigid.kernels.solve.rounds import (
@@ -64,6 +65,7 @@ def find_overlaps_in_heaps(
     threads: int,
     shapes: Shapes,
     bodies: Bodies,
+    state: State,
     pairs: Pairs,
     motions: Motions,
     contacts: Contacts,
@@ -81,7 +83,7 @@ def find_overlaps_in_heaps(
         deep = int(0)
         largest = float(0.0)
         for c in range(entry.begin, entry.end):
-            target = wanted_speed(c, dt, shapes, bodies, pairs, motions, contacts)
+            target = wanted_speed(c, dt, shapes, bodies, state, pairs, motions, contacts)
             write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(0.0, 0.0, 0.0), target)
             deep += wp.where(target > 0.0, 1, 0)
             largest = wp.max(largest, target)

@@ -22,7 +22,8 @@ class HeapStages:
 
     def __init__(self, stages: Any) -> None:
         """Launch nothing yet."""
-        self.model, self.envs, self.pools, self.motions = stages.model, stages.envs, stages.pools, stages.motions
+        self.model, self.state, self.envs = stages.model, stages.state, stages.envs
+        self.pools, self.motions = stages.pools, stages.motions
         self.dt, self.device, self.shared = stages.dt, stages.device, stages._shared
         self.bodies, self.most_pairs = stages.rows, stages.pools.sizes["constraints"]
 
@@ -67,7 +68,7 @@ class HeapStages:
         """Push-out of heaps, in rounds."""
         model, pools, pushed = self.model, self.pools, self.pools.selected
         self.shared(rounds.open_rounds, self.bodies, [0], [], [pushed])
-        inputs = [model.shapes, model.bodies, pools.pairs, self.motions, pools.contacts, pools.rounds]
+        inputs = [model.shapes, model.bodies, self.state, pools.pairs, self.motions, pools.contacts, pools.rounds]
         found = [pushed, pools.slots]
         self.shared(push_rounds.find_overlaps_in_heaps, self.most_pairs, [self.dt], inputs, found)
         self.shared(push_rounds.share_masses, self.most_pairs, [], [], [pushed])

@@ -312,7 +312,7 @@ class Stages:
         model, pools = self.model, self.pools
         self._per_team(
             push_out.find_overlaps,
-            [self.dt, self.lanes, model.shapes, model.bodies, self.envs, pools.pairs],
+            [self.dt, self.lanes, model.shapes, model.bodies, self.state, self.envs, pools.pairs],
             [self.motions, pools.graph, self.constraint_rows],
         )
         self._color_by_color(push_out.push_apart)
