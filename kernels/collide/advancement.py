@@ -1,23 +1,26 @@
 """Conservative advancement of two convex solids: the time in a step at which they overlap too much.
 
 Along an axis that is fixed to the second solid, the gap of the solids (convex.py) closes at most as fast as the fastest
-point of the first one moves along it. So the solids can move until that point has covered the gap along an axis. Then
-an axis with a larger gap is searched for, until there is none (B. Mirtich, "Impulse-based Dynamic Simulation of Rigid
-Body Systems", 1996, section 2.3). Samples would miss solids whose corners and edges run along each other, such as cubes
-that fall one above the other.
+point of the first one moves along it, and it is bounded by its values now and at the end of the step. So the solids can
+move until the gap may have closed. Then an axis with a larger gap is searched for, until there is none (B. Mirtich,
+"Impulse-based Dynamic Simulation of Rigid Body Systems", 1996, section 2.3). Samples would miss solids whose corners
+and edges run along each other, such as cubes that fall one above the other.
 """
 
 import warp as wp
 
-from warp_rigid.kernels.collide.convex import find_axis, gap_along
-from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, Course, rotation_after, solids_at
-from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.collide.convex import find_axis, gap_along, placed_solid, pose_of_solid
+from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, Course, pose_in, rotation_after, solids_at
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 ADVANCES = wp.constant(32)
 """Maximum number of advances. A pair that needs more counts as touching at the time reached."""
+
+COARSER = wp.constant(0.125)
+"""Growth of the tolerance of an advancement with each advance, as a fraction. Solids that brush past each other near
+the allowed depth would need many."""
 
 
 @wp.func
@@ -30,13 +33,34 @@ def fastest_closing(axis: wp.vec3, first: Course, second: Course, t: float):
 
 
 @wp.func
-def time_to_close(left: float, closing: float, first: Course, second: Course, t: float):
-    """Time in which a gap cannot close, if it closes at a speed that may rise, as the motion is curved."""
+def curvature(first: Course, second: Course, t: float):
+    """Upper bound of the acceleration of a point of the first body in the frame of the second one [m/s^2]."""
     away = wp.length(first.center - second.center + t * (first.linear - second.linear)) + first.radius
     own, turning = wp.length(first.angular), wp.length(second.angular)
     speed = wp.length(first.linear - second.linear) + own * first.radius + turning * away
-    curve = own * own * first.radius + turning * (2.0 * speed + turning * away)
-    return 2.0 * left / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * left), 1.0e-12)
+    return own * own * first.radius + turning * (2.0 * speed + turning * away)
+
+
+@wp.func
+def first_root(left: float, closing: float, curve: float, span: float):
+    """The first zero of `left - closing s + curve s^2 / 2` for s below `span`, or `span`."""
+    square = closing * closing - 2.0 * curve * left
+    if closing <= 0.0 or square < 0.0:
+        return span
+    return wp.min(2.0 * left / (closing + wp.sqrt(square)), span)
+
+
+@wp.func
+def time_to_close(left: float, left_at_end: float, closing: float, curve: float, span: float):
+    """Time in which a gap cannot close, of which `left_at_end` is left after a time `span`.
+
+    The gap is the least of many functions, one for each pair of points, whose second derivatives are below the
+    curvature. Each of them, and so the gap, lies above its chord less the parabola of this curvature. It also closes
+    no faster than the fastest point moves.
+    """
+    by_speed = 2.0 * left / wp.max(closing + wp.sqrt(closing * closing + 2.0 * curve * left), 1.0e-12)
+    by_chord = first_root(left, (left - left_at_end) / span + 0.5 * curve * span, curve, span)
+    return wp.max(by_speed, by_chord)
 
 
 @wp.func
@@ -46,21 +70,31 @@ def impact_of_solids(first: Course, second: Course, axis: wp.vec3, near: float, 
     Solids that start closer than `near` are handled by the solver, and may overlap by as much more than at the start.
     `axis`: one along which they may have a gap at the start of the step, in the frame of the second body.
     """
-    solids = solids_at(first, second, 0.0, size)
+    local = pose_of_solid(shapes, first.shape)
+    solids = solids_at(first, second, 0.0, size, shapes)
+    last = solids_at(first, second, dt, size, shapes)
     n = find_axis(solids, shapes, axis, near)
     gap = gap_along(solids, shapes, n)
+    at_end = gap_along(last, shapes, n)
     allowed = wp.where(gap < near, near - wp.min(gap, 0.0), DEPTH * size)
+    searched = gap <= near
     t = float(0.0)
     advances = int(0)
     while advances < ADVANCES:
-        left = gap + allowed
-        if left < CLOSE_ENOUGH * size:
+        close = CLOSE_ENOUGH * size * (1.0 + COARSER * float(advances))
+        if gap + allowed < close and not searched:
+            n = find_axis(solids, shapes, n, -0.5 * allowed)
+            gap = gap_along(solids, shapes, n)
+            at_end = gap_along(last, shapes, n)
+            searched = True
+        if gap + allowed < close:
             return t
-        t += time_to_close(left, fastest_closing(n, first, second, t), first, second, t)
+        closing = fastest_closing(n, first, second, t)
+        t += time_to_close(gap + allowed, at_end + allowed, closing, curvature(first, second, t), dt - t)
         if t >= dt:
             return dt
-        solids = solids_at(first, second, t, size)
-        n = find_axis(solids, shapes, n, FAR)
+        solids.a = placed_solid(solids.a, pose_in(first, second, t), local)
         gap = gap_along(solids, shapes, n)
+        searched = False
         advances += 1
     return t

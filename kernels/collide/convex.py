@@ -34,14 +34,33 @@ RAY, SIDE, CONE, FACE, FOUND = wp.constant(0), wp.constant(1), wp.constant(2), w
 """Stages of the search: the first, second and third point of the portal, its refinement, and its end."""
 
 
-@wp.struct
-class Solids:
-    """Two convex solids: A is placed in the frame of B by `turn` and `shift`. `size`: that of the smaller one [m]."""
+HULL = wp.constant(-1)
+"""Kind of a solid that is given by the vertices of a convex mesh."""
 
-    a: int
-    b: int
+
+@wp.struct
+class Solid:
+    """A convex solid in a common frame: all that its support function reads, so that a search reads it once.
+
+    `kind`: a PartKind, or HULL. `turn`, `shift`: pose of the part, or of the mesh. `inside`: a point in it, in its
+    frame.
+    """
+
+    kind: int
+    size: wp.vec4
+    hull_start: int
+    hull_end: int
     turn: wp.quat
     shift: wp.vec3
+    inside: wp.vec3
+
+
+@wp.struct
+class Solids:
+    """Two convex solids in a common frame. `size`: that of the smaller one [m]."""
+
+    a: Solid
+    b: Solid
     size: float
 
 
@@ -87,11 +106,60 @@ def signed(x: float, toward: float):
 
 
 @wp.func
-def furthest_vertex(shapes: Shapes, shape: int, n: wp.vec3):
+def pose_of_solid(shapes: Shapes, shape: int):
+    """Pose of a solid's part in the frame of its shape; the vertices of a mesh are in this frame."""
+    part = shapes.shapes[shape].part_start
+    if shapes.shapes[shape].hull_end > shapes.shapes[shape].hull_start or shapes.parts[part].placed == 0:
+        return wp.transform_identity()
+    return wp.transformation(shapes.parts[part].position, shapes.parts[part].orientation)
+
+
+@wp.func
+def placed_solid(solid: Solid, pose: wp.transform, local: wp.transform):
+    """The solid with its shape at a pose; `local`: its pose in the frame of the shape."""
+    placed = pose * local
+    solid.turn = wp.transform_get_rotation(placed)
+    solid.shift = wp.transform_get_translation(placed)
+    return solid
+
+
+@wp.func
+def solid_of(shapes: Shapes, shape: int, pose: wp.transform):
+    """A shape that is a solid, at a pose."""
+    solid = Solid()
+    solid.hull_start = shapes.shapes[shape].hull_start
+    solid.hull_end = shapes.shapes[shape].hull_end
+    solid.kind = HULL
+    if solid.hull_end > solid.hull_start:
+        solid.inside = shapes.shapes[shape].inside
+    else:
+        solid.kind = shapes.parts[shapes.shapes[shape].part_start].kind
+        solid.size = shapes.parts[shapes.shapes[shape].part_start].size
+    return placed_solid(solid, pose, pose_of_solid(shapes, shape))
+
+
+@wp.func
+def solids_of_shapes(a: int, b: int, pose: wp.transform, size: float, shapes: Shapes):
+    """Two shapes as convex solids in the frame of the second one; `pose`: that of the first one in it."""
+    solids = Solids()
+    solids.a = solid_of(shapes, a, pose)
+    solids.b = solid_of(shapes, b, wp.transform_identity())
+    solids.size = size
+    return solids
+
+
+@wp.func
+def center_of(solid: Solid):
+    """The point in a solid, in the common frame."""
+    return wp.quat_rotate(solid.turn, solid.inside) + solid.shift
+
+
+@wp.func
+def furthest_vertex(solid: Solid, shapes: Shapes, n: wp.vec3):
     """The vertex of a convex mesh that is furthest along n; the first of several."""
-    best = shapes.hull[shapes.shapes[shape].hull_start]
+    best = shapes.hull[solid.hull_start]
     most = wp.dot(n, best)
-    for k in range(shapes.shapes[shape].hull_start + 1, shapes.shapes[shape].hull_end):
+    for k in range(solid.hull_start + 1, solid.hull_end):
         along = wp.dot(n, shapes.hull[k])
         if along > most:
             most = along
@@ -112,25 +180,23 @@ def furthest_of_part(kind: int, size: wp.vec4, n: wp.vec3):
 
 
 @wp.func
-def furthest_point(shapes: Shapes, shape: int, n: wp.vec3):
-    """The furthest point of a solid along n, in its frame."""
-    if shapes.shapes[shape].hull_end > shapes.shapes[shape].hull_start:
-        return furthest_vertex(shapes, shape, n)
-    part = shapes.shapes[shape].part_start
-    if shapes.parts[part].placed == 0:
-        return furthest_of_part(shapes.parts[part].kind, shapes.parts[part].size, n)
-    turn = shapes.parts[part].orientation
-    local = furthest_of_part(shapes.parts[part].kind, shapes.parts[part].size, wp.quat_rotate_inv(turn, n))
-    return wp.quat_rotate(turn, local) + shapes.parts[part].position
+def furthest_point(solid: Solid, shapes: Shapes, n: wp.vec3):
+    """The furthest point of a solid along n, in the common frame."""
+    local = wp.quat_rotate_inv(solid.turn, n)
+    furthest = wp.vec3(0.0, 0.0, 0.0)
+    if solid.kind == HULL:
+        furthest = furthest_vertex(solid, shapes, local)
+    else:
+        furthest = furthest_of_part(solid.kind, solid.size, local)
+    return wp.quat_rotate(solid.turn, furthest) + solid.shift
 
 
 @wp.func
 def difference(solids: Solids, shapes: Shapes, n: wp.vec3):
-    """The point of D that is furthest along n, and the point of A that belongs to it, in the frame of B."""
+    """The point of D that is furthest along n, and the point of A that belongs to it."""
     corner = Corner()
-    against = furthest_point(shapes, solids.a, wp.quat_rotate_inv(solids.turn, -n))
-    corner.of_a = wp.quat_rotate(solids.turn, against) + solids.shift
-    corner.point = furthest_point(shapes, solids.b, n) - corner.of_a
+    corner.of_a = furthest_point(solids.a, shapes, -n)
+    corner.point = furthest_point(solids.b, shapes, n) - corner.of_a
     return corner
 
 
@@ -228,11 +294,10 @@ def axis_of(turn: wp.quat, k: int, along: wp.vec3):
 def find_axis(solids: Solids, shapes: Shapes, axis: wp.vec3, reach: float):
     """An axis with a gap above `reach`, or with the largest gap that was found; if the solids overlap, a local maximum.
 
-    Tried are the last axis, if there is one, the axes of both frames (the face normals of boxes and the ends of
+    Tried are the last axis, if there is one, the axes of both solids (the face normals of boxes and the ends of
     cylinders) and the ray through the origin.
     """
-    center = wp.quat_rotate(solids.turn, shapes.shapes[solids.a].inside) + solids.shift
-    start = shapes.shapes[solids.b].inside - center
+    start = center_of(solids.b) - center_of(solids.a)
     toward = unit_or(-start, wp.vec3(0.0, 0.0, 1.0))
     best = toward
     largest = float(-FAR)
@@ -240,9 +305,9 @@ def find_axis(solids: Solids, shapes: Shapes, axis: wp.vec3, reach: float):
     while k < 8 and largest <= reach:
         n = axis
         if k > 0 and k < 4:
-            n = axis_of(solids.turn, k - 1, toward)
+            n = axis_of(solids.a.turn, k - 1, toward)
         elif k > 3 and k < 7:
-            n = axis_of(wp.quat_identity(), k - 4, toward)
+            n = axis_of(solids.b.turn, k - 4, toward)
         elif k == 7:
             n = toward
         gap = gap_along(solids, shapes, n)
@@ -268,7 +333,7 @@ def find_axis(solids: Solids, shapes: Shapes, axis: wp.vec3, reach: float):
 
 @wp.func
 def deepest_point(solids: Solids, shapes: Shapes, n: wp.vec3):
-    """The point of A that would be the last one in touch with B if A moved along the axis n, in the frame of B.
+    """The point of A that would be the last one in touch with B if A moved along the axis n.
 
     The ray from the origin along n passes through the portal; its place between the three corners is that of the point
     between the three points of A.

@@ -4,7 +4,15 @@ import warp as wp
 
 from warp_rigid.kernels.collide.approach import Approach, approach_of, contact_reach, touch_of
 from warp_rigid.kernels.collide.contact_reduction import SLOTS, contradictory, deepest_gap
-from warp_rigid.kernels.collide.convex import Solids, are_solid, deepest_point, find_axis, furthest_point, gap_along
+from warp_rigid.kernels.collide.convex import (
+    are_solid,
+    deepest_point,
+    find_axis,
+    furthest_point,
+    gap_along,
+    solid_of,
+    solids_of_shapes,
+)
 from warp_rigid.kernels.collide.distance import BORDER, FAR
 from warp_rigid.kernels.collide.samples import Search
 from warp_rigid.kernels.common.team import sync_warp
@@ -29,23 +37,18 @@ depth divided by it, a contact along the axis is added."""
 
 
 @wp.func
-def solids_of(a: int, b: int, size: float, bodies: Bodies, state: State):
-    """A pair as convex solids."""
+def solids_of(a: int, b: int, size: float, shapes: Shapes, bodies: Bodies, state: State):
+    """A pair as convex solids, in the frame of the second body."""
     approach = approach_of(a, b, 0.0, bodies, state)
-    solids = Solids()
-    solids.a = approach.own_shape
-    solids.b = approach.shape
-    solids.turn = approach.turn
-    solids.shift = approach.shift
-    solids.size = size
-    return solids
+    pose = wp.transformation(approach.shift, approach.turn)
+    return solids_of_shapes(approach.own_shape, approach.shape, pose, size, shapes)
 
 
 @wp.func
 def touch_along(axis: wp.vec3, a: int, b: int, shapes: Shapes, bodies: Bodies, state: State):
     """The contact point of two overlapping convex solids along an axis, in the world frame."""
     size = smaller_size(a, b, shapes, bodies)
-    solids = solids_of(a, b, size, bodies, state)
+    solids = solids_of(a, b, size, shapes, bodies, state)
     placed = Search()
     placed.direction = axis
     placed.distance = gap_along(solids, shapes, axis)
@@ -78,7 +81,7 @@ def check_by_axis(
 
     Returns 1 if a contact along the axis of least overlap is needed.
     """
-    solids = solids_of(pairs.body_a[pair], pairs.body_b[pair], size, bodies, state)
+    solids = solids_of(pairs.body_a[pair], pairs.body_b[pair], size, shapes, bodies, state)
     axis = pairs.axis[pair]
     gap = float(-FAR)
     for p in range(pairs.patch_count[pair]):
@@ -120,7 +123,7 @@ def cut_by_axis(approach: Approach, axis: wp.vec3, side: int, shapes: Shapes):
     if side == 1:
         n = -wp.quat_rotate(approach.turn, axis)
     approach.cut = wp.quat_rotate_inv(approach.turn, n)
-    furthest = wp.dot(n, furthest_point(shapes, approach.shape, n))
+    furthest = wp.dot(n, furthest_point(solid_of(shapes, approach.shape, wp.transform_identity()), shapes, n))
     border = border_of(approach.own_shape, approach.shape, shapes)
     approach.level = furthest + approach.reach + border - wp.dot(n, approach.shift)
     return approach
@@ -158,7 +161,7 @@ def is_apart(
         return False
     reach = contact_reach(a, b, size, dt, state, motions)
     reach += border_of(shape_a, shape_b, shapes)
-    solids = solids_of(a, b, size, bodies, state)
+    solids = solids_of(a, b, size, shapes, bodies, state)
     if touched == 0:
         axis = find_axis(solids, shapes, axis, reach)
     pairs.axis[pair] = axis

@@ -8,7 +8,7 @@ stop. A kinematic body keeps its motion.
 import warp as wp
 
 from warp_rigid.kernels.collide.approach import NEAR
-from warp_rigid.kernels.collide.convex import Solids, are_solid, gap_along
+from warp_rigid.kernels.collide.convex import are_solid, gap_along, solids_of_shapes
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Shapes, State
 
@@ -180,16 +180,9 @@ def pose_in(own: Course, other: Course, t: float):
 
 
 @wp.func
-def solids_at(own: Course, other: Course, t: float, size: float):
-    """Two convex solids at time t."""
-    pose = pose_in(own, other, t)
-    solids = Solids()
-    solids.a = own.shape
-    solids.b = other.shape
-    solids.turn = wp.transform_get_rotation(pose)
-    solids.shift = wp.transform_get_translation(pose)
-    solids.size = size
-    return solids
+def solids_at(own: Course, other: Course, t: float, size: float, shapes: Shapes):
+    """Two bodies as convex solids at time t, in the frame of the second one's shape."""
+    return solids_of_shapes(own.shape, other.shape, pose_in(own, other, t), size, shapes)
 
 
 @wp.func
@@ -205,7 +198,7 @@ def stays_clear(own: Course, other: Course, axis: wp.vec3, dt: float, size: floa
     allowed = float(0.0)
     halves = int(0)
     while halves < 3:
-        gap = gap_along(solids_at(own, other, 0.5 * float(halves) * dt, size), shapes, axis)
+        gap = gap_along(solids_at(own, other, 0.5 * float(halves) * dt, size, shapes), shapes, axis)
         if halves == 0:
             allowed = wp.min(gap, 0.0) - DEPTH * size
         elif gap < allowed:
