@@ -27,11 +27,7 @@ def makers() -> dict[str, list[str]]:
     for language, block in re.findall(r"```(bash|python)\n(.*?)```", text, flags=re.DOTALL):
         for source in block.splitlines() if language == "bash" else [block]:
             for name in shown & set(re.findall(r"out/(\w+\.(?:png|gif))", source)):
-                command = (
-                    ["-m", "warp_rigid.commands.cli", *shlex.split(source)[1:]]
-                    if language == "bash"
-                    else ["-c", source]
-                )
+                command = ["-m", "warp_rigid", *shlex.split(source)[1:]] if language == "bash" else ["-c", source]
                 made.setdefault(name, command)
     if shown - set(made):
         raise ValueError(f"nothing makes {', '.join(sorted(shown - set(made)))}")

@@ -63,7 +63,7 @@ def test_run_tells_its_figures_as_one_json_object(capsys, scene_file):
 
 def test_all_of_stdout_is_the_object(scene_file):
     """Warp's own greeting and progress must not get into it; only a fresh process shows that."""
-    command = [sys.executable, "-m", "warp_rigid.commands.cli", "run", scene_file, "--frames", "1", "--json"]
+    command = [sys.executable, "-m", "warp_rigid", "run", scene_file, "--frames", "1", "--json"]
     done = subprocess.run([*command, "--device", "cpu"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["scene"] == "mine"
     assert done.stderr == ""

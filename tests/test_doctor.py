@@ -35,7 +35,7 @@ def run(capsys, *arguments):
 
 def fresh(*arguments, **environment):
     """A process of its own, with other environment variables."""
-    command = [sys.executable, "-m", "warp_rigid.commands.cli", *arguments]
+    command = [sys.executable, "-m", "warp_rigid", *arguments]
     return subprocess.run(
         command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=120
     )
@@ -275,7 +275,7 @@ def test_a_home_without_room_for_kernels_is_one_line():
     """Nothing is set: Warp would keep its kernels below a home that cannot be written."""
     places = ("WARP_CACHE_PATH", "XDG_CACHE_HOME", "HOME")
     environment = {name: value for name, value in os.environ.items() if name not in places}
-    command = [sys.executable, "-m", "warp_rigid.commands.cli", "run", "incline"]
+    command = [sys.executable, "-m", "warp_rigid", "run", "incline"]
     environment["HOME"] = "/proc/nowhere"
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and done.stdout == ""

@@ -133,7 +133,7 @@ NAMES = "import json, warp_rigid; print(json.dumps(warp_rigid.scenes.names()))"
 def test_a_scene_takes_two_files(copy, device):
     """The box stops after v^2 / (2 mu g), less v dt / 2: in each step it moves with the velocity at the step's end."""
     assert apply("Add a scene", copy) == ["scenes/sliding_box.py", "scenes/__init__.py"]
-    command = ("-m", "warp_rigid.commands.cli", "run", "sliding_box", "--device", str(device), "--json")
+    command = ("-m", "warp_rigid", "run", "sliding_box", "--device", str(device), "--json")
     short = json.loads(run(copy, *command, "--frames", "5"))
     assert short["frames"] == 5
     assert json.loads(run(copy, "-c", NAMES)) == [*json.loads(run(ROOT, "-c", NAMES)), "sliding_box"]

@@ -79,7 +79,7 @@ def command(*arguments):
     return [
         sys.executable,
         "-m",
-        "warp_rigid.commands.cli",
+        "warp_rigid",
         "run",
         "box_stack",
         "--device",

@@ -85,7 +85,7 @@ def test_page_of_its_own_plays_from_the_disk(page, recording, tmp_path):
 
 
 def test_command_serves_the_page_and_ends_with_ctrl_c(page):
-    command = [sys.executable, "-u", "-m", "warp_rigid.commands.cli", "view", "incline", "--fast", "--port", "8950"]
+    command = [sys.executable, "-u", "-m", "warp_rigid", "view", "incline", "--fast", "--port", "8950"]
     process = subprocess.Popen(
         [*command, "--device", "cpu"],
         stdout=subprocess.PIPE,

@@ -89,7 +89,3 @@ app.command("bench")(bench_command)
 def _fail(status: int, text: str) -> int:
     note(f"warp-rigid: {text}")
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())
