@@ -102,7 +102,6 @@ def limit_travel(dt: float, motions: Motions, suspects: Suspects):
     motions.changed[b] = 0
     if b == 0:
         suspects.round[0] = -1
-        suspects.again[0] = 1
 
 
 @wp.kernel
@@ -171,6 +170,7 @@ def list_fast_pairs(
             if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
                 suspects.impact[pair] = dt
+                suspects.again[0] = 1
 
 
 @wp.func
@@ -397,10 +397,8 @@ def note_impacts(
 
 
 @wp.kernel
-def change_courses(
-    bodies: Bodies, state: State, envs: Environments, pairs: Pairs, motions: Motions, suspects: Suspects
-):
-    """One thread per body: from its first impact on, it moves with the other body. Whether another round follows."""
+def change_courses(bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
+    """One thread per body: from its first impact on, it moves with the other body."""
     b = wp.tid()
     impact = motions.first_impact[b]
     motions.changed[b] = wp.where(impact == NO_IMPACT, 0, 1)
@@ -411,5 +409,3 @@ def change_courses(
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
     motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
-    if suspects.round[0] + 1 < envs.impact_rounds[bodies.env[b]]:
-        suspects.again[0] = 1
