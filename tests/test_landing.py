@@ -9,7 +9,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.rotations import about_axis
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.scene.shapes import Box, Plane, Sphere
 
 HALF = 0.1
 CUBE = Box((HALF,) * 3)
@@ -27,6 +27,23 @@ def test_a_heap_that_lands_overlaps_little(device, bodies, steps, deepest):
         sim.step(2 * steps)
         overlaps.append(sim.penetration().max())
     assert max(overlaps) < deepest
+
+
+@pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
+@pytest.mark.parametrize("drop", [0.3, 3.0])
+@pytest.mark.parametrize("count", [4, 10])
+def test_a_column_that_lands_overlaps_little(device, count, drop, dt):
+    """All its cubes stop in one step, one after the other."""
+    scene = Scene()
+    scene.add_static(Plane())
+    for k in range(count):
+        scene.add_body(CUBE, position=(0.006 * k, 0, drop + HALF + k * (2 * HALF + 0.002)))
+    sim = Simulator(scene, settings=Settings(dt=dt), device=device)
+    deepest = 0.0
+    for _ in range(round(1.0 / dt)):
+        sim.step()
+        deepest = max(deepest, sim.penetration()[0])
+    assert deepest < 0.05 * 2 * HALF
 
 
 @pytest.mark.parametrize("tilt", [0.02, 0.05, 0.08])

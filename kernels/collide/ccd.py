@@ -52,15 +52,16 @@ from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
-TURNS = wp.constant(2)
-"""Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain."""
-TURNS_IN_CROWDS = wp.constant(8)
-"""Rounds in crowded environments, where heaps land."""
+FEWEST_TURNS = wp.constant(8)
+MOST_TURNS = wp.constant(32)
+"""Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain, so there are as many
+rounds as bodies. A body in a hollow one, which lands, is hit several times. The rounds end when no body is hit."""
+MOST_TURNS_IN_CROWDS = wp.constant(8)
+"""The most rounds in crowded environments, where heaps land."""
 
 TURNS_OF_A_MECHANISM = wp.constant(2)
-MOST_TURNS = wp.constant(8)
-"""Rounds for each mechanism of an environment, and the most rounds: mechanisms that fall together stop one after the
-other, and each stop changes the motion of all bodies of a mechanism."""
+"""Rounds for each mechanism of an environment: mechanisms that fall together stop one after the other, and each stop
+changes the motion of all bodies of a mechanism."""
 
 NO_IMPACT = wp.constant(wp.int64(2**62))
 """Value of `first_impact` without an impact; it is the time in units, times MOST_PAIRS, plus the pair otherwise."""

@@ -145,14 +145,15 @@ def keep_ball(
 ):
     """Replace the contacts of a deep overlap by that of an inner ball, if there is one.
 
-    The largest ball of a body replaces contacts that show much less than its overlap or, if they oppose each other, not
-    much more. Contacts show an overlap of the contact distance at least: a ball that touches the ground as the corners
-    do is deeper by a rounding error.
+    The largest ball of a body replaces contacts that show much less than its overlap. Contacts that oppose each other
+    are kept if they show as much: a body that fits closely into a hollow one touches it on opposite sides. Contacts
+    show an overlap of the contact distance at least: a ball that touches the ground as the corners do is deeper by a
+    rounding error.
     """
     a = pairs.body_a[pair]
     b = pairs.body_b[pair]
     shown = wp.where(kept == 0, 0.0, wp.min(deepest_gap(pair, pairs), -CONTACT_DISTANCE * size))
-    deepest = wp.where(contradictory(pair, pairs), 1.0 / MUCH_DEEPER, MUCH_DEEPER) * shown
+    deepest = MUCH_DEEPER * shown
     key = int(0)
     side = int(0)
     while side < 2:

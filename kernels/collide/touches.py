@@ -14,15 +14,28 @@ from warp_rigid.kernels.collide.approach import (
     closing_gap,
     touch_of,
 )
-from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
-from warp_rigid.kernels.collide.samples import Search, place_sample
+from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.capacity import usable_count
+from warp_rigid.kernels.common.symmetry import rotation_after
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+CLEARLY = wp.constant(3.0)
+"""A sample clearly enters a face if it is deeper than this many contact distances."""
+
+FURTHEST = wp.constant(16.0)
+"""The way of a step is continued at most by this factor."""
+
+SLOW = wp.constant(0.01)
+"""Samples that approach by less than this many contact distances in a step touch without further tests."""
+
+ROUNDS = wp.constant(6)
+"""Maximum number of distances along a way. They are enough for curved surfaces."""
 
 
 @wp.func
@@ -50,6 +63,88 @@ def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes)
 
 
 @wp.func
+def moved_point(p: wp.vec3, approach: Approach, dt: float, bodies: Bodies, state: State, motions: Motions):
+    """Where a point p of `own` is at the end of a step at the present velocities; both in the frame of `other`."""
+    own = approach.own
+    other = approach.other
+    center = motions.center[other]
+    arm = wp.quat_rotate(state.orientation[other], p) + state.position[other] - motions.center[own]
+    arm = wp.quat_rotate(rotation_after(state.angular_velocity[own], dt), arm)
+    arm += motions.center[own] - center + dt * (state.linear_velocity[own] - state.linear_velocity[other])
+    turn = rotation_after(state.angular_velocity[other], dt) * state.orientation[other]
+    return wp.quat_rotate_inv(turn, arm) + bodies.center_of_mass[other]
+
+
+@wp.func
+def stays_outside(p: wp.vec3, way: wp.vec3, start: wp.vec4, allowed: float, shape: int, shapes: Shapes):
+    """Whether a point that moves from p along `way` stays out of a shape, or enters it by at most `allowed`.
+
+    The distance along the way lies above its tangents where the shape is convex: it is evaluated where the tangents at
+    both ends of an interval meet. `start`: the distance at p.
+    """
+    left = float(0.0)
+    right = float(1.0)
+    low = start
+    high = start
+    t = wp.where(start[3] < -allowed, 0.0, 1.0)
+    for _round in range(ROUNDS):
+        d = signed_distance(shapes, shape, p + t * way, wp.length(way))
+        if d[3] < -allowed:
+            return False
+        slope = wp.dot(gradient(d), way)
+        if t == 0.0 or (t < 1.0 and slope < 0.0):
+            left = t
+            low = d
+        else:
+            right = t
+            high = d
+        if t > 0.0:
+            fall = -wp.dot(gradient(low), way)
+            rise = wp.dot(gradient(high), way)
+            if fall <= 0.0 or rise <= 0.0:
+                return True
+            t = (low[3] - high[3] + fall * left + rise * right) / (fall + rise)
+            if low[3] - fall * (t - left) >= -allowed:
+                return True
+        else:
+            t = float(1.0)
+    return True
+
+
+@wp.func
+def passes_by(
+    placed: Search,
+    approach: Approach,
+    dt: float,
+    size: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+):
+    """Whether a sample that approaches the nearest point of an immovable body nevertheless misses that body.
+
+    An example is a corner that slides towards the next tile of a floor: the nearest point is on the edge of the tile,
+    the corner moves along the normal there, and arrives above the tile. A contact would stop it. The way is that at the
+    velocities before the step, continued until it clearly passes the plane of the contact. A body that can move may be
+    pushed into the way within the step, so its contacts are kept.
+    """
+    if bodies.inverse_mass[approach.own] * bodies.inverse_mass[approach.other] > 0.0:
+        return False
+    allowed = CONTACT_DISTANCE * size
+    way = moved_point(placed.query, approach, dt, bodies, state, motions) - placed.query
+    fall = -wp.dot(way, placed.direction)
+    if fall < SLOW * allowed:
+        return False
+    further = wp.clamp((placed.distance + CLEARLY * allowed) / fall, 1.0, FURTHEST)
+    if placed.distance - further * fall > -allowed:
+        return False
+    n = placed.direction
+    start = wp.vec4(n[0], n[1], n[2], placed.distance)
+    return stays_outside(placed.query, further * way, start, allowed, approach.shape, shapes)
+
+
+@wp.func
 def touching(
     s: int,
     side: int,
@@ -58,6 +153,7 @@ def touching(
     dt: float,
     size: float,
     shapes: Shapes,
+    bodies: Bodies,
     state: State,
     motions: Motions,
 ):
@@ -78,6 +174,9 @@ def touching(
     left = closing_gap(touch, a, b, dt, state, motions) - approach.rise
     result.closing = wp.where(left < CONTACT_DISTANCE * size, 1, 0)
     if result.closing == 0 and touch.gap > TURNED_BACK * approach.reach:
+        return result
+    if not parting and approach.rise == 0.0 and passes_by(placed, approach, dt, size, shapes, bodies, state, motions):
+        result.closing = 0
         return result
     result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
     result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
@@ -110,7 +209,7 @@ def touch_near_samples(
         size = smaller_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
         approach = approach_from(side, pair, dt, size, shapes, bodies, state, motions, pairs)
         parting = is_parting(pair, shapes, bodies, pairs)
-        touch = touching(near.key[k] / 2, side, approach, parting, dt, size, shapes, state, motions)
+        touch = touching(near.key[k] / 2, side, approach, parting, dt, size, shapes, bodies, state, motions)
         if parting:
             touch.normal = pairs.axis[pair]
             touch.closing = 1

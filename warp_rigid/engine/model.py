@@ -147,9 +147,10 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
 
 def impact_rounds(scene: Scene) -> int:
     """Rounds of continuous collision detection in an environment."""
-    least = ccd.TURNS_IN_CROWDS if len(scene.bodies) > crowd.CROWDED else ccd.TURNS
-    for_mechanisms = ccd.TURNS_OF_A_MECHANISM * len(joints.mechanisms_of(scene).members)
-    return max(least, min(for_mechanisms, ccd.MOST_TURNS))
+    mechanisms = joints.mechanisms_of(scene).members
+    alone = sum(body.motion == Motion.DYNAMIC for body in scene.bodies) - sum(map(len, mechanisms))
+    most = ccd.MOST_TURNS_IN_CROWDS if len(scene.bodies) > crowd.CROWDED else ccd.MOST_TURNS
+    return min(max(alone + ccd.TURNS_OF_A_MECHANISM * len(mechanisms), ccd.FEWEST_TURNS), most)
 
 
 def _out_of_bounds(scene: Scene) -> OutOfBounds:
