@@ -38,11 +38,16 @@ def fastest_closing(axis: wp.vec3, first: Course, second: Course, t: float):
 
 
 @wp.func
-def curvature(first: Course, second: Course, t: float):
-    """Upper bound of the acceleration of a point of the first body in the frame of the second one [m/s^2]."""
-    away = wp.length(first.center - second.center + t * (first.linear - second.linear)) + first.radius
+def curvature(first: Course, second: Course, t: float, end: float):
+    """Upper bound of the acceleration of a point of the first body in the frame of the second one until `end` [m/s^2].
+
+    The distance of the centres is largest at one of both times.
+    """
+    apart = first.center - second.center
+    passing = first.linear - second.linear
+    away = wp.max(wp.length(apart + t * passing), wp.length(apart + end * passing)) + first.radius
     own, turning = wp.length(first.angular), wp.length(second.angular)
-    speed = wp.length(first.linear - second.linear) + own * first.radius + turning * away
+    speed = wp.length(passing) + own * first.radius + turning * away
     return own * own * first.radius + turning * (2.0 * speed + turning * away)
 
 
@@ -108,7 +113,7 @@ def impact_of_solids(
         if gap + allowed < close:
             return t
         closing = fastest_closing(n, first, second, t)
-        t += time_to_close(gap + allowed, at_end + allowed, closing, curvature(first, second, t), end - t)
+        t += time_to_close(gap + allowed, at_end + allowed, closing, curvature(first, second, t, end), end - t)
         if t >= end:
             return end
         solids.a = placed_solid(solids.a, pose_in(first, second, t), local)
