@@ -164,9 +164,8 @@ def sweep_with_joints(
     done = int(0)
     residual = float(0.0)
     is_searched = after_shock == 1 and searched(env, envs, graph)
-    stage = int(wp.where(starts, STARTING, stage_after(left, touched, is_searched)))
+    stage = int(wp.where(starts, STARTING, stage_after(STARTING, left, touched, is_searched)))
     while stage != OVER:
-        after = int(OVER)
         change = sweep_once(stage, after_shock, touched, layered, dt, team, order, graph, motions, rows, joints)
         if stage == SWEEPING:
             residual = change
@@ -180,11 +179,8 @@ def sweep_with_joints(
         if stage == SEARCHING:
             first = envs.first_body[env]
             search_energy(dt, first, envs.first_body[env + 1], team, order, graph, motions, rows, joints)
-        if starts and done == 1 and stage == SWEEPING:
-            after = SEARCHING
-        elif stage != ENDING and not (stage == SEARCHING and is_searched):
-            after = stage_after(left, touched, is_searched)
-        stage = after
+        is_first = starts and done == 1 and stage == SWEEPING
+        stage = wp.where(is_first, SEARCHING, stage_after(stage, left, touched, is_searched))
     if after_shock == 0:
         graph.converged[env] = wp.max(1 - unsolved, calm)
     if after_shock != AFTER_PASSES:
@@ -192,15 +188,15 @@ def sweep_with_joints(
 
 
 @wp.func
-def stage_after(left: int, touched: int, is_searched: bool):
-    """The next stage of the sweeps, with the number of sweeps left.
+def stage_after(stage: int, left: int, touched: int, is_searched: bool):
+    """The stage that follows, with the number of sweeps left.
 
-    At last, where they have contacts, the mechanisms are solved once more, so that no limit pulls; sweeps after shock
-    propagation end with a line search (`is_searched`).
+    At last, where they have contacts, the mechanisms are solved once more, so that no limit pulls, before a line search
+    if `is_searched`.
     """
     if left > 0:
         return SWEEPING
-    if touched == 0:
+    if touched == 0 or stage == ENDING or (stage == SEARCHING and is_searched):
         return OVER
     return wp.where(is_searched, SEARCHING, ENDING)
 
