@@ -43,6 +43,7 @@ from warp_rigid.kernels.collide.trace import (
     trace_suspect,
 )
 from warp_rigid.kernels.common.capacity import usable_count
+from warp_rigid.kernels.common.symmetry import BALL, symmetry_of
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -169,6 +170,7 @@ def list_fast_pairs(
                 continue
             if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
+                suspects.impact[pair] = dt
 
 
 @wp.func
@@ -198,7 +200,8 @@ def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
 
 @wp.kernel
 def advance_solids(
-    threads: int,
+    teams: int,
+    lanes: int,
     dt: float,
     shapes: Shapes,
     bodies: Bodies,
@@ -207,16 +210,29 @@ def advance_solids(
     pairs: Pairs,
     suspects: Suspects,
 ):
-    """The threads share the listed pairs: the time of impact of those of convex solids; `dt` for the others."""
-    for k in range(wp.tid(), pairs.fast_count[0], threads):
+    """The teams share the listed pairs: the time of impact of those of convex solids.
+
+    Each lane takes a part of the step. Those after the impact end at once, and a pair that needs many advances does not
+    keep the others waiting.
+    """
+    lane = wp.tid() % lanes
+    begin = dt * float(lane) / float(lanes)
+    end = dt * float(lane + 1) / float(lanes)
+    for k in range(wp.tid() / lanes, pairs.fast_count[0], teams):
         pair = pairs.fast[k]
-        t = dt
         if is_advanced(pair, shapes, bodies, pairs):
+            a = pairs.body_a[pair]
+            b = pairs.body_b[pair]
             first, second = courses_of(pair, 0, bodies, state, motions, pairs)
-            size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
+            if symmetry_of(a, shapes, bodies) == BALL:
+                first.angular = wp.vec3(0.0, 0.0, 0.0)
+            if symmetry_of(b, shapes, bodies) == BALL:
+                second.angular = wp.vec3(0.0, 0.0, 0.0)
+            size = traced_size(a, b, shapes, bodies)
             near = handled_gap_of_solids(first, second, size, pairs.contact_count[pair] > 0)
-            t = impact_of_solids(first, second, pairs.axis[pair], near, dt, size, shapes)
-        suspects.impact[pair] = t
+            t = impact_of_solids(first, second, pairs.axis[pair], near, begin, end, size, shapes)
+            if t < end:
+                wp.atomic_min(suspects.impact, pair, t)
 
 
 @wp.kernel

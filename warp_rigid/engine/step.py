@@ -476,8 +476,9 @@ class Stages:
         size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
         self._per_body(ccd.open_round, [pairs], [self.motions, suspects])
         self.joints.join_courses()
-        self._shared(ccd.list_fast_pairs, size, [], [*self.moving, self.envs, suspects], [pairs])
-        self._shared(ccd.advance_solids, size, [], [*self.moving, pairs], [suspects])
+        self._shared(ccd.list_fast_pairs, size, [], [*self.moving, self.envs], [suspects, pairs])
+        lanes = teams.ADVANCE_LANES_IN_CROWDS if self.crowded else teams.ADVANCE_LANES
+        self._share(ccd.advance_solids, size, lanes, [], [*self.moving, pairs], [suspects])
         self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
         self._share(ccd.list_clusters, 2 * size, teams.TRACE_LANES, [], [*self.moving, pairs], [suspects])
         inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
