@@ -528,6 +528,7 @@ class Stages:
 
     def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
         block = self.blocks.get(kernel.module.name, team.BLOCK)
+        kernel = loading.kernel_for(kernel, self.device)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:
