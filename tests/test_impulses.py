@@ -222,6 +222,31 @@ def test_momentum_is_conserved_between_free_bodies(device):
         assert problem.coulomb_residual(problem.velocity(stages), contact_list(stages)["impulse"]).max() < 0.025
 
 
+@pytest.mark.parametrize("speed", [3.0, 6.0])
+@pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_a_ball_that_strikes_the_ground_gains_the_spin_of_its_friction(device, restitution, dt, speed):
+    """Closed form: the friction impulse acts at the radius, up to mu times the normal impulse or until the slip ends.
+
+    In a step the ball moves by up to its radius, so that the impulse is computed while there is a gap.
+    """
+    radius, angles, frictions = 0.1, np.radians([10, 30, 45, 60, 80]), np.array([0.1, 0.5])
+    angle, friction = (values.ravel() for values in np.meshgrid(angles, frictions))
+    scene = Scene(gravity=(0, 0, 0), friction_combine="max")
+    scene.add_static(GROUND, friction=0.0, restitution=restitution)
+    scene.add_body(Sphere(radius), position=(0, 0, radius + 0.05), restitution=restitution)
+    sim = Simulator(scene, num_envs=len(angle), settings=Settings(dt=dt), device=device)
+    sim.set("friction", friction[:, None], bodies=[1])
+    across, down = speed * np.sin(angle), speed * np.cos(angle)
+    sim.set("linear_velocity", np.stack([across, 0 * angle, -down], axis=1)[:, None], bodies=[1])
+    sim.step(round(0.5 / dt))
+    stopped = np.minimum(friction * (1 + restitution) * down, across / 3.5)
+    linear, angular = sim.get("linear_velocity")[:, 1], sim.get("angular_velocity")[:, 1]
+    np.testing.assert_allclose(linear[:, 0], across - stopped, atol=1e-4 * speed)
+    np.testing.assert_allclose(linear[:, 2], restitution * down, atol=1e-4 * speed)
+    np.testing.assert_allclose(radius * angular[:, 1], stopped / 0.4, atol=1e-4 * speed)
+
+
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
 def test_collisions_gain_no_energy(device, restitution):
     """Bodies of all kinds thrown at each other at once, with friction; each pair's impulse is its own."""
