@@ -9,7 +9,6 @@ from warp_rigid.bench.cases import find_case
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.kernels.collide import ccd
 from warp_rigid.kernels.collide.course import DEPTH
 from warp_rigid.rotations import about_axis, multiply
 from warp_rigid.scene.scene import Scene
@@ -62,8 +61,8 @@ def test_the_time_of_impact_is_that_of_float64(device, kind):
     stages.predict(DT)
     stages.find_pairs()
     stages.find_contacts()
-    stages._per_body(ccd.limit_travel, [DT], [stages.motions, stages.pools.suspects])
-    stages._find_impacts()
+    stages._list_fast_pairs_of_step()
+    stages._trace_fast_pairs()
     pairs = stages.pools.pairs
     fast = pairs.fast.numpy()[: int(pairs.fast_count.numpy()[0])]
     times = np.full(count, DT)

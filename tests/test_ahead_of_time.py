@@ -2,6 +2,7 @@
 
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
@@ -21,9 +22,18 @@ NAMES = sorted(MODULES)
 assert len(MODULES) == len(FILES), "two kernel files of one name"
 
 
+CPU, GPU = SimpleNamespace(is_cuda=False), SimpleNamespace(is_cuda=True)
+UNITS = sorted(unit for module in MODULES.values() for unit in loading.units_of(module, GPU))
+
+
 def kernels_of(name):
     """Names of the kernels in a module's compilation unit."""
     return set(wp.get_module(MODULES[name].__name__).kernels)
+
+
+def short(unit):
+    """The name of a compilation unit without that of the package."""
+    return unit.removeprefix(f"{kernels.__name__}.")
 
 
 @pytest.mark.parametrize(
@@ -33,13 +43,25 @@ def kernels_of(name):
         pytest.param(False, marks=pytest.mark.long, id="assembled"),
     ],
 )
-@pytest.mark.parametrize("name", [name for name in NAMES if kernels_of(name)])
-def test_module_compiles_for_compute_capability_90(name, ptx, tmp_path):
-    """To PTX, and also to the code of the GPU, which takes up to a minute for the largest module."""
-    (binary,) = wp.compile_aot_module(MODULES[name].__name__, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=ptx)
+@pytest.mark.parametrize("unit", UNITS, ids=short)
+def test_unit_compiles_for_compute_capability_90(unit, ptx, tmp_path):
+    """To PTX, and also to the code of the GPU. Functions that only a CPU calls are inlined."""
+    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=ptx)
     assert binary.suffix == (".ptx" if ptx else ".cubin")
     content = binary.read_bytes()
-    assert [kernel for kernel in kernels_of(name) if f"{kernel}_".encode() not in content] == []
+    assert [kernel for kernel in wp.get_module(unit).kernels if f"{kernel}_".encode() not in content] == []
+    assert [name for name in (b"part_distance_0", b"find_axis_0", b"leave_0") if name in content] == []
+
+
+@pytest.mark.parametrize("device", [CPU, GPU], ids=["cpu", "gpu"])
+def test_every_kernel_lies_in_one_unit(device):
+    """For a GPU, kernels of the modules that take longest to compile lie in units of their own."""
+    for name in NAMES:
+        units = loading.units_of(MODULES[name], device)
+        found = [kernel for unit in units for kernel in wp.get_module(unit).kernels]
+        assert sorted(found) == sorted(kernels_of(name))
+        alone = device is GPU and MODULES[name].__name__ in loading.DIVIDED
+        assert len(units) == (len(found) if alone else min(len(found), 1))
 
 
 def test_every_stage_of_a_step_is_among_the_compiled():

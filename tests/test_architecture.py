@@ -23,6 +23,7 @@ LAYERS = (
     ("diagnostics",),
     ("sweep", "bench", "validation", "viewer"),
     ("commands",),
+    ("__main__",),
     (PACKAGE,),
 )
 """Subpackages and modules of the package, the lowest layer first. A module imports from its own subpackage and from

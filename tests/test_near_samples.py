@@ -5,7 +5,6 @@ import numpy as np
 import warp_rigid as wr
 from tests.oracles import random_quaternion, stages_of
 from warp_rigid.engine import pools
-from warp_rigid.kernels.collide import ccd
 from warp_rigid.kernels.schema import PAIR_SLOTS
 from warp_rigid.scenes.builders import meshes
 
@@ -82,8 +81,8 @@ def test_the_list_of_traced_samples_grows(device, monkeypatch):
         for sim in (roomy, tight):
             sim.step()
         stages = stages_of(roomy)
-        stages._per_body(ccd.limit_travel, [stages.dt], [stages.motions, stages.pools.suspects])
-        stages._find_impacts()
+        stages._list_fast_pairs_of_step()
+        stages._trace_fast_pairs()
         traced = max(traced, int(stages.pools.suspects.count.numpy()[0]))
         assert tight.get("position").tobytes() == roomy.get("position").tobytes()
         assert tight.get("orientation").tobytes() == roomy.get("orientation").tobytes()

@@ -199,7 +199,8 @@ def test_a_spinning_body_does_not_push_the_ball_that_touches_it(device, shape):
     scene.add_body(Sphere(0.05), position=(0.1, 0, 0), friction=0.0)
     sim, _ = opened(scene, device, settings=Settings(dt=1 / 60))
     sim.step(60)
-    assert sim.get("position")[0, 1] == pytest.approx([0.1, 0, 0], abs=1e-6)
+    # The surface moves at 2 m/s, and rounding errors of this speed push, too.
+    assert sim.get("position")[0, 1] == pytest.approx([0.1, 0, 0], abs=2e-5)
 
 
 def test_a_ball_with_its_weight_off_its_center_does_not_sink_as_it_turns(device):

@@ -333,8 +333,8 @@ def test_the_number_of_lanes_does_not_matter(device, name, monkeypatch):
     for trace, look in ((32, 8), (32, 8), (8, 32), (16, 1)):
         monkeypatch.setattr(teams, "TRACE_LANES", trace)
         monkeypatch.setattr(teams, "LOOK_LANES", look)
-        stages._per_body(ccd.limit_travel, [stages.dt], [stages.motions, stages.pools.suspects])
-        stages._find_impacts()
+        stages._list_fast_pairs_of_step()
+        stages._trace_fast_pairs()
         found.append((stages.motions.first_impact.numpy(), stages.motions.next_time_of_impact.numpy()))
     assert (found[0][0] < int(ccd.NO_IMPACT)).any()
     for impact, time_of_impact in found[1:]:

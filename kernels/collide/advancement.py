@@ -1,7 +1,7 @@
 """Conservative advancement of two convex solids: the time in a step at which they overlap too much.
 
 Along an axis that is fixed to the second solid, the gap of the solids (convex.py) closes at most as fast as the fastest
-point of the first one moves along it, and it is bounded by its values now and at the end of the step. So the solids can
+point of the first one moves along it, and it is bounded by its values now and at a later time. So the solids can
 move until the gap may have closed. Then an axis with a larger gap is searched for, until there is none (B. Mirtich,
 "Impulse-based Dynamic Simulation of Rigid Body Systems", 1996, section 2.3). Samples would miss solids whose corners
 and edges run along each other, such as cubes that fall one above the other.
@@ -10,17 +10,22 @@ and edges run along each other, such as cubes that fall one above the other.
 import warp as wp
 
 from warp_rigid.kernels.collide.convex import find_axis, gap_along, placed_solid, pose_of_solid
-from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, Course, pose_in, rotation_after, solids_at
+from warp_rigid.kernels.collide.course import CLOSE_ENOUGH, DEPTH, Course, pose_in, solids_at
+from warp_rigid.kernels.common.symmetry import rotation_after
 from warp_rigid.kernels.schema import Shapes
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-ADVANCES = wp.constant(32)
+ADVANCES = wp.constant(64)
 """Maximum number of advances. A pair that needs more counts as touching at the time reached."""
 
-COARSER = wp.constant(0.125)
-"""Growth of the tolerance of an advancement with each advance, as a fraction. Solids that brush past each other near
-the allowed depth would need many."""
+USED_UP = wp.constant(0.25)
+"""Another axis is searched for when the gap, plus the allowed depth, is this fraction of what it was when the axis was
+found. Axes turn with the second solid, so their gaps shrink where the solids only turn."""
+
+EXACT_ADVANCES = wp.constant(16.0)
+"""The tolerance grows with the square of the number of advances, and has doubled after this many: solids that brush
+past each other near the allowed depth would need many."""
 
 
 @wp.func
@@ -33,11 +38,16 @@ def fastest_closing(axis: wp.vec3, first: Course, second: Course, t: float):
 
 
 @wp.func
-def curvature(first: Course, second: Course, t: float):
-    """Upper bound of the acceleration of a point of the first body in the frame of the second one [m/s^2]."""
-    away = wp.length(first.center - second.center + t * (first.linear - second.linear)) + first.radius
+def curvature(first: Course, second: Course, t: float, end: float):
+    """Upper bound of the acceleration of a point of the first body in the frame of the second one until `end` [m/s^2].
+
+    The distance of the centres is largest at one of both times.
+    """
+    apart = first.center - second.center
+    passing = first.linear - second.linear
+    away = wp.max(wp.length(apart + t * passing), wp.length(apart + end * passing)) + first.radius
     own, turning = wp.length(first.angular), wp.length(second.angular)
-    speed = wp.length(first.linear - second.linear) + own * first.radius + turning * away
+    speed = wp.length(passing) + own * first.radius + turning * away
     return own * own * first.radius + turning * (2.0 * speed + turning * away)
 
 
@@ -64,37 +74,49 @@ def time_to_close(left: float, left_at_end: float, closing: float, curve: float,
 
 
 @wp.func
-def impact_of_solids(first: Course, second: Course, axis: wp.vec3, near: float, dt: float, size: float, shapes: Shapes):
-    """Time at which two convex solids overlap by more than DEPTH sizes; `dt` if they do not.
+def impact_of_solids(
+    first: Course,
+    second: Course,
+    axis: wp.vec3,
+    near: float,
+    begin: float,
+    end: float,
+    size: float,
+    shapes: Shapes,
+):
+    """Time from `begin` on at which two convex solids overlap by more than DEPTH sizes; `end` if they do not.
 
-    Solids that start closer than `near` are handled by the solver, and may overlap by as much more than at the start.
+    Solids that start the step closer than `near` are handled by the solver, and may overlap by as much more than then.
     `axis`: one along which they may have a gap at the start of the step, in the frame of the second body.
     """
     local = pose_of_solid(shapes, first.shape)
     solids = solids_at(first, second, 0.0, size, shapes)
-    last = solids_at(first, second, dt, size, shapes)
+    last = solids_at(first, second, end, size, shapes)
     n = find_axis(solids, shapes, axis, near)
     gap = gap_along(solids, shapes, n)
     at_end = gap_along(last, shapes, n)
     allowed = wp.where(gap < near, near - wp.min(gap, 0.0), DEPTH * size)
-    searched = gap <= near
-    t = float(0.0)
+    found = gap + allowed
+    t = begin
+    if begin > 0.0:
+        solids.a = placed_solid(solids.a, pose_in(first, second, begin), local)
+        gap = gap_along(solids, shapes, n)
     advances = int(0)
     while advances < ADVANCES:
-        close = CLOSE_ENOUGH * size * (1.0 + COARSER * float(advances))
-        if gap + allowed < close and not searched:
+        excess = float(advances) / EXACT_ADVANCES
+        close = CLOSE_ENOUGH * size * (1.0 + excess * excess)
+        if gap + allowed < wp.max(USED_UP * found, close):
             n = find_axis(solids, shapes, n, -0.5 * allowed)
             gap = gap_along(solids, shapes, n)
             at_end = gap_along(last, shapes, n)
-            searched = True
+            found = gap + allowed
         if gap + allowed < close:
             return t
         closing = fastest_closing(n, first, second, t)
-        t += time_to_close(gap + allowed, at_end + allowed, closing, curvature(first, second, t), dt - t)
-        if t >= dt:
-            return dt
+        t += time_to_close(gap + allowed, at_end + allowed, closing, curvature(first, second, t, end), end - t)
+        if t >= end:
+            return end
         solids.a = placed_solid(solids.a, pose_in(first, second, t), local)
         gap = gap_along(solids, shapes, n)
-        searched = False
         advances += 1
     return t

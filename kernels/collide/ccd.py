@@ -43,6 +43,7 @@ from warp_rigid.kernels.collide.trace import (
     trace_suspect,
 )
 from warp_rigid.kernels.common.capacity import usable_count
+from warp_rigid.kernels.common.symmetry import BALL, symmetry_of
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -102,7 +103,6 @@ def limit_travel(dt: float, motions: Motions, suspects: Suspects):
     motions.changed[b] = 0
     if b == 0:
         suspects.round[0] = -1
-        suspects.again[0] = 1
 
 
 @wp.kernel
@@ -170,6 +170,8 @@ def list_fast_pairs(
                 continue
             if not stays_clear(first, second, pairs.axis[pair], dt, size, shapes):
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
+                suspects.impact[pair] = dt
+                suspects.again[0] = 1
 
 
 @wp.func
@@ -199,7 +201,8 @@ def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
 
 @wp.kernel
 def advance_solids(
-    threads: int,
+    teams: int,
+    lanes: int,
     dt: float,
     shapes: Shapes,
     bodies: Bodies,
@@ -208,16 +211,29 @@ def advance_solids(
     pairs: Pairs,
     suspects: Suspects,
 ):
-    """The threads share the listed pairs: the time of impact of those of convex solids; `dt` for the others."""
-    for k in range(wp.tid(), pairs.fast_count[0], threads):
+    """The teams share the listed pairs: the time of impact of those of convex solids.
+
+    Each lane takes a part of the step. Those after the impact end at once, and a pair that needs many advances does not
+    keep the others waiting.
+    """
+    lane = wp.tid() % lanes
+    begin = dt * float(lane) / float(lanes)
+    end = dt * float(lane + 1) / float(lanes)
+    for k in range(wp.tid() / lanes, pairs.fast_count[0], teams):
         pair = pairs.fast[k]
-        t = dt
         if is_advanced(pair, shapes, bodies, pairs):
+            a = pairs.body_a[pair]
+            b = pairs.body_b[pair]
             first, second = courses_of(pair, 0, bodies, state, motions, pairs)
-            size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
+            if symmetry_of(a, shapes, bodies) == BALL:
+                first.angular = wp.vec3(0.0, 0.0, 0.0)
+            if symmetry_of(b, shapes, bodies) == BALL:
+                second.angular = wp.vec3(0.0, 0.0, 0.0)
+            size = traced_size(a, b, shapes, bodies)
             near = handled_gap_of_solids(first, second, size, pairs.contact_count[pair] > 0)
-            t = impact_of_solids(first, second, pairs.axis[pair], near, dt, size, shapes)
-        suspects.impact[pair] = t
+            t = impact_of_solids(first, second, pairs.axis[pair], near, begin, end, size, shapes)
+            if t < end:
+                wp.atomic_min(suspects.impact, pair, t)
 
 
 @wp.kernel
@@ -382,10 +398,8 @@ def note_impacts(
 
 
 @wp.kernel
-def change_courses(
-    bodies: Bodies, state: State, envs: Environments, pairs: Pairs, motions: Motions, suspects: Suspects
-):
-    """One thread per body: from its first impact on, it moves with the other body. Whether another round follows."""
+def change_courses(bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
+    """One thread per body: from its first impact on, it moves with the other body."""
     b = wp.tid()
     impact = motions.first_impact[b]
     motions.changed[b] = wp.where(impact == NO_IMPACT, 0, 1)
@@ -396,5 +410,3 @@ def change_courses(
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
     motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
-    if suspects.round[0] + 1 < envs.impact_rounds[bodies.env[b]]:
-        suspects.again[0] = 1

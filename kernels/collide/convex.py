@@ -15,6 +15,7 @@ rays from the origin along the axis found last reduce the depth, until the face 
 import warp as wp
 
 from warp_rigid.kernels.collide.distance import FAR
+from warp_rigid.kernels.common.inlining import inline_on_gpu
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -261,9 +262,10 @@ def next_corner(portal: Portal, corner: Corner, ray: wp.vec3, flat: float):
     return portal
 
 
-@wp.func
+@wp.func(inline=False)
 def leave(solids: Solids, shapes: Shapes, start: wp.vec3, ray: wp.vec3, reach: float):
     """The face through which a ray from a point inside D leaves it, or the first direction with a gap above `reach`."""
+    inline_on_gpu()
     portal = Portal()
     portal.stage = RAY
     portal.normal = ray
@@ -290,13 +292,14 @@ def axis_of(turn: wp.quat, k: int, along: wp.vec3):
     return wp.where(wp.dot(n, along) < 0.0, -n, n)
 
 
-@wp.func
+@wp.func(inline=False)
 def find_axis(solids: Solids, shapes: Shapes, axis: wp.vec3, reach: float):
     """An axis with a gap above `reach`, or with the largest gap that was found; if the solids overlap, a local maximum.
 
     Tried are the last axis, if there is one, the axes of both solids (the face normals of boxes and the ends of
     cylinders) and the ray through the origin.
     """
+    inline_on_gpu()
     start = center_of(solids.b) - center_of(solids.a)
     toward = unit_or(-start, wp.vec3(0.0, 0.0, 1.0))
     best = toward

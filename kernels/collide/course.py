@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_rigid.kernels.collide.approach import NEAR
 from warp_rigid.kernels.collide.convex import are_solid, gap_along, solids_of_shapes
+from warp_rigid.kernels.common.symmetry import rotation_after
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Motions, Shapes, State
 
@@ -141,15 +142,6 @@ def common_motion(own: int, a: int, b: int, bodies: Bodies, state: State, motion
         after.linear *= slower
         after.angular *= slower
     return after
-
-
-@wp.func
-def rotation_after(angular: wp.vec3, t: float):
-    """Rotation by an angular velocity in a time t."""
-    speed = wp.length(angular)
-    if speed == 0.0 or t == 0.0:
-        return wp.quat_identity()
-    return wp.quat_from_axis_angle(angular / speed, speed * t)
 
 
 @wp.func

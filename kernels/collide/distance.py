@@ -25,6 +25,7 @@ from warp_rigid.kernels.collide.triangle_distance import (
     chosen_place,
     triangle_distance,
 )
+from warp_rigid.kernels.common.inlining import inline_on_gpu
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import Shapes
 
@@ -270,14 +271,16 @@ def is_near_grid(shapes: Shapes, shape: int, p: wp.vec3, margin: float):
 
 
 @wp.func
-def ball_distance_to_mesh(shapes: Shapes, part: int, p: wp.vec3, radius: float, reach: float, choice: int):
+def ball_distance_to_mesh(
+    shapes: Shapes, part: int, p: wp.vec3, by_grid: wp.vec4, radius: float, reach: float, choice: int
+):
     """Distance from the centre of a ball to one of its places on a mesh; FAR if there is none.
 
     The places are ranked within a distance that does not depend on the reach, so that a rank means the same face when
     a contact is found and when it is built. The first place is also returned if it is farther away, or more than a cell
     inside; the grid then decides.
     """
-    d = grid_distance(shapes, part, p)
+    d = by_grid
     cell = shapes.parts[part].grid_spacing
     near = BALL_REACH * radius + cell
     error = GRID_ERROR * cell
@@ -291,16 +294,22 @@ def ball_distance_to_mesh(shapes: Shapes, part: int, p: wp.vec3, radius: float, 
 
 
 @wp.func
-def ball_distance_to_places(shapes: Shapes, part: int, p: wp.vec3, radius: float, reach: float, choice: int):
-    """Distance from the centre of a ball to one of its places on a shape with `has_places`; FAR if there is none."""
+def ball_distance_to_places(
+    shapes: Shapes, part: int, p: wp.vec3, bound: wp.vec4, radius: float, reach: float, choice: int
+):
+    """Distance from the centre of a ball to one of its places on a shape with `has_places`; FAR if there is none.
+
+    `bound`: the distance of the shape there, from the grid of a mesh.
+    """
     if shapes.parts[part].kind == PartKind.HEIGHTFIELD:
-        return ball_distance_to_heights(shapes, part, p, BALL_REACH * radius, radius + reach, choice)
-    return ball_distance_to_mesh(shapes, part, p, radius, reach, choice)
+        return ball_distance_to_heights(shapes, part, p, bound, BALL_REACH * radius, radius + reach, choice)
+    return ball_distance_to_mesh(shapes, part, p, bound, radius, reach, choice)
 
 
-@wp.func
+@wp.func(inline=False)
 def part_distance(shapes: Shapes, part: int, p: wp.vec3, sample_normal: wp.vec3, near: float):
     """Distance to one part, in the part's own frame."""
+    inline_on_gpu()
     kind = shapes.parts[part].kind
     if kind == PartKind.GRID:
         return mesh_distance(shapes, part, p, sample_normal, near)
@@ -318,17 +327,19 @@ def contact_distance(shapes: Shapes, shape: int, p: wp.vec3, sample_normal: wp.v
     """
     nearest = wp.vec4(0.0, 0.0, 1.0, FAR)
     for part in range(shapes.shapes[shape].part_start, shapes.shapes[shape].part_end):
-        d = wp.vec4(0.0, 0.0, 1.0, FAR)
-        if shapes.parts[part].placed == 0:
-            d = part_distance(shapes, part, p, sample_normal, near)
-        else:
-            turn = shapes.parts[part].orientation
+        placed = shapes.parts[part].placed == 1
+        turn = shapes.parts[part].orientation
+        local = p
+        normal = sample_normal
+        if placed:
             local = wp.quat_rotate_inv(turn, p - shapes.parts[part].position)
-            d = part_distance(shapes, part, local, wp.quat_rotate_inv(turn, sample_normal), near)
-            n = wp.quat_rotate(turn, wp.vec3(d[0], d[1], d[2]))
-            d = wp.vec4(n[0], n[1], n[2], d[3])
+            normal = wp.quat_rotate_inv(turn, sample_normal)
+        d = part_distance(shapes, part, local, normal, near)
         if d[3] < nearest[3]:
             nearest = d
+            if placed:
+                n = wp.quat_rotate(turn, wp.vec3(d[0], d[1], d[2]))
+                nearest = wp.vec4(n[0], n[1], n[2], d[3])
     return nearest
 
 

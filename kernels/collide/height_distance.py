@@ -78,8 +78,12 @@ def nearer_in_cell(best: Nearest, shapes: Shapes, part: int, i: int, j: int, p: 
     """The nearest point, updated with the two triangles of a cell."""
     a = node(shapes, part, i, j)
     c = node(shapes, part, i + 1, j + 1)
-    best = nearer(best, p, a, node(shapes, part, i + 1, j), c)
-    return nearer(best, p, a, c, node(shapes, part, i, j + 1))
+    k = int(0)
+    while k < 2:
+        side = node(shapes, part, i + 1 - k, j + k)
+        best = nearer(best, p, a, wp.where(k == 0, side, c), wp.where(k == 0, c, side))
+        k += 1
+    return best
 
 
 @wp.func
@@ -106,20 +110,26 @@ def nearest_around(shapes: Shapes, part: int, i: int, j: int, p: wp.vec3):
     cell_y = size[1] / float(dims[1] - 1)
     best = Nearest()
     best.square = 1.0e20
-    best = nearer_in_cell(best, shapes, part, i, j, p)
-    reach = wp.sqrt(best.square)
-    low_i = wp.max(int((p[0] - reach + 0.5 * size[0]) / cell_x), 0)
-    low_j = wp.max(int((p[1] - reach + 0.5 * size[1]) / cell_y), 0)
-    high_i = wp.min(int((p[0] + reach + 0.5 * size[0]) / cell_x), dims[0] - 2)
-    high_j = wp.min(int((p[1] + reach + 0.5 * size[1]) / cell_y), dims[1] - 2)
-    for m in range(low_i, high_i + 1):
-        middle = size[0] * ((float(m) + 0.5) / float(dims[0] - 1) - 0.5)
-        away_x = wp.max(wp.abs(p[0] - middle) - 0.5 * cell_x, 0.0)
-        for n in range(low_j, high_j + 1):
-            middle = size[1] * ((float(n) + 0.5) / float(dims[1] - 1) - 0.5)
-            away_y = wp.max(wp.abs(p[1] - middle) - 0.5 * cell_y, 0.0)
-            if (m != i or n != j) and away_x * away_x + away_y * away_y < best.square:
-                best = nearer_in_cell(best, shapes, part, m, n, p)
+    low_i = int(i)
+    low_j = int(j)
+    high_i = int(i)
+    high_j = int(j)
+    around = int(0)
+    while around < 2:
+        for m in range(low_i, high_i + 1):
+            middle = size[0] * ((float(m) + 0.5) / float(dims[0] - 1) - 0.5)
+            away_x = wp.max(wp.abs(p[0] - middle) - 0.5 * cell_x, 0.0)
+            for n in range(low_j, high_j + 1):
+                middle = size[1] * ((float(n) + 0.5) / float(dims[1] - 1) - 0.5)
+                away_y = wp.max(wp.abs(p[1] - middle) - 0.5 * cell_y, 0.0)
+                if around == 0 or ((m != i or n != j) and away_x * away_x + away_y * away_y < best.square):
+                    best = nearer_in_cell(best, shapes, part, m, n, p)
+        reach = wp.sqrt(best.square)
+        low_i = wp.max(int((p[0] - reach + 0.5 * size[0]) / cell_x), 0)
+        low_j = wp.max(int((p[1] - reach + 0.5 * size[1]) / cell_y), 0)
+        high_i = wp.min(int((p[0] + reach + 0.5 * size[0]) / cell_x), dims[0] - 2)
+        high_j = wp.min(int((p[1] + reach + 0.5 * size[1]) / cell_y), dims[1] - 2)
+        around += 1
     return best
 
 

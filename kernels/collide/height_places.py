@@ -6,7 +6,7 @@ foot of its centre lies is a place; of places in similar directions the nearest 
 
 import warp as wp
 
-from warp_rigid.kernels.collide.height_distance import heightfield_distance, node
+from warp_rigid.kernels.collide.height_distance import node
 from warp_rigid.kernels.collide.triangle_distance import (
     FAR_AWAY,
     SAME_PLACE,
@@ -65,13 +65,16 @@ def height_places(shapes: Shapes, part: int, p: wp.vec3, nearest: wp.vec4, withi
 
 
 @wp.func
-def ball_distance_to_heights(shapes: Shapes, part: int, p: wp.vec3, near: float, touching: float, choice: int):
+def ball_distance_to_heights(
+    shapes: Shapes, part: int, p: wp.vec3, nearest: wp.vec4, near: float, touching: float, choice: int
+):
     """Distance from the centre of a ball to one of its places on a height field; FAR_AWAY if there is none.
 
+    `nearest`: the distance to the height field, whichever place it belongs to.
     The places are ranked within `near`, if one is within `touching`. The first place is also returned if it is farther
     away, or if the centre is below the field or beyond its border.
     """
-    d = heightfield_distance(shapes, part, p)
+    d = nearest
     size = shapes.parts[part].size
     above = wp.abs(p[0]) < 0.5 * size[0] and wp.abs(p[1]) < 0.5 * size[1] and d[3] > 0.0
     if above and d[3] < wp.min(near, touching):

@@ -496,13 +496,12 @@ def bring_to_touch(
     if radius > 0.0:
         along_edge += ALL_OF_EDGE * search.half
     while search.stage >= 0:
-        d = wp.vec4(0.0, 0.0, 1.0, FAR)
-        if corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER)):
-            d = ball_distance_to_places(shapes, part, search.query, radius, reach, choice)
-        else:
-            # The middle of an edge only shows whether the edge may touch.
-            exact_below = wp.where(kind == SampleKind.EDGE and search.stage > EDGE_MIDDLE, along_edge, near)
-            d = contact_distance(shapes, shape, search.query, search.facing, exact_below)
+        # The middle of an edge only shows whether the edge may touch.
+        exact_below = wp.where(kind == SampleKind.EDGE and search.stage > EDGE_MIDDLE, along_edge, near)
+        to_place = corners and (search.stage >= BALL_CENTER or (kind == SampleKind.RIM and search.stage == RIM_CENTER))
+        d = contact_distance(shapes, shape, search.query, search.facing, wp.where(to_place, -FAR, exact_below))
+        if to_place:
+            d = ball_distance_to_places(shapes, part, search.query, d, radius, reach, choice)
         search.evaluations += 1
         search.least = wp.min(search.least, d[3])
         if search.stage >= BALL_CENTER:

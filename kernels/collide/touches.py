@@ -14,12 +14,12 @@ from warp_rigid.kernels.collide.approach import (
     closing_gap,
     touch_of,
 )
-from warp_rigid.kernels.collide.course import rotation_after
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
 from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.capacity import usable_count
+from warp_rigid.kernels.common.symmetry import rotation_after
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 

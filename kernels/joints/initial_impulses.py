@@ -21,7 +21,7 @@ from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import Rows, blend_row, store_start
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints
-from warp_rigid.kernels.joints.loads import is_visited, solve_joints
+from warp_rigid.kernels.joints.loads import is_visited
 from warp_rigid.kernels.joints.mechanism import energy_terms
 from warp_rigid.kernels.schema import Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
@@ -150,8 +150,10 @@ def search_energy(
     rows: Rows,
     joints: Joints,
 ):
-    """Scale the changes since the start of the search such that they minimize the energy of each island."""
-    solve_joints(team, dt, motions, joints)
+    """Scale the changes since the start of the search such that they minimize the energy of each island.
+
+    The joints must have been solved.
+    """
     sum_contacts(first, last, team, order, graph, motions, rows, joints)
     sum_joints(dt, team, graph, motions, joints)
     scale_changes(first, last, team, order, graph, motions, rows, joints)

@@ -56,6 +56,15 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 AFTER_PASSES = wp.constant(2)
 """Value of `after_shock` right after the passes of shock propagation, which leave the joints out."""
 
+STARTING, SWEEPING, SEARCHING, ENDING, OVER = (
+    wp.constant(0),
+    wp.constant(1),
+    wp.constant(2),
+    wp.constant(3),
+    wp.constant(4),
+)
+"""Stages of the sweeps: initial impulses, a sweep, a line search, the last direct solution, and their end."""
+
 MOST_OF_LARGEST = wp.constant(wp.float64(65536.0))
 """Largest contribution of a joint to the sums of the line search, in multiples of that of a contact."""
 
@@ -146,7 +155,6 @@ def sweep_with_joints(
         choose_turns(envs.first_body[env], envs.first_body[env + 1], team, order, graph, motions, joints)
     if starts:
         store_before_impulses(envs.first_body[env], envs.first_body[env + 1], team, order, motions, rows, joints)
-        solve_touching(1, team, order, motions, rows, joints)
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
         left = sweeps_of(env, after_shock, envs, graph)
@@ -155,20 +163,24 @@ def sweep_with_joints(
     calm = int(0)
     done = int(0)
     residual = float(0.0)
-    while left > 0:
-        residual = sweep_once(after_shock, touched, layered, dt, team, order, graph, motions, rows, joints)
-        done += 1
-        unsolved = any_of_team(wp.where(residual > CONVERGED, 1, 0), team)
-        if starts and done == 1:
+    is_searched = after_shock == 1 and searched(env, envs, graph)
+    stage = int(wp.where(starts, STARTING, stage_after(STARTING, left, touched, is_searched)))
+    while stage != OVER:
+        change = sweep_once(stage, after_shock, touched, layered, dt, team, order, graph, motions, rows, joints)
+        if stage == SWEEPING:
+            residual = change
+            done += 1
+            unsolved = any_of_team(wp.where(residual > CONVERGED, 1, 0), team)
+            left = unsolved * (left - 1)
+            if left == 0 and unsolved * spare > 0:
+                calm = 1 - any_of_team(wp.where(residual > tolerance_without_shock(env, graph), 1, 0), team)
+                left = calm * spare
+                spare = 0
+        if stage == SEARCHING:
             first = envs.first_body[env]
             search_energy(dt, first, envs.first_body[env + 1], team, order, graph, motions, rows, joints)
-        left = unsolved * (left - 1)
-        if left == 0 and unsolved * spare > 0:
-            calm = 1 - any_of_team(wp.where(residual > tolerance_without_shock(env, graph), 1, 0), team)
-            left = calm * spare
-            spare = 0
-    if touched == 1:
-        end_sweeps(after_shock, dt, team, envs, order, graph, motions, rows, joints)
+        is_first = starts and done == 1 and stage == SWEEPING
+        stage = wp.where(is_first, SEARCHING, stage_after(stage, left, touched, is_searched))
     if after_shock == 0:
         graph.converged[env] = wp.max(1 - unsolved, calm)
     if after_shock != AFTER_PASSES:
@@ -176,7 +188,22 @@ def sweep_with_joints(
 
 
 @wp.func
+def stage_after(stage: int, left: int, touched: int, is_searched: bool):
+    """The stage that follows, with the number of sweeps left.
+
+    At last, where they have contacts, the mechanisms are solved once more, so that no limit pulls, before a line search
+    if `is_searched`.
+    """
+    if left > 0:
+        return SWEEPING
+    if touched == 0 or stage == ENDING or (stage == SEARCHING and is_searched):
+        return OVER
+    return wp.where(is_searched, SEARCHING, ENDING)
+
+
+@wp.func
 def sweep_once(
+    stage: int,
     after_shock: int,
     touched: int,
     layered: int,
@@ -188,38 +215,24 @@ def sweep_once(
     rows: Rows,
     joints: Joints,
 ):
-    """One sweep, and a direct solution of each mechanism. Returns a lane's largest change [m/s]."""
+    """One sweep, and a direct solution of each mechanism. Returns a lane's largest change [m/s].
+
+    Before the first sweep (STARTING) it applies initial impulses; before a line search and at the end it is the direct
+    solution alone.
+    """
     change = float(0.0)
-    if after_shock != AFTER_PASSES:
+    if stage == SWEEPING and after_shock != AFTER_PASSES:
         if touched == 1:
             change = sweep_others(team, order, motions, rows, joints)
         else:
             for level in range(layered, layered * graph.level_count[team.env] + 1):
                 change = wp.max(change, sweep(level, team, order, graph, motions, rows))
-    change = wp.max(change, solve_joints(team, dt, motions, joints))
-    if touched == 1:
-        change = wp.max(change, solve_touching(0, team, order, motions, rows, joints))
+    if stage != STARTING:
+        change = wp.max(change, solve_joints(team, dt, motions, joints))
+    if touched == 1 and stage <= SWEEPING:
+        start = wp.where(stage == STARTING, 1, 0)
+        change = wp.max(change, solve_touching(start, team, order, motions, rows, joints))
     return change
-
-
-@wp.func
-def end_sweeps(
-    after_shock: int,
-    dt: float,
-    team: Team,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    rows: Rows,
-    joints: Joints,
-):
-    """Solve the mechanisms once more, so that no limit pulls; the last sweeps end with a line search."""
-    first = envs.first_body[team.env]
-    if after_shock == 1 and searched(team.env, envs, graph):
-        search_energy(dt, first, envs.first_body[team.env + 1], team, order, graph, motions, rows, joints)
-    else:
-        solve_joints(team, dt, motions, joints)
 
 
 @wp.kernel

@@ -481,10 +481,12 @@ def open_visit(entry: OrderRecord, motions: Motions, joints: Joints):
     visit.m_a = solved_mechanism(visit.a, joints)
     visit.m_b = solved_mechanism(visit.b, joints)
     visit.share = wp.float64(wp.where(visit.m_a == visit.m_b, 2.0, 1.0))
-    if visit.m_a >= 0:
-        store_response(visit.m_a, visit.a, joints)
-    if visit.m_b >= 0:
-        store_response(visit.m_b, visit.b, joints)
+    side = int(0)
+    while side < 2:
+        m = wp.where(side == 0, visit.m_a, visit.m_b)
+        if m >= 0:
+            store_response(m, wp.where(side == 0, visit.a, visit.b), joints)
+        side += 1
     share_a = wp.where(visit.m_a < 0, 1.0, 0.0)
     visit.pair = load_bodies(visit.a, visit.b, share_a, wp.where(visit.m_b < 0, 1.0, 0.0), motions)
     return visit
@@ -520,10 +522,13 @@ def push_mechanism(m: int, b: int, impulse: vec6d, which: int, motions: Motions,
 @wp.func
 def push_mechanisms(visit: Visit, which: int, motions: Motions, joints: Joints):
     """Apply the impulses of a visit to the mechanisms of both bodies: VELOCITY or PUSH."""
-    if visit.m_a >= 0:
-        push_mechanism(visit.m_a, visit.a, visit.on_a, which, motions, joints)
-    if visit.m_b >= 0:
-        push_mechanism(visit.m_b, visit.b, visit.on_b, which, motions, joints)
+    side = int(0)
+    while side < 2:
+        m = wp.where(side == 0, visit.m_a, visit.m_b)
+        if m >= 0:
+            impulse = wp.where(side == 0, visit.on_a, visit.on_b)
+            push_mechanism(m, wp.where(side == 0, visit.a, visit.b), impulse, which, motions, joints)
+        side += 1
 
 
 @wp.func

@@ -19,6 +19,7 @@ from warp_rigid.kernels.common.solver_body import (
     with_impulse,
     with_velocities,
 )
+from warp_rigid.kernels.common.symmetry import turn_of_surface
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
@@ -29,7 +30,7 @@ from warp_rigid.kernels.constraints.contact import (
     set_target_impulse,
 )
 from warp_rigid.kernels.constraints.rows import Rows
-from warp_rigid.kernels.enums import PartKind, ShockMode
+from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import (
     Bodies,
     ContactRecord,
@@ -67,61 +68,22 @@ LIGHTER = wp.constant(10.0)
 ENOUGH = wp.constant(1.0e-4)
 """Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
 
-CENTERED = wp.constant(1.0e-3)
-"""Largest distance of the centre of mass from an axis of symmetry on which it lies, as a fraction of the size."""
-
 FASTEST = wp.constant(2.0)
 """Largest speed at which bodies are pushed apart [m/s]."""
 
 
 @wp.func
-def rotate_by_spin(v: wp.vec3, spin: wp.vec3, dt: float):
-    """A body-fixed vector after the rotation of the step."""
-    angle = dt * wp.length(spin)
-    if angle < 1.0e-6:
-        return v
-    return wp.quat_rotate(wp.quat_from_axis_angle(wp.normalize(spin), angle), v)
-
-
-@wp.func
-def spin_of_surface(b: int, spin: wp.vec3, shapes: Shapes, bodies: Bodies, state: State):
-    """The part of a body's spin that moves its surface.
-
-    A rotation about the axis of a cylinder or capsule, or about the centre of a sphere, leaves the surface in place,
-    although it moves the material points that touch. This holds if the centre of mass lies on the axis.
-    """
-    shape = bodies.shape[b]
-    part = shapes.shapes[shape].part_start
-    kind = shapes.parts[part].kind
-    ball = kind == PartKind.SPHERE
-    round = ball or kind == PartKind.CAPSULE or kind == PartKind.CYLINDER
-    if shapes.shapes[shape].convex == 0 or not round:
-        return spin
-    axis = wp.quat_rotate(shapes.parts[part].orientation, wp.vec3(0.0, 0.0, 1.0))
-    offset = bodies.center_of_mass[b] - shapes.parts[part].position
-    if not ball:
-        offset -= wp.dot(offset, axis) * axis
-    if wp.length(offset) > CENTERED * shapes.shapes[shape].size:
-        return spin
-    if ball:
-        return wp.vec3(0.0, 0.0, 0.0)
-    axis = wp.quat_rotate(state.orientation[b], axis)
-    return spin - wp.dot(spin, axis) * axis
-
-
-@wp.func
-def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair):
+def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair, turn_a: wp.quat, turn_b: wp.quat):
     """Gap of a contact after the step, including the rotation of arms and normal, which velocities do not account for.
 
-    The spins of the pair are those of the surfaces. The normal rotates with the body whose surface it belongs to: the
-    second body if the key is even, else the first.
+    The normal turns with the surface to which it belongs: that of the second body if the key is even, else the first.
     """
-    way_a = dt * pair.linear_a + rotate_by_spin(row.arm_a, pair.angular_a, dt) - row.arm_a
-    way_b = dt * pair.linear_b + rotate_by_spin(row.arm_b, pair.angular_b, dt) - row.arm_b
-    spin = pair.angular_b
+    way_a = dt * pair.linear_a + wp.quat_rotate(turn_a, row.arm_a) - row.arm_a
+    way_b = dt * pair.linear_b + wp.quat_rotate(turn_b, row.arm_b) - row.arm_b
+    turn = turn_b
     if key % 2 == 1:
-        spin = pair.angular_a
-    return row.gap + wp.dot(way_a - way_b + dt * row.surface, rotate_by_spin(row.normal, spin, dt))
+        turn = turn_a
+    return row.gap + wp.dot(way_a - way_b + dt * row.surface, wp.quat_rotate(turn, row.normal))
 
 
 @wp.func
@@ -141,9 +103,9 @@ def wanted_speed(
     b = pairs.body_b[contacts.pair[c]]
     size = smaller_size(a, b, shapes, bodies)
     pair = load_bodies(a, b, 0.0, 0.0, motions)
-    pair.angular_a = spin_of_surface(a, pair.angular_a, shapes, bodies, state)
-    pair.angular_b = spin_of_surface(b, pair.angular_b, shapes, bodies, state)
-    overlap = wp.max(-gap_after(row, contacts.key[c], dt, pair) - SLOP * size, 0.0)
+    turn_a = turn_of_surface(a, pair.angular_a, dt, shapes, bodies, state)
+    turn_b = turn_of_surface(b, pair.angular_b, dt, shapes, bodies, state)
+    overlap = wp.max(-gap_after(row, contacts.key[c], dt, pair, turn_a, turn_b) - SLOP * size, 0.0)
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
     return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
 

@@ -52,13 +52,15 @@ def _main(case: str, device: str) -> None:
 
     wp.config.log_level = wp.LOG_WARNING
     from warp_rigid.bench.cases import find_case
+    from warp_rigid.engine.loading import kernel_for
     from warp_rigid.engine.settings import Settings
     from warp_rigid.engine.simulator import Simulator
 
     sim = Simulator(find_case(case).build(), settings=Settings(), device=device)
     sim.step(4)
     wp.synchronize_device(sim.device)
-    loaded = {kernel.module.name for kernel in _kernels() if kernel.module.execs}
+    used = wp.get_device(device)
+    loaded = {kernel.module.name for kernel in _kernels() if kernel_for(kernel, used).module.execs}
     print(json.dumps({"processor_seconds": time.process_time(), "modules": len(loaded)}))
 
 

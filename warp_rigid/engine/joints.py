@@ -314,6 +314,7 @@ class JointStages:
         self._launch(kernel, step.num_envs * step.lanes, inputs, [])
 
     def _launch(self, kernel: Any, dim: int, inputs: Sequence, outputs: Sequence) -> None:
-        block = team.block_of(self._step.lanes)
+        block, device = team.block_of(self._step.lanes), self._step.device
         inputs, outputs = [*inputs], [*outputs]
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self._step.device)
+        kernel = loading.kernel_for(kernel, device)
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=device)

@@ -2,8 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import cache
 from importlib import import_module
 from typing import Any
+
+import warp as wp
 
 from warp_rigid.engine.cores import usable_cores
 from warp_rigid.kernel_cache import load_module
@@ -56,6 +59,15 @@ JOINTS = "warp_rigid.kernels.joints.joint_stages"
 as this takes a tenth as long as the import of the package."""
 
 
+DIVIDED = (narrowphase.__name__, ccd.__name__, JOINTS)
+"""Modules whose kernels are compiled one by one for a GPU, so that many cores share the work: nearly all of it is the
+optimization of functions that are inlined into each kernel. On a CPU, kernels of a module call the same functions, and
+are compiled together."""
+
+SLOWEST = ("sweep_with_joints", "build_contacts")
+"""Kernels of `DIVIDED` that take longest to compile for a GPU."""
+
+
 def everything() -> tuple[Any, ...]:
     """All kernel modules; the slowest to compile come first."""
     others = (*OVERLAP, *GRIDS, *STEP[2:], *HEAPS, *SLEEP, *GROUND, *CANDIDATES, *WATCH)
@@ -65,6 +77,25 @@ def everything() -> tuple[Any, ...]:
 def blocks_of_searches(search_block: int) -> dict[str, int]:
     """Lanes of the blocks of modules that search samples, by name; of the narrow phase they are `search_block`."""
     return {narrowphase.__name__: search_block, ccd.__name__: team.SMALL_BLOCK}
+
+
+@cache
+def _alone(kernel: Any) -> Any:
+    module = wp.get_module(f"{kernel.module.name}.{kernel.key}")
+    module.options.update(kernel.module.options)
+    return wp.Kernel(kernel.func, kernel.key, module, kernel.options)
+
+
+def kernel_for(kernel: Any, device: Any) -> Any:
+    """The kernel as it is compiled for a device: in its module, or alone."""
+    return _alone(kernel) if device.is_cuda and kernel.module.name in DIVIDED else kernel
+
+
+def units_of(module: Any, device: Any) -> list[str]:
+    """Names of the Warp modules that hold the kernels of a module on a device; the slowest to compile come first."""
+    kernels = wp.get_module(module.__name__).kernels.values()
+    ordered = sorted(kernels, key=lambda kernel: kernel.key not in SLOWEST)
+    return list(dict.fromkeys(kernel_for(kernel, device).module.name for kernel in ordered))
 
 
 def load_kernels(
@@ -96,9 +127,9 @@ def load_kernels(
             return [team.BLOCK, team.SMALL_BLOCK]
         return sorted({blocks_of_searches(block).get(module.__name__, team.BLOCK) for block in search_blocks})
 
-    jobs = [(module, block) for module in modules for block in blocks_of(module)]
+    jobs = [(name, block) for module in modules for name in units_of(module, device) for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:
-        loaded = [pool.submit(load_module, device, module.__name__, block) for module, block in jobs]
+        loaded = [pool.submit(load_module, device, name, block) for name, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):
             done.result()
             if on_module is not None:

@@ -323,7 +323,7 @@ class Stages:
     @stage
     def detect_continuous_collisions(self) -> None:
         """Continuous collision detection: find how far fast bodies can move before they penetrate others."""
-        self._per_body(ccd.limit_travel, [self.dt], [self.motions, self.pools.suspects])
+        self._list_fast_pairs_of_step()
         wp.capture_while(self.pools.suspects.again, self._find_impacts)
         self.joints.close_stopped()
 
@@ -470,14 +470,29 @@ class Stages:
             device=self.device,
         )
 
-    def _find_impacts(self) -> None:
-        """One round of continuous collision detection: over all pairs, or over those of bodies that were hit."""
-        model, pools, pairs, suspects = self.model, self.pools, self.pools.pairs, self.pools.suspects
-        size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
+    def _list_fast_pairs_of_step(self) -> None:
+        """Open the first round of continuous collision detection."""
+        self._per_body(ccd.limit_travel, [self.dt], [self.motions, self.pools.suspects])
+        self._open_round()
+
+    def _open_round(self) -> None:
+        """List the pairs of a round: fast ones in the first round, then those of bodies that were hit."""
+        pairs, suspects = self.pools.pairs, self.pools.suspects
         self._per_body(ccd.open_round, [pairs], [self.motions, suspects])
         self.joints.join_courses()
-        self._shared(ccd.list_fast_pairs, size, [], [*self.moving, self.envs, suspects], [pairs])
-        self._shared(ccd.advance_solids, size, [], [*self.moving, pairs], [suspects])
+        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [], [*self.moving, self.envs], [suspects, pairs])
+
+    def _find_impacts(self) -> None:
+        """A round of continuous collision detection, in which there are fast pairs, and the list of the next one."""
+        self._trace_fast_pairs()
+        self._open_round()
+
+    def _trace_fast_pairs(self) -> None:
+        """The times of impact of the listed pairs, and the motion of bodies after their first impact."""
+        model, pools, pairs, suspects = self.model, self.pools, self.pools.pairs, self.pools.suspects
+        size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
+        lanes = teams.ADVANCE_LANES_IN_CROWDS if self.crowded else teams.ADVANCE_LANES
+        self._share(ccd.advance_solids, size, lanes, [], [*self.moving, pairs], [suspects])
         self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
         self._share(ccd.list_clusters, 2 * size, teams.TRACE_LANES, [], [*self.moving, pairs], [suspects])
         inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
@@ -485,8 +500,7 @@ class Stages:
         self._shared(ccd.trace_suspects, samples, before, inputs, outputs)
         inputs = [self.dt, model.bodies, self.state, pairs, suspects]
         self._shared(ccd.note_impacts, size, [], inputs, [self.motions])
-        inputs = [model.bodies, self.state, self.envs, pairs]
-        self._per_body(ccd.change_courses, inputs, [self.motions, suspects])
+        self._per_body(ccd.change_courses, [model.bodies, self.state, pairs], [self.motions])
         self.joints.share_impacts()
 
     def _search_contacts(self, woken: int) -> None:
@@ -514,6 +528,7 @@ class Stages:
 
     def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
         block = self.blocks.get(kernel.module.name, team.BLOCK)
+        kernel = loading.kernel_for(kernel, self.device)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:

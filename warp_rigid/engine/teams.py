@@ -13,6 +13,10 @@ MOST_BODIES_OF_A_WARP = 128
 BUILD_LANES, TRACE_LANES, LOOK_LANES = 4, 32, 8
 """GPU lanes that build the rows of a pair, trace clusters of a body, and look at samples."""
 
+ADVANCE_LANES, ADVANCE_LANES_IN_CROWDS = 8, 32
+"""GPU lanes that advance two convex solids, each in its part of the step; more in environments with heaps, where the
+slowest pair decides."""
+
 RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
 

@@ -1,0 +1,63 @@
+"""Symmetry of shapes: rotations that leave a surface in place, although they move its material points."""
+
+import warp as wp
+
+from warp_rigid.kernels.enums import PartKind
+from warp_rigid.kernels.schema import Bodies, Shapes, State
+
+wp.set_module_options({"enable_backward": False})
+
+CENTERED = wp.constant(1.0e-3)
+"""Largest distance of the centre of mass from an axis of symmetry on which it lies, as a fraction of the size."""
+
+LEAST_ANGLE = wp.constant(1.0e-6)
+"""Smaller rotations are rounding errors of bodies at rest [rad]."""
+
+NOT_ROUND, ROUND, BALL = wp.constant(0), wp.constant(1), wp.constant(2)
+"""Symmetry about the centre of mass: none, about the axis of a cylinder or capsule, or about every axis."""
+
+
+@wp.func
+def rotation_after(angular: wp.vec3, t: float):
+    """Rotation by an angular velocity in a time t."""
+    speed = wp.length(angular)
+    if speed == 0.0 or t == 0.0:
+        return wp.quat_identity()
+    return wp.quat_from_axis_angle(angular / speed, speed * t)
+
+
+@wp.func
+def symmetry_of(b: int, shapes: Shapes, bodies: Bodies):
+    """Symmetry of a body about its centre of mass: NOT_ROUND, ROUND or BALL."""
+    shape = bodies.shape[b]
+    part = shapes.shapes[shape].part_start
+    kind = shapes.parts[part].kind
+    ball = kind == PartKind.SPHERE
+    round = ball or kind == PartKind.CAPSULE or kind == PartKind.CYLINDER
+    if shapes.shapes[shape].convex == 0 or not round:
+        return NOT_ROUND
+    offset = bodies.center_of_mass[b] - shapes.parts[part].position
+    if not ball:
+        axis = wp.quat_rotate(shapes.parts[part].orientation, wp.vec3(0.0, 0.0, 1.0))
+        offset -= wp.dot(offset, axis) * axis
+    if wp.length(offset) > CENTERED * shapes.shapes[shape].size:
+        return NOT_ROUND
+    return wp.where(ball, BALL, ROUND)
+
+
+@wp.func
+def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bodies, state: State):
+    """The rotation of a body's surface in a step: that of the body, without the part that leaves the surface in place.
+
+    A body of revolution is first turned back about its axis, which changes nothing, and then with the body.
+    """
+    symmetry = symmetry_of(b, shapes, bodies)
+    angle = dt * wp.length(spin)
+    if symmetry == BALL or angle < LEAST_ANGLE:
+        return wp.quat_identity()
+    turn = wp.quat_from_axis_angle(wp.normalize(spin), angle)
+    if symmetry == ROUND:
+        local = shapes.parts[shapes.shapes[bodies.shape[b]].part_start].orientation
+        axis = wp.quat_rotate(state.orientation[b] * local, wp.vec3(0.0, 0.0, 1.0))
+        turn = turn * wp.quat_from_axis_angle(axis, -dt * wp.dot(spin, axis))
+    return turn
