@@ -25,7 +25,7 @@ def case():
 
 @pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
 @pytest.mark.parametrize("play", [0.0005, 0.002])
-def test_a_box_stays_in_a_case_that_falls(play, dt):
+def test_a_box_stays_in_a_case_that_falls(play, dt, device):
     """Both tumble onto a floor from 0.2 to 1.5 m. The box enters a wall by less than half of its thickness."""
     rng = np.random.default_rng(0)
     for _ in range(8):
@@ -35,7 +35,7 @@ def test_a_box_stays_in_a_case_that_falls(play, dt):
         scene.add_static(Plane())
         scene.add_body(case(), **start)
         scene.add_body(Box((INNER - play,) * 3), **start)
-        sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+        sim = Simulator(scene, settings=Settings(dt=dt), device=device)
         for _ in range(round(1.2 / dt)):
             sim.step()
             (_, outer, inner), turn = sim.get("position")[0], Rotation.from_quat(sim.get("orientation")[0, 1])

@@ -24,13 +24,13 @@ SLIDERS = {
 }
 
 
-def slide(scene, slider, speed, dt):
+def slide(scene, slider, speed, dt, device):
     """Slide over 4 m of a floor without friction; velocity at the end, and largest deviation from the height."""
     shape, orientation = SLIDERS[slider]
     body = scene.add_body(
         shape, position=(-0.2, 0.013, HALF), orientation=orientation, linear_velocity=(speed, 0, 0), friction=0.0
     )
-    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim = Simulator(scene, settings=Settings(dt=dt), device=device)
     jump = 0.0
     for _ in range(round(4 / speed / dt)):
         sim.step(1)
@@ -41,29 +41,29 @@ def slide(scene, slider, speed, dt):
 @STEPS
 @pytest.mark.parametrize("speed", [1.0, 3.0])
 @pytest.mark.parametrize("slider", list(SLIDERS))
-def test_bodies_slide_over_the_tiles_of_a_floor(slider, speed, dt):
+def test_bodies_slide_over_the_tiles_of_a_floor(slider, speed, dt, device):
     scene = Scene()
     for k in range(12):
         scene.add_static(Box((TILE / 2, 0.2, 0.05)), position=(TILE * (k - 0.5), 0, -0.05))
-    velocity, jump = slide(scene, slider, speed, dt)
+    velocity, jump = slide(scene, slider, speed, dt, device)
     np.testing.assert_allclose(velocity, (speed, 0, 0), atol=1e-3 * speed)
     assert jump < 1e-4
 
 
 @STEPS
 @pytest.mark.parametrize("slider", ["turned box", "sphere"])
-def test_bodies_slide_over_the_tiles_of_a_compound(slider, dt):
+def test_bodies_slide_over_the_tiles_of_a_compound(slider, dt, device):
     scene = Scene()
     tile = Box((TILE / 2, 0.2, 0.05))
     scene.add_static(Compound([(tile, (TILE * (k - 0.5), 0, -0.05), (0, 0, 0, 1)) for k in range(12)]))
-    velocity, jump = slide(scene, slider, 3.0, dt)
+    velocity, jump = slide(scene, slider, 3.0, dt, device)
     np.testing.assert_allclose(velocity, (3.0, 0, 0), atol=3e-3)
     assert jump < 1e-4
 
 
 @pytest.mark.parametrize("clearance", [3e-4, 3e-3])
 @pytest.mark.parametrize("slider", ["box", "sphere", "turned box"])
-def test_a_body_flies_past_a_shelf(slider, clearance):
+def test_a_body_flies_past_a_shelf(slider, clearance, device):
     """A step covers as much as the body's size, so that the edge is within reach of several contacts."""
     shape, orientation = SLIDERS[slider]
     reach = shape.support(np.array([[-1.0, 0.0, 0.0]]) @ trimesh_rotation(orientation))[0]
@@ -72,7 +72,7 @@ def test_a_body_flies_past_a_shelf(slider, clearance):
         scene.add_static(Box((0.1, 0.1, 0.01)), position=(-0.1 - clearance, 0, 0))
         place = (reach, 0, 0.2 + 0.05 * phase / 8)
         scene.add_body(shape, position=place, orientation=orientation, linear_velocity=(0, 0, -3))
-        sim = Simulator(scene, settings=Settings(dt=1 / 60), device="cpu")
+        sim = Simulator(scene, settings=Settings(dt=1 / 60), device=device)
         sim.step(24)
         np.testing.assert_allclose(sim.get("linear_velocity")[0, 1], (0, 0, -3), atol=1e-6)
 
@@ -85,13 +85,13 @@ def trimesh_rotation(orientation):
 
 @STEPS
 @pytest.mark.parametrize("pin", [Cylinder(0.0098, 0.03), Sphere(0.0098)], ids=["cylinder", "sphere"])
-def test_a_pin_falls_through_its_hole(pin, dt):
+def test_a_pin_falls_through_its_hole(pin, dt, device):
     """The play is 2 % of the radius."""
     scene = Scene()
     plate = trimesh.creation.annulus(r_min=0.01, r_max=0.04, height=0.02, sections=96)
     scene.add_static(Mesh.from_trimesh(plate))
     scene.add_body(pin, position=(0, 0, 0.05))
-    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim = Simulator(scene, settings=Settings(dt=dt), device=device)
     sim.step(round(0.25 / dt))
     np.testing.assert_allclose(sim.get("linear_velocity")[0, 1], (0, 0, -9.81 * 0.25), rtol=1e-5, atol=1e-5)
 
@@ -99,13 +99,13 @@ def test_a_pin_falls_through_its_hole(pin, dt):
 @STEPS
 @pytest.mark.parametrize("shape", [SLIDERS["box"][0], SLIDERS["mesh"][0]], ids=["box", "mesh"])
 @pytest.mark.parametrize("height", [0.001, 0.01])
-def test_a_step_of_the_floor_stops_a_box(shape, height, dt):
+def test_a_step_of_the_floor_stops_a_box(shape, height, dt, device):
     """It is as high as 1 % or 10 % of the box, which overlaps it by at most 2 % while it tips over."""
     scene = Scene()
     scene.add_static(Box((1.0, 0.2, 0.05)), position=(-1.0, 0, -0.05))
     scene.add_static(Box((1.0, 0.2, 0.05)), position=(1.0, 0, -0.05 + height))
     scene.add_body(shape, position=(-0.3, 0, HALF), linear_velocity=(1.0, 0, 0), friction=0.0)
-    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    sim = Simulator(scene, settings=Settings(dt=dt), device=device)
     deepest = 0.0
     for _ in range(round(0.5 / dt)):
         sim.step(1)
