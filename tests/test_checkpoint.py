@@ -101,18 +101,18 @@ def test_contacts_without_samples_come_back(device, tmp_path):
     """
     scene = wr.Scene(gravity=(0, 0, 0))
     thick = wr.Compound([(wr.Cylinder(0.1, 0.08), (0, 0, 0), (0, 0, 0, 1)), (wr.Sphere(0.01), (0, 0, 0), (0, 0, 0, 1))])
-    pair, convex = (wr.Capsule(0.06, 0.08), thick), 2 * (meshes.octahedron(0.1, 16),)
+    pair, convex = (wr.Cylinder(0.1, 0.08), thick), 2 * (meshes.octahedron(0.1, 16),)
     bar = wr.Box((0.2, 0.03, 0.03))
     corner = wr.Compound([(bar, (0, 0, 0), (0, 0, 0, 1)), (bar, (0.17, 0, 0.17), rotate_about((0, 1, 0), 90))])
     scene.add_body(corner, position=(3, 0, 0))
     scene.add_body(corner, position=(2.9, 0.1, 0), orientation=rotate_about((0, 0, 1), 90))
-    for place, shapes in enumerate((pair, pair[::-1], convex)):
+    for place, (shapes, apart) in enumerate(((pair, 0.004), (convex, 0.03))):
         for k, shape in enumerate(shapes):
-            scene.add_body(shape, position=(place + 0.03 * k, 0.01 * k, 0.02 * k))
+            scene.add_body(shape, position=(place + apart * k, 0.3 * apart * k, 0.6 * apart * k))
     sim = Simulator(scene, device=device)
     sim.step()
     keys = stages_of(sim).pools.history.key.numpy()[: sim.counts()["contacts"]]
-    assert {BY_CENTER, BY_CENTER - 1, BY_AXIS} == set(keys[keys < 0].tolist())
+    assert {BY_CENTER, BY_AXIS} == set(keys[keys < 0].tolist())
     assert stages_of(sim).pools.history.axis.numpy()[0].any()
     sim.save(tmp_path / "a.ckpt")
     loaded = Simulator.load(tmp_path / "a.ckpt")

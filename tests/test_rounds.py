@@ -77,7 +77,10 @@ def test_a_solve_is_that_of_the_method_in_float64(device):
     stages.heaps.solve()
     exact = rounds_in_float64(problem, free, start, int(limits.max()))
     scale = np.abs(exact[chosen]).max()
-    np.testing.assert_allclose(problem.velocity(stages)[chosen], exact[chosen], atol=2e-4 * scale)
+    error = np.abs(problem.velocity(stages) - exact)[chosen] / scale
+    # A contact that slips a round earlier or later than in float64 changes the velocities of its bodies by more.
+    assert np.quantile(error, 0.95) < 1e-5
+    assert error.max() < 2e-3
     assert np.abs(exact - free)[chosen].max() > 0.05 * scale
 
 
