@@ -373,3 +373,22 @@ def test_hanging_bodies_sleep_and_wake_as_one(device):
     sim.step()
     assert not sim.get("asleep").any()
     assert anchor_errors(sim).max() < 1e-6
+
+
+def test_a_gyroscope_keeps_its_spin(device):
+    """A disc that turns by a quarter of a radian per step, on an axle from its middle to a joint.
+
+    Neither the joint nor gravity has a torque about the axle, so that the spin about it is constant.
+    """
+    scene = wr.Scene(gravity=(0, 0, -G))
+    along_x = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+    disc = scene.add_body(
+        wr.Cylinder(0.1, 0.01), position=(0.2, 0, 0), orientation=along_x, angular_velocity=(60, 0, 0), mass=1.0
+    )
+    scene.add_joint(wr.SphericalJoint(), disc, anchor=(0, 0, 0))
+    sim = simulator(scene, device)
+    for _ in range(8):
+        sim.step(60)
+        spin = rotations.rotate(rotations.inverse(sim.get("orientation")[0, disc]), sim.get("angular_velocity")[0, disc])
+        assert spin[2] == pytest.approx(60.0, rel=1e-4)
+    assert anchor_errors(sim).max() < 1e-6
