@@ -389,6 +389,7 @@ def test_a_gyroscope_keeps_its_spin(device):
     sim = simulator(scene, device)
     for _ in range(8):
         sim.step(60)
-        spin = rotations.rotate(rotations.inverse(sim.get("orientation")[0, disc]), sim.get("angular_velocity")[0, disc])
+        turn = sim.get("orientation")[0, disc]
+        spin = rotations.rotate(rotations.inverse(turn), sim.get("angular_velocity")[0, disc])
         assert spin[2] == pytest.approx(60.0, rel=1e-4)
     assert anchor_errors(sim).max() < 1e-6
