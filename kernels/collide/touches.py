@@ -14,12 +14,12 @@ from warp_rigid.kernels.collide.approach import (
     closing_gap,
     touch_of,
 )
+from warp_rigid.kernels.collide.course import Course, place_at
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
 from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.capacity import usable_count
-from warp_rigid.kernels.common.symmetry import rotation_after
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -63,16 +63,15 @@ def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes)
 
 
 @wp.func
-def moved_point(p: wp.vec3, approach: Approach, dt: float, bodies: Bodies, state: State, motions: Motions):
-    """Where a point p of `own` is at the end of a step at the present velocities; both in the frame of `other`."""
-    own = approach.own
-    other = approach.other
-    center = motions.center[other]
-    arm = wp.quat_rotate(state.orientation[other], p) + state.position[other] - motions.center[own]
-    arm = wp.quat_rotate(rotation_after(state.angular_velocity[own], dt), arm)
-    arm += motions.center[own] - center + dt * (state.linear_velocity[own] - state.linear_velocity[other])
-    turn = rotation_after(state.angular_velocity[other], dt) * state.orientation[other]
-    return wp.quat_rotate_inv(turn, arm) + bodies.center_of_mass[other]
+def course_before(b: int, bodies: Bodies, state: State, motions: Motions):
+    """The motion of a body in the step at its velocities before it."""
+    course = Course()
+    course.center = motions.center[b]
+    course.turn = state.orientation[b]
+    course.local_center = bodies.center_of_mass[b]
+    course.linear = state.linear_velocity[b]
+    course.angular = state.angular_velocity[b]
+    return course
 
 
 @wp.func
@@ -132,7 +131,10 @@ def passes_by(
     if bodies.inverse_mass[approach.own] * bodies.inverse_mass[approach.other] > 0.0:
         return False
     allowed = CONTACT_DISTANCE * size
-    way = moved_point(placed.query, approach, dt, bodies, state, motions) - placed.query
+    own = course_before(approach.own, bodies, state, motions)
+    other = course_before(approach.other, bodies, state, motions)
+    arm = wp.quat_rotate(other.turn, placed.query) + state.position[approach.other] - own.center
+    way = place_at(own, other, arm, dt) - placed.query
     fall = -wp.dot(way, placed.direction)
     if fall < SLOW * allowed:
         return False

@@ -41,11 +41,11 @@ from warp_rigid.kernels.joints.push import push_touching
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, Pairs, SleepState, State
 from warp_rigid.kernels.solve.gauss_seidel import (
     find_shock_ineffective,
+    nearly_solved,
     report_sweeps,
     spare_sweeps,
     sweep,
     sweeps_of,
-    tolerance_without_shock,
 )
 from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
 from warp_rigid.kernels.solve.push_out import ENOUGH, PUSH_OUT_SWEEPS
@@ -173,7 +173,7 @@ def sweep_with_joints(
             unsolved = any_of_team(wp.where(residual > CONVERGED, 1, 0), team)
             left = unsolved * (left - 1)
             if left == 0 and unsolved * spare > 0:
-                calm = 1 - any_of_team(wp.where(residual > tolerance_without_shock(env, graph), 1, 0), team)
+                calm = nearly_solved(residual, team, graph)
                 left = calm * spare
                 spare = 0
         if stage == SEARCHING:

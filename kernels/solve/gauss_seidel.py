@@ -39,6 +39,12 @@ def tolerance_without_shock(env: int, graph: Graph):
 
 
 @wp.func
+def nearly_solved(change: float, team: Team, graph: Graph):
+    """1 if no lane of a team saw a larger change than `tolerance_without_shock`."""
+    return 1 - any_of_team(wp.where(change > tolerance_without_shock(team.env, graph), 1, 0), team)
+
+
+@wp.func
 def solve_constraint(entry: OrderRecord, motions: Motions, rows: Rows):
     """Solve the rows of a constraint, one after another. Returns the largest velocity change [m/s]."""
     pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
@@ -174,7 +180,7 @@ def sweep_constraints(
         unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)
         left = unsolved * (left - 1)
         if left == 0 and unsolved * spare > 0:
-            calm = 1 - any_of_team(wp.where(change > tolerance_without_shock(env, graph), 1, 0), team)
+            calm = nearly_solved(change, team, graph)
             left = calm * spare
             spare = 0
     if after_shock == 0:
