@@ -62,16 +62,16 @@ def column_of(blocks: wp.array[mat66d], at: int, column: int) -> vec6d:
 
 
 @wp.func_native("""
-return reinterpret_cast<const double*>(vectors.data + at)[k];
+return reinterpret_cast<const double*>(vectors.data + vectors.shape[1] * at + column)[k];
 """)
-def component_of(vectors: wp.array[vec6d], at: int, k: int) -> wp.float64:
+def component_of(vectors: wp.array2d[vec6d], at: int, column: int, k: int) -> wp.float64:
     """A component of a vector."""
     ...
 
 
 @wp.func_native("""
-reinterpret_cast<double*>(vectors.data + at)[k] = value;
+reinterpret_cast<double*>(vectors.data + vectors.shape[1] * at + column)[k] = value;
 """)
-def set_component(vectors: wp.array[vec6d], at: int, k: int, value: wp.float64):
+def set_component(vectors: wp.array2d[vec6d], at: int, column: int, k: int, value: wp.float64):
     """Store a component of a vector."""
     ...

@@ -119,7 +119,7 @@ def assemble_row(place: int, i: int, dt: float, joints: Joints):
     entry = diagonal_entry(j, i, row, dt, joints)
     set_row(joints.pivot, j, i, row)
     set_entry(joints.pivot, j, i, i, entry)
-    set_component(joints.solution, j, i, wp.where(entry > ZERO, ONE / entry, ZERO))
+    set_component(joints.solution, j, 0, i, wp.where(entry > ZERO, ONE / entry, ZERO))
     for e in range(joints.column[place], joints.column[place + 1]):
         off = vec6d()
         if joints.shared[e] >= 0:
@@ -139,7 +139,7 @@ def largest_pivot(j: int, left: int, joints: Joints):
     most = REDUNDANT
     for k in range(6):
         if is_locked(left, k):
-            share = entry_of(joints.pivot, j, k, k) * component_of(joints.solution, j, k)
+            share = entry_of(joints.pivot, j, k, k) * component_of(joints.solution, j, 0, k)
             if share > most:
                 most = share
                 best = k
@@ -228,27 +228,27 @@ def factorize(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
 
 
 @wp.func
-def substitute(m: int, team: Team, joints: Joints):
-    """Replace the right-hand side in `solution` by the solution."""
+def substitute(m: int, column: int, team: Team, joints: Joints):
+    """Replace the right-hand side in a column of `solution` by the solution."""
     first = joints.first_place[m]
     end = joints.first_place[m + 1]
     for place in range(first, end):
         j = joints.sequence[place]
-        known = joints.solution[j]
+        known = joints.solution[j, column]
         sync_team(team)
         for i in range(team.lane, 6, team.lanes):
             for e in range(joints.column[place], joints.column[place + 1]):
                 k = joints.row[e]
                 change = wp.dot(row_of(joints.lower, e, i), known)
-                set_component(joints.solution, k, i, component_of(joints.solution, k, i) - change)
-            set_component(joints.solution, j, i, wp.dot(row_of(joints.pivot, j, i), known))
+                set_component(joints.solution, k, column, i, component_of(joints.solution, k, column, i) - change)
+            set_component(joints.solution, j, column, i, wp.dot(row_of(joints.pivot, j, i), known))
         sync_team(team)
     for back in range(end - first):
         place = end - 1 - back
         j = joints.sequence[place]
         for i in range(team.lane, 6, team.lanes):
-            found = component_of(joints.solution, j, i)
+            found = component_of(joints.solution, j, column, i)
             for e in range(joints.column[place], joints.column[place + 1]):
-                found -= wp.dot(column_of(joints.lower, e, i), joints.solution[joints.row[e]])
-            set_component(joints.solution, j, i, found)
+                found -= wp.dot(column_of(joints.lower, e, i), joints.solution[joints.row[e], column])
+            set_component(joints.solution, j, column, i, found)
         sync_team(team)

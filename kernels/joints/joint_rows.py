@@ -196,7 +196,7 @@ def apply_solution(m: int, which: int, team: Team, motions: Motions, joints: Joi
             angular = wp.vec3d()
             for e in range(joints.first_end[i], joints.first_end[i + 1]):
                 j = joints.joint_of_end[e]
-                impulses = joints.solution[j]
+                impulses = joints.solution[j, 0]
                 along = wp.transpose(joints.linear[j]) * impulses
                 if joints.body_a[j] == b:
                     linear -= along

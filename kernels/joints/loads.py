@@ -27,23 +27,20 @@ from warp_rigid.kernels.common.team import (
     Team,
     any_of_team,
     part_of_team,
-    single_lane,
     sync_team,
 )
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import Rows, distribute_load
 from warp_rigid.kernels.enums import IslandSolver, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat66d, vec6d
-from warp_rigid.kernels.joints.factor import substitute
-from warp_rigid.kernels.joints.joint_rows import add_velocity, apply_solution, is_locked
 from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solve_mechanism
+from warp_rigid.kernels.joints.responses import push_mechanism, store_response
 from warp_rigid.kernels.schema import ContactRecord, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
 from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
     end_of_entries,
     entry_at,
-    first_entry,
     first_of_color,
     forget_visits,
     stride_of_color,
@@ -257,73 +254,6 @@ def leave_out_of_shock(first: int, last: int, team: Team, order: Order, motions:
 
 
 @wp.func
-def free_velocity(b: int, impulse: vec6d, joints: Joints):
-    """Velocity that an impulse and an angular impulse give a body without joints: linear, then angular."""
-    linear = joints.inverse_mass[b] * wp.vec3d(impulse[0], impulse[1], impulse[2])
-    angular = joints.inverse_inertia[b] * wp.vec3d(impulse[3], impulse[4], impulse[5])
-    return vec6d(linear[0], linear[1], linear[2], angular[0], angular[1], angular[2])
-
-
-@wp.func
-def speeds_along(j: int, b: int, velocity: vec6d, joints: Joints):
-    """Velocities along the active rows of a joint if only one of its bodies moves; 0 if it is none of them."""
-    linear = wp.vec3d(velocity[0], velocity[1], velocity[2])
-    angular = wp.vec3d(velocity[3], velocity[4], velocity[5])
-    speeds = vec6d()
-    if joints.body_a[j] == b:
-        speeds = joints.linear[j] * linear + joints.angular_a[j] * angular
-    elif joints.body_b[j] == b and joints.to_world[j] == 0:
-        speeds = joints.angular_b[j] * angular - joints.linear[j] * linear
-    for k in range(6):
-        if not is_locked(joints.active[j], k):
-            speeds[k] = wp.float64(0.0)
-    return speeds
-
-
-@wp.func
-def reaction(j: int, b: int, impulses: vec6d, joints: Joints):
-    """Impulse and angular impulse on a body by impulses along the rows of a joint; 0 if it holds other bodies."""
-    if joints.body_a[j] != b and (joints.body_b[j] != b or joints.to_world[j] == 1):
-        return vec6d()
-    linear = wp.transpose(joints.linear[j]) * impulses
-    angular = wp.transpose(joints.angular_a[j]) * impulses
-    if joints.body_a[j] != b:
-        linear = -linear
-        angular = wp.transpose(joints.angular_b[j]) * impulses
-    return vec6d(linear[0], linear[1], linear[2], angular[0], angular[1], angular[2])
-
-
-@wp.func
-def solve_for(m: int, b: int, impulse: vec6d, joints: Joints):
-    """Store in `solution` the impulses by which the joints of a mechanism answer to an impulse on a body, negative."""
-    velocity = free_velocity(b, impulse, joints)
-    for place in range(joints.first_place[m], joints.first_place[m + 1]):
-        j = joints.sequence[place]
-        joints.solution[j] = speeds_along(j, b, velocity, joints)
-    substitute(m, single_lane(), joints)
-
-
-@wp.func
-def store_response(m: int, b: int, joints: Joints):
-    """Store the velocities that unit impulses on a body give it where the joints hold, unless they are known."""
-    if joints.answered[b] == joints.factorizations[m]:
-        return
-    response = mat66d()
-    for k in range(6):
-        unit = vec6d()
-        unit[k] = wp.float64(1.0)
-        solve_for(m, b, unit, joints)
-        for place in range(joints.first_place[m], joints.first_place[m + 1]):
-            j = joints.sequence[place]
-            unit -= reaction(j, b, joints.solution[j], joints)
-        velocity = free_velocity(b, unit, joints)
-        for i in range(6):
-            response[i, k] = velocity[i]
-    joints.response[b] = response
-    joints.answered[b] = joints.factorizations[m]
-
-
-@wp.func
 def wrench(arm: wp.vec3, direction: wp.vec3):
     """Impulse and angular impulse of a unit impulse at an arm."""
     turn = wp.cross(wp.vec3d(arm), wp.vec3d(direction))
@@ -481,12 +411,6 @@ def open_visit(entry: OrderRecord, motions: Motions, joints: Joints):
     visit.m_a = solved_mechanism(visit.a, joints)
     visit.m_b = solved_mechanism(visit.b, joints)
     visit.share = wp.float64(wp.where(visit.m_a == visit.m_b, 2.0, 1.0))
-    side = int(0)
-    while side < 2:
-        m = wp.where(side == 0, visit.m_a, visit.m_b)
-        if m >= 0:
-            store_response(m, wp.where(side == 0, visit.a, visit.b), joints)
-        side += 1
     share_a = wp.where(visit.m_a < 0, 1.0, 0.0)
     visit.pair = load_bodies(visit.a, visit.b, share_a, wp.where(visit.m_b < 0, 1.0, 0.0), motions)
     return visit
@@ -506,34 +430,20 @@ def warm_started(entry: OrderRecord, visit: Visit, rows: Rows, joints: Joints):
 
 
 @wp.func
-def push_mechanism(m: int, b: int, impulse: vec6d, which: int, motions: Motions, joints: Joints):
-    """Apply an impulse and an angular impulse to a body of a mechanism, whose joints stay solved: VELOCITY or PUSH."""
-    solve_for(m, b, impulse, joints)
-    velocity = free_velocity(b, impulse, joints)
-    linear = wp.vec3d(velocity[0], velocity[1], velocity[2])
-    add_velocity(b, which, linear, wp.vec3d(velocity[3], velocity[4], velocity[5]), motions)
-    if which == VELOCITY:
-        for place in range(joints.first_place[m], joints.first_place[m + 1]):
-            j = joints.sequence[place]
-            joints.total[j] = joints.total[j] - joints.solution[j]
-    apply_solution(m, which, single_lane(), motions, joints)
+def store_impulses(visit: Visit, joints: Joints):
+    """Store what a visit has applied to mechanisms, for `push_mechanisms`."""
+    if visit.m_a >= 0:
+        joints.pushed[visit.a] = visit.on_a
+    if visit.m_b >= 0:
+        joints.pushed[visit.b] = visit.on_b
 
 
 @wp.func
-def push_mechanisms(visit: Visit, which: int, motions: Motions, joints: Joints):
-    """Apply the impulses of a visit to the mechanisms of both bodies: VELOCITY or PUSH."""
-    side = int(0)
-    while side < 2:
-        m = wp.where(side == 0, visit.m_a, visit.m_b)
-        if m >= 0:
-            impulse = wp.where(side == 0, visit.on_a, visit.on_b)
-            push_mechanism(m, wp.where(side == 0, visit.a, visit.b), impulse, which, motions, joints)
-        side += 1
+def solve_alone(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
+    """Solve a pair with its responses, or apply its initial impulses (`start`). Returns the largest change [m/s].
 
-
-@wp.func
-def visit_pair(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
-    """Solve a pair with its responses, or apply its initial impulses (`start`). Returns the largest change [m/s]."""
+    One lane does this; `push_mechanisms` then applies the impulses to the mechanisms.
+    """
     visit = open_visit(entry, motions, joints)
     first = float(0.0)
     if start == 1:
@@ -547,8 +457,47 @@ def visit_pair(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joi
             first = wp.max(first, visit.change)
             left = wp.where(visit.change > CONVERGED, left - 1, 0)
     store_bodies(visit.a, visit.b, visit.pair, motions)
-    push_mechanisms(visit, VELOCITY, motions, joints)
+    store_impulses(visit, joints)
     return first
+
+
+@wp.func
+def answer_pair(entry: OrderRecord, team: Team, joints: Joints):
+    """Store the responses of the bodies of a pair that belong to mechanisms."""
+    side = int(0)
+    while side < 2:
+        b = wp.where(side == 0, entry.body_a, entry.body_b)
+        m = solved_mechanism(b, joints)
+        if m >= 0:
+            store_response(m, b, team, joints)
+        side += 1
+
+
+@wp.func
+def push_mechanisms(entry: OrderRecord, which: int, team: Team, motions: Motions, joints: Joints):
+    """Apply the impulses of a visit to the mechanisms of both bodies: VELOCITY or PUSH."""
+    sync_team(team)
+    side = int(0)
+    while side < 2:
+        b = wp.where(side == 0, entry.body_a, entry.body_b)
+        m = solved_mechanism(b, joints)
+        if m >= 0:
+            push_mechanism(m, b, which, team, motions, joints)
+        side += 1
+
+
+@wp.func
+def visit_pair(start: int, entry: OrderRecord, team: Team, motions: Motions, rows: Rows, joints: Joints):
+    """A team solves a pair with its responses, or applies its initial impulses (`start`).
+
+    Returns a lane's largest change [m/s].
+    """
+    answer_pair(entry, team, joints)
+    change = float(0.0)
+    if team.lane == 0:
+        change = solve_alone(start, entry, motions, rows, joints)
+    push_mechanisms(entry, VELOCITY, team, motions, joints)
+    return change
 
 
 @wp.func
@@ -572,14 +521,16 @@ def solve_touching(start: int, team: Team, order: Order, motions: Motions, rows:
     `start`: 1 to apply the initial impulses.
     """
     change = float(0.0)
+    part = part_of_team(team, MECHANISM_LANES)
+    first = order.color_start[team.env, 0] + team.lane / part.lanes
     turn = int(1)
     left = int(1)
     while left == 1:
         later = int(0)
-        for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
+        for k in range(first, end_of_entries(team.env, order), team.lanes / part.lanes):
             entry = entry_at(k, order)
             if entry.visited == turn:
-                change = wp.max(change, visit_pair(start, entry, motions, rows, joints))
+                change = wp.max(change, visit_pair(start, entry, part, motions, rows, joints))
             if entry.visited > turn:
                 later = 1
         turn += 1

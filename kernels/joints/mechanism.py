@@ -190,7 +190,7 @@ def apply_constants(m: int, dt: float, team: Team, motions: Motions, joints: Joi
             impulses[free_row(joints.coordinate[j])] = change
             joints.total[j] = joints.total[j] + impulses
             found = 1
-        joints.solution[j] = -impulses
+        joints.solution[j, 0] = -impulses
     if any_of_team(found, team) == 1:
         apply_solution(m, VELOCITY, team, motions, joints)
 
@@ -259,7 +259,7 @@ def solve_once(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
         j = joints.sequence[place]
         residual = residual_of(j, dt, motions, joints)
-        joints.solution[j] = residual
+        joints.solution[j, 0] = residual
         change = wp.max(change, largest_of(residual))
     sync_team(team)
     apply_substituted(m, VELOCITY, team, motions, joints)
@@ -269,11 +269,11 @@ def solve_once(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
 @wp.func
 def apply_substituted(m: int, which: int, team: Team, motions: Motions, joints: Joints):
     """Solve for the impulses that remove the velocities in `solution`, and apply them: VELOCITY or PUSH."""
-    substitute(m, team, joints)
+    substitute(m, 0, team, joints)
     if which == VELOCITY:
         for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
             j = joints.sequence[place]
-            joints.total[j] = joints.total[j] - joints.solution[j]
+            joints.total[j] = joints.total[j] - joints.solution[j, 0]
     apply_solution(m, which, team, motions, joints)
 
 
@@ -452,7 +452,7 @@ def push_back(m: int, dt: float, team: Team, motions: Motions, joints: Joints):
     """Push the bodies of a mechanism such that their velocities along the rows of its joints decrease by `bias`."""
     factorize(m, dt, team, motions, joints)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
-        joints.solution[joints.sequence[place]] = joints.bias[joints.sequence[place]]
+        joints.solution[joints.sequence[place], 0] = joints.bias[joints.sequence[place]]
     sync_team(team)
     apply_substituted(m, PUSH, team, motions, joints)
 
@@ -468,6 +468,6 @@ def project(m: int, which: int, team: Team, motions: Motions, joints: Joints):
             is_driven = is_damped(j, k, joints) or (k == row and not is_held(joints.mode[j]))
             if is_driven or not is_locked(joints.active[j], k):
                 speeds[k] = wp.float64(0.0)
-        joints.solution[j] = speeds
+        joints.solution[j, 0] = speeds
     sync_team(team)
     apply_substituted(m, which, team, motions, joints)

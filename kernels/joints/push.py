@@ -8,14 +8,23 @@ import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity, with_velocities
-from warp_rigid.kernels.common.team import Team, any_of_team
+from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.joints.arrays import Joints
-from warp_rigid.kernels.joints.loads import PAIR_ROUNDS, Visit, open_visit, push_mechanisms, pushed, with_responses
+from warp_rigid.kernels.joints.loads import (
+    PAIR_ROUNDS,
+    Visit,
+    answer_pair,
+    open_visit,
+    push_mechanisms,
+    pushed,
+    store_impulses,
+    with_responses,
+)
 from warp_rigid.kernels.schema import Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.push_out import ENOUGH
-from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
+from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -87,8 +96,8 @@ def push_touch(c: int, visit: Visit, rows: Rows, joints: Joints):
 
 
 @wp.func
-def push_visited(entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
-    """Separate a pair with its responses. Returns the largest change of a pseudo-velocity [m/s]."""
+def push_alone(entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
+    """Separate a pair with its responses, as `solve_alone`. Returns the largest change of a pseudo-velocity [m/s]."""
     visit = open_visit(entry, motions, joints)
     visit.pair = with_velocities(visit.a, visit.b, PUSH, visit.pair, motions)
     visit = push_together(entry, visit, rows, joints)
@@ -104,22 +113,35 @@ def push_visited(entry: OrderRecord, motions: Motions, rows: Rows, joints: Joint
         store_velocity(visit.a, PUSH, visit.pair.linear_a, visit.pair.angular_a, motions)
     if visit.pair.inverse_mass_b > 0.0:
         store_velocity(visit.b, PUSH, visit.pair.linear_b, visit.pair.angular_b, motions)
-    push_mechanisms(visit, PUSH, motions, joints)
+    store_impulses(visit, joints)
     return first
+
+
+@wp.func
+def push_visited(entry: OrderRecord, team: Team, motions: Motions, rows: Rows, joints: Joints):
+    """A team separates a pair with its responses. Returns a lane's largest change of a pseudo-velocity [m/s]."""
+    answer_pair(entry, team, joints)
+    change = float(0.0)
+    if team.lane == 0:
+        change = push_alone(entry, motions, rows, joints)
+    push_mechanisms(entry, PUSH, team, motions, joints)
+    return change
 
 
 @wp.func
 def push_touching(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
     """Separate all pairs of mechanisms, turn by turn, as `solve_touching`. Returns a lane's largest change [m/s]."""
     change = float(0.0)
+    part = part_of_team(team, MECHANISM_LANES)
+    first = order.color_start[team.env, 0] + team.lane / part.lanes
     turn = int(1)
     left = int(1)
     while left == 1:
         later = int(0)
-        for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
+        for k in range(first, end_of_entries(team.env, order), team.lanes / part.lanes):
             entry = entry_at(k, order)
             if entry.visited == turn and wants_push(entry, rows):
-                change = wp.max(change, push_visited(entry, motions, rows, joints))
+                change = wp.max(change, push_visited(entry, part, motions, rows, joints))
             if entry.visited > turn:
                 later = 1
         turn += 1
