@@ -240,6 +240,8 @@ Motions = layout(
     onward=Field(wp.vec3, "bodies", "m/s", "mean velocity with which the body's mechanism would move on"),
     joined=Field(int, "bodies", "", "1: the body stops together with others of its mechanism"),
     first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the current round (ccd.py)"),
+    course_change=Field(wp.vec3, "bodies", "m/s", "change of the mean velocity by the previous round"),
+    spin_change=Field(wp.vec3, "bodies", "rad/s", "change of the mean angular velocity by the previous round"),
     changed=Field(int, "bodies", "", "1: the motion was changed by an impact of the previous round"),
     overlap=Field(float, "bodies", "m", "deepest of the deep overlaps; 0 outside a health check"),
 )

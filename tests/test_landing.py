@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from tests.oracles import stages_of
 from warp_rigid.bench.cases import find_case
+from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.rotations import about_axis
@@ -44,6 +46,22 @@ def test_a_column_that_lands_overlaps_little(device, count, drop, dt):
         sim.step()
         deepest = max(deepest, sim.penetration()[0])
     assert deepest < 0.05 * 2 * HALF
+
+
+def test_rounds_end_when_motions_hardly_change(device):
+    """Cubes that land in 16 bins at once, one step per frame: bodies between others are hit by both in turn."""
+    case = find_case("pile_box:32")
+    with shared_by(usable_cores()):  # one core, so one shard
+        sim = Simulator(case.build(), num_envs=16, settings=Settings(dt=1 / 60), device=device)
+    case.scatter(sim)
+    sim.step(15)
+    rounds, overlaps = [], []
+    for _ in range(15):
+        sim.step()
+        rounds.append(int(stages_of(sim).pools.suspects.round.numpy()[0]))
+        overlaps.append(sim.penetration())
+    assert np.mean(rounds) < 7
+    assert np.mean(overlaps) < 0.022 * 2 * HALF
 
 
 @pytest.mark.parametrize("tilt", [0.02, 0.05, 0.08])

@@ -59,6 +59,15 @@ rounds as bodies. A body in a hollow one, which lands, is hit several times. The
 MOST_TURNS_IN_CROWDS = wp.constant(8)
 """The most rounds in crowded environments, where heaps land."""
 
+SETTLED = wp.constant(0.25)
+"""Fraction of the allowed depth by which a pair may get deeper without being traced again.
+
+After a trace, bodies get deeper than allowed by at most their relative motion after the impact that was found, and by
+the changes of their relative motion since. A pair is traced again when the sum of these bounds exceeds this fraction,
+so that the overlap stays below 1 + SETTLED times the allowed depth. Bodies between two others are hit by both in turn,
+and each hit changes their motion by a part of the last one: without this bound, most rounds change next to nothing.
+"""
+
 TURNS_OF_A_MECHANISM = wp.constant(2)
 """Rounds for each mechanism of an environment: mechanisms that fall together stop one after the other, and each stop
 changes the motion of all bodies of a mechanism."""
@@ -109,6 +118,10 @@ def limit_travel(dt: float, motions: Motions, suspects: Suspects):
 def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
     """One thread per body: a round starts from the result of the last one, with empty lists."""
     b = wp.tid()
+    turned = motions.next_time_of_impact[b] - motions.time_of_impact[b]
+    motions.course_change[b] = motions.next_course[b] - motions.course[b]
+    spin_change = motions.next_shared_spin[b] - motions.shared_spin[b]
+    motions.spin_change[b] = spin_change + turned * motions.solver_bodies[b].angular
     motions.time_of_impact[b] = motions.next_time_of_impact[b]
     motions.course[b] = motions.next_course[b]
     motions.shared_spin[b] = motions.next_shared_spin[b]
@@ -137,6 +150,15 @@ def was_hit(a: int, b: int, first: Course, second: Course, size: float, dt: floa
     return relative_motion(change_of(a, first, state), change_of(b, second, state), dt) > DEPTH * size
 
 
+@wp.func
+def latest_change(b: int, course: Course, motions: Motions):
+    """The change of a body's motion by the previous round, as a motion."""
+    change = course
+    change.linear = motions.course_change[b]
+    change.angular = motions.spin_change[b]
+    return change
+
+
 @wp.kernel
 def list_fast_pairs(
     threads: int,
@@ -151,7 +173,7 @@ def list_fast_pairs(
 ):
     """The threads share the pairs: list those that must be traced, in any order.
 
-    A body that is hit moves otherwise, so a further round traces the pairs of all bodies that the last one changed.
+    A body that is hit moves otherwise, so a further round traces the pairs whose relative motion has changed.
     """
     turn = suspects.round[0]
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
@@ -163,6 +185,11 @@ def list_fast_pairs(
             size = traced_size(a, b, shapes, bodies)
             first = course_of(a, bodies, state, motions)
             second = course_of(b, bodies, state, motions)
+            change = relative_motion(latest_change(a, first, motions), latest_change(b, second, motions), dt)
+            suspects.untraced[pair] += change
+            if turn > 0 and suspects.untraced[pair] <= SETTLED * DEPTH * size:
+                continue
+            suspects.untraced[pair] = 0.0
             way = relative_motion(first, second, dt)
             if way < DEPTH * size or not may_touch(shapes, first, second, dt):
                 continue
@@ -381,18 +408,34 @@ def note_impact(b: int, changes: bool, impact: wp.int64, motions: Motions):
 
 @wp.kernel
 def note_impacts(
-    threads: int, dt: float, bodies: Bodies, state: State, pairs: Pairs, suspects: Suspects, motions: Motions
+    threads: int,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    pairs: Pairs,
+    suspects: Suspects,
+    motions: Motions,
 ):
-    """The threads share the listed pairs: the first impact of each body whose motion it changes."""
+    """The threads share the listed pairs: the first impact of each body whose motion it changes.
+
+    After the first round, an impact after which the bodies hardly get deeper is ignored.
+    """
     for k in range(wp.tid(), pairs.fast_count[0], threads):
         pair = pairs.fast[k]
         t = suspects.impact[pair]
         if t < dt:
             a = pairs.body_a[pair]
             b = pairs.body_b[pair]
+            size = traced_size(a, b, shapes, bodies)
+            first, second = courses_of(pair, 0, bodies, state, motions, pairs)
+            suspects.untraced[pair] = relative_motion(first, second, dt - t)
+            if suspects.round[0] > 0 and suspects.untraced[pair] <= SETTLED * DEPTH * size:
+                continue
             impact = wp.int64(t / dt * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
             first = onward_course(a, bodies, state, motions)
-            share = common_share(a, b, first, onward_course(b, bodies, state, motions), motions)
+            second = onward_course(b, bodies, state, motions)
+            share = common_share(a, b, first, second, motions)
             note_impact(a, share > 0.0, impact, motions)
             note_impact(b, share < 1.0, impact, motions)
 

@@ -39,6 +39,7 @@ Suspects = layout(
     cluster=Field(int, "near_samples", "", "these clusters, in any order"),
     cluster_body=Field(int, "near_samples", "", "the cluster's body: 2 * pair + side"),
     cluster_begin=Field(float, "near_samples", "s", "time at which the cluster reaches the other body"),
+    untraced=Field(float, "pairs", "m", "upper bound of the relative motion of a pair that has not been traced"),
     impact=Field(
         float, "pairs", "s", "of a traced pair: earliest time at which a sample is too deep, or the time step"
     ),

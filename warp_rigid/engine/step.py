@@ -498,7 +498,7 @@ class Stages:
         inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
         self._share(ccd.list_suspects, samples, teams.LOOK_LANES, before, inputs, outputs)
         self._shared(ccd.trace_suspects, samples, before, inputs, outputs)
-        inputs = [self.dt, model.bodies, self.state, pairs, suspects]
+        inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, suspects]
         self._shared(ccd.note_impacts, size, [], inputs, [self.motions])
         self._per_body(ccd.change_courses, [model.bodies, self.state, pairs], [self.motions])
         self.joints.share_impacts()
