@@ -393,10 +393,11 @@ def time_of(impact: wp.int64):
 
 
 @wp.func
-def motion_after(b: int, impact: wp.int64, bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
+def motion_after(b: int, impact: wp.int64, dt: float, bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
     """The motion of a body after an impact in `first_impact`."""
     pair = int(impact % MOST_PAIRS)
-    return common_motion(b, pairs.body_a[pair], pairs.body_b[pair], bodies, state, motions)
+    t = dt * time_of(impact)
+    return common_motion(b, pairs.body_a[pair], pairs.body_b[pair], t, dt, bodies, state, motions)
 
 
 @wp.func
@@ -441,7 +442,7 @@ def note_impacts(
 
 
 @wp.kernel
-def change_courses(bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
+def change_courses(dt: float, bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
     """One thread per body: from its first impact on, it moves with the other body."""
     b = wp.tid()
     impact = motions.first_impact[b]
@@ -449,7 +450,7 @@ def change_courses(bodies: Bodies, state: State, pairs: Pairs, motions: Motions)
     if impact == NO_IMPACT:
         return
     t = time_of(impact)
-    after = motion_after(b, impact, bodies, state, pairs, motions)
+    after = motion_after(b, impact, dt, bodies, state, pairs, motions)
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
     motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]

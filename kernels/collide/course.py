@@ -35,6 +35,9 @@ CLOSE_ENOUGH = wp.constant(2.0e-3)
 TURNING_ARM = wp.constant(0.5)
 """A rotation counts as the velocity at this fraction of the radius, which is close to the radius of gyration."""
 
+STRAIGHT = wp.constant(1.0e-3)
+"""Angle up to which the motion of a point with a rotating body counts as straight [rad]."""
+
 
 @wp.struct
 class Course:
@@ -107,6 +110,15 @@ def velocity_at(p: wp.vec3, course: Course):
 
 
 @wp.func
+def mean_velocity_at(p: wp.vec3, course: Course, duration: float):
+    """Mean velocity of a point that moves with a body for a time: along the chord of its arc [m/s]."""
+    if duration * wp.length(course.angular) < STRAIGHT:
+        return velocity_at(p, course)
+    arm = p - course.center
+    return course.linear + (wp.quat_rotate(rotation_after(course.angular, duration), arm) - arm) / duration
+
+
+@wp.func
 def common_share(a: int, b: int, first: Course, second: Course, motions: Motions):
     """Where the slowest motion of a pair lies between those of both bodies, as a fraction of the way to the second."""
     if motions.role[a] == Role.KINEMATIC:
@@ -123,8 +135,8 @@ def common_share(a: int, b: int, first: Course, second: Course, motions: Motions
 
 
 @wp.func
-def common_motion(own: int, a: int, b: int, bodies: Bodies, state: State, motions: Motions):
-    """The motion of a body after an impact of a pair to which it belongs.
+def common_motion(own: int, a: int, b: int, t: float, dt: float, bodies: Bodies, state: State, motions: Motions):
+    """The motion of a body after an impact at time t of a pair to which it belongs: the mean one until the end dt.
 
     Unless the other one is kinematic, the body becomes no faster, so that chains of impacts come to an end.
     """
@@ -134,7 +146,9 @@ def common_motion(own: int, a: int, b: int, bodies: Bodies, state: State, motion
     after = onward_course(own, bodies, state, motions)
     arm = TURNING_ARM * after.radius
     before = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
-    after.linear = wp.lerp(velocity_at(after.center, first), velocity_at(after.center, second), share)
+    place = after.center + t * after.linear
+    by_first = mean_velocity_at(place - t * first.linear, first, dt - t)
+    after.linear = wp.lerp(by_first, mean_velocity_at(place - t * second.linear, second, dt - t), share)
     after.angular = wp.lerp(first.angular, second.angular, share)
     if motions.role[a] == Role.FREE and motions.role[b] == Role.FREE:
         speed = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)

@@ -279,7 +279,7 @@ class JointStages:
         step = self._step
         if self.present:
             inputs = [step.model.bodies, step.state, step.pools.pairs]
-            self._per_mechanism(self.kernels.share_impacts, [], inputs, [step.motions, self.arrays])
+            self._per_mechanism(self.kernels.share_impacts, [step.dt], inputs, [step.motions, self.arrays])
 
     def close_stopped(self) -> None:
         """After the last round: close the joints that stopped."""

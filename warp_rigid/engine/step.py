@@ -500,7 +500,7 @@ class Stages:
         self._shared(ccd.trace_suspects, samples, before, inputs, outputs)
         inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, suspects]
         self._shared(ccd.note_impacts, size, [], inputs, [self.motions])
-        self._per_body(ccd.change_courses, [model.bodies, self.state, pairs], [self.motions])
+        self._per_body(ccd.change_courses, [self.dt, model.bodies, self.state, pairs], [self.motions])
         self.joints.share_impacts()
 
     def _search_contacts(self, woken: int) -> None:
