@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from tests.convex_oracle import SOLIDS, overlaps, solid
 from tests.oracles import pair_list, random_quaternion, stages_of
@@ -9,10 +10,13 @@ from warp_rigid.bench.cases import find_case
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels import schema
+from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.course import DEPTH
 from warp_rigid.rotations import about_axis, multiply
 from warp_rigid.scene.scene import Scene
-from warp_rigid.scene.shapes import Box
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
+from warp_rigid.scenes.builders import meshes
 
 DT = 1 / 60
 HALF = 0.1
@@ -105,3 +109,34 @@ def test_a_slower_body_keeps_its_motion_and_the_faster_one_turns_with_it(device)
     assert abs(turns[0, 1, 1]) == pytest.approx(0.5 * 4.0 * DT * left, rel=0.05)
     overlap = overlaps(solid(CUBE), solid(CUBE), sim.get("position")[:1].astype(float), turns[:1])
     assert overlap[0] == pytest.approx(float(DEPTH) * 2 * HALF, abs=1e-3)
+
+
+@wp.kernel
+def note_solids(shapes: schema.Shapes, solid: wp.array[int]):
+    solid[wp.tid()] = wp.where(is_solid(shapes, wp.tid()), 1, 0)
+
+
+SHAPES = {
+    "ball": lambda: Sphere(0.1),
+    "capsule": lambda: Capsule(0.1, 0.1),
+    "cylinder": lambda: Cylinder(0.1, 0.1),
+    "cube": lambda: CUBE,
+    "octahedron": SOLIDS["octahedron"],
+    "torus": lambda: meshes.torus(0.2, 0.05),
+    "pair": lambda: Compound([(CUBE, (-0.1, 0, 0), (0, 0, 0, 1)), (CUBE, (0.1, 0, 0), (0, 0, 0, 1))]),
+    "field": lambda: Heightfield(np.zeros((4, 4)), (1.0, 1.0)),
+    "plane": Plane,
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_samples_are_traced_unless_all_shapes_are_solids(device, name):
+    """The decision of the host, taken once, is that of the kernels for each pair."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(CUBE, position=(0, 0, 1.0))
+    scene.add_static(SHAPES[name]())
+    model = stages_of(Simulator(scene, device=device)).model
+    count = model.shapes.shapes.shape[0]
+    solid = wp.zeros(count, dtype=int, device=device)
+    wp.launch(note_solids, dim=count, inputs=[model.shapes], outputs=[solid], device=device)
+    assert model.layout.has_only_solids == bool(solid.numpy().all())

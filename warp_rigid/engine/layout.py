@@ -14,7 +14,7 @@ from warp_rigid.checks import shown, whole_in
 from warp_rigid.engine import joints
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.scene import Body, Motion, Scene
-from warp_rigid.scene.shapes import Compound, Heightfield, Mesh
+from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Sphere
 
 MOST_ENVIRONMENTS = 10_000_000
 
@@ -75,6 +75,12 @@ class Layout:
     def has_many_samples(self) -> bool:
         """Whether a shape may have hundreds of samples: a mesh, a compound or a height field."""
         return any(isinstance(body.shape, Mesh | Compound | Heightfield) for body in self.scene_bodies)
+
+    @cached_property
+    def has_only_solids(self) -> bool:
+        """Whether each shape is a convex solid (`is_solid` in convex.py). No compound counts as one."""
+        shapes = {body.shape.key: body.shape for body in self.scene_bodies}.values()
+        return all(isinstance(shape, Sphere | Box | Capsule | Cylinder) or len(shape.hull) > 0 for shape in shapes)
 
     @cached_property
     def rows(self) -> np.ndarray:
