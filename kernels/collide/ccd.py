@@ -26,6 +26,7 @@ from warp_rigid.kernels.collide.course import (
     handled_gap,
     handled_gap_of_solids,
     largest_motion,
+    lead_of,
     onward_course,
     passage_of,
     place_at,
@@ -109,6 +110,7 @@ def limit_travel(dt: float, motions: Motions, suspects: Suspects):
     motions.next_course[b] = share * wp.where(moves, motions.solver_bodies[b].linear, wp.vec3(0.0, 0.0, 0.0))
     motions.next_shared_spin[b] = wp.vec3(0.0, 0.0, 0.0)
     motions.joined[b] = 0
+    motions.next_carried[b] = 0
     motions.changed[b] = 0
     if b == 0:
         suspects.round[0] = -1
@@ -125,6 +127,7 @@ def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
     motions.time_of_impact[b] = motions.next_time_of_impact[b]
     motions.course[b] = motions.next_course[b]
     motions.shared_spin[b] = motions.next_shared_spin[b]
+    motions.carried[b] = motions.next_carried[b]
     motions.first_impact[b] = NO_IMPACT
     if b == 0:
         suspects.round[0] += 1
@@ -454,3 +457,6 @@ def change_courses(dt: float, bodies: Bodies, state: State, pairs: Pairs, motion
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
     motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
+    pair = int(impact % MOST_PAIRS)
+    lead = wp.max(lead_of(pairs.body_a[pair], motions), lead_of(pairs.body_b[pair], motions))
+    motions.next_carried[b] = wp.min(lead, 1)

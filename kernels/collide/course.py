@@ -2,7 +2,8 @@
 
 From an impact on, two bodies move as one: each point of either has a velocity between those that the two bodies have
 there. Of these motions it is the slowest one, so that a body at rest stops the other, and bodies that meet head-on both
-stop. A kinematic body keeps its motion.
+stop. A kinematic body keeps its motion, and so does a body that a kinematic one carries: other bodies that hit it later
+in the step would otherwise move it into the kinematic body.
 """
 
 import warp as wp
@@ -119,12 +120,20 @@ def mean_velocity_at(p: wp.vec3, course: Course, duration: float):
 
 
 @wp.func
+def lead_of(b: int, motions: Motions):
+    """Which body of a pair keeps its motion at an impact: the one with the larger number."""
+    return wp.where(motions.role[b] == Role.KINEMATIC, 2, motions.carried[b])
+
+
+@wp.func
 def common_share(a: int, b: int, first: Course, second: Course, motions: Motions):
-    """Where the slowest motion of a pair lies between those of both bodies, as a fraction of the way to the second."""
-    if motions.role[a] == Role.KINEMATIC:
-        return 0.0
-    if motions.role[b] == Role.KINEMATIC:
-        return 1.0
+    """Where the common motion of a pair lies between those of both bodies, as a fraction of the way to the second.
+
+    It is the slowest such motion, unless a kinematic body leads.
+    """
+    ahead = lead_of(b, motions) - lead_of(a, motions)
+    if ahead != 0:
+        return wp.where(ahead > 0, 1.0, 0.0)
     middle = 0.5 * (first.center + second.center)
     arm = TURNING_ARM * wp.min(first.radius, second.radius)
     v = velocity_at(middle, first)
@@ -138,7 +147,7 @@ def common_share(a: int, b: int, first: Course, second: Course, motions: Motions
 def common_motion(own: int, a: int, b: int, t: float, dt: float, bodies: Bodies, state: State, motions: Motions):
     """The motion of a body after an impact at time t of a pair to which it belongs: the mean one until the end dt.
 
-    Unless the other one is kinematic, the body becomes no faster, so that chains of impacts come to an end.
+    Unless a kinematic body leads, the body becomes no faster, so that chains of impacts come to an end.
     """
     first = onward_course(a, bodies, state, motions)
     second = onward_course(b, bodies, state, motions)
@@ -150,7 +159,7 @@ def common_motion(own: int, a: int, b: int, t: float, dt: float, bodies: Bodies,
     by_first = mean_velocity_at(place - t * first.linear, first, dt - t)
     after.linear = wp.lerp(by_first, mean_velocity_at(place - t * second.linear, second, dt - t), share)
     after.angular = wp.lerp(first.angular, second.angular, share)
-    if motions.role[a] == Role.FREE and motions.role[b] == Role.FREE:
+    if lead_of(a, motions) + lead_of(b, motions) == 0:
         speed = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
         slower = wp.min(1.0, wp.sqrt(before / wp.max(speed, 1.0e-30)))
         after.linear *= slower

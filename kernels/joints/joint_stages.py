@@ -349,9 +349,7 @@ def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
 
 
 @wp.kernel
-def share_impacts(
-    dt: float, lanes: int, bodies: Bodies, state: State, pairs: Pairs, motions: Motions, joints: Joints
-):
+def share_impacts(dt: float, lanes: int, bodies: Bodies, state: State, pairs: Pairs, motions: Motions, joints: Joints):
     """One team per mechanism, after a round: at its first impact, its joints stop, and it moves on as a whole.
 
     The motion after the impact of the body that is hit is that of all its bodies, without rotation.
