@@ -440,8 +440,9 @@ def note_impacts(
             first = onward_course(a, bodies, state, motions)
             second = onward_course(b, bodies, state, motions)
             share = common_share(a, b, first, second, motions)
-            note_impact(a, share > 0.0, impact, motions)
-            note_impact(b, share < 1.0, impact, motions)
+            free = lead_of(a, motions) != lead_of(b, motions) or lead_of(a, motions) == 0
+            note_impact(a, free and share > 0.0, impact, motions)
+            note_impact(b, free and share < 1.0, impact, motions)
 
 
 @wp.kernel
@@ -459,4 +460,4 @@ def change_courses(dt: float, bodies: Bodies, state: State, pairs: Pairs, motion
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
     pair = int(impact % MOST_PAIRS)
     lead = wp.max(lead_of(pairs.body_a[pair], motions), lead_of(pairs.body_b[pair], motions))
-    motions.next_carried[b] = wp.min(lead, 1)
+    motions.next_carried[b] = wp.max(lead - 1, 0)

@@ -40,6 +40,10 @@ STRAIGHT = wp.constant(1.0e-3)
 """Angle up to which the motion of a point with a rotating body counts as straight [rad]."""
 
 
+LEADER = wp.constant(2**20)
+"""The number of a kinematic body in `lead_of`; it is less by one for each body through which it carries another one."""
+
+
 @wp.struct
 class Course:
     """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass.
@@ -122,7 +126,7 @@ def mean_velocity_at(p: wp.vec3, course: Course, duration: float):
 @wp.func
 def lead_of(b: int, motions: Motions):
     """Which body of a pair keeps its motion at an impact: the one with the larger number."""
-    return wp.where(motions.role[b] == Role.KINEMATIC, 2, motions.carried[b])
+    return wp.where(motions.role[b] == Role.KINEMATIC, LEADER, motions.carried[b])
 
 
 @wp.func
