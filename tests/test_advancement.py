@@ -18,6 +18,8 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
 from warp_rigid.scenes.builders import meshes
 
+wp.set_module_options({"enable_backward": False})
+
 DT = 1 / 60
 HALF = 0.1
 CUBE = Box((HALF,) * 3)
@@ -113,6 +115,7 @@ def test_a_slower_body_keeps_its_motion_and_the_faster_one_turns_with_it(device)
 
 @wp.kernel
 def note_solids(shapes: schema.Shapes, solid: wp.array[int]):
+    """One thread per shape: whether it is a convex solid."""
     solid[wp.tid()] = wp.where(is_solid(shapes, wp.tid()), 1, 0)
 
 
@@ -140,3 +143,21 @@ def test_samples_are_traced_unless_all_shapes_are_solids(device, name):
     solid = wp.zeros(count, dtype=int, device=device)
     wp.launch(note_solids, dim=count, inputs=[model.shapes], outputs=[solid], device=device)
     assert model.layout.has_only_solids == bool(solid.numpy().all())
+
+
+@pytest.mark.parametrize("height, sampled", [(0.5, 1), (8.0, 0)])
+def test_samples_are_traced_only_in_rounds_with_pairs_that_need_them(device, height, sampled):
+    """Two cubes meet at 60 m/s, and the lower one also hits a plane if it is near."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_static(Plane())
+    scene.add_body(CUBE, position=(0, 0, height), linear_velocity=(0, 0, -30.0))
+    scene.add_body(CUBE, position=(0, 0, height + 0.5), linear_velocity=(0, 0, -90.0))
+    stages = stages_of(Simulator(scene, settings=Settings(dt=DT), device=device))
+    stages.predict(DT)
+    stages.find_pairs()
+    stages.find_contacts()
+    stages._list_fast_pairs_of_step()
+    suspects = stages.pools.suspects
+    assert (suspects.again.numpy()[0], suspects.sampled.numpy()[0]) == (1, sampled)
+    stages._trace_fast_pairs()
+    assert (suspects.count.numpy()[0] > 0) == bool(sampled)

@@ -129,6 +129,7 @@ def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
     if b == 0:
         suspects.round[0] += 1
         suspects.again[0] = 0
+        suspects.sampled[0] = 0
         pairs.fast_count[0] = 0
         suspects.count[0] = 0
         suspects.reached_count[0] = 0
@@ -157,6 +158,12 @@ def latest_change(b: int, course: Course, motions: Motions):
     change.linear = motions.course_change[b]
     change.angular = motions.spin_change[b]
     return change
+
+
+@wp.func
+def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
+    """Whether both bodies of a pair are convex solids, so that no samples are traced."""
+    return are_solid(bodies.shape[pairs.body_a[pair]], bodies.shape[pairs.body_b[pair]], shapes)
 
 
 @wp.kernel
@@ -199,6 +206,8 @@ def list_fast_pairs(
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
                 suspects.impact[pair] = dt
                 suspects.again[0] = 1
+                if not is_advanced(pair, shapes, bodies, pairs):
+                    suspects.sampled[0] = 1
 
 
 @wp.func
@@ -218,12 +227,6 @@ def passage_of_body(
     own, other = courses_of(pair, side, bodies, state, motions, pairs)
     size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
     return own, other, passage_of(own, other, dt, size, pairs.contact_count[pair] > 0, shapes)
-
-
-@wp.func
-def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
-    """Whether both bodies of a pair are convex solids, so that no samples are traced."""
-    return are_solid(bodies.shape[pairs.body_a[pair]], bodies.shape[pairs.body_b[pair]], shapes)
 
 
 @wp.kernel

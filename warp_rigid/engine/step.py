@@ -494,14 +494,14 @@ class Stages:
         lanes = teams.ADVANCE_LANES_IN_CROWDS if self.crowded else teams.ADVANCE_LANES
         self._share(ccd.advance_solids, size, lanes, [], [*self.moving, pairs], [suspects])
         if not model.layout.has_only_solids:
-            self._trace_samples()
+            wp.capture_if(suspects.sampled, self._trace_samples)
         inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, suspects]
         self._shared(ccd.note_impacts, size, [], inputs, [self.motions])
         self._per_body(ccd.change_courses, [model.bodies, self.state, pairs], [self.motions])
         self.joints.share_impacts()
 
     def _trace_samples(self) -> None:
-        """The times of impact of listed pairs that are not both convex solids."""
+        """The times of impact of listed pairs that are not both convex solids, where there are any."""
         pools, pairs, suspects = self.pools, self.pools.pairs, self.pools.suspects
         size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
         self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
