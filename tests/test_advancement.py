@@ -5,12 +5,13 @@ import pytest
 import warp as wp
 
 from tests.convex_oracle import SOLIDS, overlaps, solid
-from tests.oracles import pair_list, random_quaternion, stages_of
+from tests.oracles import random_quaternion, stages_of
 from warp_rigid.bench.cases import find_case
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels import schema
+from warp_rigid.kernels.collide.ccd import MOST_PAIRS, NO_IMPACT, UNITS_OF_TIME
 from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.course import DEPTH
 from warp_rigid.rotations import about_axis, multiply
@@ -69,14 +70,12 @@ def test_the_time_of_impact_is_that_of_float64(device, kind):
     stages.find_contacts()
     stages._list_fast_pairs_of_step()
     stages._trace_fast_pairs()
-    pairs = stages.pools.pairs
-    fast = pairs.fast.numpy()[: int(pairs.fast_count.numpy()[0])]
-    times = np.full(count, DT)
-    times[pair_list(stages)[fast, 0] // 2] = stages.pools.suspects.impact.numpy()[fast]
+    first = stages.motions.first_impact.numpy().reshape(count, 2).min(axis=1)
+    hit = first < int(NO_IMPACT)
+    times = np.where(hit, first // int(MOST_PAIRS) / float(UNITS_OF_TIME), 1.0) * DT
     shapes = stages.model.shapes.shapes.numpy()
     allowed = float(DEPTH) * min(shapes["size"].min(), 2.0 * shapes["wall"].min())
     before = np.max([overlap(times * share) for share in np.linspace(0.0, 0.999, 100)], axis=0)
-    hit = times < DT
     assert 10 < hit.sum() < count - 5
     # An advancement ends at 2e-3 sizes; the oracle of round solids finds depths that are slightly too large.
     np.testing.assert_allclose(overlap(times)[hit], allowed, atol=0.25 * allowed)
