@@ -238,7 +238,12 @@ Motions = layout(
     ),
     next_shared_spin=Field(wp.vec3, "bodies", "rad/s", "the same after the impacts of the current round"),
     onward=Field(wp.vec3, "bodies", "m/s", "mean velocity with which the body's mechanism would move on"),
-    carried=Field(int, "bodies", "", "not 0: a kinematic body moves the body from an impact in this step on, see `lead_of` (course.py)"),
+    carried=Field(
+        int,
+        "bodies",
+        "",
+        "not 0: a kinematic body moves the body from an impact in this step on, see `lead_of` (course.py)",
+    ),
     next_carried=Field(int, "bodies", "", "the same after the impacts of the current round"),
     joined=Field(int, "bodies", "", "1: the body stops together with others of its mechanism"),
     first_impact=Field(wp.int64, "bodies", "", "time and pair of the first impact of the current round (ccd.py)"),

@@ -5,18 +5,21 @@ import pytest
 import warp as wp
 
 from tests.convex_oracle import SOLIDS, overlaps, solid
-from tests.oracles import pair_list, random_quaternion, stages_of
+from tests.oracles import random_quaternion, stages_of
 from warp_rigid.bench.cases import find_case
 from warp_rigid.engine.cores import shared_by, usable_cores
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.kernels import schema
+from warp_rigid.kernels.collide.ccd import MOST_PAIRS, NO_IMPACT, UNITS_OF_TIME
 from warp_rigid.kernels.collide.convex import is_solid
 from warp_rigid.kernels.collide.course import DEPTH
 from warp_rigid.rotations import about_axis, multiply
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Plane, Sphere
 from warp_rigid.scenes.builders import meshes
+
+wp.set_module_options({"enable_backward": False})
 
 DT = 1 / 60
 HALF = 0.1
@@ -67,14 +70,12 @@ def test_the_time_of_impact_is_that_of_float64(device, kind):
     stages.find_contacts()
     stages._list_fast_pairs_of_step()
     stages._trace_fast_pairs()
-    pairs = stages.pools.pairs
-    fast = pairs.fast.numpy()[: int(pairs.fast_count.numpy()[0])]
-    times = np.full(count, DT)
-    times[pair_list(stages)[fast, 0] // 2] = stages.pools.suspects.impact.numpy()[fast]
+    first = stages.motions.first_impact.numpy().reshape(count, 2).min(axis=1)
+    hit = first < int(NO_IMPACT)
+    times = np.where(hit, first // int(MOST_PAIRS) / float(UNITS_OF_TIME), 1.0) * DT
     shapes = stages.model.shapes.shapes.numpy()
     allowed = float(DEPTH) * min(shapes["size"].min(), 2.0 * shapes["wall"].min())
     before = np.max([overlap(times * share) for share in np.linspace(0.0, 0.999, 100)], axis=0)
-    hit = times < DT
     assert 10 < hit.sum() < count - 5
     # An advancement ends at 2e-3 sizes; the oracle of round solids finds depths that are slightly too large.
     np.testing.assert_allclose(overlap(times)[hit], allowed, atol=0.25 * allowed)
@@ -113,6 +114,7 @@ def test_a_slower_body_keeps_its_motion_and_the_faster_one_turns_with_it(device)
 
 @wp.kernel
 def note_solids(shapes: schema.Shapes, solid: wp.array[int]):
+    """One thread per shape: whether it is a convex solid."""
     solid[wp.tid()] = wp.where(is_solid(shapes, wp.tid()), 1, 0)
 
 
@@ -140,3 +142,21 @@ def test_samples_are_traced_unless_all_shapes_are_solids(device, name):
     solid = wp.zeros(count, dtype=int, device=device)
     wp.launch(note_solids, dim=count, inputs=[model.shapes], outputs=[solid], device=device)
     assert model.layout.has_only_solids == bool(solid.numpy().all())
+
+
+@pytest.mark.parametrize("height, sampled", [(0.5, 1), (8.0, 0)])
+def test_samples_are_traced_only_in_rounds_with_pairs_that_need_them(device, height, sampled):
+    """Two cubes meet at 60 m/s, and the lower one also hits a plane if it is near."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_static(Plane())
+    scene.add_body(CUBE, position=(0, 0, height), linear_velocity=(0, 0, -30.0))
+    scene.add_body(CUBE, position=(0, 0, height + 0.5), linear_velocity=(0, 0, -90.0))
+    stages = stages_of(Simulator(scene, settings=Settings(dt=DT), device=device))
+    stages.predict(DT)
+    stages.find_pairs()
+    stages.find_contacts()
+    stages._list_fast_pairs_of_step()
+    suspects = stages.pools.suspects
+    assert (suspects.again.numpy()[0], suspects.sampled.numpy()[0]) == (1, sampled)
+    stages._trace_fast_pairs()
+    assert (suspects.count.numpy()[0] > 0) == bool(sampled)

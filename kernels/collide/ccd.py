@@ -132,6 +132,7 @@ def open_round(pairs: Pairs, motions: Motions, suspects: Suspects):
     if b == 0:
         suspects.round[0] += 1
         suspects.again[0] = 0
+        suspects.sampled[0] = 0
         pairs.fast_count[0] = 0
         suspects.count[0] = 0
         suspects.reached_count[0] = 0
@@ -160,6 +161,12 @@ def latest_change(b: int, course: Course, motions: Motions):
     change.linear = motions.course_change[b]
     change.angular = motions.spin_change[b]
     return change
+
+
+@wp.func
+def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
+    """Whether both bodies of a pair are convex solids, so that no samples are traced."""
+    return are_solid(bodies.shape[pairs.body_a[pair]], bodies.shape[pairs.body_b[pair]], shapes)
 
 
 @wp.kernel
@@ -202,6 +209,8 @@ def list_fast_pairs(
                 pairs.fast[wp.atomic_add(pairs.fast_count, 0, 1)] = pair
                 suspects.impact[pair] = dt
                 suspects.again[0] = 1
+                if not is_advanced(pair, shapes, bodies, pairs):
+                    suspects.sampled[0] = 1
 
 
 @wp.func
@@ -214,6 +223,45 @@ def courses_of(pair: int, side: int, bodies: Bodies, state: State, motions: Moti
 
 
 @wp.func
+def note_impact_of_body(b: int, changes: bool, impact: wp.int64, motions: Motions):
+    """Note the first impact of a body. The joints of a mechanism stop also where its mean velocity does not change."""
+    if motions.role[b] == Role.FREE and (changes or motions.joined[b] == 1):
+        wp.atomic_min(motions.first_impact, b, impact)
+
+
+@wp.func
+def note_impact(
+    pair: int,
+    t: float,
+    dt: float,
+    shapes: Shapes,
+    bodies: Bodies,
+    state: State,
+    pairs: Pairs,
+    suspects: Suspects,
+    motions: Motions,
+):
+    """Note an impact of a pair for those of its bodies whose motion it changes, if it is the first one of the body.
+
+    After the first round, an impact after which the bodies hardly get deeper is ignored.
+    """
+    a = pairs.body_a[pair]
+    b = pairs.body_b[pair]
+    first, second = courses_of(pair, 0, bodies, state, motions, pairs)
+    left = relative_motion(first, second, dt - t)
+    wp.atomic_max(suspects.untraced, pair, left)
+    if suspects.round[0] > 0 and left <= SETTLED * DEPTH * traced_size(a, b, shapes, bodies):
+        return
+    impact = wp.int64(t / dt * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
+    first = onward_course(a, bodies, state, motions)
+    second = onward_course(b, bodies, state, motions)
+    share = common_share(a, b, first, second, motions)
+    free = lead_of(a, motions) != lead_of(b, motions) or lead_of(a, motions) == 0
+    note_impact_of_body(a, free and share > 0.0, impact, motions)
+    note_impact_of_body(b, free and share < 1.0, impact, motions)
+
+
+@wp.func
 def passage_of_body(
     pair: int, side: int, dt: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions, pairs: Pairs
 ):
@@ -221,12 +269,6 @@ def passage_of_body(
     own, other = courses_of(pair, side, bodies, state, motions, pairs)
     size = traced_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
     return own, other, passage_of(own, other, dt, size, pairs.contact_count[pair] > 0, shapes)
-
-
-@wp.func
-def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
-    """Whether both bodies of a pair are convex solids, so that no samples are traced."""
-    return are_solid(bodies.shape[pairs.body_a[pair]], bodies.shape[pairs.body_b[pair]], shapes)
 
 
 @wp.kernel
@@ -237,11 +279,11 @@ def advance_solids(
     shapes: Shapes,
     bodies: Bodies,
     state: State,
-    motions: Motions,
     pairs: Pairs,
     suspects: Suspects,
+    motions: Motions,
 ):
-    """The teams share the listed pairs: the time of impact of those of convex solids.
+    """The teams share the listed pairs: note the first impact of those of convex solids.
 
     Each lane takes a part of the step. Those after the impact end at once, and a pair that needs many advances does not
     keep the others waiting.
@@ -263,7 +305,7 @@ def advance_solids(
             near = handled_gap_of_solids(first, second, size, pairs.contact_count[pair] > 0)
             t = impact_of_solids(first, second, pairs.axis[pair], near, begin, end, size, shapes)
             if t < end:
-                wp.atomic_min(suspects.impact, pair, t)
+                note_impact(pair, t, dt, shapes, bodies, state, pairs, suspects, motions)
 
 
 @wp.kernel
@@ -362,13 +404,13 @@ def trace_suspects(
     shapes: Shapes,
     bodies: Bodies,
     state: State,
-    motions: Motions,
     pairs: Pairs,
     turn: wp.array[int],
     suspects: Suspects,
+    motions: Motions,
     wanted: wp.array2d[int],
 ):
-    """The threads share the listed samples: the earliest impact of each pair. Record the number of samples.
+    """The threads share the listed samples: note the first impact of each pair. Record the number of samples.
 
     A trace ends at the earliest impact that is known so far, which cannot change the result. If there are more samples
     than fit, the step is void, and none is traced.
@@ -387,6 +429,7 @@ def trace_suspects(
         t = trace_suspect(shapes, own, other, suspect, near, size, end)
         if t < end:
             wp.atomic_min(suspects.impact, pair, t)
+            note_impact(pair, t, dt, shapes, bodies, state, pairs, suspects, motions)
 
 
 @wp.func
@@ -401,48 +444,6 @@ def motion_after(b: int, impact: wp.int64, dt: float, bodies: Bodies, state: Sta
     pair = int(impact % MOST_PAIRS)
     t = dt * time_of(impact)
     return common_motion(b, pairs.body_a[pair], pairs.body_b[pair], t, dt, bodies, state, motions)
-
-
-@wp.func
-def note_impact(b: int, changes: bool, impact: wp.int64, motions: Motions):
-    """Note the first impact of a body. The joints of a mechanism stop also where its mean velocity does not change."""
-    if motions.role[b] == Role.FREE and (changes or motions.joined[b] == 1):
-        wp.atomic_min(motions.first_impact, b, impact)
-
-
-@wp.kernel
-def note_impacts(
-    threads: int,
-    dt: float,
-    shapes: Shapes,
-    bodies: Bodies,
-    state: State,
-    pairs: Pairs,
-    suspects: Suspects,
-    motions: Motions,
-):
-    """The threads share the listed pairs: the first impact of each body whose motion it changes.
-
-    After the first round, an impact after which the bodies hardly get deeper is ignored.
-    """
-    for k in range(wp.tid(), pairs.fast_count[0], threads):
-        pair = pairs.fast[k]
-        t = suspects.impact[pair]
-        if t < dt:
-            a = pairs.body_a[pair]
-            b = pairs.body_b[pair]
-            size = traced_size(a, b, shapes, bodies)
-            first, second = courses_of(pair, 0, bodies, state, motions, pairs)
-            suspects.untraced[pair] = relative_motion(first, second, dt - t)
-            if suspects.round[0] > 0 and suspects.untraced[pair] <= SETTLED * DEPTH * size:
-                continue
-            impact = wp.int64(t / dt * UNITS_OF_TIME) * MOST_PAIRS + wp.int64(pair)
-            first = onward_course(a, bodies, state, motions)
-            second = onward_course(b, bodies, state, motions)
-            share = common_share(a, b, first, second, motions)
-            free = lead_of(a, motions) != lead_of(b, motions) or lead_of(a, motions) == 0
-            note_impact(a, free and share > 0.0, impact, motions)
-            note_impact(b, free and share < 1.0, impact, motions)
 
 
 @wp.kernel

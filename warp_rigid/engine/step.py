@@ -492,23 +492,23 @@ class Stages:
         model, pools, pairs, suspects = self.model, self.pools, self.pools.pairs, self.pools.suspects
         size = pools.sizes["pairs"]
         lanes = teams.ADVANCE_LANES_IN_CROWDS if self.crowded else teams.ADVANCE_LANES
-        self._share(ccd.advance_solids, size, lanes, [], [*self.moving, pairs], [suspects])
+        inputs = [self.dt, model.shapes, model.bodies, self.state, pairs]
+        self._share(ccd.advance_solids, size, lanes, [], inputs, [suspects, self.motions])
         if not model.layout.has_only_solids:
-            self._trace_samples()
-        inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, suspects]
-        self._shared(ccd.note_impacts, size, [], inputs, [self.motions])
+            wp.capture_if(suspects.sampled, self._trace_samples)
         self._per_body(ccd.change_courses, [self.dt, model.bodies, self.state, pairs], [self.motions])
         self.joints.share_impacts()
 
     def _trace_samples(self) -> None:
-        """The times of impact of listed pairs that are not both convex solids."""
-        pools, pairs, suspects = self.pools, self.pools.pairs, self.pools.suspects
+        """The times of impact of listed pairs that are not both convex solids, where there are any."""
+        model, pools, pairs, suspects = self.model, self.pools, self.pools.pairs, self.pools.suspects
         size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
         self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
         self._share(ccd.list_clusters, 2 * size, teams.TRACE_LANES, [], [*self.moving, pairs], [suspects])
         inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
         self._share(ccd.list_suspects, samples, teams.LOOK_LANES, before, inputs, outputs)
-        self._shared(ccd.trace_suspects, samples, before, inputs, outputs)
+        inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, pools.turn]
+        self._shared(ccd.trace_suspects, samples, before, inputs, [suspects, self.motions, pools.wanted])
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
