@@ -242,7 +242,7 @@ Motions = layout(
         int,
         "bodies",
         "",
-        "not 0: a kinematic body moves the body from an impact in this step on, see `lead_of` (course.py)",
+        "not 0: moved by a kinematic body from an impact in this step on; see `lead_of`",
     ),
     next_carried=Field(int, "bodies", "", "the same after the impacts of the current round"),
     joined=Field(int, "bodies", "", "1: the body stops together with others of its mechanism"),
