@@ -44,7 +44,7 @@ def moved(sim, seconds):
 
 @pytest.mark.parametrize("rate", [60, 240])
 def test_a_wall_at_rest_needs_few_sweeps_and_does_not_creep(device, rate):
-    """Its rows bend by rounding errors, which shock propagation would not remove in 110 sweeps of each step."""
+    """It bends by errors of the solver, which shock propagation would not remove in more than 100 sweeps a step."""
     sim = Simulator(wall(20, 8), settings=Settings(dt=1 / rate), device=device)
     sim.step(rate // 2)
     start, sweeps = sim.get("position"), []
