@@ -566,6 +566,9 @@ Graph = layout(
     shock_ineffective=Field(
         int, "envs", "", "1: shock propagation is ineffective for at least one island that is solved in sweeps"
     ),
+    pressed=Field(int, "bodies", "", "1: three contacts with a body below, not on a line, press (rest.py)"),
+    stuck=Field(int, "bodies", "", "1: two contacts with a body below stick (rest.py)"),
+    resting=Field(int, "bodies", "", "at an island's index: 1 if it is stopped, without shock propagation (rest.py)"),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
     further_sweeps=Field(int, "bodies", "", "maximum sweeps with momentum of the body's island (calm.py)"),
     sweeps=Field(int, "envs", "", "solver sweeps in the last step"),

@@ -184,7 +184,7 @@ def sweep_with_joints(
     if after_shock == 0:
         graph.converged[env] = wp.max(1 - unsolved, calm)
     if after_shock != AFTER_PASSES:
-        report_sweeps(done, residual, after_shock, team, envs, graph)
+        report_sweeps(done, residual, team, graph)
 
 
 @wp.func

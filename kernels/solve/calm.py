@@ -21,14 +21,11 @@ from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.graph.islands import MOST_CALM
 from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
-from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
+from warp_rigid.kernels.solve.gauss_seidel import SWEEPS, solve_constraint
 from warp_rigid.kernels.solve.rounds import momentum
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
 
 wp.set_module_options({"enable_backward": False})
-
-SWEEPS = wp.get_module("warp_rigid.kernels.solve.gauss_seidel")
-"""Module of the other sweeps; they are compiled together."""
 
 STILL = wp.constant(1.0e-5)
 """Sweeps end when no row changes a velocity by more than this [m/s]."""

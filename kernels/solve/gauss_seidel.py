@@ -16,6 +16,9 @@ from warp_rigid.kernels.solve.schedule import CONVERGED, entry_at, first_of_colo
 
 wp.set_module_options({"enable_backward": False})
 
+SWEEPS = wp.get_module("warp_rigid.kernels.solve.gauss_seidel")
+"""Module of the kernels that sweep; those in rest.py and calm.py are compiled together with these."""
+
 DEEP = wp.constant(40.0)
 """Depth in bodies from which islands must be solved to CONVERGED where shock propagation is ineffective."""
 
@@ -129,12 +132,14 @@ def spare_sweeps(env: int, envs: Environments, graph: Graph):
 
 
 @wp.func
-def report_sweeps(sweeps: int, residual: float, after_shock: int, team: Team, envs: Environments, graph: Graph):
+def report_sweeps(sweeps: int, residual: float, team: Team, graph: Graph):
     """Record the number of sweeps and the residual of the step's last sweep; both are 0 before the first launch."""
     if team.lane == 0:
         graph.sweeps[team.env] += sweeps
-    more_follow = after_shock == 0 and sweeps_of(team.env, 1, envs, graph) > 0
-    if sweeps > 0 and not more_follow:
+        if sweeps > 0:
+            graph.residual[team.env] = 0.0
+    sync_team(team)
+    if sweeps > 0:
         wp.atomic_max(graph.residual, team.env, residual)
 
 
@@ -185,4 +190,4 @@ def sweep_constraints(
             spare = 0
     if after_shock == 0:
         graph.converged[env] = wp.max(1 - unsolved, calm)
-    report_sweeps(done, residual, after_shock, team, envs, graph)
+    report_sweeps(done, residual, team, graph)

@@ -71,11 +71,12 @@ def island_of(entry: OrderRecord, motions: Motions, graph: Graph):
 
 
 @wp.func
-def skip_ineffective_islands(team: Team, order: Order, graph: Graph, motions: Motions):
+def skip_other_islands(team: Team, order: Order, graph: Graph, motions: Motions):
     """Skip the constraints of islands without shock propagation. Returns 1 if any constraint of the lane remains."""
     remains = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
-        if graph.solver[island_of(entry_at(k, order), motions, graph)] == IslandSolver.SWEEPS:
+        island = island_of(entry_at(k, order), motions, graph)
+        if graph.solver[island] == IslandSolver.SWEEPS or graph.resting[island] == 1:
             order.entries[k].visited = SKIPPED
         else:
             remains = 1
@@ -176,7 +177,7 @@ def solve_levels(
     forget_visits(first, last, team, order, graph)
     remains = int(1)
     if mode == ShockMode.TWO_PASS:
-        remains = skip_ineffective_islands(team, order, graph, motions)
+        remains = skip_other_islands(team, order, graph, motions)
     turn = int(1)
     sweeps = int(0)
     left = any_of_team(remains, team) * (SHOCK_SWEEPS + 3 * graph.max_depth[team.env])

@@ -28,6 +28,7 @@ from warp_rigid.kernels.solve import (
     gauss_seidel,
     line_search,
     push_out,
+    rest,
     restitution,
     shock,
 )
@@ -275,9 +276,10 @@ class Stages:
 
     @stage
     def solve_contacts(self) -> None:
-        """Contact solver: warm start, sweeps, shock propagation, sweeps; rounds for heaps."""
+        """Contact solver: warm start, sweeps, what is at rest, shock propagation, sweeps; rounds for heaps."""
         self.joints.warm_start(gauss_seidel.warm_start)
         self.sweep_constraints(after_shock=0)
+        self._color_by_color(rest.stop_resting_islands, [self.dt])
         for repetition in range(self.repetitions):
             self.propagate_shock(repetition)
         self.sweep_constraints(after_shock=1)
