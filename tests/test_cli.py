@@ -189,6 +189,11 @@ def test_lists_run_side_by_side(capsys, scene_file):
         (["run", "box_stack", "--film", "a.gif", "--usd-envs", "x"], "--usd-envs: must be numbers"),
         (["run", "missing.py"], "missing.py: no such file"),
         (["inspect", "missing.obj"], "missing.obj: no such file"),
+        (["inspect", "cube"], "cube: no such file; built-in meshes are bunny, torus, "),
+        (
+            ["view", str(ROOT / "scenes" / "marble_run.usda")],
+            "must be an animation written by export_usd; warp-rigid run",
+        ),
         (["inspect", "bunny", "--slice", "z=0"], "--slice: requires -o"),
         (["inspect", "bunny", "--slice", "w=0", "-o", "a.png"], "--slice: must be x=, y= or z="),
         (["inspect", "bunny", "--slice", "z=9", "-o", "a.png"], "--slice: z must be from"),

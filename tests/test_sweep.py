@@ -295,6 +295,18 @@ def test_scenes_come_in_five_forms(tmp_path):
     assert len(set(ids)) == 4 and ids[0] == ids[2]
 
 
+@pytest.mark.parametrize("suffix", [".py", ".usda"])
+def test_the_id_of_a_scene_in_a_file_depends_on_its_content(tmp_path, suffix):
+    path, ids = tmp_path / f"scene{suffix}", []
+    for height in (1.0, 2.0, 1.0):
+        if suffix == ".py":
+            path.write_text(f"import warp_rigid as wr\ndef scene():\n    return wr.Scene(gravity=(0, 0, -{height}))\n")
+        else:
+            wr.export_usd(wr.record(wr.Simulator(ball(height), device="cpu"), frames=0), path)
+        ids.append(resolve_scene(path)[1])
+    assert ids[0].startswith("scene:") and ids[0] == ids[2] != ids[1]
+
+
 @pytest.mark.parametrize(
     ("axes", "options", "message"),
     [

@@ -237,6 +237,23 @@ def test_a_reset_of_some_environments(device):
             "friction: must be numbers that broadcast to (2, 4), got shape (2, 3)",
         ),
         (
+            lambda: two_scenes().set("friction", [0.1, 0.2]),
+            "friction: must be numbers that broadcast to (2, 4), got shape (2,); one per environment has shape (2, 1)",
+        ),
+        (
+            lambda: two_scenes().set("position", np.zeros((2, 3))),
+            "position: must be numbers that broadcast to (2, 4, 3), got shape (2, 3); one per environment has shape "
+            "(2, 1, 3)",
+        ),
+        (
+            lambda: two_scenes().set("dt", 0.01),
+            "name: dt is constant and the same in all environments; it is Settings(dt=...) of the simulator",
+        ),
+        (
+            lambda: two_scenes().set("mass", 2.0),
+            "mass: ground is not dynamic and has no mass; choose bodies, as in bodies=[...]",
+        ),
+        (
             lambda: two_scenes().set("gravity", -9.81),
             "gravity: must be vectors of 3 numbers, got -9.81",
         ),

@@ -125,7 +125,8 @@ def number_array(name, value):
 def numbers_of_shape(name, value, shape):
     """Check that a value is numbers that broadcast to a shape and return them so; else raise ValueError.
 
-    Text, complex numbers and booleans are no numbers. NaN and infinity are accepted.
+    Text, complex numbers and booleans are no numbers. NaN and infinity are accepted. The first axis of a shape is that
+    of the environments: the message for one value per environment tells which axis it lacks.
     """
     try:
         array = np.asarray(value)
@@ -133,7 +134,9 @@ def numbers_of_shape(name, value, shape):
             raise TypeError
         return np.broadcast_to(array, shape)
     except (ValueError, TypeError, OverflowError) as error:
-        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {brief(value)}") from error
+        lacks_axis = len(shape) > 1 and shape_of(value) == (shape[0], *shape[2:])
+        hint = f"; one per environment has shape {(shape[0], 1, *shape[2:])}" if lacks_axis else ""
+        raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {brief(value)}{hint}") from error
 
 
 def flags(name, value, shape):

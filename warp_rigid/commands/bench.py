@@ -19,19 +19,19 @@ def bench_command(
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Scenes with their number of bodies: stack, pile_box, pile_torus, pile_bunny, rings, pyramid, kapla, "
-            f"arm. [{', '.join(STANDARD)}]"
+            help="NAME:BODIES with the name stack, pile_box, pile_torus, pile_bunny, rings, pyramid, kapla or arm; a "
+            f"built-in scene; or a .py file with a function scene(). Default: {', '.join(STANDARD)}."
         ),
     ] = None,
     envs: Annotated[str, typer.Option(help="Numbers of environments, such as 1024,4096.")] = "1",
     substeps: Annotated[str, typer.Option(help="Numbers of steps per frame of 1/60 s, such as 1,4.")] = "4",
-    frames: Annotated[int | None, typer.Option(help="Number of timed frames. [60]")] = None,
-    settle: Annotated[int | None, typer.Option(help="Number of untimed frames before them. [120]")] = None,
+    frames: Annotated[int | None, typer.Option(help="Number of timed frames. Default: 60.")] = None,
+    settle: Annotated[int | None, typer.Option(help="Number of untimed frames before them. Default: 120.")] = None,
     phases: Annotated[
         bool, typer.Option("--phases", help="Time the first second, the second second, and a second at rest.")
     ] = False,
     until: Annotated[
-        float | None, typer.Option(help="With --phases: time at which the last second begins at the latest [s]. [10]")
+        float | None, typer.Option(help="With --phases: latest start of the last second, in seconds. Default: 10.")
     ] = None,
     sleeping: Annotated[bool, typer.Option("--sleeping", help="Enable sleeping.")] = False,
     device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
@@ -49,9 +49,11 @@ def bench_command(
 ) -> int:
     """Measure scenes: environment frames/s, body steps/s, time per stage, contacts, capacity used, solution quality.
 
-    Sleeping is off by default. The settling frames are not timed. Other engines simulate the same initial states for
-    the same number of frames, and the penetration of their final states is measured with the same code. On the CPU
-    this engine uses all cores and the others one; ratios there compare processor time summed over cores.
+    Sleeping is off by default. The settling frames are not timed.
+
+    Other engines simulate the same initial states for the same number of frames.
+    The overlap of their final states is measured with the same code.
+    On the CPU this engine uses all cores and the others one; ratios there compare processor time.
 
     With --phases each scene runs from its start until it rests: moving bodies cost more than resting ones.
     """
@@ -162,7 +164,7 @@ ENGINES = (
     ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used", "overlap")
     + ("error", "lost", "m/s", "ratio"),
     "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
-    "buffer; overlap: maximum penetration [mm]; error: maximum error of stack height, or gap of a joint [mm]; "
+    "buffer; overlap: deepest overlap [mm]; error: maximum error of stack height, or gap of a joint [mm]; "
     "lost: escaped bodies; ratio: speed of warp_rigid over that engine",
 )
 """Columns of the table of engines, and their explanation."""
@@ -170,7 +172,7 @@ PHASES = (
     ("scene", "envs", "steps", "phase", "frames/s", "per core", "contacts", "used", "overlap", "at end", "median")
     + ("error", "lost", "m/s"),
     "frames/s: all environments; per core: per second of processor time; used: largest used share of a buffer; "
-    "overlap: maximum penetration during the phase and at its end, and the median over environments at its end [mm]; "
+    "overlap: deepest overlap during the phase and at its end, and the median over environments at its end [mm]; "
     "error: maximum error of stack height, or gap of a joint [mm]; lost: escaped bodies",
 )
 """The same of the table of phases."""

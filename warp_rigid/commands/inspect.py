@@ -40,12 +40,18 @@ def inspect_command(
 
 def _find_mesh(name: str, sdf_resolution: int) -> Mesh:
     """Load a mesh file or a built-in mesh."""
-    ready: Any = getattr(meshes, name, None)
-    if getattr(ready, "__module__", None) == meshes.__name__ and not name.startswith("_"):
-        return ready(sdf_resolution=sdf_resolution)
+    if _is_ready(name):
+        made: Mesh = getattr(meshes, name)(sdf_resolution=sdf_resolution)
+        return made
     if not os.path.isfile(name):
-        raise FileNotFoundError(f"{name}: no such file")
+        known = ", ".join(other for other in vars(meshes) if _is_ready(other))
+        raise FileNotFoundError(f"{name}: no such file; built-in meshes are {known}")
     return Mesh.from_file(name, sdf_resolution=sdf_resolution)
+
+
+def _is_ready(name: str) -> bool:
+    """Whether a name is that of a built-in mesh."""
+    return not name.startswith("_") and getattr(getattr(meshes, name, None), "__module__", None) == meshes.__name__
 
 
 def _print_mesh(name: str, figures: dict[str, Any]) -> None:

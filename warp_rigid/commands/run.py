@@ -36,7 +36,9 @@ MAX_COLUMNS = 8
 
 def run_command(
     context: typer.Context,
-    scene: Annotated[str, typer.Argument(help="Built-in scene, USD file, or .py file with a function scene().")],
+    scene: Annotated[
+        str, typer.Argument(help="Built-in scene, .py file with a function scene(), or USD, MJCF or URDF file.")
+    ],
     envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
     frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
@@ -278,8 +280,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
     lines = [
         f"{summary['scene']}: {summary['envs']} environment(s) of {summary['bodies']} bodies, "
         f"{summary['frames']} frames ({summary['time']:.4g} s) on {summary['device']}",
-        f"{summary['contacts']} contacts, {summary['levels']} levels; maximum penetration "
-        f"{1e3 * deepest:.3g} mm, final {1e3 * at_end:.3g} mm",
+        f"{summary['contacts']} contacts, {summary['levels']} levels; deepest overlap "
+        f"{1e3 * deepest:.3g} mm, at the end {1e3 * at_end:.3g} mm",
         f"{summary['env_frames_per_second']:.4g} environment frames/s, {_frame_seconds(summary):.3g} s/frame "
         f"(setup {summary['setup_seconds']:.2g} s)",
     ]

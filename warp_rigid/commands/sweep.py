@@ -14,7 +14,9 @@ FAILED_RUNS = 5
 
 def sweep_command(
     context: typer.Context,
-    scene: Annotated[str, typer.Argument(help="Built-in scene, or .py file with a function scene().")],
+    scene: Annotated[
+        str, typer.Argument(help="Built-in scene, .py file with a function scene(), or USD, MJCF or URDF file.")
+    ],
     vary: Annotated[
         list[str] | None,
         typer.Option(

@@ -32,9 +32,9 @@ def validate_command(
 ) -> int:
     """Compare the engine with closed forms and published references, in one table.
 
-    Exit status 0: every check is within its tolerance, or is a known miss (MISS) within its documented limit. 1: a
-    check failed (FAIL) or could not be evaluated (ERROR). 2: bad input. 6: a check that is listed as a miss is within
-    its tolerance (MET).
+    Exit status 0: every check is within its tolerance, or is a known miss within its limit (MISS).
+    1: a check failed (FAIL) or could not be evaluated (ERROR). 2: invalid input.
+    6: a check that is listed as a known miss is within its tolerance (MET).
     """
     from warp_rigid.validation import report, suite
 

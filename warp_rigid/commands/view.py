@@ -10,7 +10,12 @@ FILMS = (".usd", ".usda", ".usdc", ".usdz", ".npz")
 
 
 def view_command(
-    scene: Annotated[str, typer.Argument(help="Built-in scene, .py file with a function scene(), or animation file.")],
+    scene: Annotated[
+        str,
+        typer.Argument(
+            help="Built-in scene, .py file with a function scene(), MJCF or URDF file, or animation (USD, .npz)."
+        ),
+    ],
     envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
     device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the random numbers of the scene.")] = None,

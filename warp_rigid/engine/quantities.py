@@ -51,6 +51,7 @@ def is_of_bodies(name: str) -> bool:
 def read(world: World, name: str) -> np.ndarray:
     """A copy of a quantity; see Simulator.get."""
     if not is_readable(name):
+        _refuse_dt(name)
         raise ValueError(f"name: must be one of {', '.join(readable())}, got {shown(name)}")
     if name in STATE_NAMES:
         return _rows(world, getattr(world.state, name))
@@ -91,6 +92,7 @@ def writable() -> tuple[str, ...]:
 def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: Any = None) -> None:
     """Change a quantity; see Simulator.set."""
     if name not in writable():
+        _refuse_dt(name)
         raise ValueError(f"name: must be one of {', '.join(writable())}, got {shown(name)}")
     of_joints = name in joint_quantities.WRITABLE
     if bodies is not None and not is_of_bodies(name):
@@ -127,6 +129,14 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         else:
             writer(world, value, touched)
     wake(world, chosen, touched)
+
+
+def _refuse_dt(name: str) -> None:
+    """Tell where the one setting is that is no quantity."""
+    if name == "dt":
+        raise ValueError(
+            "name: dt is constant and the same in all environments; it is Settings(dt=...) of the simulator"
+        )
 
 
 def _refuse_velocity_of_static(world: World, name: str, value: Any, rows: np.ndarray) -> None:
@@ -276,8 +286,8 @@ def _write_mass(world: World, value: Any, rows: np.ndarray) -> None:
     new, targets = _broadcast("mass", value, rows.shape, present)[present], rows[present]
     source, layout = world.layout.source[targets], world.layout
     for target in targets[[layout.scene_bodies[index].motion != Motion.DYNAMIC for index in source.tolist()]]:
-        number = target - layout.first_body[layout.env_of_row[target]]
-        raise ValueError(f"mass: body {number} is not dynamic and has none")
+        name = layout.scene_bodies[layout.source[target]].name
+        raise ValueError(f"mass: {name} is not dynamic and has no mass; choose bodies, as in bodies=[...]")
     for index in np.unique(source).tolist():
         for mass in (new[source == index].min(), new[source == index].max()):
             check_mass(layout.scene_bodies[index].shape, float(mass))

@@ -437,7 +437,8 @@ def choose_device(device: Any) -> Any:
         chosen = wp.get_device(device)
     except Exception as error:
         names = ", ".join(str(d) for d in wp.get_devices())
-        raise ValueError(f"device: must be one of {names}, got {device!r}") from error
+        hint = "" if wp.is_cuda_available() else "; Warp finds no CUDA device, see warp-rigid doctor"
+        raise ValueError(f"device: must be one of {names}, got {device!r}{hint}") from error
     if chosen.is_cuda and too_old:
         raise ValueError(f"device: the driver of {chosen} must support CUDA 12.4 or newer; update it, or use cpu")
     return chosen

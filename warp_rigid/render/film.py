@@ -180,7 +180,7 @@ def _film_of_stage(stage) -> Film:
         if prim.IsA(UsdGeom.PointInstancer) or prim.HasAttribute("xformOp:orient")
     ]
     if not groups:
-        raise ValueError("must have an environment with bodies, as written by export_usd")
+        raise ValueError("must be an animation written by export_usd; warp-rigid run simulates other USD files")
 
     codes = time_codes(stage)
     frames = np.arange(codes.first, codes.last + 1)

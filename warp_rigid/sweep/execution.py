@@ -75,7 +75,8 @@ def sweep(
     not on the batch, the batch index, the shard or the worker.
 
     Args:
-        scene: a built-in name, the path of a .py file with a function scene(), a Scene, or a function that returns one.
+        scene: a built-in name, the path of a .py file with a function scene() or of a USD, MJCF or URDF file, a
+            Scene, or a function that returns one.
         axes: values or a distribution (Uniform, LogUniform, Normal, Integers, Choice) by name: a scene parameter, a
             setting, or a property accepted by Simulator.set. A property may select bodies: "mass[box_3]",
             "friction[box_*]".

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_rigid import scenes
 from warp_rigid.checks import finite_vector, number_in, shown, unit_quaternion
 from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.precision import check_mass_ratio, check_precision
@@ -91,27 +92,29 @@ def resolve_scene(scene: Any) -> tuple[Demo, str]:
     """Resolve the scene argument of a sweep to a scene description and a scene id.
 
     Args:
-        scene: a built-in name, the path of a .py file, a Demo, a Scene, or a function that returns a Scene.
+        scene: a built-in name, the path of a .py, USD, MJCF or URDF file, a Demo, a Scene, or a function that returns
+            one.
 
     Raises:
         ValueError: The argument is none of these.
     """
     if isinstance(scene, str | Path):
         demo = find_scene(str(scene))
-        text = Path(scene).read_text() if str(scene).endswith(".py") else ""
-        return demo, f"{demo.name}:{_digest(text)}" if text else demo.name
+        path = Path(scene)
+        is_file = str(scene) not in scenes.names() and path.is_file()
+        return demo, f"{demo.name}:{_digest(path.read_bytes())}" if is_file else demo.name
     if isinstance(scene, Demo):
         return scene, scene.name
     if isinstance(scene, Scene):
         made = scene
         demo = Demo("scene", "", lambda: made, NoOutcome, FILE_SCENE_DURATION, {})
         content = [structure(scene), scene.gravity, [_numbers_of(body) for body in scene.bodies]]
-        return demo, f"scene:{_digest(repr(content))}"
+        return demo, f"scene:{_digest(repr(content).encode())}"
     if callable(scene):
         name = getattr(scene, "__name__", type(scene).__name__)
         demo = Demo(name, "", scene, NoOutcome, FILE_SCENE_DURATION, {})
         try:
-            return demo, f"{name}:{_digest(inspect.getsource(scene))}"
+            return demo, f"{name}:{_digest(inspect.getsource(scene).encode())}"
         except (OSError, TypeError):
             return demo, name
     raise ValueError(f"scene: must be a name, a .py file, a Scene or a function that returns one, got {scene!r}")
@@ -285,8 +288,8 @@ def _check_masses(scene: Scene, properties: dict[str, Any]) -> None:
         check_mass_ratio(masses.values())
 
 
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def _numbers_of(body: Any) -> list:
