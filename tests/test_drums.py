@@ -1,4 +1,4 @@
-"""Bodies in rotating drums with thin walls: at 60 steps per second a wall moves by more than its thickness in a step."""
+"""Bodies in rotating drums with thin walls, which move by more than their thickness in a step of 1/60 s."""
 
 import math
 
