@@ -119,9 +119,12 @@ class ContactProblem:
         basis = np.stack([normal, *tangent_basis(normal)], axis=1)
         self.jacobian = np.zeros((count, 3, rows, 6))
         each = np.arange(count)
+        # Bodies that are still apart touch where the surface of the one that moves reaches the immovable one.
+        immovable = np.minimum(*(self.inverse_mass[self.contacts[name]] for name in ("body_a", "body_b"))) == 0.0
+        apart = 0.5 * np.where(immovable & (self.contacts["bias_velocity"] > 0.0), self.contacts["gap"], 0.0)
         for name, sign in (("body_a", 1.0), ("body_b", -1.0)):
             body = self.contacts[name]
-            arm = self.contacts["position"] - self.center[body]
+            arm = self.contacts["position"] + sign * apart[:, None] * normal - self.center[body]
             self.jacobian[each, :, body, :3] = sign * basis
             self.jacobian[each, :, body, 3:] = sign * np.cross(arm[:, None, :], basis)
         self.bias = self.contacts["bias_velocity"].astype(np.float64)
