@@ -53,7 +53,7 @@ from warp_rigid.kernels.update.predict import UNBOUNDED_EXTENT, smaller_size
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 
-FEWEST_TURNS = wp.constant(8)
+FEWEST_TURNS = wp.constant(16)
 MOST_TURNS = wp.constant(32)
 """Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain, so there are as many
 rounds as bodies. A body in a hollow one, which lands, is hit several times. The rounds end when no body is hit."""

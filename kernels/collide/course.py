@@ -68,7 +68,7 @@ class Passage:
     `start`, `middle`, `end`: pose of the shape at the start, in the middle and at the end of the step.
     `reach`: upper bound of the motion of points that can meet the other body.
     `size`: the smaller size of the two bodies, or twice the thickness of their walls if that is less.
-    `near`: samples that start closer are handled by the solver, and may penetrate deeper by as much [m].
+    `near`: samples that start closer are handled by the solver, and may penetrate as deep as this [m].
     `rotation`: angle by which both bodies together turn in the step.
     """
 

@@ -282,7 +282,7 @@ def is_traced_edge(s: int, other: Course, shapes: Shapes):
 
 @wp.func
 def handled_depth(s: int, near: float, size: float):
-    """Samples that start closer than this are handled by the solver, and may penetrate deeper by as much [m]."""
+    """Samples that start closer than this are handled by the solver, and may penetrate as deep as this [m]."""
     return wp.where(s >= 0, near, DEPTH * size)
 
 
@@ -290,8 +290,9 @@ def handled_depth(s: int, near: float, size: float):
 def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, passage: Passage):
     """Whether a sample must be traced, from which time, and how deep it may penetrate.
 
-    It cannot penetrate before `begin`. A sample that moves little is not traced if it is clear. An edge and a convex
-    shape are traced first with the bounding sphere of the edge.
+    It cannot penetrate before `begin`. A sample that is deeper than the solver handles may not get deeper by more
+    than any other one: it would pass the middle of a wall within a few steps. A sample that moves little is not
+    traced if it is clear. An edge and a convex shape are traced first with the bounding sphere of the edge.
     """
     suspect = Suspect()
     suspect.sample = s
@@ -315,7 +316,7 @@ def look_at(shapes: Shapes, own: Course, other: Course, s: int, begin: float, pa
     suspect.allowed = DEPTH * passage.size
     handled = handled_depth(s, passage.near, passage.size)
     if gap < handled:
-        suspect.allowed = handled - wp.min(gap, 0.0)
+        suspect.allowed = wp.max(handled, DEPTH * passage.size - wp.min(gap, 0.0))
         suspect.begin = 0.0
     if gap + suspect.allowed > path:
         suspect.sample = CLEAR

@@ -250,7 +250,8 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     Angular momentum is conserved. The rotation is computed in float64, and its rounding error is stored for the next
     step; otherwise it would be the main error of the angular momentum. The angular velocity is rotated together with
     the body by the push-out, which therefore does not change the energy; otherwise the spin of a thin rod about its
-    axis would become a fast spin about another axis. From its first impact on, a body follows its course (ccd.py).
+    axis would become a fast spin about another axis. From its first impact on, a body follows its course (ccd.py). The
+    push-out prevents overlaps by the motion of the whole step, so a body is pushed as far as it makes that motion.
     """
     b = wp.tid()
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
@@ -261,7 +262,9 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     turning = wp.float64(dt * motions.next_time_of_impact[b])
     turn = precise(state.orientation[b], state.orientation_remainder[b])
     spin = wp.vec3d(motions.solver_bodies[b].angular) + wp.vec3d(state.angular_velocity_remainder[b])
-    push_turn = wp.float64(dt) * wp.vec3d(motions.solver_bodies[b].push_angular + motions.next_shared_spin[b])
+    kept_push = motions.next_time_of_impact[b]
+    pushed = kept_push * motions.solver_bodies[b].push_angular
+    push_turn = wp.float64(dt) * wp.vec3d(pushed + motions.next_shared_spin[b])
     missed = dt * (motions.solver_bodies[b].linear - motions.next_course[b])
     linear = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], missed)
     kept = rotate_by(turn, turning * spin)
@@ -282,7 +285,7 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     spin = wp.quat_rotate(push, spin)
     state.angular_velocity[b] = wp.vec3(spin)
     state.angular_velocity_remainder[b] = wp.vec3(spin - wp.vec3d(wp.vec3(spin)))
-    travel = wp.float64(dt) * wp.vec3d(motions.next_course[b] + motions.solver_bodies[b].push_linear)
+    travel = wp.float64(dt) * wp.vec3d(motions.next_course[b] + kept_push * motions.solver_bodies[b].push_linear)
     state.linear_velocity[b] = linear
     center = wp.vec3d(bodies.center_of_mass[b])
     center_shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)

@@ -14,7 +14,7 @@ def cases(quick: bool) -> list[ValidationCase]:
     """All cases of the section; only the bin, with fewer boxes, is quick."""
     if quick:
         return [bins_of_boxes(64, 8)]
-    return [heap(), bins_of_boxes(1000, 9, Miss(RESTLESS, 5e-3))]
+    return [heap(), bins_of_boxes(1000, 9, Miss(RESTLESS, 5e-2))]
 
 
 def heap(base=6):
@@ -68,7 +68,8 @@ def bins_of_boxes(count, bins, moves=None):
 
     The bins differ in friction by 0.001, which leads to different heaps. In one of sixteen heaps of 64 cubes, a cube is
     held at two opposite corners and rotates for up to ten seconds. In a quarter of the heaps of 1000 cubes, some still
-    fall after five seconds. So the median bin is judged.
+    fall after five seconds. So the median bin is judged. The largest speeds of heaps scatter: of 36 after six seconds,
+    the median is 7e-4, a quarter exceed 1e-2 and a tenth 5e-2, so that the known miss is reported from 5e-2 on.
     """
     friction = BIN_FRICTION + 0.001 * np.arange(bins)
 
