@@ -380,7 +380,7 @@ def test_bad_arguments_are_named(two_envs, tmp_path):
     with pytest.raises(ValueError, match=r"bad.usdc: not a readable USD file"):
         film_from_usd(tmp_path / "bad.usdc")
     (tmp_path / "empty.usda").write_text("#usda 1.0\n")
-    with pytest.raises(ValueError, match=r"empty.usda: must have an environment"):
+    with pytest.raises(ValueError, match=r"empty.usda: must be an animation written by export_usd"):
         film_from_usd(tmp_path / "empty.usda")
 
 

@@ -251,7 +251,8 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     step; otherwise it would be the main error of the angular momentum. The angular velocity is rotated together with
     the body by the push-out, which therefore does not change the energy; otherwise the spin of a thin rod about its
     axis would become a fast spin about another axis. From its first impact on, a body follows its course (ccd.py). The
-    push-out prevents overlaps by the motion of the whole step, so a body is pushed as far as it makes that motion.
+    push-out prevents overlaps by the motion of the whole step, so a body is pushed as far as it makes that motion. The
+    joints of a mechanism are closed for the whole push-out.
     """
     b = wp.tid()
     moves = motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC
@@ -262,7 +263,7 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     turning = wp.float64(dt * motions.next_time_of_impact[b])
     turn = precise(state.orientation[b], state.orientation_remainder[b])
     spin = wp.vec3d(motions.solver_bodies[b].angular) + wp.vec3d(state.angular_velocity_remainder[b])
-    kept_push = motions.next_time_of_impact[b]
+    kept_push = wp.where(motions.joined[b] == 1, 1.0, motions.next_time_of_impact[b])
     pushed = kept_push * motions.solver_bodies[b].push_angular
     push_turn = wp.float64(dt) * wp.vec3d(pushed + motions.next_shared_spin[b])
     missed = dt * (motions.solver_bodies[b].linear - motions.next_course[b])
