@@ -83,14 +83,21 @@ class Passage:
 
 
 @wp.func
-def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
-    """The mean motion of a body in the step, after the impacts of the previous rounds."""
+def placed_course(b: int, bodies: Bodies, state: State, motions: Motions):
+    """A body at the start of the step, without its motion."""
     course = Course()
     course.center = motions.center[b]
     course.turn = state.orientation[b]
     course.local_center = bodies.center_of_mass[b]
     course.radius = motions.radius[b]
     course.shape = bodies.shape[b]
+    return course
+
+
+@wp.func
+def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
+    """The mean motion of a body in the step, after the impacts of the previous rounds."""
+    course = placed_course(b, bodies, state, motions)
     course.linear = motions.course[b]
     course.joined = motions.joined[b]
     if motions.role[b] == Role.FREE or motions.role[b] == Role.KINEMATIC:

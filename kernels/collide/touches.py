@@ -14,7 +14,7 @@ from warp_rigid.kernels.collide.approach import (
     closing_gap,
     touch_of,
 )
-from warp_rigid.kernels.collide.course import Course, place_at
+from warp_rigid.kernels.collide.course import place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
@@ -65,10 +65,7 @@ def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes)
 @wp.func
 def course_before(b: int, bodies: Bodies, state: State, motions: Motions):
     """The motion of a body in the step at its velocities before it."""
-    course = Course()
-    course.center = motions.center[b]
-    course.turn = state.orientation[b]
-    course.local_center = bodies.center_of_mass[b]
+    course = placed_course(b, bodies, state, motions)
     course.linear = state.linear_velocity[b]
     course.angular = state.angular_velocity[b]
     return course

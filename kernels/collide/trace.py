@@ -195,7 +195,7 @@ def trace_edge(
     end: float,
     size: float,
 ):
-    """`trace` for a whole segment, arm +- slide, against a convex shape; see `trace_sample` for `near` and `begin`.
+    """`trace` for a whole segment, arm +- slide, against a convex shape; see `handled_gap` for `near`.
 
     A tangent at the deepest point bounds the distance of both ends, and so of all points between them.
     """
