@@ -68,7 +68,8 @@ DEMO = Demo(
     summary="bunnies fall into an open box and settle",
     build=build,
     outcome=PileOutcome,
-    duration=6.0,
+    # A bunny that lands on its back may rock for seven seconds.
+    duration=10.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
     vary=vary,
     view=(-62.0, 26.0),

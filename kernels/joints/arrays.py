@@ -17,6 +17,7 @@ SYMBOLS = {
     "ends": "members of the mechanisms, once for each joint that they have",
     "blocks": "blocks below the diagonal in the factors of the mechanisms",
     "eliminations": "updates of a block during factorization",
+    "visits": "capacity for constraints; 0 if no environment has joints",
 }
 """What the symbols in the shapes of these arrays count, besides schema.SYMBOLS."""
 
@@ -80,7 +81,8 @@ Joints = layout(
     weight=Field(float, "mechanisms", "kg", "mass of its dynamic bodies"),
     unsettled=Field(int, "mechanisms", "", "1: the solutions at predicted poses did not converge in this step"),
     touching=Field(int, "mechanisms", "", "pairs in contact that have a body of it"),
-    search=Field(wp.vec2d, "joined", "J", "of an island: decrease and curvature of the energy by initial impulses"),
+    terms=Field(wp.vec2d, "joints", "J", "contributions to the two sums of a line search"),
+    swept=Field(int, "joined", "", "at an island's index: 1 if it has contacts that are solved in sweeps"),
     answered=Field(int, "joined", "", "factorization of the mechanism to which `response` belongs"),
     pushed=Field(vec6d, "joined", "SI", "impulse and angular impulse of a visit on the body"),
     response=Field(mat66d, "joined", "SI", "velocity of a body per impulse and angular impulse where the joints hold"),
@@ -89,4 +91,16 @@ Joints = layout(
     pose_spin=Field(wp.vec3d, "joined", "rad/s", "angular velocity predicted for the end of the step"),
     pose_position=Field(wp.vec3d, "joined", "m", "position at the start of the step, or predicted for its end"),
     pose_turn=Field(wp.quatd, "joined", "", "orientation at the start of the step, or predicted for its end"),
+)
+
+TURN_WORDS = 8
+"""Words of 32 turns in which the turns of a body are marked; later turns follow one another."""
+
+VisitOrder = layout(
+    "VisitOrder",
+    "The pairs of mechanisms whose contacts are solved where the joints hold, turn by turn.",
+    entries=Field(int, "visits", "", "their indices in `Order.entries`, turn by turn", "constraints"),
+    end=Field(int, "visits", "", "from the first entry of an environment on: one past the last pair of each turn"),
+    count=Field(int, "envs", "", "number of turns"),
+    taken=Field(wp.uint32, f"joined, {TURN_WORDS}", "", "bit masks of the turns that touch a body, or its mechanism"),
 )

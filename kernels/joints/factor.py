@@ -235,14 +235,16 @@ def substitute(m: int, column: int, team: Team, joints: Joints):
     for place in range(first, end):
         j = joints.sequence[place]
         known = joints.solution[j, column]
-        sync_team(team)
-        for i in range(team.lane, 6, team.lanes):
-            for e in range(joints.column[place], joints.column[place + 1]):
-                k = joints.row[e]
-                change = wp.dot(row_of(joints.lower, e, i), known)
-                set_component(joints.solution, k, column, i, component_of(joints.solution, k, column, i) - change)
-            set_component(joints.solution, j, column, i, wp.dot(row_of(joints.pivot, j, i), known))
-        sync_team(team)
+        # An impulse on a single body leaves most joints with zeros here.
+        if not (known == vec6d()):
+            sync_team(team)
+            for i in range(team.lane, 6, team.lanes):
+                for e in range(joints.column[place], joints.column[place + 1]):
+                    k = joints.row[e]
+                    change = wp.dot(row_of(joints.lower, e, i), known)
+                    set_component(joints.solution, k, column, i, component_of(joints.solution, k, column, i) - change)
+                set_component(joints.solution, j, column, i, wp.dot(row_of(joints.pivot, j, i), known))
+            sync_team(team)
     for back in range(end - first):
         place = end - 1 - back
         j = joints.sequence[place]

@@ -25,7 +25,14 @@ from warp_rigid.kernels.joints.loads import is_visited
 from warp_rigid.kernels.joints.mechanism import energy_terms
 from warp_rigid.kernels.schema import Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
-from warp_rigid.kernels.solve.line_search import energy_of
+from warp_rigid.kernels.solve.line_search import (
+    FINE,
+    accepted_share,
+    add_terms,
+    add_up,
+    clear_sums,
+    store_terms,
+)
 from warp_rigid.kernels.solve.schedule import (
     end_of_entries,
     entry_at,
@@ -65,46 +72,33 @@ def store_before_impulses(
         entry = entry_at(k, order)
         for c in range(entry.begin, entry.end):
             store_start(entry.kind, c, rows)
-            if entry.visited > 0:
+            if is_visited(entry, joints):
                 contact.set_impulse(c, contact.START_IMPULSE, none, rows.contacts)
                 contact.set_impulse(c, contact.START_ANGULAR_IMPULSE, none, rows.contacts)
     sync_team(team)
 
 
 @wp.func
-def factor_of(island: int, joints: Joints):
-    """Factor on the initial impulses of an island."""
-    sums = joints.search[island]
-    if sums[1] <= wp.float64(0.0):
-        return 1.0
-    return float(wp.clamp(sums[0] / sums[1], wp.float64(0.0), wp.float64(1.0)))
-
-
-@wp.func
-def sum_contacts(
-    first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
-):
-    """Sum the changes of the energy by contacts since the start of the search, island by island, in `search`.
+def store_joint_terms(dt: float, team: Team, graph: Graph, motions: Motions, joints: Joints):
+    """Store the contributions of joints to the sums of a line search, and the largest ones of each island.
 
     Joints that are solved before and after contribute nothing, except at limits.
     """
-    if team.lane == 0:
-        for b in range(first, last):
-            joints.search[b] = wp.vec2d()
-        for k in range(order.color_start[team.env, 0], end_of_entries(team.env, order)):
-            entry = entry_at(k, order)
-            island = island_of(entry, motions, graph)
-            joints.search[island] = joints.search[island] + wp.vec2d(energy_of(entry, motions, rows))
+    for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
+        terms = energy_terms(j, dt, motions, joints)
+        joints.terms[j] = terms
+        island = island_of_joint(j, motions, joints, graph)
+        wp.atomic_max(graph.largest, island, float(wp.max(wp.abs(terms[0]), wp.abs(terms[1]))))
     sync_team(team)
 
 
 @wp.func
-def sum_joints(dt: float, team: Team, graph: Graph, motions: Motions, joints: Joints):
-    """Add the changes of the energy by joints."""
-    if team.lane == 0:
-        for j in range(joints.first_joint[team.env], joints.first_joint[team.env + 1]):
-            island = island_of_joint(j, motions, joints, graph)
-            joints.search[island] = joints.search[island] + energy_terms(j, dt, motions, joints)
+def add_joint_terms(team: Team, graph: Graph, motions: Motions, joints: Joints):
+    """Add the contributions of joints, as `add_terms` those of constraints."""
+    for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
+        island = island_of_joint(j, motions, joints, graph)
+        terms = FINE / wp.float64(graph.largest[island]) * joints.terms[j]
+        add_up(island, wp.int64(terms[0]), wp.int64(terms[1]), graph)
     sync_team(team)
 
 
@@ -115,19 +109,19 @@ def scale_changes(
     """Scale the changes since the start of the search by the factor of each island."""
     for b in range(first + team.lane, last, team.lanes):
         if motions.role[b] == Role.FREE:
-            t = factor_of(graph.island[b], joints)
+            t = accepted_share(graph.island[b], graph)
             body = motions.solver_bodies[b]
             linear = load_velocity(b, START, motions)
             angular = load_velocity(b, START + 1, motions)
             motions.solver_bodies[b].linear = linear + t * (body.linear - linear)
             motions.solver_bodies[b].angular = angular + t * (body.angular - angular)
     for j in range(joints.first_joint[team.env] + team.lane, joints.first_joint[team.env + 1], team.lanes):
-        share = wp.float64(factor_of(island_of_joint(j, motions, joints, graph), joints))
+        share = wp.float64(accepted_share(island_of_joint(j, motions, joints, graph), graph))
         joints.total[j] = joints.start[j] + share * (joints.total[j] - joints.start[j])
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         for c in range(entry.begin, entry.end):
-            blend_row(entry.kind, c, factor_of(island_of(entry, motions, graph), joints), rows)
+            blend_row(entry.kind, c, accepted_share(island_of(entry, motions, graph), graph), rows)
     sync_team(team)
 
 
@@ -154,6 +148,9 @@ def search_energy(
 
     The joints must have been solved.
     """
-    sum_contacts(first, last, team, order, graph, motions, rows, joints)
-    sum_joints(dt, team, graph, motions, joints)
+    clear_sums(first, last, team, graph)
+    store_terms(team, order, graph, motions, rows)
+    store_joint_terms(dt, team, graph, motions, joints)
+    add_terms(team, order, graph, motions)
+    add_joint_terms(team, graph, motions, joints)
     scale_changes(first, last, team, order, graph, motions, rows, joints)

@@ -8,7 +8,7 @@ from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, p
 from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
-from warp_rigid.kernels.joints.arrays import Joints
+from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.factor import factorize
 from warp_rigid.kernels.joints.initial_impulses import (
     island_of_joint,
@@ -18,11 +18,9 @@ from warp_rigid.kernels.joints.initial_impulses import (
 )
 from warp_rigid.kernels.joints.loads import (
     any_touched,
-    choose_turns,
     find_touched,
     leave_out_of_shock,
     solve_joints,
-    solve_touching,
     sweep_others,
 )
 from warp_rigid.kernels.joints.mechanism import (
@@ -38,7 +36,18 @@ from warp_rigid.kernels.joints.mechanism import (
 )
 from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
 from warp_rigid.kernels.joints.push import push_touching
-from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, Order, Pairs, SleepState, State
+from warp_rigid.kernels.joints.turns import choose_turns, solve_touching
+from warp_rigid.kernels.schema import (
+    Bodies,
+    Constraints,
+    Environments,
+    Graph,
+    Motions,
+    Order,
+    Pairs,
+    SleepState,
+    State,
+)
 from warp_rigid.kernels.solve.gauss_seidel import (
     find_shock_ineffective,
     nearly_solved,
@@ -113,16 +122,27 @@ def is_propagated(env: int, envs: Environments, graph: Graph):
 
 @wp.kernel
 def warm_start_with_joints(
-    lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
+    lanes: int,
+    envs: Environments,
+    constraints: Constraints,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    rows: Rows,
+    joints: Joints,
+    visits: VisitOrder,
 ):
-    """One team per environment: find the mechanisms whose contacts are solved where the joints hold.
+    """One team per environment: find the mechanisms whose contacts are solved where the joints hold, and their turns.
 
     Apply the initial impulses of all other contacts.
     """
     team = team_of(wp.tid(), lanes)
     if find_touched(team, order, motions, joints) == 1:
         first = envs.first_body[team.env]
-        leave_out_of_shock(first, envs.first_body[team.env + 1], team, order, motions, joints, graph)
+        last = envs.first_body[team.env + 1]
+        leave_out_of_shock(first, last, team, order, motions, joints, graph)
+        first_row = constraints.first_row[constraints.start[team.env]]
+        choose_turns(first, last, first_row, team, order, graph, motions, joints, visits)
     if envs.warm_starting[team.env] == 1:
         warm_start_others(team, order, motions, rows, joints)
 
@@ -138,6 +158,7 @@ def sweep_with_joints(
     motions: Motions,
     rows: Rows,
     joints: Joints,
+    visits: VisitOrder,
 ):
     """One team per environment: as `sweep_constraints`, with a direct solution of each mechanism after each sweep.
 
@@ -151,8 +172,6 @@ def sweep_with_joints(
         spare = spare_sweeps(env, envs, graph)
     touched = any_touched(team, joints)
     starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
-    if touched == 1:
-        choose_turns(envs.first_body[env], envs.first_body[env + 1], team, order, graph, motions, joints)
     if starts:
         store_before_impulses(envs.first_body[env], envs.first_body[env + 1], team, order, motions, rows, joints)
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
@@ -166,7 +185,7 @@ def sweep_with_joints(
     is_searched = after_shock == 1 and searched(env, envs, graph)
     stage = int(wp.where(starts, STARTING, stage_after(STARTING, left, touched, is_searched)))
     while stage != OVER:
-        change = sweep_once(stage, after_shock, touched, layered, dt, team, order, graph, motions, rows, joints)
+        change = sweep_once(stage, after_shock, touched, layered, dt, team, order, graph, motions, rows, joints, visits)
         if stage == SWEEPING:
             residual = change
             done += 1
@@ -214,6 +233,7 @@ def sweep_once(
     motions: Motions,
     rows: Rows,
     joints: Joints,
+    visits: VisitOrder,
 ):
     """One sweep, and a direct solution of each mechanism. Returns a lane's largest change [m/s].
 
@@ -231,7 +251,7 @@ def sweep_once(
         change = wp.max(change, solve_joints(team, dt, motions, joints))
     if touched == 1 and stage <= SWEEPING:
         start = wp.where(stage == STARTING, 1, 0)
-        change = wp.max(change, solve_touching(start, team, order, motions, rows, joints))
+        change = wp.max(change, solve_touching(start, team, order, motions, rows, joints, visits))
     return change
 
 
@@ -273,7 +293,14 @@ def blend_joints(lanes: int, envs: Environments, graph: Graph, motions: Motions,
 
 @wp.kernel
 def push_joined(
-    lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
+    lanes: int,
+    envs: Environments,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    rows: Rows,
+    joints: Joints,
+    visits: VisitOrder,
 ):
     """One team per environment, after the push-out of single bodies: separate the contacts of mechanisms."""
     team = team_of(wp.tid(), lanes)
@@ -286,10 +313,9 @@ def push_joined(
         if needs_solution(m, joints):
             project(m, PUSH, part, motions, joints)
     sync_team(team)
-    choose_turns(envs.first_body[env], envs.first_body[env + 1], team, order, graph, motions, joints)
     left = int(PUSH_OUT_SWEEPS)
     while left > 0:
-        change = push_touching(team, order, motions, rows, joints)
+        change = push_touching(team, order, motions, rows, joints, visits)
         left = any_of_team(wp.where(change > ENOUGH, 1, 0), team) * (left - 1)
 
 

@@ -7,7 +7,7 @@ solved with the velocity that an impulse causes where the joints hold: the respo
 body that is touched. The impulse is then applied to the whole mechanism. Such a visit minimizes the energy over the
 impulses of a pair and of all joints of its mechanisms.
 
-The pairs are visited in turns. Those of the same turn have no body and no mechanism in common, so the lanes share them.
+The pairs are visited in turns (turns.py).
 """
 
 import warp as wp
@@ -42,7 +42,6 @@ from warp_rigid.kernels.solve.schedule import (
     end_of_entries,
     entry_at,
     first_of_color,
-    forget_visits,
     stride_of_color,
 )
 from warp_rigid.kernels.solve.shock import island_of
@@ -162,43 +161,6 @@ def any_touched(team: Team, joints: Joints):
 
 
 @wp.func
-def occupied(b: int, m: int, motions: Motions, joints: Joints):
-    """Body that no other pair of a turn touches: the first of a mechanism, or itself; -1 if it never moves."""
-    if m >= 0:
-        return joints.member[joints.first_member[m]]
-    return wp.where(inverse_mass_of(b, motions) > 0.0, b, -1)
-
-
-@wp.func
-def last_turn(b: int, graph: Graph):
-    """Last turn so far that touches a body, 0 if it never moves."""
-    if b < 0:
-        return 0
-    return graph.changed[b]
-
-
-@wp.func
-def choose_turns(first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, joints: Joints):
-    """Number the turns in which the pairs of mechanisms are visited, in `visited`; it is 0 for all others.
-
-    `changed` holds the last turn so far that touches a body, or the mechanism whose first body it is.
-    """
-    forget_visits(first, last, team, order, graph)
-    sync_team(team)
-    if team.lane == 0:
-        for k in range(order.color_start[team.env, 0], end_of_entries(team.env, order)):
-            entry = entry_at(k, order)
-            if is_visited(entry, joints):
-                a = occupied(entry.body_a, solved_mechanism(entry.body_a, joints), motions, joints)
-                b = occupied(entry.body_b, solved_mechanism(entry.body_b, joints), motions, joints)
-                turn = 1 + wp.max(last_turn(a, graph), last_turn(b, graph))
-                order.entries[k].visited = turn
-                graph.changed[wp.max(a, b)] = turn
-                graph.changed[wp.where(wp.min(a, b) >= 0, wp.min(a, b), wp.max(a, b))] = turn
-    sync_team(team)
-
-
-@wp.func
 def sweep_others(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
     """As `sweep`, without the contacts that `solve_touching` solves."""
     change = float(0.0)
@@ -230,24 +192,21 @@ def is_visited(entry: OrderRecord, joints: Joints):
 
 @wp.func
 def leave_out_of_shock(first: int, last: int, team: Team, order: Order, motions: Motions, joints: Joints, graph: Graph):
-    """Solve islands without shock propagation: those with a LOADED mechanism, or a TOUCHED one and no other contacts.
-
-    `search` is 1 for islands with other contacts.
-    """
+    """Solve islands without shock propagation: with a LOADED mechanism, or a TOUCHED one and no other contacts."""
     for b in range(first + team.lane, last, team.lanes):
-        joints.search[b] = wp.vec2d()
+        joints.swept[b] = 0
     sync_team(team)
     for k in range(order.color_start[team.env, 0] + team.lane, end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         if not is_visited(entry, joints):
-            joints.search[island_of(entry, motions, graph)] = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+            joints.swept[island_of(entry, motions, graph)] = 1
     sync_team(team)
     for m in range(joints.first_mechanism[team.env] + team.lane, joints.first_mechanism[team.env + 1], team.lanes):
         for i in range(joints.first_member[m], joints.first_member[m + 1]):
             b = joints.member[i]
             island = graph.island[b]
             if motions.role[b] == Role.FREE:
-                alone = joints.loaded[m] == TOUCHED and joints.search[island][0] == wp.float64(0.0)
+                alone = joints.loaded[m] == TOUCHED and joints.swept[island] == 0
                 if joints.loaded[m] == LOADED or alone:
                     graph.solver[island] = IslandSolver.SWEEPS
     sync_team(team)
@@ -511,28 +470,4 @@ def solve_joints(team: Team, dt: float, motions: Motions, joints: Joints):
         if needs_solution(m, joints):
             change = wp.max(change, solve_mechanism(m, dt, 0, part, motions, joints))
     sync_team(team)
-    return change
-
-
-@wp.func
-def solve_touching(start: int, team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
-    """Visit all contacts of mechanisms, turn by turn. Returns a lane's largest change [m/s].
-
-    `start`: 1 to apply the initial impulses.
-    """
-    change = float(0.0)
-    part = part_of_team(team, MECHANISM_LANES)
-    first = order.color_start[team.env, 0] + team.lane / part.lanes
-    turn = int(1)
-    left = int(1)
-    while left == 1:
-        later = int(0)
-        for k in range(first, end_of_entries(team.env, order), team.lanes / part.lanes):
-            entry = entry_at(k, order)
-            if entry.visited == turn:
-                change = wp.max(change, visit_pair(start, entry, part, motions, rows, joints))
-            if entry.visited > turn:
-                later = 1
-        turn += 1
-        left = any_of_team(later, team)
     return change

@@ -8,10 +8,10 @@ import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity, with_velocities
-from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team
+from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, part_of_team, sync_team
 from warp_rigid.kernels.constraints import contact
 from warp_rigid.kernels.constraints.rows import Rows
-from warp_rigid.kernels.joints.arrays import Joints
+from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import (
     PAIR_ROUNDS,
     Visit,
@@ -22,9 +22,9 @@ from warp_rigid.kernels.joints.loads import (
     store_impulses,
     with_responses,
 )
+from warp_rigid.kernels.joints.turns import begin_of_turn, end_of_turn, visited_pair
 from warp_rigid.kernels.schema import Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.push_out import ENOUGH
-from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -129,21 +129,15 @@ def push_visited(entry: OrderRecord, team: Team, motions: Motions, rows: Rows, j
 
 
 @wp.func
-def push_touching(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
+def push_touching(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints, visits: VisitOrder):
     """Separate all pairs of mechanisms, turn by turn, as `solve_touching`. Returns a lane's largest change [m/s]."""
     change = float(0.0)
     part = part_of_team(team, MECHANISM_LANES)
-    first = order.color_start[team.env, 0] + team.lane / part.lanes
-    turn = int(1)
-    left = int(1)
-    while left == 1:
-        later = int(0)
-        for k in range(first, end_of_entries(team.env, order), team.lanes / part.lanes):
-            entry = entry_at(k, order)
-            if entry.visited == turn and wants_push(entry, rows):
+    for turn in range(visits.count[team.env]):
+        first = begin_of_turn(team.env, turn, order, visits) + team.lane / part.lanes
+        for place in range(first, end_of_turn(team.env, turn, order, visits), team.lanes / part.lanes):
+            entry = visited_pair(place, order, visits)
+            if wants_push(entry, rows):
                 change = wp.max(change, push_visited(entry, part, motions, rows, joints))
-            if entry.visited > turn:
-                later = 1
-        turn += 1
-        left = any_of_team(later, team)
+        sync_team(team)
     return change

@@ -12,7 +12,7 @@ dv = M^-1 J^T dl, both sums can be computed over the contacts: v0.M dv = sum dl.
 import warp as wp
 
 from warp_rigid.kernels.common.solver_body import START, load_bodies, store_velocity, with_velocities
-from warp_rigid.kernels.common.team import sync_team, team_of
+from warp_rigid.kernels.common.team import Team, sync_team, team_of
 from warp_rigid.kernels.constraints.rows import Rows, blend_row, energy_terms, store_start
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
@@ -75,49 +75,35 @@ def add_up(island: int, numerator: wp.int64, denominator: wp.int64, graph: Graph
         wp.atomic_add(graph.denominator, island, denominator)
 
 
-@wp.kernel
-def sum_energy(
-    lanes: int,
-    envs: Environments,
-    order: Order,
-    graph: Graph,
-    motions: Motions,
-    rows: Rows,
-):
-    """One team per environment: the two sums of the line search for each island, and its largest velocity change.
-
-    Summands are added as integer multiples of 2^-40 times the island's largest summand.
-    """
-    team = team_of(wp.tid(), lanes)
-    env = team.env
-    if not searched(env, envs, graph):
-        return
-    first = envs.first_body[env]
-    last = envs.first_body[env + 1]
-    for body in range(first + team.lane, last, lanes):
+@wp.func
+def clear_sums(first: int, last: int, team: Team, graph: Graph):
+    """Clear the sums of all islands."""
+    for body in range(first + team.lane, last, team.lanes):
         graph.numerator[body] = wp.int64(0)
         graph.denominator[body] = wp.int64(0)
         graph.largest[body] = 1.0e-30
-        graph.max_velocity_change[body] = 0.0
     sync_team(team)
-    for body in range(first + team.lane, last, lanes):
-        solver_body = motions.solver_bodies[body]
-        wp.atomic_max(
-            graph.max_velocity_change, graph.island[body], wp.length(solver_body.linear - solver_body.start_linear)
-        )
-    begin = first_entry(team, order)
-    end = end_of_entries(env, order)
-    for k in range(begin, end, lanes):
+
+
+@wp.func
+def store_terms(team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+    """Store the summands of all constraints, and the largest one of each island."""
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         sums = energy_of(entry, motions, rows)
         graph.energy_terms[k] = sums
         island = island_of(entry, motions, graph)
         wp.atomic_max(graph.largest, island, wp.max(wp.abs(sums[0]), wp.abs(sums[1])))
     sync_team(team)
+
+
+@wp.func
+def add_terms(team: Team, order: Order, graph: Graph, motions: Motions):
+    """Add the summands of all constraints, as integer multiples of 2^-40 times the island's largest summand."""
     summed = int(-1)
     numerator = wp.int64(0)
     denominator = wp.int64(0)
-    for k in range(begin, end, lanes):
+    for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         island = island_of(entry_at(k, order), motions, graph)
         if island != summed:
             add_up(summed, numerator, denominator, graph)
@@ -128,6 +114,34 @@ def sum_energy(
         numerator += wp.int64(scale * wp.float64(graph.energy_terms[k][0]))
         denominator += wp.int64(scale * wp.float64(graph.energy_terms[k][1]))
     add_up(summed, numerator, denominator, graph)
+
+
+@wp.kernel
+def sum_energy(
+    lanes: int,
+    envs: Environments,
+    order: Order,
+    graph: Graph,
+    motions: Motions,
+    rows: Rows,
+):
+    """One team per environment: the two sums of the line search for each island, and its largest velocity change."""
+    team = team_of(wp.tid(), lanes)
+    env = team.env
+    if not searched(env, envs, graph):
+        return
+    first = envs.first_body[env]
+    last = envs.first_body[env + 1]
+    for body in range(first + team.lane, last, lanes):
+        graph.max_velocity_change[body] = 0.0
+    clear_sums(first, last, team, graph)
+    for body in range(first + team.lane, last, lanes):
+        solver_body = motions.solver_bodies[body]
+        wp.atomic_max(
+            graph.max_velocity_change, graph.island[body], wp.length(solver_body.linear - solver_body.start_linear)
+        )
+    store_terms(team, order, graph, motions, rows)
+    add_terms(team, order, graph, motions)
 
 
 @wp.func

@@ -216,7 +216,8 @@ class JointStages:
         step = self._step
         inputs = [step.pools.order, step.pools.graph, step.motions, step.constraint_rows]
         if self.present:
-            self._per_team(self.kernels.warm_start_with_joints, [*inputs, self.arrays])
+            inputs = [step.pools.constraints, *inputs, self.arrays, step.pools.visits]
+            self._per_team(self.kernels.warm_start_with_joints, inputs)
         else:
             self._per_team(otherwise, inputs)
 
@@ -226,7 +227,7 @@ class JointStages:
         if after_shock == 0:
             self.settle(after_push=0)
         inputs = [step.pools.order, step.pools.graph, step.motions]
-        inputs = [*inputs, step.constraint_rows, self.arrays]
+        inputs = [*inputs, step.constraint_rows, self.arrays, step.pools.visits]
         self._per_team(self.kernels.sweep_with_joints, inputs, [after_shock, step.dt])
 
     def before_shock(self) -> None:
@@ -264,8 +265,8 @@ class JointStages:
         """Separate the contacts of mechanisms."""
         step = self._step
         if self.present:
-            inputs = [step.pools.order, step.pools.graph, step.motions, step.constraint_rows, self.arrays]
-            self._per_team(self.kernels.push_joined, inputs)
+            inputs = [step.pools.order, step.pools.graph, step.motions, step.constraint_rows]
+            self._per_team(self.kernels.push_joined, [*inputs, self.arrays, step.pools.visits])
             self.settle(after_push=1)
 
     def join_courses(self) -> None:

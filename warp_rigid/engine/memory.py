@@ -13,6 +13,7 @@ from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.near_samples import NearSamples, Suspects
 from warp_rigid.kernels.graph import heap_arrays
+from warp_rigid.kernels.joints.arrays import VisitOrder
 from warp_rigid.scene.shapes.triangle_tree import tree_bytes
 
 LARGEST_LIMIT = 2**50
@@ -31,6 +32,7 @@ def pool_bytes(sizes: dict[str, int]) -> int:
         schema.History,
         schema.Graph,
         schema.Order,
+        VisitOrder,
         heap_arrays.Rounds,
         heap_arrays.Rounds,
         heap_arrays.Slots,

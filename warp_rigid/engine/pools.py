@@ -10,6 +10,7 @@ from warp_rigid.engine.layout import Layout
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.near_samples import NearSamples, Suspects
 from warp_rigid.kernels.graph import heap_arrays
+from warp_rigid.kernels.joints.arrays import VisitOrder
 
 NAMES = ("pairs", "contacts")
 """Names of the pools whose capacity users can give."""
@@ -45,6 +46,7 @@ class Pools:
         constraints: all constraints of the step.
         graph: contact graph.
         order: constraints that are solved in sweeps, by colour.
+        visits: those of mechanisms that are solved where the joints hold, turn by turn.
         rounds: pairs of heaps, which are solved in rounds.
         selected: pairs of heaps with an impact, then those with an overlap.
         slots: velocity changes of the bodies of heaps by each of their pairs.
@@ -62,6 +64,7 @@ class Pools:
     constraints: Any
     graph: Any
     order: Any
+    visits: Any
     rounds: Any
     selected: Any
     slots: Any
@@ -84,6 +87,7 @@ class Pools:
             constraints=constraints,
             graph=declare.allocate(schema.Graph, sizes, device),
             order=declare.allocate(schema.Order, sizes, device),
+            visits=declare.allocate(VisitOrder, sizes, device),
             rounds=declare.allocate(heap_arrays.Rounds, sizes, device),
             selected=declare.allocate(heap_arrays.Rounds, sizes, device),
             slots=declare.allocate(heap_arrays.Slots, sizes, device),
@@ -147,7 +151,12 @@ def sizes_for(others: int, pairs: int, contacts: int, layout: dict[str, int]) ->
 def with_constraints(sizes: dict[str, int]) -> dict[str, int]:
     """Sizes of the data layout with those of the lists of constraints."""
     count = sizes["pairs"] + sizes["others"]
-    return {**sizes, "constraints": count, "crowd_pairs": count if sizes["crowd"] > 0 else 0}
+    return {
+        **sizes,
+        "constraints": count,
+        "crowd_pairs": count if sizes["crowd"] > 0 else 0,
+        "visits": count if sizes["joints"] > 0 else 0,
+    }
 
 
 def expected_pairs(dynamic: np.ndarray) -> np.ndarray:
