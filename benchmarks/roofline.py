@@ -512,9 +512,10 @@ def markdown(found: Found) -> str:
         "",
         f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched again "
         f"({c.clusters:,} clusters, {c.samples:,} samples, {c.near + c.close:,} distances); {c.touching:,} touch, in "
-        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} sweeps per contact, "
-        f"{c.unsettled / max(c.contacts, 1):.0%} of the contacts need shock propagation. The simulator's arrays fill "
-        f"{found.working_set / 1e6:,.0f} MB; sweeps visit {visits / 1e9:.3g} G contacts/s.",
+        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} solver "
+        f"sweeps per contact, {c.unsettled / max(c.contacts, 1):.0%} of the contacts need shock propagation. The "
+        f"simulator's arrays fill {found.working_set / 1e6:,.0f} MB; solver sweeps visit {visits / 1e9:.3g} G "
+        "contacts/s.",
         "",
         "| stage | launches | MB | Mflop | floor [µs] | set by | measured [µs] | measured / floor |",
         "|---|---|---|---|---|---|---|---|",

@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import Any
 
+from warp_rigid.checks import shown, suggestion
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes.demo import Demo, Outcome, Verdict
 
@@ -50,7 +51,8 @@ def get(name: str) -> Demo:
         ValueError: There is no such scene.
     """
     if name not in _NAMES:
-        raise ValueError(f"scene: must be one of {', '.join(_NAMES)}, got {name!r}")
+        known = suggestion(name, _NAMES, "warp-rigid scenes")
+        raise ValueError(f"scene: must be a built-in scene, got {shown(name)}{known}")
     return import_module(f"{__name__}.{name}").DEMO
 
 
@@ -63,6 +65,7 @@ def load(name: str, **parameters: Any) -> Scene:
 
     Raises:
         ValueError: There is no such scene or parameter, or a value is out of its range.
+        FileNotFoundError: A value is the path of a file that does not exist.
     """
     demo = get(name)
     for parameter in parameters:

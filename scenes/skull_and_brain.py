@@ -93,6 +93,8 @@ def _own(parameter, path, size):
     try:
         vertices, faces = mesh_files.load(path)
         return Mesh(vertices * (size / np.ptp(vertices, axis=0).max()), faces)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{parameter}: {error}") from None
     except ValueError as error:
         raise ValueError(f"{parameter}: {error}") from None
 

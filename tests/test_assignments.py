@@ -64,8 +64,8 @@ def test_one_value_is_the_scenes_and_a_list_the_environments():
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
-        (["heihgt=3"], "--set heihgt: unknown name; did you mean height?"),
-        (["zzz=3"], "--set zzz: unknown name; known: height, friction, skull, dt"),
+        (["heihgt=3"], "--set heihgt: unknown name; did you mean height? All names: "),
+        (["zzz=3"], "--set zzz: unknown name; all names: height, friction, skull, dt and those in help(Simulator.set)"),
         (["height=3", "height=4"], "--set height: given twice"),
         (["height=3,4"], "--set height: is a scene parameter and takes one value"),
         (["dt=0.01,0.02"], "--set dt: is shared by all environments"),

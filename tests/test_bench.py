@@ -418,7 +418,7 @@ def test_table_fits_and_tells_the_cold_start(capsys, monkeypatch, fake_peer):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["tower:3"], "SCENE: must be one of stack, pile_box"),
+        (["tower:3"], "got 'tower:3'; all names: stack, pile_box, "),
         (["stack"], "SCENE: must be a name and a number of bodies, such as stack:10, got 'stack'"),
         (["stack:0"], "SCENE: bodies of stack: must be a whole number from 1"),
         (["stack:1", "--envs", "1,x"], "--envs: must be whole numbers >= 1"),

@@ -106,7 +106,7 @@ def test_a_spawn_that_is_refused_changes_nothing(sim, pose, message):
 @pytest.mark.parametrize(
     ("attempt", "message"),
     [
-        (lambda sim: sim.get(["position"]), "^name: must be one of"),
+        (lambda sim: sim.get(["position"]), "^name: must be a quantity, got"),
         (lambda sim: sim.watch(5), "^watched: must be a list"),
         (lambda sim: sim.watch(None), "^watched: must be a list"),
         (lambda sim: sim.set("active", [[True], [True, False]]), "^active: must be True or False"),

@@ -189,7 +189,7 @@ def test_lists_run_side_by_side(capsys, scene_file):
         (["run", "box_stack", "--film", "a.gif", "--usd-envs", "x"], "--usd-envs: must be numbers"),
         (["run", "missing.py"], "missing.py: no such file"),
         (["inspect", "missing.obj"], "missing.obj: no such file"),
-        (["inspect", "cube"], "cube: no such file; built-in meshes are bunny, torus, "),
+        (["inspect", "cube"], "cube: no such file and no built-in mesh; all names: bunny, torus, "),
         (
             ["view", str(ROOT / "scenes" / "marble_run.usda")],
             "must be an animation written by export_usd; warp-rigid run",

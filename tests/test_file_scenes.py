@@ -116,7 +116,7 @@ def test_view_and_bench_take_the_file(path, capsys):
         ("def scene(size):\n    pass", "parameter size of scene() must have a default"),
         ("events = 3", "events must be a function, got 3"),
         ("VARIANTS = [1]", "VARIANTS must be a dictionary of settings by name, got [1]"),
-        ("VARIANTS = {'a': {'dt': 1}}", "VARIANTS a must be a dictionary of settings"),
+        ("VARIANTS = {'a': {'dt': 1}}", "VARIANTS a must have names of settings, got 'dt'"),
         ("VARIANTS = {'a': {'sleeping': 2}}", "VARIANTS a: sleeping: must be True or False, got 2"),
         ("DURATION = 0", "DURATION: must be a finite number > 0, got 0"),
     ],

@@ -323,7 +323,7 @@ def test_bad_input_is_rejected_in_one_line(call, text):
 def test_bad_values_are_rejected_and_change_nothing(device):
     sim = simulator(add(wr.RevoluteJoint((1, 0, 0), (-1, 1)))[0], device)
     for name, value, text in (
-        ("joint_position", 1.0, "name: must be one of position, "),
+        ("joint_position", 1.0, "name: must be a quantity that can be set, got 'joint_position'; did you mean "),
         ("joint_lower", 2.0, "joint_lower: the lower limit must be at most the upper one"),
         ("joint_damping", -1.0, "joint_damping: must be finite numbers >= 0"),
         ("joint_target_position", np.inf, "joint_target_position: must be finite numbers"),

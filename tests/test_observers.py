@@ -95,7 +95,10 @@ def status(sim):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"observe": ["speed"]}, "observe: must be functions, .py files, peak_impulse, "),
+        (
+            {"observe": ["speed"]},
+            "observe: must be functions, .py files, names, .* got 'speed'; all names: peak_impulse, ",
+        ),
         ({"observe": ["peak_impulse[a,b,c]"]}, "observe: must be functions"),
         ({"observe": ["peak_impulse[lid]"]}, "peak_impulse\\[lid\\]: no scene has the bodies lid"),
         ({"observe": ["energy", "energy"]}, "observe: energy is given twice"),
@@ -105,7 +108,7 @@ def status(sim):
         ({"observe": [drift]}, "observer drift: is also the name of a metric"),
         ({"observe": [status]}, "observer status: is also the name of a standard column"),
         ({"metrics": [height]}, "metric height: is also the name of a parameter"),
-        ({"metrics": 3}, "metrics: must be functions, .py files or names .* got 3"),
+        ({"metrics": 3}, "metrics: must be functions, .py files or names, got 3"),
         ({"series": 3}, "series: must be functions, .* got 3"),
         ({"workers": 2}, "workers: applies to cluster local only"),
         ({"series": ["position"]}, "series: must be functions"),

@@ -265,12 +265,20 @@ def test_unreadable_files_are_refused_by_name(tmp_path):
     empty.write_text("#usda 1.0\n")
     flat = tmp_path / "flat.obj"
     flat.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    for path in (broken, text, scrap, empty, flat, tmp_path / "missing.stl"):
+    for path in (broken, text, scrap, empty, flat):
         with pytest.raises(ValueError) as refusal:
             Mesh.from_file(path)
         assert str(refusal.value).startswith(f"{path}: ") and "\n" not in str(refusal.value)
     with pytest.raises(ValueError, match="^scale: "):
         Mesh.from_file(flat, scale=0)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".usda"])
+def test_a_missing_file_is_named(tmp_path, suffix):
+    path = tmp_path / f"missing{suffix}"
+    with pytest.raises(FileNotFoundError) as refusal:
+        Mesh.from_file(path)
+    assert str(refusal.value) == f"{path}: no such file"
 
 
 def test_bunny(bunny):

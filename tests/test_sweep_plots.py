@@ -93,8 +93,8 @@ def test_words_are_an_axis_too(tmp_path, figures):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"y": "totl"}, "column: must be one of"),
-        ({"x": "b"}, "column: must be one of"),
+        ({"y": "totl"}, "column: must be a column, got"),
+        ({"x": "b"}, "column: must be a column, got"),
         ({"y": "word"}, "y must be a numeric column"),
         ({"kind": "pie"}, "kind: must be one of"),
         ({"kind": "heatmap"}, "requires two numeric axes"),

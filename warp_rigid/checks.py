@@ -4,6 +4,7 @@ Numbers must also be representable in single precision: 1e39 is rejected here an
 device.
 """
 
+import difflib
 import math
 
 import numpy as np
@@ -14,18 +15,23 @@ __all__ = [
     "finite_number",
     "finite_vector",
     "flags",
+    "listed",
     "number_array",
     "number_in",
     "numbers_of_shape",
     "one_of",
     "shape_of",
     "shown",
+    "suggestion",
     "unit_quaternion",
     "whole_in",
 ]
 
 LARGEST = float(np.finfo(np.float32).max)
 LONGEST = 80
+MOST_LISTED = 8
+"""Maximum number of names of a scene, or of environments, in a message."""
+MOST_SUGGESTED = 3
 
 
 def shown(value):
@@ -180,6 +186,27 @@ def one_of(name, value, choices):
     if not isinstance(value, str) or value not in choices:
         raise ValueError(f"{name}: must be one of {', '.join(choices)}, got {shown(value)}")
     return value
+
+
+def suggestion(value, names, where=""):
+    """Format the end of a message about an unknown name: the names that resemble it, and where all names are.
+
+    Args:
+        value: the unknown name.
+        names: the known names.
+        where: what lists the known names; "" to list them in the message.
+    """
+    near = (
+        difflib.get_close_matches(value, list(dict.fromkeys(names)), MOST_SUGGESTED) if isinstance(value, str) else []
+    )
+    question = f"did you mean {' or '.join(near)}? All" if near else "all"
+    return f"; {question} names: {where or ', '.join(names)}"
+
+
+def listed(entries):
+    """Format the first entries of a list for a message."""
+    more = ", ..." if len(entries) > MOST_LISTED else ""
+    return ", ".join(str(entry) for entry in entries[:MOST_LISTED]) + more
 
 
 def unit_quaternion(name, value):

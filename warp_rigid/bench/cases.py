@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_rigid import scenes
 from warp_rigid.bench.scene_case import SceneCase
-from warp_rigid.checks import one_of, whole_in
+from warp_rigid.checks import shown, suggestion, whole_in
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box
@@ -123,7 +123,12 @@ def find_case(text: str) -> BenchmarkCase | SceneCase:
     if text.endswith(".py") or text in scenes.names():
         return SceneCase(text)
     name, _, count = text.partition(":")
-    one_of("SCENE", name, tuple(SCENES))
+    if name not in SCENES:
+        where = f"{', '.join(SCENES)} and those of warp-rigid scenes"
+        raise ValueError(
+            "SCENE: must be a name and a number of bodies, such as stack:10, a built-in scene or a .py file, got "
+            f"{shown(text)}{suggestion(name, (*SCENES, *scenes.names()), where)}"
+        )
     if not count.isdigit():
         raise ValueError(f"SCENE: must be a name and a number of bodies, such as stack:10, got {text!r}")
     return BenchmarkCase(name, whole_in(f"SCENE: bodies of {name}", int(count), 1, SCENES[name].max_bodies))

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from warp_rigid.checks import suggestion
 from warp_rigid.commands.terminal import check_outputs, console
 from warp_rigid.diagnostics.mesh_report import inspect_mesh, parse_slice, save_slice
 from warp_rigid.scene.shapes import Mesh
@@ -44,8 +45,8 @@ def _find_mesh(name: str, sdf_resolution: int) -> Mesh:
         made: Mesh = getattr(meshes, name)(sdf_resolution=sdf_resolution)
         return made
     if not os.path.isfile(name):
-        known = ", ".join(other for other in vars(meshes) if _is_ready(other))
-        raise FileNotFoundError(f"{name}: no such file; built-in meshes are {known}")
+        known = suggestion(name, [other for other in vars(meshes) if _is_ready(other)])
+        raise FileNotFoundError(f"{name}: no such file and no built-in mesh{known}")
     return Mesh.from_file(name, sdf_resolution=sdf_resolution)
 
 

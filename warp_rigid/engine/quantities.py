@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, brief, flags, numbers_of_shape, shape_of, shown, whole_in
+from warp_rigid.checks import LARGEST, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
 from warp_rigid.engine import field_values, joint_quantities, watching
 from warp_rigid.engine.layout import KINDS, spread_rows
 from warp_rigid.engine.model import mass_arrays
@@ -52,7 +52,8 @@ def read(world: World, name: str) -> np.ndarray:
     """A copy of a quantity; see Simulator.get."""
     if not is_readable(name):
         _refuse_dt(name)
-        raise ValueError(f"name: must be one of {', '.join(readable())}, got {shown(name)}")
+        known = suggestion(name, readable(), "help(Simulator.get)")
+        raise ValueError(f"name: must be a quantity, got {shown(name)}{known}")
     if name in STATE_NAMES:
         return _rows(world, getattr(world.state, name))
     if name in COEFFICIENTS or name == "mass":
@@ -93,7 +94,8 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
     """Change a quantity; see Simulator.set."""
     if name not in writable():
         _refuse_dt(name)
-        raise ValueError(f"name: must be one of {', '.join(writable())}, got {shown(name)}")
+        known = suggestion(name, writable(), "help(Simulator.set)")
+        raise ValueError(f"name: must be a quantity that can be set, got {shown(name)}{known}")
     of_joints = name in joint_quantities.WRITABLE
     if bodies is not None and not is_of_bodies(name):
         owners = "joints" if of_joints else "environments"
@@ -166,7 +168,8 @@ def live_array(world: World, name: str) -> wp.array:
     """The device array of a quantity, without a copy."""
     names = (*STATE_NAMES, *COEFFICIENTS)
     if name not in names:
-        raise ValueError(f"name: must be one of {', '.join(names)}, got {shown(name)}")
+        known = suggestion(name, names)
+        raise ValueError(f"name: must be a quantity that has a device array, got {shown(name)}{known}")
     return _array_of(world, name)
 
 

@@ -5,12 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import shown
+from warp_rigid.checks import listed, shown
 from warp_rigid.engine.layout import LACKING, Layout
 from warp_rigid.scene.scene import Scene
-
-MOST_LISTED = 8
-"""Maximum number of names or environments in an error message."""
 
 
 def env_indices(layout: Layout, envs: Any) -> np.ndarray:
@@ -69,9 +66,7 @@ def _rows(layout: Layout, chosen: np.ndarray, given: Any, name: str, symbol: str
 def _indices_in_scene(layout: Layout, scene: int, given: Any, name: str, symbol: str) -> np.ndarray:
     """Indices within a scene, from indices or names."""
     names = named(given)
-    whose = (
-        "" if len(layout.scenes) == 1 else f" of scene {scene} ({_listed(layout.environments(scene), 'environment')})"
-    )
+    whose = "" if len(layout.scenes) == 1 else f" of scene {scene} ({_environments(layout, scene)})"
     place = names_of(layout.scenes[scene], symbol)
     if not place:
         raise ValueError(f"{name}: there are no {symbol}{whose or ' in the scene'}")
@@ -79,7 +74,7 @@ def _indices_in_scene(layout: Layout, scene: int, given: Any, name: str, symbol:
         return _whole_indices(name, given, len(place), whose)
     for one in names:
         if one not in place:
-            raise ValueError(f"{name}: must be names of {symbol}{whose} ({_listed(list(place))}), got {shown(one)}")
+            raise ValueError(f"{name}: must be names of {symbol}{whose} ({listed(list(place))}), got {shown(one)}")
     _check_distinct(name, names, given)
     return np.array([place[one] for one in names], np.int64)
 
@@ -121,11 +116,10 @@ def _check_distinct(name: str, chosen: Sequence | np.ndarray, value: Any) -> Non
         raise ValueError(f"{name}: must be given once each, got {shown(value)}")
 
 
-def _listed(entries: Sequence | np.ndarray, noun: str = "") -> str:
-    """The first entries as text."""
-    text = ", ".join(str(entry) for entry in entries[:MOST_LISTED])
-    more = ", ..." if len(entries) > MOST_LISTED else ""
-    return f"{noun}{'s' if noun and len(entries) > 1 else ''} {text}{more}".strip()
+def _environments(layout: Layout, scene: int) -> str:
+    """The first environments of a scene as text."""
+    envs = layout.environments(scene)
+    return f"environment{'s' if len(envs) > 1 else ''} {listed(envs)}"
 
 
 def existing(rows: np.ndarray) -> np.ndarray:

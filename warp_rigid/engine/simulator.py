@@ -178,8 +178,12 @@ class Simulator:
 
         Bodies that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
 
-        Quantities of joints are (envs, joints, ...): "joint_position", "joint_velocity", "joint_force" (force [N] and
-        torque [N m] on the first body in the last step, 6 numbers), "joint_broken" and what `set` changes.
+        Quantities are those that `set` changes, and of bodies "inertia", "center_of_mass", "kinetic_energy",
+        "potential_energy", "asleep" and "level", and of joints, (envs, joints, ...), "joint_position", "joint_velocity"
+        and "joint_force" (force [N] and torque [N m] on the first body in the last step, 6 numbers).
+
+        Raises:
+            ValueError: unknown name.
         """
         return quantities.read(self._world, name)
 
@@ -187,9 +191,14 @@ class Simulator:
     def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
-        For quantities of joints it broadcasts to (envs, joints): "joint_target_position", "joint_target_velocity",
-        "joint_stiffness", "joint_damping", "joint_max_force", "joint_friction", "joint_lower", "joint_upper",
-        "joint_break_force", "joint_break_torque", "joint_armature" and "joint_broken".
+        Quantities of bodies are "position", "orientation", "linear_velocity", "angular_velocity", "force", "torque",
+        "active", "friction", "restitution", "rolling_friction", "spinning_friction" and "mass"; those of environments
+        are "gravity" and "collision_iterations", "contact_iterations", "shock_iterations", "shock_propagation",
+        "collision_first", "warm_starting", "edge_samples" and "sleeping"; those of force fields, (envs, fields, ...),
+        are "field_acceleration", "field_center", "field_strength", "field_drag" and "field_velocity".
+        For quantities of joints the value broadcasts to (envs, joints): "joint_target_position",
+        "joint_target_velocity", "joint_stiffness", "joint_damping", "joint_max_force", "joint_friction", "joint_lower",
+        "joint_upper", "joint_break_force", "joint_break_torque", "joint_armature" and "joint_broken".
 
         Args:
             name: the quantity.

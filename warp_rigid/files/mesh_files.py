@@ -19,7 +19,8 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         scale: factor on all coordinates, > 0.
 
     Raises:
-        ValueError: The file does not exist, has an unknown format, is unreadable, or has no triangles.
+        ValueError: The file has an unknown format, is unreadable, or has no triangles.
+        FileNotFoundError: The file does not exist.
     """
     path = Path(path)
     scale = number_in("scale", scale, above=0)
@@ -28,7 +29,7 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         known = " ".join(TRIMESH_SUFFIXES + USD_SUFFIXES)
         raise ValueError(f"{path}: must be a mesh file ({known})")
     if not path.is_file():
-        raise ValueError(f"{path}: no such file")
+        raise FileNotFoundError(f"{path}: no such file")
     try:
         vertices, faces = _load_usd(path) if suffix in USD_SUFFIXES else _load_trimesh(path)
     except Exception as error:  # the exceptions of the parsers are not documented

@@ -5,12 +5,11 @@ environment.
 """
 
 import ast
-import difflib
 import inspect
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from warp_rigid.checks import shown
+from warp_rigid.checks import shown, suggestion
 from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.quantities import STATE_NAMES, VECTOR_LENGTHS, check_vectors
 from warp_rigid.engine.settings import Settings
@@ -26,6 +25,7 @@ PROPERTIES = (*SELECTING, "gravity", *field_values.names())
 value."""
 
 SETTINGS = tuple(f.name for f in fields(Settings))
+SET_NAMES = "help(Simulator.set)"
 
 
 @dataclass
@@ -113,7 +113,8 @@ def assignment_target(name: str, parameters, flag: str = "--set") -> str:
     plain, bracket, _ = name.partition("[")
     if bracket:
         if plain not in SELECTING:
-            raise ValueError(f"{flag} {name}: is not a property of bodies or joints, so it cannot select bodies")
+            known = suggestion(plain, SELECTING, SET_NAMES)
+            raise ValueError(f"{flag} {name}: is not a property of bodies or joints, so it cannot select bodies{known}")
         return "property"
     if name in parameters:
         return "scene"
@@ -121,7 +122,10 @@ def assignment_target(name: str, parameters, flag: str = "--set") -> str:
         return "setting"
     if name in PROPERTIES:
         return "property"
-    raise ValueError(_unknown(name, (*parameters, *SETTINGS, *PROPERTIES), flag))
+    known = suggestion(
+        name, (*parameters, *SETTINGS, *PROPERTIES), f"{', '.join((*parameters, 'dt'))} and those in {SET_NAMES}"
+    )
+    raise ValueError(f"{flag} {name}: unknown name{known}")
 
 
 def sort_assignments(texts, build) -> Assignments:
@@ -183,22 +187,3 @@ def _value(text: str) -> Any:
         return ast.literal_eval(text)
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
         return text
-
-
-def _unknown(name: str, names: tuple[str, ...], flag: str) -> str:
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(_grouped(names))}"
-    return f"{flag} {name}: unknown name{hint}"
-
-
-def _grouped(names: tuple[str, ...]) -> list[str]:
-    """The names without repetition; those of joints and fields as one entry each, joint_{lower, upper ...}."""
-    groups: dict[str, list[str]] = {"joint_": [], "field_": []}
-    others = []
-    for name in dict.fromkeys(names):
-        prefix = next((prefix for prefix in groups if name.startswith(prefix)), None)
-        if prefix:
-            groups[prefix].append(name.removeprefix(prefix))
-        else:
-            others.append(name)
-    return [*others, *(f"{prefix}{{{', '.join(rest)}}}" for prefix, rest in groups.items() if rest)]

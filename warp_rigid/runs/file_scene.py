@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import number_in, shown
+from warp_rigid.checks import number_in, shown, suggestion
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.runs.user_code import errors_of, module_of_file, scene_function
 from warp_rigid.scene.scene import Scene
@@ -194,8 +194,11 @@ def _variants(path: Path, module: ModuleType) -> dict[str, dict[str, Any]]:
 def _settings(path: Path, what: str, changes: Any, dt: bool) -> dict[str, Any]:
     """Checked differences from Settings()."""
     known = [entry.name for entry in fields(Settings) if dt or entry.name in PER_ENVIRONMENT]
-    if not isinstance(changes, dict) or not set(changes) <= set(known):
-        raise ValueError(f"{path}: {what} must be a dictionary of settings ({', '.join(known)}), got {shown(changes)}")
+    if not isinstance(changes, dict):
+        raise ValueError(f"{path}: {what} must be a dictionary of settings, got {shown(changes)}")
+    for name in changes:
+        if name not in known:
+            raise ValueError(f"{path}: {what} must have names of settings, got {shown(name)}{suggestion(name, known)}")
     for name, value in changes.items():
         try:
             if name in PER_ENVIRONMENT:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
+from warp_rigid.checks import listed, shown, suggestion
 from warp_rigid.engine import field_values
 from warp_rigid.engine.health_checks import WARNING_NAMES
 from warp_rigid.engine.quantities import VECTOR_LENGTHS, owner_of
@@ -95,8 +96,8 @@ def find_scene(source: str) -> Demo:
         return _scene_of_robot(Path(source))
     if source not in scenes.names():
         raise ValueError(
-            "scene: must be a USD, MJCF or URDF file, a .py file with a function scene() or one of "
-            f"{', '.join(scenes.names())}; got {source!r}"
+            "scene: must be a USD, MJCF or URDF file, a .py file with a function scene() or a built-in scene, got "
+            f"{shown(source)}{suggestion(source, scenes.names(), 'warp-rigid scenes')}"
         )
     return scenes.get(source)
 
@@ -372,7 +373,7 @@ def selected(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
         found = [index for index, entry in entries if anyone or entry.motion == Motion.DYNAMIC]
     if not found:
         noun = {"bodies": "body", "joints": "joint"}[owner]
-        raise ValueError(f"{name}: selects no {noun}; {owner} are {', '.join(entry.name for _, entry in entries)}")
+        raise ValueError(f"{name}: selects no {noun}; {owner} are {listed([entry.name for _, entry in entries])}")
     return found
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import shown
+from warp_rigid.checks import shown, suggestion
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step_reports import counts_of_environments
 from warp_rigid.runs.user_code import module_of_file
@@ -168,8 +168,8 @@ def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
         elif callable(metric) or (isinstance(metric, str) and metric in (*METRICS, OUTCOME)):
             found.append(metric)
         else:
-            known = ", ".join((*METRICS, OUTCOME))
-            raise ValueError(f"metrics: must be functions, .py files or names ({known}), got {shown(metric)}")
+            known = suggestion(metric, (*METRICS, OUTCOME))
+            raise ValueError(f"metrics: must be functions, .py files or names, got {shown(metric)}{known}")
     names = [metric_name(metric) for metric in found]
     if len(set(names)) < len(names):
         raise ValueError(f"metrics: {max(names, key=names.count)} is given twice")

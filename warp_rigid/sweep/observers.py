@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import shown
-from warp_rigid.engine.quantities import is_readable, owner_of
+from warp_rigid.checks import shown, suggestion
+from warp_rigid.engine.quantities import is_readable, owner_of, readable
 from warp_rigid.engine.selection import names_of
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.user_code import module_of_file
@@ -139,10 +139,9 @@ def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callab
         elif callable(observer) or (isinstance(observer, str) and _is_ready_made(observer)):
             found.append(observer)
         else:
-            known = ", ".join((*WATCHED, *ENERGIES))
             raise ValueError(
-                f"{name}: must be functions, .py files, {known}, or a quantity of a body or joint such as "
-                f"position[box], got {shown(observer)}"
+                f"{name}: must be functions, .py files, names, or a quantity of a body or joint such as "
+                f"position[box], got {shown(observer)}{_suggestion(observer)}"
             )
     names = [observer_name(observer) for observer in found]
     if len(set(names)) < len(names):
@@ -194,6 +193,15 @@ def _is_ready_made(name: str) -> bool:
     if quantity in ENERGIES:
         return count <= 1
     return count == 1 and is_readable(quantity) and owner_of(quantity) in NAMED
+
+
+def _suggestion(observer: Any) -> str:
+    """The end of the message about an observer that is not one; "" if only its bodies or joints are wrong."""
+    ready = (*WATCHED, *ENERGIES)
+    quantity = _quantity(observer) if isinstance(observer, str) else observer
+    if isinstance(quantity, str) and quantity in (*ready, *readable()):
+        return ""
+    return suggestion(quantity, (*ready, *readable()), f"{', '.join(ready)} and those in help(Simulator.get)")
 
 
 def _owner(name: str) -> str:

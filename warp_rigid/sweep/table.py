@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import scenes
-from warp_rigid.checks import shown
+from warp_rigid.checks import shown, suggestion
 from warp_rigid.files.atomic import atomic_file
 from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.batch_run import Batch, replay
@@ -102,7 +102,9 @@ class SweepResult:
             ValueError: The column does not exist.
         """
         if name not in self.names:
-            raise ValueError(f"column: must be one of {', '.join(self.names)}, got {name!r}")
+            raise ValueError(
+                f"column: must be a column, got {shown(name)}{suggestion(name, self.names, 'result.names')}"
+            )
         values = [row.get(name) for row in self.rows]
         if any(isinstance(value, tuple | list) for value in values):
             return _objects(values)

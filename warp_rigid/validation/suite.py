@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from warp_rigid.checks import shown, suggestion
 from warp_rigid.validation import (
     arches,
     articulated,
@@ -52,7 +53,8 @@ def choose(cases: Sequence[ValidationCase], names: Sequence[str]) -> list[Valida
     known = list(dict.fromkeys(case.id for case in cases))
     for name in names:
         if name not in known:
-            raise ValueError(f"--cases: must be names from {', '.join(known)}, got {name}")
+            where = f"{min(known)} to {max(known)}, in docs/validation_table.md"
+            raise ValueError(f"--cases: must be names of cases, got {shown(name)}{suggestion(name, known, where)}")
     return [case for case in cases if case.id in names]
 
 

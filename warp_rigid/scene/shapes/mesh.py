@@ -112,6 +112,7 @@ class Mesh(Shape):
 
         Raises:
             ValueError: The file cannot be read or holds no usable mesh; the message names it.
+            FileNotFoundError: The file does not exist; the message names it.
         """
         vertices, faces = mesh_files.load(path, scale)
         mesh = cls.__new__(cls)
