@@ -74,9 +74,12 @@ def everything() -> tuple[Any, ...]:
     return (import_module(JOINTS), *STEP[:2], *others)
 
 
-def blocks_of_searches(search_block: int) -> dict[str, int]:
-    """Lanes of the blocks of modules that search samples, by name; of the narrow phase they are `search_block`."""
-    return {narrowphase.__name__: search_block, ccd.__name__: team.SMALL_BLOCK}
+def block_of(name: str) -> int:
+    """Lanes of a CUDA block of a module whose kernels are not executed by teams.
+
+    Those that search samples take very different times, and a block ends with its slowest lane.
+    """
+    return team.SMALL_BLOCK if name in (narrowphase.__name__, ccd.__name__) else team.BLOCK
 
 
 @cache
@@ -102,7 +105,6 @@ def load_kernels(
     device: Any,
     modules: Sequence[Any],
     lanes: Sequence[int] = (1,),
-    search_blocks: Sequence[int] = (team.BLOCK, team.SMALL_BLOCK),
     on_module: Callable[[int, int], None] | None = None,
 ) -> None:
     """Compile kernels, or load them from Warp's cache, several modules in parallel, in the given order.
@@ -114,7 +116,6 @@ def load_kernels(
         device: the Warp device.
         modules: modules of `warp_rigid.kernels` to load.
         lanes: sizes of the teams that will process environments.
-        search_blocks: lanes of the blocks that will search for contacts.
         on_module: called after each module with the number of loaded modules and the total.
     """
 
@@ -125,7 +126,7 @@ def load_kernels(
             return sorted({team.block_of(size) for size in lanes})
         if module in HEAPS:
             return [team.BLOCK, team.SMALL_BLOCK]
-        return sorted({blocks_of_searches(block).get(module.__name__, team.BLOCK) for block in search_blocks})
+        return [block_of(module.__name__)]
 
     jobs = [(name, block) for module in modules for name in units_of(module, device) for block in blocks_of(module)]
     with ThreadPoolExecutor(usable_cores()) as pool:

@@ -100,8 +100,7 @@ class Stages:
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
         self.crowded = layout.most_bodies > crowd.CROWDED
         self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
-        self.search = teams.search_teams(layout.has_many_samples)
-        self.blocks = loading.blocks_of_searches(self.search.block)
+        self.search = teams.search_teams(layout.has_many_samples, self.crowded)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.moving = [dt, model.shapes, model.bodies, state, self.motions]
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
@@ -121,7 +120,7 @@ class Stages:
             ((self.joints.kernels,), self.joints.present),
         )
         modules = [module for modules, used in optional if used for module in modules]
-        loading.load_kernels(self.device, modules, [self.lanes], [self.search.block])
+        loading.load_kernels(self.device, modules, [self.lanes])
         with wp.ScopedCapture(self.device, force_module_load=False) as capture:
             self.step()
         self._graph = capture.graph
@@ -536,7 +535,7 @@ class Stages:
         self._launch(kernel, threads, [*before, threads, *inputs], outputs)
 
     def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
-        block = self.blocks.get(kernel.module.name, team.BLOCK)
+        block = loading.block_of(kernel.module.name)
         kernel = loading.kernel_for(kernel, self.device)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 

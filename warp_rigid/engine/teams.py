@@ -56,25 +56,22 @@ class SearchTeams:
     Attributes:
         listing: lanes that list the near samples of a pair.
         choosing: lanes that choose the contacts of a pair.
-        block: lanes of a block of the narrow phase.
     """
 
     listing: int
     choosing: int
-    block: int
 
 
-def search_teams(many_samples: bool) -> SearchTeams:
+def search_teams(many_samples: bool, crowded: bool) -> SearchTeams:
     """The teams for shapes of few or of many samples.
 
-    Of the samples of a box, five are near another box, and two or three touch it, so a few lanes are enough. Pairs of
-    shapes with hundreds of samples take very different times, and a block ends with its slowest pair; so it is small.
-    For few samples it is large: its lanes execute the same instructions at
-    about the same time, and find them in the instruction cache.
+    Of the samples of a box, five are near another box, and two or three touch it, so a few lanes are enough. The pairs
+    of a batch occupy all lanes of a GPU. Those of a single large environment do not, and its slowest pair decides.
 
     Args:
         many_samples: whether a shape has hundreds of samples.
+        crowded: whether an environment has many bodies.
     """
     if many_samples:
-        return SearchTeams(listing=WARP, choosing=8, block=team.SMALL_BLOCK)
-    return SearchTeams(listing=4, choosing=1, block=team.BLOCK)
+        return SearchTeams(listing=WARP, choosing=8)
+    return SearchTeams(listing=4, choosing=4 if crowded else 1)

@@ -13,7 +13,7 @@ from warp_rigid.engine.memory import MemoryLimit, body_bytes, pool_bytes, shape_
 from warp_rigid.engine.model import build_model, initial_environments, initial_state
 from warp_rigid.engine.precision import check_precision
 from warp_rigid.engine.settings import Settings
-from warp_rigid.engine.teams import search_teams, team_lanes
+from warp_rigid.engine.teams import team_lanes
 from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.shapes import Compound, Mesh
 
@@ -70,8 +70,7 @@ class World:
         baking = any(isinstance(body.shape, Mesh | Compound) for body in layout.scene_bodies)
         lanes = team_lanes(device, self.num_envs, layout.most_bodies)
         start = time.perf_counter()
-        search_block = search_teams(layout.has_many_samples).block
-        load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes], [search_block])
+        load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes])
         self.load_seconds = time.perf_counter() - start
         self.model = build_model(layout, device)
         self.state = initial_state(layout, device)

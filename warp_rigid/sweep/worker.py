@@ -12,7 +12,6 @@ import warp as wp
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.engine.loading import OVERLAP, STEP, load_kernels
 from warp_rigid.engine.teams import WARP
-from warp_rigid.kernels.common import team
 from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import free_memory, max_environments
 from warp_rigid.sweep.design import Run
@@ -36,7 +35,7 @@ def begin(number: int, count: int) -> None:
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     wp.config.log_level = wp.LOG_WARNING
     with shared_by(count):
-        load_kernels(wp.get_device(_device(None)), [*STEP, *OVERLAP], [WARP], [team.BLOCK])
+        load_kernels(wp.get_device(_device(None)), [*STEP, *OVERLAP], [WARP])
 
 
 def accept(job: Job) -> tuple[int, int]:
