@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 
 import warp_rigid as wr
 from tests.robot_tools import robot_files
@@ -151,3 +152,35 @@ def test_warnings_of_the_converter_are_findings(converter, tmp_path):
         scene = wr.import_robot(path)
     assert len(scene.bodies) == 1 and scene.import_report.file == str(path)
     assert [str(f) for f in scene.import_report.findings] == ["robot.mjcf: left out: lights are not supported"]
+
+
+ARM = """<robot name="arm"><link name="upper"><inertial><mass value="2"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><mesh filename="package://my_arm/meshes/upper.stl"/></geometry></collision></link></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("place", "listed"),
+    [("my_arm/urdf", None), ("robots", None), ("elsewhere/deep", "."), ("elsewhere/deep", "my_arm")],
+    ids=["around the file", "beside a folder around it", "in a listed folder", "listed itself"],
+)
+def test_meshes_of_packages_are_found(robots, tmp_path, monkeypatch, place, listed):
+    """A box of 0.4 x 0.2 x 0.6 m."""
+    root = tmp_path if listed is None else tmp_path / "work"
+    (root / "my_arm" / "meshes").mkdir(parents=True)
+    trimesh.creation.box((0.4, 0.2, 0.6)).export(root / "my_arm" / "meshes" / "upper.stl")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", "" if listed is None else f"/nowhere:{root / listed}")
+    file = tmp_path / place / "arm.urdf"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(ARM)
+    scene = wr.import_robot(file)
+    (arm,) = (body for body in scene.bodies if body.mass > 0.0)
+    low, high = arm.shape.bounds
+    assert high - low == pytest.approx((0.4, 0.2, 0.6), abs=1e-5)
+
+
+def test_a_package_that_is_not_found_is_reported(robots, tmp_path):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    with pytest.warns(UserWarning, match="left out, see scene.import_report"):
+        scene = wr.import_robot(tmp_path / "arm.urdf")
+    assert any("my_arm" in finding.reason for finding in scene.import_report.findings)

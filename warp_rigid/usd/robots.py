@@ -28,6 +28,9 @@ SECONDS = 300.0
 """Longest time that a conversion may take."""
 MESSAGE = re.compile(r"^\[(Warning|Error)\] (?:\[[^\]]*\] )?(.*)$")
 """A line that a converter prints: its severity, the function that it comes from, and the text."""
+PACKAGE = re.compile(r"""package://([^/"'\s]+)/""")
+"""A package in the address of a mesh, as in package://my_robot/meshes/arm.stl."""
+NOT_FOUND = "package {}, and its meshes: not in the folders around the file, nor in those of ROS_PACKAGE_PATH"
 
 
 def import_robot(
@@ -37,7 +40,8 @@ def import_robot(
 
     The file is converted to USD by `mujoco_usd_converter` or `urdf_usd_converter`, which must be on the search path or
     beside the Python interpreter, and read by `import_usd`. What neither supports is listed in `scene.import_report`,
-    with a warning.
+    with a warning. The package of an address `package://my_robot/meshes/arm.stl` is the folder `my_robot` that contains
+    the file, or that lies in one of the folders around it or in one of the variable ROS_PACKAGE_PATH.
 
     Args:
         path: .xml or .mjcf (MJCF), or .urdf.
@@ -109,7 +113,9 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
         raise ValueError(f"{path}: needs the program {name}: pipx install {package} (or pip, in its own environment)")
     # The variables of this Python environment must not affect the other interpreter's imports.
     surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
-    command = [program, str(path.absolute()), folder]
+    packages = _packages(path)
+    known = [f"--package={name}={place}" for name, place in packages.items() if place]
+    command = [program, str(path.absolute()), folder, *known]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder)
     except subprocess.TimeoutExpired:
@@ -119,7 +125,24 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
     if done.returncode or not list(Path(folder).glob("*.usd*")):
         reasons = [text for severity, text in told if severity == "Error"] or lines[-1:] or ["no message"]
         raise ValueError(f"{path}: {name}: {reasons[0]}")
+    told += [("Warning", NOT_FOUND.format(name)) for name, place in packages.items() if place is None]
     return [ImportFinding(path.name, "left out", text) for text in dict.fromkeys(text for _, text in told)]
+
+
+def _packages(path: Path) -> dict[str, Path | None]:
+    """The packages that a URDF file names, and their folders; None for those that are not found."""
+    if path.suffix.lower() != ".urdf":
+        return {}
+    names = dict.fromkeys(PACKAGE.findall(path.read_text(errors="replace")))
+    return {name: _package_folder(name, path) for name in names}
+
+
+def _package_folder(name: str, path: Path) -> Path | None:
+    """The folder of a package: around a file, nearest first, or on ROS_PACKAGE_PATH; None if it is not found."""
+    listed = filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep))
+    folders = (*path.absolute().parents, *map(Path, listed))
+    candidates = (candidate for folder in folders for candidate in (folder, folder / name))
+    return next((candidate for candidate in candidates if candidate.name == name and candidate.is_dir()), None)
 
 
 def _main_file(path: Path, folder: str) -> Path:
