@@ -5,12 +5,16 @@ no thread is started, and the step is one graph.
 """
 
 import pytest
+import warp as wp
 
 from tests.test_threads import at_once
 from tests.test_trust import bits, heap
 from warp_rigid.engine import batch, step_parts
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
+
+wp.set_module_options({"enable_backward": False})
 
 BOXES = 150
 STEPS = 90
@@ -91,3 +95,48 @@ def test_a_short_part_is_not_shared(on_workers, monkeypatch):
 def test_only_a_single_crowded_environment_has_shared_parts(on_workers):
     assert not shared_parts(on_workers(2, heap(60)))
     assert len(list(on_workers(2, num_envs=2)._world.shards)) == 2
+
+
+@wp.kernel
+def count_visits(sharing: Sharing, visits: wp.array[int]):
+    """Count how often each row is processed."""
+    own = claim(wp.tid(), sharing)
+    rows = rows_of(own, visits.shape[0], sharing)
+    for k in range(rows.first, rows.end, rows.stride):
+        visits[k] += 1
+    finish(own, sharing)
+
+
+@pytest.fixture
+def two_launches():
+    """A recorded shared part of two launches over 1000 rows, and the visits of each."""
+    cpu = wp.get_device("cpu")
+    wp.load_module(device=cpu)
+    parts, visits = step_parts.StepParts(cpu, 3), [wp.zeros(1000, dtype=int, device=cpu) for _ in range(2)]
+    with parts.recorded(), parts.shared():
+        for counts in visits:
+            sharing = parts.sharing(1)
+            wp.launch(count_visits, sharing.count, [sharing], [counts], device=cpu)
+    return parts, [counts.numpy() for counts in visits]
+
+
+def test_every_row_is_processed_once(two_launches):
+    parts, visits = two_launches
+    for turn in range(1, 200):
+        parts.replay()
+        assert (visits[0] == turn).all() and (visits[1] == turn).all()
+
+
+def test_a_worker_does_not_wait_for_ever_for_another_one(two_launches):
+    """The other one has claimed the first chunk: all others are processed, and the next launch after that chunk."""
+    parts, visits = two_launches
+    tickets = parts._tickets
+    opening, shared = parts._parts[:2]
+    opening()
+    tickets.claimed.numpy()[0] = 1
+    wp.capture_launch(shared._graph)
+    left = -(-1000 // (3 * step_parts.CHUNKS_A_WORKER))
+    assert visits[0].tolist() == left * [0] + (1000 - left) * [1] and not visits[1].any() and shared._is_open()
+    tickets.finished.numpy()[0] += 1
+    wp.capture_launch(shared._graph)
+    assert visits[0].sum() == 1000 - left and (visits[1] == 1).all() and not shared._is_open()

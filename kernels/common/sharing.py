@@ -44,7 +44,7 @@ class RowRange:
     stride: int
 
 
-PATIENCE = wp.constant(10000)
+PATIENCE = wp.constant(1000)
 """Attempts after which a worker that waits for others gives up, so that the host can yield its core to them."""
 
 
