@@ -121,8 +121,9 @@ def claim(index: int, sharing: Sharing):
                 return -1
             attempt += 1
             pause()
-    if raise_from(sharing.tickets.claimed, sharing.launch, index):
-        return index
+    if seen(sharing.tickets.claimed, sharing.launch) == index:
+        if raise_from(sharing.tickets.claimed, sharing.launch, index):
+            return index
     return -1
 
 

@@ -20,6 +20,9 @@ from warp_rigid.kernels.common import sharing
 CHUNKS_A_WORKER = 16
 """Chunks of rows per worker; many, because rows take different times."""
 
+MOST_WORKERS = 16
+"""Maximum number of workers; more of them would contend for the chunks of a round."""
+
 WORTH_SHARING = 1.0e-4
 """Duration above which a part is shared [s]: handing it to other threads takes up to half as long."""
 
@@ -64,7 +67,7 @@ class StepParts:
 
     def __init__(self, device: Any, workers: int) -> None:
         """Record nothing yet."""
-        self._device, self._workers = device, 1 if device.is_cuda else workers
+        self._device, self._workers = device, 1 if device.is_cuda else min(workers, MOST_WORKERS)
         self._chunks = 1 if self._workers == 1 else self._workers * CHUNKS_A_WORKER
         self._tickets: Any = declare.allocate(sharing.Tickets, {}, device)
         self._launches = 0
@@ -108,6 +111,7 @@ class StepParts:
 
     def sharing(self, threads: int) -> Any:
         """How the rows of the next launch in a shared part are shared: by so many threads or teams of a GPU."""
+        assert self._device.is_cuda or self._launches < sharing.MOST_LAUNCHES
         made: Any = sharing.Sharing()
         made.count, made.launch = threads if self._device.is_cuda else self._chunks, self._launches
         made.tickets = self._tickets
