@@ -19,7 +19,8 @@ from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.convex_pairs import cut_by_axis, is_apart
 from warp_rigid.kernels.collide.culling import cluster_is_near, sample_is_near
 from warp_rigid.kernels.collide.near_samples import NearSamples
-from warp_rigid.kernels.common.team import ballot, bits_below, broadcast_integer, lowest_bit, sync_warp
+from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
+from warp_rigid.kernels.common.team import ballot, bits_below, broadcast_integer, lowest_bit, sync_warp, take_places
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import smaller_size
 
@@ -83,7 +84,7 @@ def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pa
 @wp.kernel
 def keep_contacts(
     woken: int,
-    threads: int,
+    sharing: Sharing,
     dt: float,
     shapes: Shapes,
     bodies: Bodies,
@@ -98,7 +99,9 @@ def keep_contacts(
     The first round skips dormant pairs, the second one processes those that have been woken since. The order of the
     list is arbitrary, as the pairs are searched independently.
     """
-    for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
+    own = claim(wp.tid(), sharing)
+    rows = rows_of(own, pairs.start[pairs.start.shape[0] - 1], sharing)
+    for pair in range(rows.first, rows.end, rows.stride):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
         dormant = wp.where(pairs.dormant[pair] > 0, 1, 0)
@@ -117,7 +120,8 @@ def keep_contacts(
         ):
             reuse_contacts(pair, last, edges, history, pairs)
         elif not is_apart(pair, last, dt, size, shapes, bodies, state, motions, history, pairs):
-            pairs.candidates[wp.atomic_add(pairs.candidate_count, 0, 1)] = pair
+            pairs.candidates[take_places(pairs.candidate_count, 0, 1)] = pair
+    finish(own, sharing)
 
 
 @wp.func
@@ -129,7 +133,7 @@ def store_batch(pair: int, listed: int, before: int, lane: int, lanes: int, pair
     sync_warp(lanes)
     begin = int(0)
     if lane == 0:
-        begin = wp.atomic_add(near.count, 0, listed)
+        begin = take_places(near.count, 0, listed)
     begin = broadcast_integer(begin, 0, lanes)
     if begin < 0 or begin + listed > near.key.shape[0]:
         return before
@@ -188,7 +192,7 @@ def list_cluster(
 
 @wp.kernel
 def list_near_samples(
-    teams: int,
+    sharing: Sharing,
     lanes: int,
     dt: float,
     shapes: Shapes,
@@ -201,7 +205,9 @@ def list_near_samples(
 ):
     """The teams share the listed pairs: list the samples of both bodies that may touch, in their order."""
     lane = wp.tid() % lanes
-    for k in range(wp.tid() / lanes, pairs.candidate_count[0], teams):
+    own = claim(wp.tid() / lanes, sharing)
+    rows = rows_of(own, pairs.candidate_count[0], sharing)
+    for k in range(rows.first, rows.end, rows.stride):
         pair = pairs.candidates[k]
         size = smaller_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
         edges = envs.edge_samples[bodies.env[pairs.body_a[pair]]]
@@ -227,3 +233,4 @@ def list_near_samples(
             side += 1
         if listing.listed > 0:
             store_batch(pair, listing.listed, listing.batch, lane, lanes, pairs, near)
+    finish(own, sharing)

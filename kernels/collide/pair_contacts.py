@@ -27,6 +27,7 @@ from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, deepest_hidden, way_out
 from warp_rigid.kernels.collide.samples import MUCH_DEEPER, Search, gradient
+from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, Motions, Pairs, Shapes, State
@@ -284,7 +285,7 @@ def choose(
 
 @wp.kernel(module=NARROWPHASE)
 def choose_contacts(
-    teams: int,
+    sharing: Sharing,
     lanes: int,
     dt: float,
     shapes: Shapes,
@@ -297,7 +298,9 @@ def choose_contacts(
 ):
     """The teams share the listed pairs: choose the samples that represent a pair's contact."""
     lane = wp.tid() % lanes
-    for k in range(wp.tid() / lanes, pairs.candidate_count[0], teams):
+    own = claim(wp.tid() / lanes, sharing)
+    rows = rows_of(own, pairs.candidate_count[0], sharing)
+    for k in range(rows.first, rows.end, rows.stride):
         pair = pairs.candidates[k]
         a = pairs.body_a[pair]
         size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
@@ -311,3 +314,4 @@ def choose_contacts(
             pairs.contact_count[pair] = kept
             pairs.searched_orientation[pair] = approach.turn
             pairs.searched_position[pair] = approach.shift
+    finish(own, sharing)

@@ -20,6 +20,7 @@ from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
 from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
 from warp_rigid.kernels.common.capacity import usable_count
+from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -186,7 +187,7 @@ def touching(
 @wp.kernel(module=NARROWPHASE)
 def touch_near_samples(
     which: int,
-    threads: int,
+    sharing: Sharing,
     dt: float,
     shapes: Shapes,
     bodies: Bodies,
@@ -201,8 +202,10 @@ def touch_near_samples(
 
     If there are more than fit, the step is void, and no sample touches.
     """
-    count = usable_count(wp.tid(), which, near.count[0], near.key.shape[0], turn, wanted)
-    for k in range(wp.tid(), count, threads):
+    own = claim(wp.tid(), sharing)
+    count = usable_count(own, which, near.count[0], near.key.shape[0], turn, wanted)
+    rows = rows_of(own, count, sharing)
+    for k in range(rows.first, rows.end, rows.stride):
         pair = near.pair[k]
         side = near.key[k] % 2
         size = smaller_size(pairs.body_a[pair], pairs.body_b[pair], shapes, bodies)
@@ -216,3 +219,4 @@ def touch_near_samples(
         near.normal[k] = touch.normal
         near.gap[k] = touch.gap
         near.closing[k] = touch.closing
+    finish(own, sharing)

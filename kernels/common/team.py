@@ -114,7 +114,7 @@ def any_of_team(flag: int, team: Team):
         atomicAdd(counts.data + index, value);
     }
 #else
-    counts.data[index] += value;
+    __atomic_fetch_add(counts.data + index, value, __ATOMIC_RELAXED);
 #endif
 """)
 def add_together(counts: wp.array[int], index: int, value: int):
@@ -130,7 +130,7 @@ def add_together(counts: wp.array[int], index: int, value: int):
     if (lane == leader) { first = atomicAdd(counts.data + index, __popc(active)); }
     return __shfl_sync(active, first, leader) + __popc(active & ((1u << lane) - 1u));
 #else
-    return counts.data[index]++;
+    return __atomic_fetch_add(counts.data + index, 1, __ATOMIC_RELAXED);
 #endif
 """)
 def next_place(counts: wp.array[int], index: int) -> int:
@@ -138,11 +138,31 @@ def next_place(counts: wp.array[int], index: int) -> int:
     ...
 
 
-@wp.func
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return atomicAdd(counts.data + index, value);
+#else
+    return __atomic_fetch_add(counts.data + index, value, __ATOMIC_RELAXED);
+#endif
+""")
+def take_places(counts: wp.array[int], index: int, value: int) -> int:
+    """Atomic addition, each lane for itself. Returns the count before."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    if (value > values.data[index]) { wp::atomic_max(values.data + index, value); }
+#else
+    float before;
+    __atomic_load(values.data + index, &before, __ATOMIC_RELAXED);
+    while (value > before && !__atomic_compare_exchange(
+        values.data + index, &before, &value, false, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
+#endif
+""")
 def raise_to(index: int, value: float, values: wp.array[float]):
     """Atomic maximum that does not write if the element is large enough already."""
-    if value > values[index]:
-        wp.atomic_max(values, index, value)
+    ...
 
 
 @wp.func_native("""

@@ -9,6 +9,7 @@ from warp_rigid.kernels.collide.near_samples import NARROWPHASE
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER, center_inside
 from warp_rigid.kernels.collide.parting import is_parting
 from warp_rigid.kernels.collide.samples import place_sample
+from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
 from warp_rigid.kernels.common.solver_body import inverse_effective_mass, inverse_inertia_of
 from warp_rigid.kernels.common.tangents import tangent_of, world_vector
 from warp_rigid.kernels.constraints.contact import (
@@ -198,7 +199,7 @@ def build_row(a: int, b: int, touch: Touch, dt: float, size: float, bodies: Bodi
 
 @wp.kernel(module=NARROWPHASE)
 def build_contacts(
-    teams: int,
+    sharing: Sharing,
     lanes: int,
     dt: float,
     shapes: Shapes,
@@ -211,7 +212,9 @@ def build_contacts(
     contacts: Contacts,
 ):
     """The teams share the pairs: build contact rows from the kept samples."""
-    for pair in range(wp.tid() / lanes, pairs.start[pairs.start.shape[0] - 1], teams):
+    own = claim(wp.tid() / lanes, sharing)
+    rows = rows_of(own, pairs.start[pairs.start.shape[0] - 1], sharing)
+    for pair in range(rows.first, rows.end, rows.stride):
         start = pairs.contact_start[pair]
         count = pairs.contact_start[pair + 1] - start
         a = pairs.body_a[pair]
@@ -233,6 +236,7 @@ def build_contacts(
             row = build_row(a, b, touch, dt, size, bodies, motions)
             write_contact(c, with_coefficients(row, a, b, rules, bodies), contacts.rows)
             start_from_history(c, pairs.last[pair], row, envs.warm_starting[env], contacts, history)
+    finish(own, sharing)
 
 
 @wp.func

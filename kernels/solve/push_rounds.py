@@ -8,6 +8,7 @@ by the number of such contacts.
 import warp as wp
 
 from warp_rigid.kernels.common.arithmetic import quotient
+from warp_rigid.kernels.common.sharing import Sharing
 from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity
 from warp_rigid.kernels.common.team import max_of_lanes, raise_to
 from warp_rigid.kernels.constraints.contact import (
@@ -28,6 +29,7 @@ from warp_rigid.kernels.schema import (
     State,
 )
 from warp_rigid.kernels.solve.push_out import ENOUGH, wanted_speed
+from warp_rigid.kernels.solve.round_sharing import first_share, next_share
 from warp_rigid.kernels.solve.rounds import (
     MOST_MOMENTUM,
     Wrench,
@@ -118,30 +120,46 @@ def push_contact_apart(c: int, entry: RoundRecord, beta: float, pair: BodyPair, 
     return wrench
 
 
+@wp.func
+def push_pair_apart(
+    entry: RoundRecord,
+    turn: int,
+    lane: int,
+    lanes: int,
+    slots: Slots,
+    bodies: wp.array[SolverBodyRecord],
+    contacts: Contacts,
+):
+    """Push a pair apart in a round. Returns the bound on the change of a body's pseudo-velocity [m/s]."""
+    pair = velocities_of(entry, 0.0, (turn - 1) % 2, lane, lanes, slots, bodies)
+    beta = momentum(turn, entry.limit, MOST_MOMENTUM)
+    wrench = Wrench()
+    for c in range(entry.begin + lane, entry.end, lanes):
+        wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
+    store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
+    return body_change(max_of_lanes(wrench.change, lanes), entry)
+
+
 @wp.kernel
 def push_round(
     place: int,
-    teams: int,
+    sharing: Sharing,
     rounds: Rounds,
     slots: Slots,
     bodies: wp.array[SolverBodyRecord],
     contacts: Contacts,
 ):
-    """One round, the one at `place` of its group: teams of lanes share the pairs."""
-    turn = rounds.done[0] + place
+    """Teams of lanes share the pairs of a round, the one at `place` of its group; workers on a CPU those of all."""
     lanes = lanes_of_pair()
     lane = wp.tid() % lanes
-    for k in range(wp.tid() / lanes, rounds.count[0], teams):
-        entry = read_round_pair(k, rounds.pairs)
-        if needs_round(entry, turn, rounds):
-            pair = velocities_of(entry, 0.0, (turn - 1) % 2, lane, lanes, slots, bodies)
-            beta = momentum(turn, entry.limit, MOST_MOMENTUM)
-            wrench = Wrench()
-            for c in range(entry.begin + lane, entry.end, lanes):
-                wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
-            store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
-            change = body_change(max_of_lanes(wrench.change, lanes), entry)
-            record_change(entry, turn, change, tolerance(entry.env, rounds), rounds)
+    share = first_share(wp.tid() / lanes, place, sharing, rounds)
+    while share.turn > 0:
+        for k in range(share.first, share.end, share.stride):
+            entry = read_round_pair(k, rounds.pairs)
+            if needs_round(entry, share.turn, rounds):
+                change = push_pair_apart(entry, share.turn, lane, lanes, slots, bodies, contacts)
+                record_change(entry, share.turn, change, tolerance(entry.env, rounds), rounds)
+        share = next_share(sharing, rounds)
 
 
 @wp.kernel

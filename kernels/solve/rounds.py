@@ -19,6 +19,7 @@ depend on the order of the threads. A round reads the slots that the last one wr
 
 import warp as wp
 
+from warp_rigid.kernels.common.sharing import Sharing
 from warp_rigid.kernels.common.solver_body import (
     VELOCITY,
     BodyPair,
@@ -58,6 +59,7 @@ from warp_rigid.kernels.schema import (
     Motions,
     SolverBodyRecord,
 )
+from warp_rigid.kernels.solve.round_sharing import first_share, next_share
 
 wp.set_module_options({"enable_backward": False})
 
@@ -482,33 +484,49 @@ def solve_contact(
     return wrench
 
 
+@wp.func
+def solve_pair(
+    entry: RoundRecord,
+    turn: int,
+    lane: int,
+    lanes: int,
+    slots: Slots,
+    bodies: wp.array[SolverBodyRecord],
+    contacts: Contacts,
+):
+    """Solve the contacts of a pair in a round. Returns the bound on the change of a body's velocity [m/s]."""
+    pair = velocities_of(entry, 1.0, (turn - 1) % 2, lane, lanes, slots, bodies)
+    beta = momentum(turn, entry.limit, MOST_MOMENTUM)
+    wrench = Wrench()
+    for c in range(entry.begin + lane, entry.end, lanes):
+        wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)
+    store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
+    return body_change(max_of_lanes(wrench.change, lanes), entry)
+
+
 @wp.kernel
 def solve_round(
     place: int,
-    teams: int,
+    sharing: Sharing,
     rounds: Rounds,
     slots: Slots,
     bodies: wp.array[SolverBodyRecord],
     contacts: Contacts,
     residual: wp.array[float],
 ):
-    """One round, the one at `place` of its group: teams of lanes share the pairs."""
-    turn = rounds.done[0] + place
+    """Teams of lanes share the pairs of a round, the one at `place` of its group; workers on a CPU those of all."""
     lanes = lanes_of_pair()
     lane = wp.tid() % lanes
-    for k in range(wp.tid() / lanes, rounds.count[0], teams):
-        entry = read_round_pair(k, rounds.pairs)
-        if needs_round(entry, turn, rounds):
-            pair = velocities_of(entry, 1.0, (turn - 1) % 2, lane, lanes, slots, bodies)
-            beta = momentum(turn, entry.limit, MOST_MOMENTUM)
-            wrench = Wrench()
-            for c in range(entry.begin + lane, entry.end, lanes):
-                wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)
-            store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
-            change = body_change(max_of_lanes(wrench.change, lanes), entry)
-            record_change(entry, turn, change, SETTLED, rounds)
-            if change <= SETTLED or turn == entry.limit:
-                raise_to(entry.env, change, residual)
+    share = first_share(wp.tid() / lanes, place, sharing, rounds)
+    while share.turn > 0:
+        for k in range(share.first, share.end, share.stride):
+            entry = read_round_pair(k, rounds.pairs)
+            if needs_round(entry, share.turn, rounds):
+                change = solve_pair(entry, share.turn, lane, lanes, slots, bodies, contacts)
+                record_change(entry, share.turn, change, SETTLED, rounds)
+                if change <= SETTLED or share.turn == entry.limit:
+                    raise_to(entry.env, change, residual)
+        share = next_share(sharing, rounds)
 
 
 @wp.kernel

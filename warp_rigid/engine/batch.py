@@ -102,9 +102,10 @@ class Shards:
         other_bytes: int,
     ) -> None:
         """Create the shards; `choose` must be called next."""
-        self._shards = [Shard(*some, model, state, sleep_state, envs) for some in ranges]
-        self._envs, self._limit, self._other_bytes, self._growth_reported = envs, limit, other_bytes, False
         self._threads, self._attempt = usable_cores(), 0
+        workers = self._threads if len(ranges) == 1 else 1
+        self._shards = [Shard(*some, model, state, sleep_state, envs, workers) for some in ranges]
+        self._envs, self._limit, self._other_bytes, self._growth_reported = envs, limit, other_bytes, False
         self.steps, self.capacity, self.most_wanted = 0, capacity, np.zeros(2, np.int64)
 
     def __iter__(self) -> Iterator[Shard]:

@@ -6,11 +6,10 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.engine import teams
+from warp_rigid.engine.step_parts import StepParts
 from warp_rigid.kernels.common import team
 from warp_rigid.kernels.solve import impact_rounds, push_rounds, rounds
-
-ROUNDS_OF_A_GROUP = 6
-"""Rounds between two decisions on whether more follow."""
+from warp_rigid.kernels.solve.round_sharing import ROUNDS_OF_A_GROUP
 
 
 class HeapStages:
@@ -25,6 +24,7 @@ class HeapStages:
         self.model, self.state, self.envs = stages.model, stages.state, stages.envs
         self.pools, self.motions = stages.pools, stages.motions
         self.dt, self.device, self.shared = stages.dt, stages.device, stages._shared
+        self.parts: StepParts = stages.parts
         self.bodies, self.most_pairs = stages.rows, stages.pools.sizes["constraints"]
 
     def list_pairs(self) -> None:
@@ -78,16 +78,19 @@ class HeapStages:
         self.shared(push_rounds.store_push, self.bodies, [], [pushed, pools.slots], [self.motions])
 
     def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
-        """Launch rounds in groups, until no environment needs another one."""
-        cuda = self.device.is_cuda
-        lanes = rounds.LANES if cuda else 1
-        count = min(self.most_pairs, teams.most_lanes(self.device) // lanes) if cuda else 1
-        block = team.SMALL_BLOCK if cuda else 1
+        """Execute rounds until no environment needs another one: in groups of launches on a GPU, in one on a CPU."""
+        read = [some, self.pools.slots, self.motions.solver_bodies]
+        if not self.device.is_cuda:
+            with self.parts.shared(some.again):
+                wp.launch(kernel, 1, [0, self.parts.sharing(1), *read], changed, device=self.device)
+            return
+        count = min(self.most_pairs, teams.most_lanes(self.device) // rounds.LANES)
+        sharing, dim = self.parts.sharing(count), count * rounds.LANES
 
         def group() -> None:
             for place in range(1, ROUNDS_OF_A_GROUP + 1):
-                inputs = [place, count, some, self.pools.slots, self.motions.solver_bodies]
-                wp.launch(kernel, count * lanes, inputs, changed, block_dim=block, device=self.device)
+                inputs = [place, sharing, *read]
+                wp.launch(kernel, dim, inputs, changed, block_dim=team.SMALL_BLOCK, device=self.device)
             wp.launch(rounds.close_rounds, dim=1, inputs=[ROUNDS_OF_A_GROUP], outputs=[some], device=self.device)
 
         wp.capture_while(some.again, group)

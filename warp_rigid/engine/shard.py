@@ -46,6 +46,7 @@ class Shard:
         state: state of all environments.
         sleep_state: sleep state of all environments.
         envs: settings of all environments.
+        workers: threads that execute its steps on a CPU, where it has many bodies.
 
     Attributes:
         first: as given.
@@ -65,12 +66,20 @@ class Shard:
     _chosen: tuple[float, int, bool] | None = None
 
     def __init__(
-        self, first: int, end: int, sizes: dict[str, int], model: Model, state: Any, sleep_state: Any, envs: Any
+        self,
+        first: int,
+        end: int,
+        sizes: dict[str, int],
+        model: Model,
+        state: Any,
+        sleep_state: Any,
+        envs: Any,
+        workers: int,
     ) -> None:
         """Allocate the arrays; `choose` must be called next."""
         self.first, self.end = first, end
         ranges = model.layout.ranges(first, end)
-        self.num_envs = end - first
+        self.num_envs, self._workers = end - first, workers
         self.first_body, self.end_body = ranges["bodies"]
         self._model = model.part(first, end)
         self.layout = self._model.layout
@@ -118,7 +127,7 @@ class Shard:
 
     def _record(self, dt: float, repetitions: int, sleeping: bool, pools: Pools) -> None:
         arrays = (self._model, self._state, self._sleep_state, self._envs, pools)
-        stages = Stages(*arrays, dt, repetitions, sleeping, self.watches)
+        stages = Stages(*arrays, dt, repetitions, sleeping, self.watches, self._workers)
         kept = self._kept_arrays(pools, sleeping)
         with wp.ScopedCapture(self._device, force_module_load=False) as capture:
             for array, saved in kept:

@@ -53,7 +53,8 @@ class Simulator:
         num_envs: number of environments of each scene. With n scenes, environment e has scene e modulo n.
         settings: initial settings of all environments; `set` changes them per environment.
         device: a Warp device or its name. None selects the first CUDA device, or else the CPU, and logs which. On a CPU
-            the environments are distributed over all cores that the process may use.
+            the environments are distributed over all cores that the process may use; a single environment of more than
+            128 bodies uses all of them.
         seed: stored for scenes and metrics that draw random numbers; the simulation itself draws none.
         on_overflow: what happens when a step finds more pairs or contacts than the capacity. "grow" undoes the step,
             increases the capacity and repeats the step, with the same bits as with that capacity from the start.

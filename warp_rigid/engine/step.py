@@ -15,6 +15,7 @@ from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
+from warp_rigid.engine.step_parts import StepParts
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
 from warp_rigid.kernels.common import capacity, crowd, team
@@ -75,6 +76,7 @@ class Stages:
         repetitions: largest number of shock iterations in any environment.
         sleeping: whether sleeping is enabled in any environment.
         watches: what is recorded in every step; None for nothing.
+        workers: threads that share the rows of a crowded environment on a CPU.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class Stages:
         repetitions: int,
         sleeping: bool,
         watches: Any = None,
+        workers: int = 1,
     ) -> None:
         """Record the step; `load_kernels` must have been called for `STEP`."""
         self.model, self.state, self.sleep_state, self.envs, self.pools = model, state, sleep_state, envs, pools
@@ -109,6 +112,7 @@ class Stages:
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
+        self.parts = StepParts(self.device, workers if self.crowded else 1)
         self.joints = JointStages(self)
         self.heaps = HeapStages(self)
         optional = (
@@ -121,13 +125,12 @@ class Stages:
         )
         modules = [module for modules, used in optional if used for module in modules]
         loading.load_kernels(self.device, modules, [self.lanes])
-        with wp.ScopedCapture(self.device, force_module_load=False) as capture:
+        with self.parts.recorded():
             self.step()
-        self._graph = capture.graph
 
     def replay(self) -> None:
         """Execute one step."""
-        wp.capture_launch(self._graph)
+        self.parts.replay()
 
     def step(self) -> None:
         """Execute one step of the method (Guendelman et al. 2003, section 4), with the extensions of each stage."""
@@ -218,8 +221,9 @@ class Stages:
             self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
             self._search_contacts(woken=1)
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
-        inputs = [*self.moving, self.envs, pairs, self.pools.history]
-        self._share_pairs(build_contacts.build_contacts, teams.BUILD_LANES, inputs, [contacts])
+        size, inputs = self.pools.sizes["pairs"], [*self.moving, self.envs, pairs, self.pools.history]
+        with self.parts.shared():
+            self._divide(build_contacts.build_contacts, size, inputs, [contacts], lanes=teams.BUILD_LANES)
         self._list_constraints()
 
     @stage
@@ -435,16 +439,22 @@ class Stages:
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
         self._launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
-    def _share_pairs(self, kernel: Any, lanes: int, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose teams share the pairs."""
-        self._share(kernel, self.pools.sizes["pairs"], lanes, [], inputs, outputs)
-
     def _share(self, kernel: Any, size: int, lanes: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose teams share `size` rows; on a GPU, a team has the given number of lanes."""
         count = min(size, teams.most_lanes(self.device) // lanes) if self.device.is_cuda else 1
         lanes = lanes if self.device.is_cuda else 1
         inputs = [*before, count, lanes, *inputs]
         self._launch(kernel, count * lanes, inputs, outputs)
+
+    def _divide(
+        self, kernel: Any, size: int, inputs: list, outputs: list, before: Sequence = (), lanes: int | None = None
+    ) -> None:
+        """Launch a kernel in a shared part (step_parts.py): its threads, or its teams of lanes, share `size` rows."""
+        cuda = self.device.is_cuda
+        width = lanes if lanes and cuda else 1
+        sharing = self.parts.sharing(min(size, teams.most_lanes(self.device) // width) if cuda else 1)
+        own = [width] if lanes else []
+        self._launch(kernel, sharing.count * width, [*before, sharing, *own, *inputs], outputs)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         self._launch(kernel, self.num_envs, inputs, outputs)
@@ -517,11 +527,14 @@ class Stages:
         searched = [*self.moving, self.envs]
         pairs.candidate_count.zero_()
         near.count.zero_()
-        self._shared(narrowphase.keep_contacts, pools.sizes["pairs"], [woken], [*searched, pools.history], [pairs])
-        self._share_pairs(narrowphase.list_near_samples, self.search.listing, searched, [pairs, near])
-        inputs, outputs = [*self.moving, pairs, pools.turn], [near, pools.wanted]
-        self._shared(touches.touch_near_samples, pools.sizes["near_samples"], [NEAR_SAMPLES], inputs, outputs)
-        self._share_pairs(pair_contacts.choose_contacts, self.search.choosing, [*searched, near], [pairs])
+        size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.search.listing
+        with self.parts.shared():
+            self._divide(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs], before=[woken])
+            self._divide(narrowphase.list_near_samples, size, searched, [pairs, near], lanes=listing)
+            inputs, outputs = [*self.moving, pairs, pools.turn], [near, pools.wanted]
+            self._divide(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
+            chosen = pair_contacts.choose_contacts
+            self._divide(chosen, size, [*searched, near], [pairs], lanes=self.search.choosing)
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
