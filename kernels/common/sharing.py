@@ -109,10 +109,10 @@ def announce(counts: wp.array[int], index: int):
 def claim(index: int, sharing: Sharing):
     """Claim a chunk of the launch, once the launch before is finished. Returns its index, -1 if it is not claimed.
 
-    On a GPU every index is claimed. A worker that has waited in vain for the launch before claims no chunk, and the
-    host launches again.
+    On a GPU every index is claimed, and so is the only chunk of a single worker. A worker that has waited in vain for
+    the launch before claims no chunk, and the host launches again.
     """
-    if on_gpu() == 1:
+    if on_gpu() == 1 or sharing.count == 1:
         return index
     if sharing.launch > 0:
         attempt = int(0)
@@ -141,5 +141,5 @@ def rows_of(own: int, count: int, sharing: Sharing):
 @wp.func
 def finish(own: int, sharing: Sharing):
     """Finish the rows of a claimed index; later launches see what was written."""
-    if own >= 0 and on_gpu() == 0:
+    if own >= 0 and on_gpu() == 0 and sharing.count > 1:
         announce(sharing.tickets.finished, sharing.launch)

@@ -97,7 +97,7 @@ class StepParts:
             again: is 1 until all work is done; without it, each launch is executed once.
         """
         self._launches = 0
-        if not self._device.is_cuda:
+        if self._workers > 1 or (again is not None and not self._device.is_cuda):
             self._tickets.claimed.zero_()
             self._tickets.finished.zero_()
         if self._workers == 1 or not self._recording:
