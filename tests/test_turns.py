@@ -94,3 +94,18 @@ def test_more_pairs_than_marked_turns_follow_one_another(device):
     assert len(turns_of(shard.stages)) >= 400
     assert sim.penetration()[0] < 2e-4
     assert np.abs(sim.get("linear_velocity")[0]).max() < 1e-4
+
+
+def test_a_heap_of_mechanisms_ends_with_the_same_bits_alone_and_in_a_batch(device):
+    """The turns, and the line searches, depend neither on the order of threads nor on the place in a batch."""
+    scene = scenes.load("ragdolls", dolls=6)
+    ends = []
+    for count in (1, 1, 3):
+        sim = wr.Simulator(scene, num_envs=count, device=device)
+        sim.step(300)
+        assert sim.contacts().size > 0
+        ends += [
+            b"".join(sim.get(name)[env].tobytes() for name in ("position", "linear_velocity", "joint_force"))
+            for env in range(count)
+        ]
+    assert len(set(ends)) == 1
