@@ -30,7 +30,7 @@ MESSAGE = re.compile(r"^\[(Warning|Error)\] (?:\[[^\]]*\] )?(.*)$")
 """A line that a converter prints: its severity, the function that it comes from, and the text."""
 PACKAGE = re.compile(r"""package://([^/"'\s]+)/""")
 """A package in the address of a mesh, as in package://my_robot/meshes/arm.stl."""
-NOT_FOUND = "package {}, and its meshes: not in the folders around the file, nor in those of ROS_PACKAGE_PATH"
+NOT_FOUND = "package {} is neither around the file nor in ROS_PACKAGE_PATH: its meshes are missing"
 
 
 def import_robot(
@@ -41,7 +41,7 @@ def import_robot(
     The file is converted to USD by `mujoco_usd_converter` or `urdf_usd_converter`, which must be on the search path or
     beside the Python interpreter, and read by `import_usd`. What neither supports is listed in `scene.import_report`,
     with a warning. The package of an address `package://my_robot/meshes/arm.stl` is the folder `my_robot` that contains
-    the file, or that lies in one of the folders around it or in one of the variable ROS_PACKAGE_PATH.
+    the file, or that lies in a folder around it, or in a folder of the environment variable ROS_PACKAGE_PATH.
 
     Args:
         path: .xml or .mjcf (MJCF), or .urdf.
