@@ -56,9 +56,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 FEWEST_TURNS = wp.constant(16)
 MOST_TURNS = wp.constant(32)
 """Rounds of impacts. In a round, the impacts of the previous one reach the next body of a chain, so there are as many
-rounds as bodies. A body in a hollow one, which lands, is hit several times. The rounds end when no body is hit."""
-MOST_TURNS_IN_CROWDS = wp.constant(8)
-"""The most rounds in crowded environments, where heaps land."""
+rounds as bodies. A body in a hollow one, which lands, is hit several times. The rounds end when no body is hit: a heap
+of 4096 boxes that lands takes 9 on average, and sometimes more than the maximum. With 8 at most, its boxes overlap by
+48 mm instead of 20 mm, of 200 mm."""
 
 SETTLED = wp.constant(0.25)
 """Fraction of the allowed depth by which a pair may get deeper without being traced again.

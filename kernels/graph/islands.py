@@ -33,8 +33,9 @@ sweeps, shock propagation is tried again after as many steps."""
 TRIAL_INTERVAL = wp.constant(64)
 """Steps between two trials of shock propagation in a large heap that rounds do not solve."""
 
-LARGE = wp.constant(64)
-"""Bodies of the smallest heap in which shock propagation is tried again."""
+LARGE, HUGE = wp.constant(64), wp.constant(1024)
+"""Bodies of the smallest and of the largest heap in which shock propagation is tried again. A single team of lanes
+executes a trial, which takes it seconds for 100 000 bodies."""
 
 LANDED = wp.constant(1024)
 """Ineffective steps from which an island is solved in rounds. Only bodies that have landed after a free flight count so
@@ -201,8 +202,8 @@ def is_trial(steps: int, island: int, solver: int, graph: Graph):
     """Whether shock propagation is tried in an island after a number of ineffective steps."""
     if solver == IslandSolver.SWEEPS:
         return steps % PATIENCE == 0
-    calm = graph.island_speed[island] < CALM
-    return calm and graph.island_bodies[island] >= LARGE and steps % TRIAL_INTERVAL == 0
+    count = graph.island_bodies[island]
+    return graph.island_speed[island] < CALM and LARGE <= count and count <= HUGE and steps % TRIAL_INTERVAL == 0
 
 
 @wp.func

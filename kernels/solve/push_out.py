@@ -175,7 +175,7 @@ def push_pair(entry: OrderRecord, freeze: int, motions: Motions, rows: Rows):
 @wp.kernel
 def find_overlaps(
     dt: float,
-    lanes: int,
+    threads: int,
     shapes: Shapes,
     bodies: Bodies,
     state: State,
@@ -185,24 +185,17 @@ def find_overlaps(
     graph: Graph,
     rows: Rows,
 ):
-    """One team per environment: the separation speed that each contact requires, and whether any is not 0."""
-    team = team_of(wp.tid(), lanes)
-    env = team.env
-    if graph.swept[env] == 0:
-        if team.lane == 0:
-            graph.overlapping[env] = 0
-        return
-    begin = pairs.contact_start[pairs.start[envs.first_body[env]]]
-    end = pairs.contact_start[pairs.start[envs.first_body[env + 1]]]
-    found = int(0)
-    for c in range(begin + team.lane, end, lanes):
-        target = wanted_speed(c, dt, shapes, bodies, state, pairs, motions, rows.contacts)
-        set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, rows.contacts)
-        if target > 0.0 and envs.contact_iterations[env] > 0:
-            found = 1
-    found = any_of_team(found, team)
-    if team.lane == 0:
-        graph.overlapping[env] = found
+    """The threads share the contacts: the separation speed that each requires, and the environments that need push-out.
+
+    Environments that consist of heaps only are left out (push_rounds.py).
+    """
+    for c in range(wp.tid(), pairs.contact_start[pairs.start[pairs.start.shape[0] - 1]], threads):
+        env = bodies.env[pairs.body_a[rows.contacts.pair[c]]]
+        if graph.swept[env] == 1:
+            target = wanted_speed(c, dt, shapes, bodies, state, pairs, motions, rows.contacts)
+            set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, rows.contacts)
+            if target > 0.0 and envs.contact_iterations[env] > 0 and graph.overlapping[env] == 0:
+                graph.overlapping[env] = 1
 
 
 @wp.func

@@ -10,7 +10,7 @@ import warp as wp
 from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.common.sharing import Sharing
 from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity
-from warp_rigid.kernels.common.team import max_of_lanes, raise_to
+from warp_rigid.kernels.common.team import raise_to
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     contact_velocity,
@@ -33,10 +33,12 @@ from warp_rigid.kernels.solve.round_sharing import first_share, next_share
 from warp_rigid.kernels.solve.rounds import (
     MOST_MOMENTUM,
     Wrench,
-    body_change,
     change_of,
+    changes_of,
     clear_slots,
     count_rounds,
+    is_stirred,
+    keep_changes,
     lanes_of_pair,
     list_round_pair,
     momentum,
@@ -117,6 +119,7 @@ def push_contact_apart(c: int, entry: RoundRecord, beta: float, pair: BodyPair, 
         write_impulse(contacts.impulses, c, IMPACT_IMPULSE, wp.vec3(ahead, new, 0.0), target)
         wrench = with_impulse_of(row, wp.vec3(ahead, 0.0, 0.0), wrench)
         wrench.change = wp.max(wrench.change, k * wp.abs(new - stored[0]))
+        wrench.stirring = wp.max(wrench.stirring, k * wp.abs(ahead - stored[0]))
     return wrench
 
 
@@ -130,14 +133,14 @@ def push_pair_apart(
     bodies: wp.array[SolverBodyRecord],
     contacts: Contacts,
 ):
-    """Push a pair apart in a round. Returns the bound on the change of a body's pseudo-velocity [m/s]."""
+    """Push a pair apart in a round. Returns what `changes_of` does, for pseudo-velocities."""
     pair = velocities_of(entry, 0.0, (turn - 1) % 2, lane, lanes, slots, bodies)
     beta = momentum(turn, entry.limit, MOST_MOMENTUM)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
     store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
-    return body_change(max_of_lanes(wrench.change, lanes), entry)
+    return changes_of(wrench, lanes, entry)
 
 
 @wp.kernel
@@ -157,8 +160,11 @@ def push_round(
         for k in range(share.first, share.end, share.stride):
             entry = read_round_pair(k, rounds.pairs)
             if needs_round(entry, share.turn, rounds):
-                change = push_pair_apart(entry, share.turn, lane, lanes, slots, bodies, contacts)
-                record_change(entry, share.turn, change, tolerance(entry.env, rounds), rounds)
+                if is_stirred(entry, share.turn, rounds):
+                    changes = push_pair_apart(entry, share.turn, lane, lanes, slots, bodies, contacts)
+                    record_change(k, entry, share.turn, changes, tolerance(entry.env, rounds), rounds)
+                else:
+                    keep_changes(k, entry, share.turn, lane, lanes, rounds, slots)
         share = next_share(sharing, rounds)
 
 

@@ -80,6 +80,10 @@ LANES = wp.constant(4)
 SETTLED = wp.constant(1.0e-5)
 """Rounds end when no contact changes the velocity of a body by more than this [m/s]."""
 
+NOTICEABLE = wp.constant(0.25)
+"""A pair is solved again if the last round changed the velocity of one of its bodies by more than this share of the
+change at which rounds end. So a box that slides on a heap at rest costs little more than its neighbourhood."""
+
 
 @wp.func
 def momentum(turn: int, limit: int, most: float):
@@ -203,13 +207,14 @@ class Wrench:
     """Impulse of a pair on its first body [N s], and its moments about both centres of mass [N m s].
 
     On the second body, all act in the opposite direction. `change` is the largest change of a relative velocity by a
-    row [m/s].
+    row, and `stirring` the largest one with the extrapolation of its impulse [m/s].
     """
 
     impulse: wp.vec3
     moment_a: wp.vec3
     moment_b: wp.vec3
     change: float
+    stirring: float
 
 
 @wp.func
@@ -291,9 +296,33 @@ def needs_round(entry: RoundRecord, turn: int, rounds: Rounds):
 
 
 @wp.func
-def record_change(entry: RoundRecord, turn: int, change: float, tolerance: float, rounds: Rounds):
-    """Record that a round changed a velocity by more than the tolerance, and whether another round is needed."""
-    if change > tolerance:
+def is_stirred(entry: RoundRecord, turn: int, rounds: Rounds):
+    """Whether a pair must be solved in a round: the last one changed the velocity of one of its bodies noticeably."""
+    last = turn - 1
+    return last == 0 or rounds.stirred[entry.body_a, last % 2] == last or rounds.stirred[entry.body_b, last % 2] == last
+
+
+@wp.func
+def keep_changes(k: int, entry: RoundRecord, turn: int, lane: int, lanes: int, rounds: Rounds, slots: Slots):
+    """A pair that is not solved in a round: copy its velocity changes to the buffer of the round, if it has others."""
+    if rounds.visited[k] == turn - 1:
+        for part in range(lane, 4, lanes):
+            slot = wp.where(part < 2, entry.slot_a, entry.slot_b)
+            if slot >= 0:
+                change = change_of(slot, slot + 1, part % 2, (turn - 1) % 2, slots)
+                store_change(slot, part % 2, turn % 2, change, slots)
+
+
+@wp.func
+def record_change(k: int, entry: RoundRecord, turn: int, changes: wp.vec2, tolerance: float, rounds: Rounds):
+    """Record that a pair was solved, what changed (`changes_of`), and whether another round is needed."""
+    rounds.visited[k] = turn
+    if wp.max(changes) > NOTICEABLE * tolerance:
+        if entry.slot_a >= 0:
+            rounds.stirred[entry.body_a, turn % 2] = turn
+        if entry.slot_b >= 0:
+            rounds.stirred[entry.body_b, turn % 2] = turn
+    if changes[0] > tolerance:
         if rounds.last_change[entry.env] != turn:
             rounds.last_change[entry.env] = turn
         if turn < entry.limit and rounds.latest[0] != turn:
@@ -326,12 +355,21 @@ def body_change(change: float, entry: RoundRecord):
     return change / float(wp.where(sharing > 0, sharing, wp.max(entry.sharing_a, entry.sharing_b)))
 
 
+@wp.func
+def changes_of(wrench: Wrench, lanes: int, entry: RoundRecord):
+    """Bounds on the change of a body's velocity by a team: by its solution, and with the extrapolation of it [m/s]."""
+    change = body_change(max_of_lanes(wrench.change, lanes), entry)
+    return wp.vec2(change, body_change(max_of_lanes(wrench.stirring, lanes), entry))
+
+
 @wp.kernel
 def open_rounds(done: int, threads: int, rounds: Rounds):
     """The threads share the bodies and environments: no pairs, and `done` more rounds; 0: from 0."""
     tid = wp.tid()
     for b in range(tid, rounds.sharing.shape[0], threads):
         rounds.sharing[b] = 0
+        rounds.stirred[b, 0] = 0
+        rounds.stirred[b, 1] = 0
     for env in range(tid, rounds.last_change.shape[0], threads):
         rounds.last_change[env] = 0
         rounds.largest_target[env] = 0.0
@@ -472,8 +510,10 @@ def solve_contact(
     old = impulse_of(c, IMPULSE, contacts)
     before = impulse_of(c, START_IMPULSE, contacts)
     new = next_impulse(old, share_a, share_b, row, pair)
-    wrench = with_impulse_of(row, extrapolated(c, IMPULSE, before, new, beta, contacts), wrench)
+    ahead = extrapolated(c, IMPULSE, before, new, beta, contacts)
+    wrench = with_impulse_of(row, ahead, wrench)
     wrench.change = wp.max(wrench.change, velocity_change(new - old, share_a, share_b, row))
+    wrench.stirring = wp.max(wrench.stirring, velocity_change(ahead - old, share_a, share_b, row))
     if entry.rolls == 1:
         gained = world_vector(row.normal, row.tangent, new - old)
         copies = with_impulse(row.arm_a, row.arm_b, gained, with_split_masses(entry, pair, bodies))
@@ -494,14 +534,14 @@ def solve_pair(
     bodies: wp.array[SolverBodyRecord],
     contacts: Contacts,
 ):
-    """Solve the contacts of a pair in a round. Returns the bound on the change of a body's velocity [m/s]."""
+    """Solve the contacts of a pair in a round. Returns what `changes_of` does."""
     pair = velocities_of(entry, 1.0, (turn - 1) % 2, lane, lanes, slots, bodies)
     beta = momentum(turn, entry.limit, MOST_MOMENTUM)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)
     store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
-    return body_change(max_of_lanes(wrench.change, lanes), entry)
+    return changes_of(wrench, lanes, entry)
 
 
 @wp.kernel
@@ -522,10 +562,13 @@ def solve_round(
         for k in range(share.first, share.end, share.stride):
             entry = read_round_pair(k, rounds.pairs)
             if needs_round(entry, share.turn, rounds):
-                change = solve_pair(entry, share.turn, lane, lanes, slots, bodies, contacts)
-                record_change(entry, share.turn, change, SETTLED, rounds)
-                if change <= SETTLED or share.turn == entry.limit:
-                    raise_to(entry.env, change, residual)
+                if is_stirred(entry, share.turn, rounds):
+                    changes = solve_pair(entry, share.turn, lane, lanes, slots, bodies, contacts)
+                    record_change(k, entry, share.turn, changes, SETTLED, rounds)
+                    if changes[0] <= SETTLED or share.turn == entry.limit:
+                        raise_to(entry.env, changes[0], residual)
+                else:
+                    keep_changes(k, entry, share.turn, lane, lanes, rounds, slots)
         share = next_share(sharing, rounds)
 
 

@@ -13,7 +13,6 @@ from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import ccd
-from warp_rigid.kernels.common import crowd
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -149,8 +148,7 @@ def impact_rounds(scene: Scene) -> int:
     """Rounds of continuous collision detection in an environment."""
     mechanisms = joints.mechanisms_of(scene).members
     alone = sum(body.motion == Motion.DYNAMIC for body in scene.bodies) - sum(map(len, mechanisms))
-    most = ccd.MOST_TURNS_IN_CROWDS if len(scene.bodies) > crowd.CROWDED else ccd.MOST_TURNS
-    return min(max(alone + ccd.TURNS_OF_A_MECHANISM * len(mechanisms), ccd.FEWEST_TURNS), most)
+    return min(max(alone + ccd.TURNS_OF_A_MECHANISM * len(mechanisms), ccd.FEWEST_TURNS), ccd.MOST_TURNS)
 
 
 def _out_of_bounds(scene: Scene) -> OutOfBounds:

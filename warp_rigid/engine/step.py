@@ -315,11 +315,10 @@ class Stages:
     def push_out(self) -> None:
         """Push-out: separate remaining overlaps without adding velocity."""
         model, pools = self.model, self.pools
-        self._per_team(
-            push_out.find_overlaps,
-            [self.dt, self.lanes, model.shapes, model.bodies, self.state, self.envs, pools.pairs],
-            [self.motions, pools.graph, self.constraint_rows],
-        )
+        inputs = [model.shapes, model.bodies, self.state, self.envs, pools.pairs]
+        changed = [self.motions, pools.graph, self.constraint_rows]
+        block = team.block_of(self.lanes)
+        self._shared(push_out.find_overlaps, pools.sizes["contacts"], [self.dt], inputs, changed, block)
         self._color_by_color(push_out.push_apart)
         if self.crowded:
             self.heaps.push_out()
@@ -542,13 +541,15 @@ class Stages:
         inputs = [grid.room, grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
         self._share(broadphase.list_pairs_of_bodies, self.rows, grid.lanes, [write], inputs, [self.pools.pairs])
 
-    def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
+    def _shared(
+        self, kernel: Any, size: int, before: list, inputs: list, outputs: list, block: int | None = None
+    ) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
         threads = min(size, teams.most_lanes(self.device)) if self.device.is_cuda else 1
-        self._launch(kernel, threads, [*before, threads, *inputs], outputs)
+        self._launch(kernel, threads, [*before, threads, *inputs], outputs, block)
 
-    def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
-        block = loading.block_of(kernel.module.name)
+    def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list, block: int | None = None) -> None:
+        block = block or loading.block_of(kernel.module.name)
         kernel = loading.kernel_for(kernel, self.device)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
