@@ -35,7 +35,6 @@ Rounds = layout(
     count=Field(int, "1", "", "number of pairs"),
     sharing=Field(int, "crowd", "", "contacts that share the body's mass"),
     last_change=Field(int, "envs", "", "last round in which a velocity changed by more than the tolerance"),
-    stirred=Field(int, "crowd, 2", "", "last even and last odd round that changed the body's velocity noticeably"),
     visited=Field(int, "crowd_pairs", "", "last round in which the pair was solved"),
     largest_target=Field(float, "envs", "m/s", "of the push-out: largest separation speed that a contact requires"),
     done=Field(int, "1", "", "rounds completed before those of this launch"),
@@ -47,7 +46,9 @@ ChangeRecord = packed_record(
     "ChangeRecord",
     "Velocity change of a body by the impulses of one pair.",
     linear=Field(wp.vec3, "", "m/s", "linear velocity change"),
+    stirring=Field(float, "", "", "1: the last round changed it noticeably"),
     angular=Field(wp.vec3, "", "rad/s", "angular velocity change"),
+    turning=Field(float, "", "", "the same as `stirring`, next to the angular velocity"),
 )
 
 Slots = layout(

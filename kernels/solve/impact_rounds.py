@@ -79,8 +79,8 @@ def impact_round(
         lag = 0.5 * dt * relative_acceleration(entry, envs, motions)
         after = after_impact(entry.begin, entry.end, share_a, share_b, lag, before, contacts)
         if before.inverse_mass_a > 0.0:
-            store_change(entry.slot_a, 0, 0, (after.linear_a - before.linear_a) / share_a, slots)
-            store_change(entry.slot_a, 1, 0, (after.angular_a - before.angular_a) / share_a, slots)
+            store_change(entry.slot_a, 0, 0, (after.linear_a - before.linear_a) / share_a, 0.0, slots)
+            store_change(entry.slot_a, 1, 0, (after.angular_a - before.angular_a) / share_a, 0.0, slots)
         if before.inverse_mass_b > 0.0:
-            store_change(entry.slot_b, 0, 0, (after.linear_b - before.linear_b) / share_b, slots)
-            store_change(entry.slot_b, 1, 0, (after.angular_b - before.angular_b) / share_b, slots)
+            store_change(entry.slot_b, 0, 0, (after.linear_b - before.linear_b) / share_b, 0.0, slots)
+            store_change(entry.slot_b, 1, 0, (after.angular_b - before.angular_b) / share_b, 0.0, slots)

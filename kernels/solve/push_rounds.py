@@ -34,7 +34,6 @@ from warp_rigid.kernels.solve.rounds import (
     MOST_MOMENTUM,
     Wrench,
     change_of,
-    changes_of,
     clear_slots,
     count_rounds,
     is_stirred,
@@ -129,18 +128,18 @@ def push_pair_apart(
     turn: int,
     lane: int,
     lanes: int,
+    pair: BodyPair,
+    enough: float,
     slots: Slots,
     bodies: wp.array[SolverBodyRecord],
     contacts: Contacts,
 ):
-    """Push a pair apart in a round. Returns what `changes_of` does, for pseudo-velocities."""
-    pair = velocities_of(entry, 0.0, (turn - 1) % 2, lane, lanes, slots, bodies)
+    """Push a pair apart in a round. Returns the bound on the change of a body's pseudo-velocity [m/s]."""
     beta = momentum(turn, entry.limit, MOST_MOMENTUM)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = push_contact_apart(c, entry, beta, pair, wrench, contacts)
-    store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
-    return changes_of(wrench, lanes, entry)
+    return store_changes(entry, turn % 2, lane, lanes, wrench, enough, slots, bodies)
 
 
 @wp.kernel
@@ -160,9 +159,11 @@ def push_round(
         for k in range(share.first, share.end, share.stride):
             entry = read_round_pair(k, rounds.pairs)
             if needs_round(entry, share.turn, rounds):
-                if is_stirred(entry, share.turn, rounds):
-                    changes = push_pair_apart(entry, share.turn, lane, lanes, slots, bodies, contacts)
-                    record_change(k, entry, share.turn, changes, tolerance(entry.env, rounds), rounds)
+                pair = velocities_of(entry, 0.0, (share.turn - 1) % 2, lane, lanes, slots, bodies)
+                if is_stirred(pair, share.turn):
+                    enough = tolerance(entry.env, rounds)
+                    change = push_pair_apart(entry, share.turn, lane, lanes, pair, enough, slots, bodies, contacts)
+                    record_change(k, entry, share.turn, change, enough, rounds)
                 else:
                     keep_changes(k, entry, share.turn, lane, lanes, rounds, slots)
         share = next_share(sharing, rounds)
@@ -181,7 +182,7 @@ def finish_push(
             stored = read_impulse(contacts.impulses, c, IMPACT_IMPULSE)
             if stored[3] > 0.0:
                 wrench = with_impulse_of(read_contact(c, contacts.rows), wp.vec3(stored[1], 0.0, 0.0), wrench)
-        store_changes(entry, 0, 0, 1, wrench, slots, motions.solver_bodies)
+        store_changes(entry, 0, 0, 1, wrench, 0.0, slots, motions.solver_bodies)
 
 
 @wp.kernel

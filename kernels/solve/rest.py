@@ -160,7 +160,7 @@ def stop_resting_islands(
     """One team per environment: stop the islands at rest. If there are no others, nothing is left to solve."""
     team = team_of(wp.tid(), lanes)
     env = team.env
-    if envs.shock_propagation[env] != ShockMode.TWO_PASS or envs.warm_starting[env] == 0:
+    if envs.shock_propagation[env] != ShockMode.TWO_PASS or envs.warm_starting[env] * graph.swept[env] == 0:
         return
     first = envs.first_body[env]
     last = envs.first_body[env + 1]

@@ -126,13 +126,17 @@ def part_of_velocity(
 ):
     """Linear (part 0) and angular (1) velocity of the first body of a pair, or of the second (2 and 3).
 
-    It is `base` times that before the rounds, plus the changes by the impulses of a buffer.
+    It is `base` times that before the rounds, plus the changes by the impulses of a buffer. The last component is the
+    number of pairs that changed it noticeably.
     """
     b = wp.where(part < 2, entry.body_a, entry.body_b)
-    first = wp.where(part < 2, entry.first_a, entry.first_b)
-    end = wp.where(part < 2, entry.end_a, entry.end_b)
+    start = buffer_start(buffer, slots)
+    first = start + wp.where(part < 2, entry.first_a, entry.first_b)
+    end = start + wp.where(part < 2, entry.end_a, entry.end_b)
     before = first_three(read_solver_body(bodies, b, VELOCITY + part % 2))
-    return base * before + change_of(first, end, part % 2, buffer, slots)
+    change = sum_of_changes(first, end, part % 2, slots.changes)
+    now = base * before + first_three(change)
+    return wp.vec4(now[0], now[1], now[2], change[3])
 
 
 @wp.func_native(f"""
@@ -157,19 +161,27 @@ def velocities_of(
     slots: Slots,
     bodies: wp.array[SolverBodyRecord],
 ):
-    """The velocities of a pair (`part_of_velocity`), without masses. Of four lanes, each adds up one part."""
+    """The velocities of a pair (`part_of_velocity`), without masses. Of four lanes, each adds up one part.
+
+    `change` is the number of pairs that changed the velocity of one of the bodies noticeably in the last round.
+    """
     pair = BodyPair()
     if lanes == LANES:
-        own = part_of_velocity(lane, entry, base, buffer, slots, bodies)
+        part = part_of_velocity(lane, entry, base, buffer, slots, bodies)
+        own = first_three(part)
         pair.linear_a = broadcast_vector(own, 0, lanes)
         pair.angular_a = broadcast_vector(own, 1, lanes)
         pair.linear_b = broadcast_vector(own, 2, lanes)
         pair.angular_b = broadcast_vector(own, 3, lanes)
+        pair.change = max_of_lanes(part[3], lanes)
     else:
-        pair.linear_a = part_of_velocity(0, entry, base, buffer, slots, bodies)
-        pair.angular_a = part_of_velocity(1, entry, base, buffer, slots, bodies)
-        pair.linear_b = part_of_velocity(2, entry, base, buffer, slots, bodies)
-        pair.angular_b = part_of_velocity(3, entry, base, buffer, slots, bodies)
+        linear_a = part_of_velocity(0, entry, base, buffer, slots, bodies)
+        linear_b = part_of_velocity(2, entry, base, buffer, slots, bodies)
+        pair.linear_a = first_three(linear_a)
+        pair.angular_a = first_three(part_of_velocity(1, entry, base, buffer, slots, bodies))
+        pair.linear_b = first_three(linear_b)
+        pair.angular_b = first_three(part_of_velocity(3, entry, base, buffer, slots, bodies))
+        pair.change = linear_a[3] + linear_b[3]
     return pair
 
 
@@ -188,18 +200,25 @@ def with_split_masses(entry: RoundRecord, pair: BodyPair, bodies: wp.array[Solve
 
 
 @wp.func
-def store_change(slot: int, group: int, buffer: int, change: wp.vec3, slots: Slots):
-    """Store a velocity change in a slot; a body that is not dynamic has none."""
+def body_change(change: float, entry: RoundRecord):
+    """Bound on the velocity change of a body from the change of the relative velocity of its copies [m/s]."""
+    sharing = wp.min(entry.sharing_a, entry.sharing_b)
+    return change / float(wp.where(sharing > 0, sharing, wp.max(entry.sharing_a, entry.sharing_b)))
+
+
+@wp.func
+def store_change(slot: int, group: int, buffer: int, change: wp.vec3, stirring: float, slots: Slots):
+    """Store a velocity change in a slot, and whether it differs noticeably; a body that is not dynamic has no slot."""
     if slot >= 0:
-        write_change(slots.changes, buffer_start(buffer, slots) + slot, group, change, 0.0)
+        write_change(slots.changes, buffer_start(buffer, slots) + slot, group, change, stirring)
 
 
 @wp.func
 def clear_slots(entry: RoundRecord, slots: Slots):
     """Clear the slots of a pair, which does not take part or starts from zero."""
     for part in range(4):
-        store_change(entry.slot_a, part % 2, part / 2, wp.vec3(), slots)
-        store_change(entry.slot_b, part % 2, part / 2, wp.vec3(), slots)
+        store_change(entry.slot_a, part % 2, part / 2, wp.vec3(), 0.0, slots)
+        store_change(entry.slot_b, part % 2, part / 2, wp.vec3(), 0.0, slots)
 
 
 @wp.struct
@@ -259,7 +278,13 @@ def sum_of_parts(lane: int, wrench: Wrench):
 
 @wp.func
 def store_part(
-    part: int, cause: wp.vec3, entry: RoundRecord, buffer: int, slots: Slots, bodies: wp.array[SolverBodyRecord]
+    part: int,
+    cause: wp.vec3,
+    stirring: float,
+    entry: RoundRecord,
+    buffer: int,
+    slots: Slots,
+    bodies: wp.array[SolverBodyRecord],
 ):
     """Store the change of a velocity by its part of a wrench, with the whole mass of the body."""
     b = wp.where(part < 2, entry.body_a, entry.body_b)
@@ -268,7 +293,7 @@ def store_part(
         change = read_solver_body(bodies, b, VELOCITY)[3] * change
     else:
         change = inertia_at(b, bodies) * change
-    store_change(wp.where(part < 2, entry.slot_a, entry.slot_b), part % 2, buffer, change, slots)
+    store_change(wp.where(part < 2, entry.slot_a, entry.slot_b), part % 2, buffer, change, stirring, slots)
 
 
 @wp.func
@@ -278,15 +303,23 @@ def store_changes(
     lane: int,
     lanes: int,
     wrench: Wrench,
+    tolerance: float,
     slots: Slots,
     bodies: wp.array[SolverBodyRecord],
 ):
-    """Store the velocity changes of both bodies by the wrenches of a team."""
+    """Store the velocity changes of both bodies by the wrenches of a team. Returns the bound on their change [m/s].
+
+    Whether they have changed noticeably, including the extrapolation, follows from the tolerance of the rounds [m/s].
+    """
+    change = body_change(max_of_lanes(wrench.change, lanes), entry)
+    most = wp.max(change, body_change(max_of_lanes(wrench.stirring, lanes), entry))
+    stirring = wp.where(most > NOTICEABLE * tolerance, 1.0, 0.0)
     if lanes == LANES:
-        store_part(lane, sum_of_parts(lane, wrench), entry, buffer, slots, bodies)
+        store_part(lane, sum_of_parts(lane, wrench), stirring, entry, buffer, slots, bodies)
     else:
         for part in range(4):
-            store_part(part, part_of_wrench(part, wrench), entry, buffer, slots, bodies)
+            store_part(part, part_of_wrench(part, wrench), stirring, entry, buffer, slots, bodies)
+    return change
 
 
 @wp.func
@@ -296,10 +329,9 @@ def needs_round(entry: RoundRecord, turn: int, rounds: Rounds):
 
 
 @wp.func
-def is_stirred(entry: RoundRecord, turn: int, rounds: Rounds):
+def is_stirred(pair: BodyPair, turn: int):
     """Whether a pair must be solved in a round: the last one changed the velocity of one of its bodies noticeably."""
-    last = turn - 1
-    return last == 0 or rounds.stirred[entry.body_a, last % 2] == last or rounds.stirred[entry.body_b, last % 2] == last
+    return turn == 1 or pair.change > 0.0
 
 
 @wp.func
@@ -310,19 +342,14 @@ def keep_changes(k: int, entry: RoundRecord, turn: int, lane: int, lanes: int, r
             slot = wp.where(part < 2, entry.slot_a, entry.slot_b)
             if slot >= 0:
                 change = change_of(slot, slot + 1, part % 2, (turn - 1) % 2, slots)
-                store_change(slot, part % 2, turn % 2, change, slots)
+                store_change(slot, part % 2, turn % 2, change, 0.0, slots)
 
 
 @wp.func
-def record_change(k: int, entry: RoundRecord, turn: int, changes: wp.vec2, tolerance: float, rounds: Rounds):
-    """Record that a pair was solved, what changed (`changes_of`), and whether another round is needed."""
+def record_change(k: int, entry: RoundRecord, turn: int, change: float, tolerance: float, rounds: Rounds):
+    """Record that a pair was solved, whether it changed a velocity, and whether another round is needed."""
     rounds.visited[k] = turn
-    if wp.max(changes) > NOTICEABLE * tolerance:
-        if entry.slot_a >= 0:
-            rounds.stirred[entry.body_a, turn % 2] = turn
-        if entry.slot_b >= 0:
-            rounds.stirred[entry.body_b, turn % 2] = turn
-    if changes[0] > tolerance:
+    if change > tolerance:
         if rounds.last_change[entry.env] != turn:
             rounds.last_change[entry.env] = turn
         if turn < entry.limit and rounds.latest[0] != turn:
@@ -348,28 +375,12 @@ def list_round_pair(entry: RoundRecord, contacts: int, rounds: Rounds, motions: 
         wp.atomic_add(rounds.sharing, entry.body_b, contacts)
 
 
-@wp.func
-def body_change(change: float, entry: RoundRecord):
-    """Bound on the velocity change of a body from the change of the relative velocity of its copies [m/s]."""
-    sharing = wp.min(entry.sharing_a, entry.sharing_b)
-    return change / float(wp.where(sharing > 0, sharing, wp.max(entry.sharing_a, entry.sharing_b)))
-
-
-@wp.func
-def changes_of(wrench: Wrench, lanes: int, entry: RoundRecord):
-    """Bounds on the change of a body's velocity by a team: by its solution, and with the extrapolation of it [m/s]."""
-    change = body_change(max_of_lanes(wrench.change, lanes), entry)
-    return wp.vec2(change, body_change(max_of_lanes(wrench.stirring, lanes), entry))
-
-
 @wp.kernel
 def open_rounds(done: int, threads: int, rounds: Rounds):
     """The threads share the bodies and environments: no pairs, and `done` more rounds; 0: from 0."""
     tid = wp.tid()
     for b in range(tid, rounds.sharing.shape[0], threads):
         rounds.sharing[b] = 0
-        rounds.stirred[b, 0] = 0
-        rounds.stirred[b, 1] = 0
     for env in range(tid, rounds.last_change.shape[0], threads):
         rounds.last_change[env] = 0
         rounds.largest_target[env] = 0.0
@@ -470,7 +481,7 @@ def apply_impulses(entry: RoundRecord, slots: Slots, motions: Motions, contacts:
         row = read_contact(c, contacts.rows)
         wrench = with_impulse_of(row, impulse_of(c, IMPULSE, contacts), wrench)
         wrench = with_moment_of(row, impulse_of(c, ANGULAR_IMPULSE, contacts), wrench)
-    store_changes(entry, 0, 0, 1, wrench, slots, motions.solver_bodies)
+    store_changes(entry, 0, 0, 1, wrench, 0.0, slots, motions.solver_bodies)
 
 
 @wp.kernel
@@ -530,18 +541,17 @@ def solve_pair(
     turn: int,
     lane: int,
     lanes: int,
+    pair: BodyPair,
     slots: Slots,
     bodies: wp.array[SolverBodyRecord],
     contacts: Contacts,
 ):
-    """Solve the contacts of a pair in a round. Returns what `changes_of` does."""
-    pair = velocities_of(entry, 1.0, (turn - 1) % 2, lane, lanes, slots, bodies)
+    """Solve the contacts of a pair in a round. Returns the bound on the change of a body's velocity [m/s]."""
     beta = momentum(turn, entry.limit, MOST_MOMENTUM)
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)
-    store_changes(entry, turn % 2, lane, lanes, wrench, slots, bodies)
-    return changes_of(wrench, lanes, entry)
+    return store_changes(entry, turn % 2, lane, lanes, wrench, SETTLED, slots, bodies)
 
 
 @wp.kernel
@@ -562,11 +572,12 @@ def solve_round(
         for k in range(share.first, share.end, share.stride):
             entry = read_round_pair(k, rounds.pairs)
             if needs_round(entry, share.turn, rounds):
-                if is_stirred(entry, share.turn, rounds):
-                    changes = solve_pair(entry, share.turn, lane, lanes, slots, bodies, contacts)
-                    record_change(k, entry, share.turn, changes, SETTLED, rounds)
-                    if changes[0] <= SETTLED or share.turn == entry.limit:
-                        raise_to(entry.env, changes[0], residual)
+                pair = velocities_of(entry, 1.0, (share.turn - 1) % 2, lane, lanes, slots, bodies)
+                if is_stirred(pair, share.turn):
+                    change = solve_pair(entry, share.turn, lane, lanes, pair, slots, bodies, contacts)
+                    record_change(k, entry, share.turn, change, SETTLED, rounds)
+                    if change <= SETTLED or share.turn == entry.limit:
+                        raise_to(entry.env, change, residual)
                 else:
                     keep_changes(k, entry, share.turn, lane, lanes, rounds, slots)
         share = next_share(sharing, rounds)
