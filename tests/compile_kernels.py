@@ -5,8 +5,7 @@ import sys
 import warp as wp
 
 from warp_rigid.engine.loading import everything, load_kernels
-from warp_rigid.engine.teams import WARP
-from warp_rigid.kernels.common import team
+from warp_rigid.engine.teams import sizes_of_teams
 from warp_rigid.render import raycast
 
 
@@ -15,7 +14,7 @@ def main(devices):
     for device in devices:
         # Pictures are drawn on the CPU only.
         modules = (*everything(), raycast) if device.is_cpu else everything()
-        load_kernels(device, modules, lanes=(WARP, team.BLOCK))
+        load_kernels(device, modules, lanes=sizes_of_teams(device))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_rigid import kernels
 from warp_rigid.engine import loading, step
+from warp_rigid.kernels.common import team
 
 ARCHITECTURE = 90
 
@@ -51,6 +52,16 @@ def test_unit_compiles_for_compute_capability_90(unit, ptx, tmp_path):
     content = binary.read_bytes()
     assert [kernel for kernel in wp.get_module(unit).kernels if f"{kernel}_".encode() not in content] == []
     assert [name for name in (b"part_distance_0", b"find_axis_0", b"leave_0") if name in content] == []
+
+
+def test_kernels_of_teams_are_compiled_for_clusters_of_blocks(tmp_path):
+    """Kernels with a team for each environment, and no others of their module."""
+    (unit,) = loading.units_of(MODULES["support"], GPU, team.CLUSTER)
+    (binary,) = wp.compile_aot_module(unit, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=True)
+    entries = binary.read_text().split(".entry ")[1:]
+    clustered = {entry.split("_cuda_kernel")[0] for entry in entries if ".reqnctapercluster" in entry}
+    assert len(entries) == len(kernels_of("support"))
+    assert [name.startswith("find_structure") for name in clustered] == [True]
 
 
 @pytest.mark.parametrize("device", [CPU, GPU], ids=["cpu", "gpu"])

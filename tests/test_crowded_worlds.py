@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 import warp_rigid as wr
-from warp_rigid.engine import hash_grid
+from warp_rigid.engine import hash_grid, teams
+from warp_rigid.kernels.common import team
 from warp_rigid.kernels.common.crowd import CROWDED
+from warp_rigid.scenes.builders import stacks
 
 QUANTITIES = ("position", "orientation", "linear_velocity", "angular_velocity", "level", "asleep")
 STEPS = 100
@@ -88,3 +91,24 @@ def test_a_checkpoint_of_a_crowded_batch_continues_with_the_same_bits(device, sc
     resumed.step(12)
     for name in QUANTITIES:
         assert np.array_equal(whole.get(name), resumed.get(name), equal_nan=whole.get(name).dtype.kind == "f"), name
+
+
+def struck_pyramid():
+    """A pyramid of 33 rows, 561 cubes, and a ball that strikes its side."""
+    scene = wr.Scene()
+    scene.add_static(wr.Plane())
+    for place in stacks.pyramid(33, 0.1):
+        scene.add_body(wr.Box((0.1,) * 3), position=place)
+    scene.add_body(wr.Sphere(0.3), position=(0.3, -0.45, 1.0), linear_velocity=(0, 6, 0))
+    return scene
+
+
+def test_a_cluster_of_blocks_computes_the_same_bits_as_a_block(device, monkeypatch):
+    found = wp.get_device(device)
+    if teams.team_lanes(found, 1, 1000, has_joints=False) != team.CLUSTER:
+        pytest.skip("this device has no clusters of blocks")
+    clustered, _ = after_steps(struck_pyramid(), device)
+    monkeypatch.setattr(teams, "MOST_BODIES_OF_A_BLOCK", 1000)
+    alone, _ = after_steps(struck_pyramid(), device)
+    for name in QUANTITIES:
+        assert np.array_equal(clustered.get(name), alone.get(name)), name

@@ -1,8 +1,8 @@
 """Teams of GPU lanes that process one environment, or one pair of bodies, together.
 
-The size of a team is a power of two of neighbouring lanes: a part of a warp, or a whole block. Blocks never wait for
-each other: what concerns environments of any size is done by threads that share all bodies or constraints, in kernels
-of their own. On the CPU a team has one lane, and loops over the team become plain loops.
+The size of a team is a power of two of neighbouring lanes: a part of a warp, a whole block, or a cluster of blocks,
+which the GPU starts together and which has a barrier in hardware. No other blocks wait for each other. On the CPU a
+team has one lane, and loops over the team become plain loops.
 """
 
 import warp as wp
@@ -10,7 +10,13 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 256
-"""Lanes of a CUDA block for teams larger than a warp; such a team is one block."""
+"""Lanes of a CUDA block for teams larger than a warp."""
+
+BLOCKS_OF_A_CLUSTER = 8
+"""Blocks of a team that is a cluster: as many as every GPU with clusters can start together."""
+
+CLUSTER = BLOCK * BLOCKS_OF_A_CLUSTER
+"""Lanes of a team that is a cluster."""
 
 SMALL_BLOCK = 64
 """Lanes of a CUDA block for teams within a warp; small, so that few environments are spread over the whole GPU."""
@@ -23,6 +29,27 @@ def block_of(lanes: int) -> int:
 
 MECHANISM_LANES = wp.constant(8)
 """Largest number of lanes of a team that solves a mechanism: a block of it has six rows."""
+
+
+CLUSTER_BARRIER = """
+#if __CUDA_ARCH__ >= 900
+    asm volatile("barrier.cluster.arrive.release;" ::: "memory");
+    asm volatile("barrier.cluster.wait.acquire;" ::: "memory");
+#endif
+"""
+"""Barrier for the blocks of a cluster, in CUDA."""
+
+READ_OTHER_BLOCK = """
+#if __CUDA_ARCH__ >= 900
+    unsigned place;
+    int value;
+    asm volatile("mapa.shared::cluster.u32 %0, %1, %2;"
+        : "=r"(place) : "r"((unsigned)__cvta_generic_to_shared(&of_block)), "r"(threadIdx.x));
+    asm volatile("ld.shared::cluster.s32 %0, [%1];" : "=r"(value) : "r"(place) : "memory");
+    found |= value;
+#endif
+"""
+"""Combine the flag `found` with that of another block of the cluster, each lane with one."""
 
 
 @wp.struct
@@ -60,13 +87,15 @@ def single_lane():
     return Team(0, 0, 1)
 
 
-@wp.func_native("""
+@wp.func_native(f"""
 #if defined(__CUDA_ARCH__)
-    if (lanes <= 32) {
+    if (lanes <= 32) {{
         __syncwarp(lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u)));
-    } else {
+    }} else if (lanes <= {BLOCK}) {{
         __syncthreads();
-    }
+    }} else {{
+        {CLUSTER_BARRIER}
+    }}
 #endif
 """)
 def _sync_team(lanes: int):
@@ -80,14 +109,24 @@ def sync_team(team: Team):
     _sync_team(team.lanes)
 
 
-@wp.func_native("""
+@wp.func_native(f"""
 #if defined(__CUDA_ARCH__)
-    if (lanes <= 32) {
+    if (lanes <= 32) {{
         unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << (threadIdx.x & 31u & ~(lanes - 1u));
         __syncwarp(mask);
         return __any_sync(mask, flag) ? 1 : 0;
-    }
-    return __syncthreads_or(flag);
+    }}
+    int found = __syncthreads_or(flag);
+    if (lanes > {BLOCK}) {{
+        __shared__ int of_block;
+        if (threadIdx.x == 0) {{ of_block = found; }}
+        {CLUSTER_BARRIER}
+        if (threadIdx.x < {BLOCKS_OF_A_CLUSTER}) {{ {READ_OTHER_BLOCK} }}
+        found = __syncthreads_or(found);
+        // No block may overwrite its flag before the others have read it.
+        {CLUSTER_BARRIER}
+    }}
+    return found;
 #else
     return flag;
 #endif

@@ -9,8 +9,7 @@ import warp as wp
 from warp_rigid.commands.terminal import console, progress
 from warp_rigid.engine.loading import everything, load_kernels
 from warp_rigid.engine.simulator import choose_device
-from warp_rigid.engine.teams import WARP
-from warp_rigid.kernels.common import team
+from warp_rigid.engine.teams import sizes_of_teams
 
 
 def warmup_command(
@@ -20,6 +19,6 @@ def warmup_command(
     for chosen in wp.get_devices() if device is None else [choose_device(device)]:
         start = time.perf_counter()
         with progress(f"compiling for {chosen}", 1) as advance:
-            load_kernels(chosen, everything(), lanes=(WARP, team.BLOCK), on_module=advance)
+            load_kernels(chosen, everything(), lanes=sizes_of_teams(chosen), on_module=advance)
         seconds = time.perf_counter() - start
         console().print(f"{chosen}: ready after {seconds:.2g} s", highlight=False, markup=False)

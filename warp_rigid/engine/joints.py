@@ -317,5 +317,5 @@ class JointStages:
     def _launch(self, kernel: Any, dim: int, inputs: Sequence, outputs: Sequence) -> None:
         block, device = team.block_of(self._step.lanes), self._step.device
         inputs, outputs = [*inputs], [*outputs]
-        kernel = loading.kernel_for(kernel, device)
+        kernel = loading.kernel_for(kernel, device, self._step.lanes)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=device)

@@ -83,6 +83,11 @@ class Layout:
         return all(isinstance(shape, Sphere | Box | Capsule | Cylinder) or len(shape.hull) > 0 for shape in shapes)
 
     @cached_property
+    def has_joints(self) -> bool:
+        """Whether a scene has joints."""
+        return any(scene.joints for scene in self.scenes)
+
+    @cached_property
     def rows(self) -> np.ndarray:
         """Row of each body of each environment, (envs, most bodies); LACKING where an environment has no such body."""
         return self.table("bodies")

@@ -30,6 +30,8 @@ from warp_rigid.kernels.update import ground_motion, health, integrate, predict,
 TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search, push_out)
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
+NAMES_OF_TEAM_MODULES = [module.__name__ for module in TEAM_MODULES]
+
 HEAPS = (rounds, push_rounds, impact_rounds)
 """Kernel modules for heaps, which exist in environments of many bodies only."""
 
@@ -74,31 +76,47 @@ def everything() -> tuple[Any, ...]:
     return (import_module(JOINTS), *STEP[:2], *others)
 
 
-def block_of(name: str) -> int:
-    """Lanes of a CUDA block of a module whose kernels are not executed by teams.
+def block_of(name: str, lanes: int) -> int:
+    """Lanes of a CUDA block of a module, where teams that process an environment have a number of lanes.
 
-    Those that search samples take very different times, and a block ends with its slowest lane.
+    Kernels that search samples take very different times, and a block ends with its slowest lane.
     """
+    if name in NAMES_OF_TEAM_MODULES:
+        return team.block_of(lanes)
     return team.SMALL_BLOCK if name in (narrowphase.__name__, ccd.__name__) else team.BLOCK
 
 
 @cache
-def _alone(kernel: Any) -> Any:
-    module = wp.get_module(f"{kernel.module.name}.{kernel.key}")
+def _copy(kernel: Any, name: str, blocks: int) -> Any:
+    """A kernel in another Warp module, whose teams are clusters of a number of blocks if it is executed by teams."""
+    module = wp.get_module(name)
     module.options.update(kernel.module.options)
-    return wp.Kernel(kernel.func, kernel.key, module, kernel.options)
+    clustered = blocks > 1 and "lanes" in kernel.arg_indices
+    options = kernel.options | {"cluster_dim": blocks} if clustered else kernel.options
+    return wp.Kernel(kernel.func, kernel.key, module, options)
 
 
-def kernel_for(kernel: Any, device: Any) -> Any:
-    """The kernel as it is compiled for a device: in its module, or alone."""
-    return _alone(kernel) if device.is_cuda and kernel.module.name in DIVIDED else kernel
+def kernel_for(kernel: Any, device: Any, lanes: int = 1) -> Any:
+    """The kernel as it is compiled for a device: in its module, alone, or for teams that are clusters of blocks.
+
+    Args:
+        kernel: the kernel.
+        device: the Warp device.
+        lanes: lanes of a team that processes an environment.
+    """
+    name = kernel.module.name
+    if device.is_cuda and name in DIVIDED:
+        return _copy(kernel, f"{name}.{kernel.key}", 1)
+    if device.is_cuda and name in NAMES_OF_TEAM_MODULES and lanes > team.BLOCK:
+        return _copy(kernel, f"{name}.clusters", team.BLOCKS_OF_A_CLUSTER)
+    return kernel
 
 
-def units_of(module: Any, device: Any) -> list[str]:
-    """Names of the Warp modules that hold the kernels of a module on a device; the slowest to compile come first."""
+def units_of(module: Any, device: Any, lanes: int = 1) -> list[str]:
+    """Names of the Warp modules that hold the kernels of a module (`kernel_for`); the slowest to compile come first."""
     kernels = wp.get_module(module.__name__).kernels.values()
     ordered = sorted(kernels, key=lambda kernel: kernel.key not in SLOWEST)
-    return list(dict.fromkeys(kernel_for(kernel, device).module.name for kernel in ordered))
+    return list(dict.fromkeys(kernel_for(kernel, device, lanes).module.name for kernel in ordered))
 
 
 def load_kernels(
@@ -119,16 +137,22 @@ def load_kernels(
         on_module: called after each module with the number of loaded modules and the total.
     """
 
-    def blocks_of(module: Any) -> list[int]:
+    def blocks_of(module: Any, size: int) -> list[int]:
         if not device.is_cuda:
             return [1]
-        if module in TEAM_MODULES or module.__name__ == JOINTS:
-            return sorted({team.block_of(size) for size in lanes})
+        if module.__name__ == JOINTS:
+            return [team.block_of(size)]
         if module in HEAPS:
             return [team.BLOCK, team.SMALL_BLOCK]
-        return [block_of(module.__name__)]
+        return [block_of(module.__name__, size)]
 
-    jobs = [(name, block) for module in modules for name in units_of(module, device) for block in blocks_of(module)]
+    jobs = dict.fromkeys(
+        (name, block)
+        for module in modules
+        for size in lanes
+        for name in units_of(module, device, size)
+        for block in blocks_of(module, size)
+    )
     with ThreadPoolExecutor(usable_cores()) as pool:
         loaded = [pool.submit(load_module, device, name, block) for name, block in jobs]
         for ready, done in enumerate(as_completed(loaded), start=1):

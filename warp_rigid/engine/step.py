@@ -102,7 +102,7 @@ class Stages:
         self.num_envs, self.rows = layout.num_envs, layout.sizes["bodies"]
         self.bounded = any(scene.bounds is not None for scene in layout.scenes)
         self.crowded = layout.most_bodies > crowd.CROWDED
-        self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies)
+        self.lanes = teams.team_lanes(self.device, self.num_envs, layout.most_bodies, layout.has_joints)
         self.search = teams.search_teams(layout.has_many_samples, self.crowded)
         self.motions = declare.allocate(schema.Motions, pools.sizes, self.device)
         self.moving = [dt, model.shapes, model.bodies, state, self.motions]
@@ -317,8 +317,7 @@ class Stages:
         model, pools = self.model, self.pools
         inputs = [model.shapes, model.bodies, self.state, self.envs, pools.pairs]
         changed = [self.motions, pools.graph, self.constraint_rows]
-        block = team.block_of(self.lanes)
-        self._shared(push_out.find_overlaps, pools.sizes["contacts"], [self.dt], inputs, changed, block)
+        self._shared(push_out.find_overlaps, pools.sizes["contacts"], [self.dt], inputs, changed)
         self._color_by_color(push_out.push_apart)
         if self.crowded:
             self.heaps.push_out()
@@ -460,6 +459,7 @@ class Stages:
 
     def _per_team(self, kernel: Any, inputs: list, outputs: Sequence) -> None:
         dim, block = self.num_envs * self.lanes, team.block_of(self.lanes)
+        kernel = loading.kernel_for(kernel, self.device, self.lanes)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
@@ -541,16 +541,14 @@ class Stages:
         inputs = [grid.room, grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
         self._share(broadphase.list_pairs_of_bodies, self.rows, grid.lanes, [write], inputs, [self.pools.pairs])
 
-    def _shared(
-        self, kernel: Any, size: int, before: list, inputs: list, outputs: list, block: int | None = None
-    ) -> None:
+    def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
         threads = min(size, teams.most_lanes(self.device)) if self.device.is_cuda else 1
-        self._launch(kernel, threads, [*before, threads, *inputs], outputs, block)
+        self._launch(kernel, threads, [*before, threads, *inputs], outputs)
 
-    def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list, block: int | None = None) -> None:
-        block = block or loading.block_of(kernel.module.name)
-        kernel = loading.kernel_for(kernel, self.device)
+    def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
+        block = loading.block_of(kernel.module.name, self.lanes)
+        kernel = loading.kernel_for(kernel, self.device, self.lanes)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
 
     def _list_constraints(self) -> None:

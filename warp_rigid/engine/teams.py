@@ -7,8 +7,11 @@ from warp_rigid.kernels.common import team
 
 WARP = 32
 
-MOST_BODIES_OF_A_WARP = 128
-"""Above this number of bodies, an environment is processed by a block."""
+MOST_BODIES_OF_A_WARP, MOST_BODIES_OF_A_BLOCK = 128, 512
+"""Above these numbers of bodies, an environment is processed by a block and by a cluster of blocks."""
+
+FIRST_WITH_CLUSTERS = 90
+"""Compute capability, times ten, of the first GPUs with clusters of blocks."""
 
 BUILD_LANES, TRACE_LANES, LOOK_LANES = 4, 32, 8
 """GPU lanes that build the rows of a pair, trace clusters of a body, and look at samples."""
@@ -21,27 +24,35 @@ RESIDENT_LANES, RESIDENT_WARPS = 2048, 16
 """Resident lanes of a multiprocessor, and resident warps of the solver's kernels, which use many registers."""
 
 
-def team_lanes(device: Any, num_envs: int, most_bodies: int) -> int:
+def team_lanes(device: Any, num_envs: int, most_bodies: int, has_joints: bool) -> int:
     """Number of lanes that process one environment.
 
     It is one warp for each environment if all of them can be resident on the GPU at once. Otherwise teams are smaller
     and share a warp, which slows each of them slightly; they are not made smaller than a small environment can use.
-    Large environments get one block.
+    Large environments get one block, or one cluster if all clusters can be resident and there are no joints.
 
     Args:
         device: the Warp device.
         num_envs: number of environments.
         most_bodies: number of bodies of the largest environment.
+        has_joints: whether a scene has joints; their kernels are not compiled for clusters.
     """
     if not device.is_cuda:
         return 1
     if most_bodies > MOST_BODIES_OF_A_WARP:
-        return team.BLOCK
+        fits = num_envs * team.BLOCKS_OF_A_CLUSTER <= device.sm_count and device.arch >= FIRST_WITH_CLUSTERS
+        return team.CLUSTER if fits and not has_joints and most_bodies > MOST_BODIES_OF_A_BLOCK else team.BLOCK
     lanes = WARP
     resident = device.sm_count * RESIDENT_WARPS * WARP
     while lanes > 8 and num_envs * lanes > resident and most_bodies < 2 * lanes:
         lanes //= 2
     return lanes
+
+
+def sizes_of_teams(device: Any) -> tuple[int, ...]:
+    """The sizes of teams for which kernels are compiled separately on a device, in lanes."""
+    sizes = (WARP, team.BLOCK)
+    return (*sizes, team.CLUSTER) if device.is_cuda and device.arch >= FIRST_WITH_CLUSTERS else sizes
 
 
 def most_lanes(device: Any) -> int:

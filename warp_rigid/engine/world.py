@@ -68,7 +68,7 @@ class World:
         needed = other_bytes + sum(pool_bytes(some.sizes) for some in ranges)
         self.memory_limit.check(0, needed, f"simulating {self.num_envs} environment(s)")
         baking = any(isinstance(body.shape, Mesh | Compound) for body in layout.scene_bodies)
-        lanes = team_lanes(device, self.num_envs, layout.most_bodies)
+        lanes = team_lanes(device, self.num_envs, layout.most_bodies, layout.has_joints)
         start = time.perf_counter()
         load_kernels(device, [*STEP, *(GRIDS if baking else ())], [lanes])
         self.load_seconds = time.perf_counter() - start
