@@ -8,7 +8,7 @@ An island is a heap if it consists of bodies that have landed after a free fligh
 Heaps are solved in rounds (rounds.py), all other islands in sweeps, with shock propagation where it is effective
 (shock.py). Islands merge and split, so each body stores for how many steps shock propagation has been ineffective for
 its island, and the majority of the bodies decides; landed bodies count as if it had been long. Once the bodies of a
-heap are nearly at rest, shock propagation is tried again.
+heap of moderate size are nearly at rest, shock propagation is tried again.
 """
 
 import warp as wp
