@@ -14,12 +14,11 @@ from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
 from warp_rigid.kernels.schema import Contacts, Environments, Motions
 from warp_rigid.kernels.solve.restitution import after_impact, set_targets
 from warp_rigid.kernels.solve.rounds import (
-    clear_slots,
     list_round_pair,
     read_round_pair,
-    store_change,
     with_split_masses,
 )
+from warp_rigid.kernels.solve.slots import clear_slots, store_change
 
 wp.set_module_options({"enable_backward": False})
 

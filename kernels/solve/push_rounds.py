@@ -33,11 +33,8 @@ from warp_rigid.kernels.solve.round_sharing import first_share, next_share
 from warp_rigid.kernels.solve.rounds import (
     MOST_MOMENTUM,
     Wrench,
-    change_of,
-    clear_slots,
     count_rounds,
     is_stirred,
-    keep_changes,
     lanes_of_pair,
     list_round_pair,
     momentum,
@@ -48,6 +45,7 @@ from warp_rigid.kernels.solve.rounds import (
     velocities_of,
     with_impulse_of,
 )
+from warp_rigid.kernels.solve.slots import change_of, clear_slots, keep_changes
 
 wp.set_module_options({"enable_backward": False})
 

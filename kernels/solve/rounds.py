@@ -14,7 +14,9 @@ that was measured. The fixed point is the Coulomb problem that sweeps solve, too
 Since v is affine in l, the mean over the copies equals v(y): the velocity before the solve, plus the changes by the
 impulses of all contacts. Each pair stores the changes of its two bodies in slots, and whoever needs the velocity of a
 body in the next round adds up the slots of the body. Slots are in the order of the constraints, so the sum does not
-depend on the order of the threads. A round reads the slots that the last one wrote, and writes those of another buffer.
+depend on the order of the threads. A round reads the slots that the last one wrote, and writes those of another buffer
+(slots.py). A pair is left out of a round, and its slots keep their values, if no pair has noticeably changed one of its
+bodies in the last one.
 """
 
 import warp as wp
@@ -44,9 +46,9 @@ from warp_rigid.kernels.constraints.contact import (
     velocity_change,
 )
 from warp_rigid.kernels.constraints.records import is_active
-from warp_rigid.kernels.declare import group_writer, record_reader
+from warp_rigid.kernels.declare import record_reader
 from warp_rigid.kernels.enums import Motion
-from warp_rigid.kernels.graph.heap_arrays import ChangeRecord, RoundRecord, Rounds, Slots
+from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
 from warp_rigid.kernels.graph.islands import most_rounds
 from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import (
@@ -60,13 +62,12 @@ from warp_rigid.kernels.schema import (
     SolverBodyRecord,
 )
 from warp_rigid.kernels.solve.round_sharing import first_share, next_share
+from warp_rigid.kernels.solve.slots import buffer_start, change_of, keep_changes, store_change, sum_of_changes
 
 wp.set_module_options({"enable_backward": False})
 
 read_round_pair = record_reader(RoundRecord)
 """Reads a pair that is solved in rounds: (k, pairs)."""
-
-write_change = group_writer(ChangeRecord)
 
 MOST_MOMENTUM = wp.constant(0.9)
 """Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
@@ -91,33 +92,6 @@ def momentum(turn: int, limit: int, most: float):
     if turn + PLAIN_ROUNDS > limit:
         return 0.0
     return wp.min(float(turn - 1) / float(turn + 2), most)
-
-
-@wp.func_native("""
-    float x = 0.0f, y = 0.0f, z = 0.0f, w = 0.0f;
-    #pragma unroll 4
-    for (int s = first; s < end; ++s) {
-        const float* p = (const float*)__builtin_assume_aligned((const float*)(changes.data + s) + 4 * group, 16);
-        x += p[0]; y += p[1]; z += p[2]; w += p[3];
-    }
-    return wp::vec4(x, y, z, w);
-""")
-def sum_of_changes(first: int, end: int, group: int, changes: wp.array[ChangeRecord]) -> wp.vec4:
-    """The sum of four words of consecutive slots, in their order."""
-    ...
-
-
-@wp.func
-def buffer_start(buffer: int, slots: Slots):
-    """Index of the first slot of a buffer, 0 or 1."""
-    return buffer * (slots.changes.shape[0] / 2)
-
-
-@wp.func
-def change_of(first: int, end: int, group: int, buffer: int, slots: Slots):
-    """Velocity change of a body, the sum over its slots; group 0: linear, 1: angular."""
-    start = buffer_start(buffer, slots)
-    return first_three(sum_of_changes(start + first, start + end, group, slots.changes))
 
 
 @wp.func
@@ -204,21 +178,6 @@ def body_change(change: float, entry: RoundRecord):
     """Bound on the velocity change of a body from the change of the relative velocity of its copies [m/s]."""
     sharing = wp.min(entry.sharing_a, entry.sharing_b)
     return change / float(wp.where(sharing > 0, sharing, wp.max(entry.sharing_a, entry.sharing_b)))
-
-
-@wp.func
-def store_change(slot: int, group: int, buffer: int, change: wp.vec3, stirring: float, slots: Slots):
-    """Store a velocity change in a slot, and whether it differs noticeably; a body that is not dynamic has no slot."""
-    if slot >= 0:
-        write_change(slots.changes, buffer_start(buffer, slots) + slot, group, change, stirring)
-
-
-@wp.func
-def clear_slots(entry: RoundRecord, slots: Slots):
-    """Clear the slots of a pair, which does not take part or starts from zero."""
-    for part in range(4):
-        store_change(entry.slot_a, part % 2, part / 2, wp.vec3(), 0.0, slots)
-        store_change(entry.slot_b, part % 2, part / 2, wp.vec3(), 0.0, slots)
 
 
 @wp.struct
@@ -332,17 +291,6 @@ def needs_round(entry: RoundRecord, turn: int, rounds: Rounds):
 def is_stirred(pair: BodyPair, turn: int):
     """Whether a pair must be solved in a round: the last one changed the velocity of one of its bodies noticeably."""
     return turn == 1 or pair.change > 0.0
-
-
-@wp.func
-def keep_changes(k: int, entry: RoundRecord, turn: int, lane: int, lanes: int, rounds: Rounds, slots: Slots):
-    """A pair that is not solved in a round: copy its velocity changes to the buffer of the round, if it has others."""
-    if rounds.visited[k] == turn - 1:
-        for part in range(lane, 4, lanes):
-            slot = wp.where(part < 2, entry.slot_a, entry.slot_b)
-            if slot >= 0:
-                change = change_of(slot, slot + 1, part % 2, (turn - 1) % 2, slots)
-                store_change(slot, part % 2, turn % 2, change, 0.0, slots)
 
 
 @wp.func
