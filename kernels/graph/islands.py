@@ -34,8 +34,8 @@ TRIAL_INTERVAL = wp.constant(64)
 """Steps between two trials of shock propagation in a large heap that rounds do not solve."""
 
 LARGE, HUGE = wp.constant(64), wp.constant(1024)
-"""Bodies of the smallest and of the largest heap in which shock propagation is tried again. A single team of lanes
-executes a trial, which takes it seconds for 100 000 bodies."""
+"""Bodies of the smallest and of the largest heap in which shock propagation is tried again. A trial is executed by a
+single team of lanes: with 100 000 bodies it takes seconds."""
 
 LANDED = wp.constant(1024)
 """Ineffective steps from which an island is solved in rounds. Only bodies that have landed after a free flight count so

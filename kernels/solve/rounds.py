@@ -453,6 +453,14 @@ def extrapolated(c: int, which: int, before: wp.vec3, new: wp.vec3, beta: float,
 
 
 @wp.func
+def surface_change(gained: wp.vec3, row: ContactRecord, pair: BodyPair):
+    """Bound on the change of the velocity of a body's surface by an angular impulse in the contact frame [m/s]."""
+    moment = world_vector(row.normal, row.tangent, gained)
+    of_a = wp.length(row.arm_a) * wp.length(pair.inverse_inertia_a * moment)
+    return wp.max(of_a, wp.length(row.arm_b) * wp.length(pair.inverse_inertia_b * moment))
+
+
+@wp.func
 def solve_contact(
     c: int,
     entry: RoundRecord,
@@ -476,10 +484,13 @@ def solve_contact(
     if entry.rolls == 1:
         gained = world_vector(row.normal, row.tangent, new - old)
         copies = with_impulse(row.arm_a, row.arm_b, gained, with_split_masses(entry, pair, bodies))
+        last = impulse_of(c, ANGULAR_IMPULSE, contacts)
         solve_rolling(c, new[0], row, copies, contacts)
         moment = impulse_of(c, ANGULAR_IMPULSE, contacts)
         start = impulse_of(c, START_ANGULAR_IMPULSE, contacts)
-        wrench = with_moment_of(row, extrapolated(c, ANGULAR_IMPULSE, start, moment, beta, contacts), wrench)
+        further = extrapolated(c, ANGULAR_IMPULSE, start, moment, beta, contacts)
+        wrench = with_moment_of(row, further, wrench)
+        wrench.stirring = wp.max(wrench.stirring, surface_change(further - last, row, copies))
     return wrench
 
 
