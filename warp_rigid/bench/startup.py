@@ -55,12 +55,14 @@ def _main(case: str, device: str) -> None:
     from warp_rigid.engine.loading import kernel_for
     from warp_rigid.engine.settings import Settings
     from warp_rigid.engine.simulator import Simulator
+    from warp_rigid.engine.teams import sizes_of_teams
 
     sim = Simulator(find_case(case).build(), settings=Settings(), device=device)
     sim.step(4)
     wp.synchronize_device(sim.device)
     used = wp.get_device(device)
-    loaded = {kernel.module.name for kernel in _kernels() if kernel_for(kernel, used).module.execs}
+    compiled = [kernel_for(kernel, used, lanes) for lanes in sizes_of_teams(used) for kernel in _kernels()]
+    loaded = {kernel.module.name for kernel in compiled if kernel.module.execs}
     print(json.dumps({"processor_seconds": time.process_time(), "modules": len(loaded)}))
 
 

@@ -31,6 +31,7 @@ TEAM_MODULES = (restitution, shock, gauss_seidel, support, coloring, line_search
 """Modules whose kernels process an environment with a team; the slowest to compile come first."""
 
 NAMES_OF_TEAM_MODULES = [module.__name__ for module in TEAM_MODULES]
+"""Names of the modules that are compiled separately for each size of a team."""
 
 HEAPS = (rounds, push_rounds, impact_rounds)
 """Kernel modules for heaps, which exist in environments of many bodies only."""
@@ -77,9 +78,9 @@ def everything() -> tuple[Any, ...]:
 
 
 def block_of(name: str, lanes: int) -> int:
-    """Lanes of a CUDA block of a module, where teams that process an environment have a number of lanes.
+    """Lanes of a CUDA block of a module, if a team that processes an environment has the given number of lanes.
 
-    Kernels that search samples take very different times, and a block ends with its slowest lane.
+    Lanes that search samples take very different times, and a block ends with its slowest one.
     """
     if name in NAMES_OF_TEAM_MODULES:
         return team.block_of(lanes)
@@ -88,7 +89,7 @@ def block_of(name: str, lanes: int) -> int:
 
 @cache
 def _copy(kernel: Any, name: str, blocks: int) -> Any:
-    """A kernel in another Warp module, whose teams are clusters of a number of blocks if it is executed by teams."""
+    """A kernel in another Warp module. If teams execute it, each is a cluster of the given number of blocks."""
     module = wp.get_module(name)
     module.options.update(kernel.module.options)
     clustered = blocks > 1 and "lanes" in kernel.arg_indices
