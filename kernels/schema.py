@@ -343,11 +343,15 @@ Pairs = layout(
     slot_score=Field(
         float, f"pairs, {PAIR_SLOTS}", "m", "extent of the sample in the slot's direction, less a part of its gap"
     ),
-    slot_gap=Field(float, f"pairs, {PAIR_SLOTS}", "m", "gap used for the score"),
+    slot_gap=Field(float, f"pairs, {PAIR_SLOTS}", "m", "gap at the start of the step"),
+    slot_left=Field(float, f"pairs, {PAIR_SLOTS}", "m", "gap at the end of the step if the bodies move on as before"),
     slot_key=Field(int, f"pairs, {PAIR_SLOTS}", "", "identity: 2 * sample + side, -1 if the slot is empty"),
     kept=Field(int, f"pairs, {PAIR_SLOTS}", "", "identities of the samples that become contacts"),
     searched=Field(
-        int, "pairs", "", "edge_samples + 1 at the last contact search; 0 if the next step must search again"
+        int,
+        "pairs",
+        "",
+        "edge_samples + 1 at the last contact search; 0 if the next step must search again, as after one in motion",
     ),
     searched_orientation=Field(wp.quat, "pairs", "", "relative orientation at the last contact search"),
     searched_position=Field(wp.vec3, "pairs", "m", "relative position at the last contact search"),

@@ -335,19 +335,29 @@ def test_identities_do_not_depend_on_rounding(device):
 
 
 def test_approach_within_the_step_is_a_contact(device):
-    """What closes within the step touches already, told with its gap of now; what does not, does not."""
-    dt = 1 / 240
-    for speed, wanted in ((1.1 * 0.05 / dt, 1), (0.9 * 0.05 / dt, 0), (-100.0, 0)):
+    """What closes within the step touches already, told with its gap of now; what does not, does not.
+
+    What another body may push together within the step does, too: half of the way of the faster body, in any direction.
+    """
+    dt, gap = 1 / 240, 0.04
+    for velocity, wanted in (
+        ((0, 0, -1.1 * gap / dt), 1),
+        ((0, 0, -0.9 * gap / dt), 0),
+        ((0, 0, 1.9 * gap / dt), 0),
+        ((0, 0, 2.1 * gap / dt), 1),
+        ((1.9 * gap / dt, 0, 0), 0),
+        ((2.1 * gap / dt, 0, 0), 1),
+    ):
         found = touch(
             device,
             GROUND,
             Sphere(0.1),
-            position=(0, 0, 0.15),
-            linear_velocity=(30, 0, -speed),
+            position=(0, 0, 0.1 + gap),
+            linear_velocity=velocity,
             settings=Settings(dt=dt),
         )
         assert len(found["gap"]) == wanted
-        np.testing.assert_allclose(found["gap"], [0.05] * wanted, atol=1e-6)
+        np.testing.assert_allclose(found["gap"], [gap] * wanted, atol=1e-6)
 
 
 @pytest.mark.parametrize("speed", [50.0, 400.0])

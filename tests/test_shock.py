@@ -88,7 +88,7 @@ def piles(device, count=3):
 def test_energy_never_rises_in_any_island(device):
     """f = v.Mv / 2 + b.l, in float64, before and after the guarded passes."""
     moved = 0
-    for search in piles(device):
+    for search in piles(device, 5):
         for chosen in search.islands():
             before = search.problem.energy_of(*search.before, chosen)
             after = search.problem.energy_of(*search.after, chosen)

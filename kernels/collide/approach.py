@@ -10,8 +10,14 @@ from warp_rigid.kernels.update.predict import CONTACT_DISTANCE
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 NEAR = wp.constant(0.25)
-"""Reach of contacts of fast bodies, as a fraction of the smaller size."""
+"""Reach of contacts of fast bodies, and the largest speculative distance, as fractions of the smaller size."""
 
+PUSHED = wp.constant(0.5)
+"""The speculative distance is this fraction of the way of the faster body in the step: without restitution, two bodies
+of the same mass that collide share their velocity."""
+
+REUSE_TRAVEL = wp.constant(2.5e-4)
+"""Pairs that have moved less than this fraction of the smaller size, half the contact distance, keep their contacts."""
 
 TURNED_BACK = wp.constant(0.25)
 """Separating samples closer than this fraction of the pair's reach are kept: they may come back within the step."""
@@ -21,12 +27,13 @@ TURNED_BACK = wp.constant(0.25)
 class Touch:
     """A contact point in the world frame. The normal points from the pair's second body to the first.
 
-    `closing`: 1 if the gap closes within the step.
+    `left`: the gap at the end of the step if the bodies move on as before. `closing`: 1 if the gap may close.
     """
 
     position: wp.vec3
     normal: wp.vec3
     gap: float
+    left: float
     closing: int
 
 
@@ -36,7 +43,7 @@ class Approach:
 
     `cut`, `level`: points p of `own`, in its frame, with `cut . p > level` cannot touch; a zero vector if that is not
     known of any. `motion`, `rotation`: a point p of `own`, in the frame of `other`, moves by `motion + rotation x p` in
-    the step. `touching`: gap below which surfaces touch [m].
+    the step. `touching`: gap below which surfaces touch [m]. `speculative`: see `speculative_distance`.
     """
 
     own: int
@@ -46,6 +53,7 @@ class Approach:
     turn: wp.quat
     shift: wp.vec3
     reach: float
+    speculative: float
     rise: float
     cut: wp.vec3
     level: float
@@ -93,17 +101,37 @@ def travel(a: int, b: int, dt: float, ahead: float, state: State, motions: Motio
 
 
 @wp.func
+def surface_speed(b: int, state: State, motions: Motions):
+    """Upper bound of the speed of a body's surface [m/s]."""
+    return wp.length(state.linear_velocity[b]) + wp.length(state.angular_velocity[b]) * motions.radius[b]
+
+
+@wp.func
+def speculative_distance(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
+    """Distance by which two surfaces may approach if another body stops or deflects one of them in the step [m].
+
+    Contacts within it let the solver stop a chain of impacts in one step. A sleeping body has none of them: only bodies
+    that would touch it wake it.
+    """
+    if motions.role[a] == Role.ASLEEP or motions.role[b] == Role.ASLEEP:
+        return 0.0
+    speed = wp.max(surface_speed(a, state, motions), surface_speed(b, state, motions))
+    return wp.min(PUSHED * dt * speed, NEAR * size)
+
+
+@wp.func
 def contact_reach(a: int, b: int, size: float, dt: float, state: State, motions: Motions):
     """Largest gap at which two surfaces can have a contact in this step [m].
 
     It includes their relative motion in the step. Bodies that move further than their size are first moved to their
     time of impact by continuous collision detection (ccd.py), as contact point and normal are not known from afar.
-    This does not apply to pairs with a kinematic body, whose motion is never limited.
+    This does not apply to pairs with a kinematic body, whose motion is never limited. It includes the speculative
+    distance, too.
     """
     way = travel(a, b, dt, dt, state, motions)
     if way > size and motions.role[a] != Role.KINEMATIC and motions.role[b] != Role.KINEMATIC:
         way = NEAR * size
-    return CONTACT_DISTANCE * size + way
+    return CONTACT_DISTANCE * size + wp.max(way, speculative_distance(a, b, size, dt, state, motions))
 
 
 @wp.func
@@ -140,6 +168,7 @@ def approach_from(
     reach = contact_reach(a, b, size, dt, state, motions) + rise
     approach = approach_of(wp.where(side == 0, a, b), wp.where(side == 0, b, a), reach, bodies, state)
     approach.rise = rise
+    approach.speculative = speculative_distance(a, b, size, dt, state, motions)
     return approach
 
 

@@ -1,20 +1,22 @@
 """Contact reduction: selects a few of the touching samples to represent the contact of a pair.
 
 Touching samples are grouped into patches with similar normals. A patch keeps the furthest sample in each of eight fixed
-directions of its tangent plane, and the deepest sample. The convex hull of the samples can support the same loads as
-all of them. Ties are resolved in favour of the first sample, so that contact identities persist.
+directions of its tangent plane, and the one that will be deepest at the end of the step. The convex hull of the
+samples can support the same loads as all of them. Ties are resolved in favour of the first sample, so that contact
+identities persist.
 
 The score of a sample is its extent in the direction, reduced by its gap times a weight; this corresponds to tilting the
-bodies by a small angle. In every other direction the weight is small (TIPPED), so that the closest samples do not
-replace the corners onto which a fast body rotates. In the directions between, the weight is large for slow bodies
-(UPRIGHT): a bumpy shape then keeps the samples that support it, and not those around its bumps, on which it would rock
-indefinitely.
+bodies by a small angle. In every other direction the weight is small (TIPPED, TURNING), so that the closest samples
+do not replace the corners onto which a fast body rotates. In the directions between, the weight is large for slow
+bodies (UPRIGHT): a bumpy shape then keeps the samples that support it, and not those around its bumps, on which it
+would rock indefinitely.
 
 A team of lanes processes a pair. All lanes find the patch, and each lane updates its own slots.
 """
 
 import warp as wp
 
+from warp_rigid.kernels.collide.approach import Touch
 from warp_rigid.kernels.collide.distance import FAR
 from warp_rigid.kernels.common.tangents import tangent_of
 from warp_rigid.kernels.common.team import ballot, bits_below, sync_warp
@@ -34,6 +36,9 @@ TIPPED = wp.constant(20.0)
 """Reduction of a sample's extent per metre of gap: the sample touches first once the bodies have tilted by three
 degrees."""
 
+TURNING = wp.constant(5.0)
+"""The least value of it, for bodies that turn by a fifth of a radian or more in the step."""
+
 UPRIGHT = wp.constant(200.0)
 """The same for bodies at rest, in every other direction."""
 
@@ -41,8 +46,9 @@ TRAVEL_WEIGHT = wp.constant(0.5)
 """Weight between the two values above: this constant times the smaller size over the pair's travel in the step."""
 
 RANKED = wp.constant(0.02)
-"""Gaps, and overlaps, beyond this fraction of the smaller size count as equal. Otherwise the deepest sample of a deep
-overlap would replace those that support the body, which would then turn further in about a single contact."""
+"""Overlaps beyond this fraction of the smaller size count as equal. Otherwise the deepest sample of a deep overlap
+would replace those that support the body, which would then turn further in about a single contact. Gaps beyond it count
+as equal, too, where a body is a convex solid: it has few samples, and may turn onto each of its corners."""
 
 TIE = wp.constant(1.0e-6)
 """A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
@@ -52,10 +58,32 @@ AGAINST = wp.constant(-0.8)
 """Two contact normals with a cosine below this oppose each other."""
 
 
+@wp.struct
+class Ranking:
+    """How the gaps of a pair's samples count.
+
+    `upright`, `tipped`: weights of a gap in every other direction, and in those between. `deepest`, `furthest`: overlap
+    and gap beyond which all count as equal [m].
+    """
+
+    upright: float
+    tipped: float
+    deepest: float
+    furthest: float
+
+
 @wp.func
-def gap_weight(way: float, size: float):
-    """Weight of a gap in every other direction, from the relative travel `way` of the bodies in the step [m]."""
-    return wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
+def ranking_of(way: float, turn: float, size: float, solid: bool):
+    """How the gaps of a pair's samples count, from its relative travel [m] and rotation [rad] in the step.
+
+    `solid`: whether one of the bodies is a convex solid.
+    """
+    result = Ranking()
+    result.upright = wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
+    result.tipped = wp.clamp(1.0 / wp.max(turn, 1.0e-6), TURNING, TIPPED)
+    result.deepest = RANKED * size
+    result.furthest = wp.where(solid, RANKED * size, FAR)
+    return result
 
 
 @wp.func
@@ -99,38 +127,36 @@ def extent(k: int, x: float, y: float):
 def offer_sample(
     pair: int,
     key: int,
-    point: wp.vec3,
-    normal: wp.vec3,
-    height: float,
-    weight: float,
+    touch: Touch,
+    ranking: Ranking,
     size: float,
     lane: int,
     lanes: int,
     pairs: Pairs,
 ):
     """Offer a touching sample, in the second body's frame, to the slots of its patch; a lane updates its own slots."""
-    gap = wp.min(height, RANKED * size)
-    patch = patch_for(pair, normal, lane, lanes, pairs)
+    patch = patch_for(pair, touch.normal, lane, lanes, pairs)
     n = pairs.patch_normal[pair, patch]
     u = tangent_of(n)
-    x = wp.dot(point, u)
-    y = wp.dot(point, wp.cross(n, u))
+    x = wp.dot(touch.position, u)
+    y = wp.dot(touch.position, wp.cross(n, u))
     for k in range(lane, SLOTS, lanes):
         counts = float(1.0)
-        score = -gap
+        score = -touch.left
         if k < DIRECTIONS:
-            counts = wp.where(k % 2 == 0, weight, TIPPED)
-            score = extent(k, x, y) - counts * wp.max(gap, -RANKED * size)
+            counts = wp.where(k % 2 == 0, ranking.upright, ranking.tipped)
+            score = extent(k, x, y) - counts * wp.clamp(touch.gap, -ranking.deepest, ranking.furthest)
         slot = patch * SLOTS + k
         if pairs.slot_key[pair, slot] < 0 or score > pairs.slot_score[pair, slot] + TIE * size * counts:
             pairs.slot_key[pair, slot] = key
             pairs.slot_score[pair, slot] = score
-            pairs.slot_gap[pair, slot] = gap
+            pairs.slot_gap[pair, slot] = touch.gap
+            pairs.slot_left[pair, slot] = touch.left
 
 
 @wp.func
 def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
-    """List the kept samples, each once, and a deepest sample only if deeper than the others. Returns their number."""
+    """List the kept samples, each once, and a deepest one only if it will be deeper. Returns their number."""
     kept = int(0)
     slots = pairs.patch_count[pair] * SLOTS
     for base in range(0, slots, lanes):
@@ -141,10 +167,10 @@ def keep_slots(pair: int, size: float, lane: int, lanes: int, pairs: Pairs):
             lowest = float(FAR)
             for earlier in range(slot - slot % SLOTS, slot):
                 if pairs.slot_key[pair, earlier] >= 0:
-                    lowest = wp.min(lowest, pairs.slot_gap[pair, earlier])
+                    lowest = wp.min(lowest, pairs.slot_left[pair, earlier])
                     if pairs.slot_key[pair, earlier] == pairs.slot_key[pair, slot]:
                         key = -1
-            if slot % SLOTS == DIRECTIONS and pairs.slot_gap[pair, slot] > lowest - 0.1 * CONTACT_DISTANCE * size:
+            if slot % SLOTS == DIRECTIONS and pairs.slot_left[pair, slot] > lowest - 0.1 * CONTACT_DISTANCE * size:
                 key = -1
         hits = ballot(wp.where(key >= 0, 1, 0), lanes)
         if key >= 0:

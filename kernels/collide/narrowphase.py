@@ -14,7 +14,15 @@ not search contact points, as pairs would wait for the one that needs most dista
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import Approach, approach_from, smaller_approach, travel, with_motion
+from warp_rigid.kernels.collide.approach import (
+    REUSE_TRAVEL,
+    Approach,
+    approach_from,
+    smaller_approach,
+    speculative_distance,
+    travel,
+    with_motion,
+)
 from warp_rigid.kernels.collide.broadphase import may_meet
 from warp_rigid.kernels.collide.convex_pairs import cut_by_axis, is_apart
 from warp_rigid.kernels.collide.culling import cluster_is_near, sample_is_near
@@ -25,9 +33,6 @@ from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, History,
 from warp_rigid.kernels.update.predict import smaller_size
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
-
-REUSE_TRAVEL = wp.constant(2.5e-4)
-"""Pairs that have moved less than this fraction of the smaller size, half the contact distance, keep their contacts."""
 
 MOST_LISTED = wp.constant(PAIR_SLOTS)
 """Maximum number of samples of a batch, which a pair lists in `Pairs.kept` first; at least a warp."""
@@ -65,6 +70,16 @@ def has_barely_moved(
     turned = 2.0 * wp.min(wp.length(q - q0), wp.length(q + q0))
     radius = motions.radius[approach.own] + wp.length(bodies.center_of_mass[approach.own])
     return moved + turned * radius < REUSE_TRAVEL * size
+
+
+@wp.func
+def may_be_pushed_together(
+    last: int, a: int, b: int, dt: float, size: float, state: State, motions: Motions, history: History
+):
+    """Whether two bodies had no contact, but move, if together: another body may stop one of them."""
+    if history.contact_start[last + 1] > history.contact_start[last]:
+        return False
+    return speculative_distance(a, b, size, dt, state, motions) > REUSE_TRAVEL * size
 
 
 @wp.func
@@ -117,6 +132,7 @@ def keep_contacts(
             and shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise == 0.0
             and history.searched[last] == edges + 1
             and has_barely_moved(last, approach, dt, size, bodies, state, motions, history)
+            and not may_be_pushed_together(last, a, b, dt, size, state, motions, history)
         ):
             reuse_contacts(pair, last, edges, history, pairs)
         elif not is_apart(pair, last, dt, size, shapes, bodies, state, motions, history, pairs):

@@ -19,7 +19,8 @@ NearSamples = layout(
     position=Field(wp.vec3, "near_samples", "m", "contact point in the frame of the pair's second body"),
     normal=Field(wp.vec3, "near_samples", "", "contact normal in the frame of the pair's second body"),
     gap=Field(float, "near_samples", "m", "distance at the start of the step; FAR if the sample does not touch"),
-    closing=Field(int, "near_samples", "", "1 if the gap closes in the step"),
+    left=Field(float, "near_samples", "m", "distance at the end of the step if the bodies move on as before"),
+    closing=Field(int, "near_samples", "", "1 if the gap may close in the step"),
 )
 
 Suspects = layout(

@@ -12,13 +12,14 @@ own slots.
 
 import warp as wp
 
-from warp_rigid.kernels.collide.approach import Touch, smaller_approach, touch_of, travel
+from warp_rigid.kernels.collide.approach import REUSE_TRAVEL, Touch, smaller_approach, touch_of, travel
 from warp_rigid.kernels.collide.contact_reduction import (
+    Ranking,
     contradictory,
     deepest_gap,
-    gap_weight,
     keep_slots,
     offer_sample,
+    ranking_of,
 )
 from warp_rigid.kernels.collide.convex import are_solid, is_solid
 from warp_rigid.kernels.collide.convex_pairs import check_by_axis
@@ -53,6 +54,7 @@ def broadcast_touch(touch: Touch, lane: int, lanes: int):
         result.position[i] = broadcast(touch.position[i], lane, lanes)
         result.normal[i] = broadcast(touch.normal[i], lane, lanes)
     result.gap = broadcast(touch.gap, lane, lanes)
+    result.left = broadcast(touch.left, lane, lanes)
     return result
 
 
@@ -64,6 +66,7 @@ def touch_at(k: int, end: int, near: NearSamples):
     if k < end:
         touch.position = near.position[k]
         touch.normal = near.normal[k]
+        touch.left = near.left[k]
         touch.closing = near.closing[k]
         if touch.closing != CROSSED:
             touch.gap = near.gap[k]
@@ -71,7 +74,9 @@ def touch_at(k: int, end: int, near: NearSamples):
 
 
 @wp.func
-def offer_touches(pair: int, key: int, touch: Touch, weight: float, size: float, lane: int, lanes: int, pairs: Pairs):
+def offer_touches(
+    pair: int, key: int, touch: Touch, ranking: Ranking, size: float, lane: int, lanes: int, pairs: Pairs
+):
     """Offer the contact points of all lanes to the slots of their patches, in the order of the lanes."""
     hits = ballot(wp.where(touch.gap < FAR, 1, 0), lanes)
     while hits != wp.uint32(0):
@@ -79,7 +84,7 @@ def offer_touches(pair: int, key: int, touch: Touch, weight: float, size: float,
         hits = hits & (hits - wp.uint32(1))
         hit = broadcast_touch(touch, k, lanes)
         own_key = broadcast_integer(key, k, lanes)
-        offer_sample(pair, own_key, hit.position, hit.normal, hit.gap, weight, size, lane, lanes, pairs)
+        offer_sample(pair, own_key, hit, ranking, size, lane, lanes, pairs)
 
 
 @wp.func
@@ -180,7 +185,9 @@ def add_contact(pair: int, key: int, kept: int, lane: int, pairs: Pairs):
 
 
 @wp.func
-def offer_near_samples(pair: int, weight: float, size: float, lane: int, lanes: int, near: NearSamples, pairs: Pairs):
+def offer_near_samples(
+    pair: int, ranking: Ranking, size: float, lane: int, lanes: int, near: NearSamples, pairs: Pairs
+):
     """Offer all touching samples of a pair to the slots of their patches.
 
     Returns 1 if one of them closes, plus CROSSED if a sample is inside the other body that is no contact.
@@ -192,7 +199,7 @@ def offer_near_samples(pair: int, weight: float, size: float, lane: int, lanes: 
         for start in range(batch, end, lanes):
             touch = touch_at(start + lane, end, near)
             closing |= touch.closing
-            offer_touches(pair, near.key[wp.min(start + lane, end - 1)], touch, weight, size, lane, lanes, pairs)
+            offer_touches(pair, near.key[wp.min(start + lane, end - 1)], touch, ranking, size, lane, lanes, pairs)
         batch = near.next[batch]
     crossed = wp.where(ballot(closing & CROSSED, lanes) == wp.uint32(0), 0, CROSSED)
     return crossed + wp.where(ballot(closing & 1, lanes) == wp.uint32(0), 0, 1)
@@ -262,8 +269,10 @@ def choose(
     if lane == 0:
         pairs.patch_count[pair] = 0
     sync_warp(lanes)
-    weight = gap_weight(travel(a, b, dt, 0.0, state, motions), size)
-    offered = offer_near_samples(pair, weight, size, lane, lanes, near, pairs)
+    turn = dt * wp.length(state.angular_velocity[a] - state.angular_velocity[b])
+    corners = is_solid(shapes, bodies.shape[a]) or is_solid(shapes, bodies.shape[b])
+    ranking = ranking_of(travel(a, b, dt, 0.0, state, motions), turn, size, corners)
+    offered = offer_near_samples(pair, ranking, size, lane, lanes, near, pairs)
     closing = offered & 1
     sync_warp(lanes)
     solid = edges == 1 and is_solid(shapes, bodies.shape[a]) and is_solid(shapes, bodies.shape[b])
@@ -296,7 +305,10 @@ def choose_contacts(
     near: NearSamples,
     pairs: Pairs,
 ):
-    """The teams share the listed pairs: choose the samples that represent a pair's contact."""
+    """The teams share the listed pairs: choose the samples that represent a pair's contact.
+
+    Which samples those are depends on the motion, so the contacts of a moving pair are not reused when it stops.
+    """
     lane = wp.tid() % lanes
     own = claim(wp.tid() / lanes, sharing)
     rows = rows_of(own, pairs.candidate_count[0], sharing)
@@ -306,7 +318,8 @@ def choose_contacts(
         size = smaller_size(a, pairs.body_b[pair], shapes, bodies)
         edges = envs.edge_samples[bodies.env[a]]
         if lane == 0:
-            pairs.searched[pair] = edges + 1
+            way = travel(a, pairs.body_b[pair], dt, 0.0, state, motions)
+            pairs.searched[pair] = wp.where(way < REUSE_TRAVEL * size, edges + 1, 0)
         sync_warp(lanes)
         kept = choose(pair, lane, lanes, dt, size, edges, shapes, bodies, state, motions, near, pairs)
         if lane == 0:

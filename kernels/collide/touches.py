@@ -171,8 +171,9 @@ def touching(
     touch = touch_of(placed, side, approach.other, state)
     a = wp.where(side == 0, approach.own, approach.other)
     b = wp.where(side == 0, approach.other, approach.own)
-    left = closing_gap(touch, a, b, dt, state, motions) - approach.rise
-    result.closing = wp.where(left < CONTACT_DISTANCE * size, 1, 0)
+    result.left = closing_gap(touch, a, b, dt, state, motions) - approach.rise
+    least = wp.min(result.left, touch.gap - approach.speculative)
+    result.closing = wp.where(least < CONTACT_DISTANCE * size, 1, 0)
     if result.closing == 0 and touch.gap > TURNED_BACK * approach.reach:
         return result
     if not parting and approach.rise == 0.0 and passes_by(placed, approach, dt, size, shapes, bodies, state, motions):
@@ -218,5 +219,6 @@ def touch_near_samples(
         near.position[k] = touch.position
         near.normal[k] = touch.normal
         near.gap[k] = touch.gap
+        near.left[k] = touch.left
         near.closing[k] = touch.closing
     finish(own, sharing)

@@ -317,6 +317,8 @@ class Simulator:
         """Return the contacts of the last step as records: env, body_a, body_b, position, normal, depth, impulse.
 
         The normal points from body_b to body_a, the impulse [N s] acts on body_a, and the depth [m] is positive inside.
+        Contacts with a negative depth were gaps at the start of the step, which could close in it; their impulse is 0
+        if they did not.
         """
         return step_reports.contact_records(self._world)
 
