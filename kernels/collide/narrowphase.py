@@ -3,10 +3,10 @@
 Both directions are tested: samples of A against the distance of B, and samples of B against the distance of A. A
 cluster of samples is skipped if the distance at its centre exceeds its radius plus the reach. Then the contact points
 of the near samples are found (touches.py): a sample touches if its gap at the end of the step, predicted from the
-relative velocity, is below the contact distance, and if its outward normal opposes the gradient of the distance, unless
-it then passes by an immovable body. If one sample touches, nearby samples that move away are contacts too: a body that
-lands on a corner may rotate back onto them within the step. At last, contacts are chosen among the touching samples
-(pair_contacts.py).
+relative velocity, is below the contact distance or its gap is below the speculative distance (approach.py), and if its
+outward normal opposes the gradient of the distance, unless it then passes by an immovable body. If one sample touches,
+nearby samples that move away are contacts too: a body that lands on a corner may rotate back onto them within the step.
+At last, contacts are chosen among the touching samples (pair_contacts.py).
 
 A team of lanes processes a pair. The lanes test clusters in parallel, then the samples of each near cluster. Teams do
 not search contact points, as pairs would wait for the one that needs most distances.
