@@ -25,16 +25,16 @@ def test_what_falls_together_does_not_overlap_when_the_lowest_body_is_stopped(de
 
 
 def test_what_flies_past_a_sleeping_body_does_not_wake_it(device):
-    """It passes at 5 to 18 mm, and moves by 25 mm in a step."""
+    """It passes at 10 to 20 mm, and moves by 62 mm in a step."""
     scene = ground_scene()
     sleeper = scene.add_body(Box((0.1, 0.1, 0.1)), position=(0, 0, 0.1))
     passing = scene.add_body(Sphere(0.05), position=(5.0, 0, 0.255))
     sim = Simulator(scene, settings=Settings(dt=DT, sleeping=True), device=device)
     sim.step(240)
     assert sim.get("asleep")[0, sleeper]
-    sim.set("position", (-0.3, 0, 0.255), bodies=[passing])
-    sim.set("linear_velocity", (6.0, 0, 0.5), bodies=[passing])
-    sim.step(24)
+    sim.set("position", (-0.6, 0, 0.26), bodies=[passing])
+    sim.set("linear_velocity", (15.0, 0, 0.5), bodies=[passing])
+    sim.step(20)
     assert sim.get("position")[0, passing, 0] > 0.2 and sim.get("asleep")[0, sleeper]
 
 
