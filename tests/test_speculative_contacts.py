@@ -67,7 +67,7 @@ def lowest_gap(sim, body):
 
 @pytest.mark.parametrize(("case", "bound"), [("pile_torus:16", 2.2e-3), ("pile_bunny:16", 2.4e-3)])
 def test_nonconvex_bodies_that_land_hardly_overlap(device, case, bound):
-    """Deepest overlap of eight piles in 1.2 s at four steps per frame. Without speculative contacts: 4 to 6 mm."""
+    """Deepest overlap of eight piles in 1.2 s at four steps per frame. Before speculative contacts: 4 to 6 mm."""
     case = find_case(case)
     sim = Simulator(case.build(), num_envs=8, settings=Settings(dt=DT), device=device)
     case.scatter(sim)

@@ -138,6 +138,7 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
             return failed_batch(runs, error, (time.perf_counter() - start) / len(runs))
         problem = "contains a run with a bad value" if refused else "does not fit into memory"
         log.info("batch of %d runs %s (%s); splitting it in half", len(runs), problem, error)
+    prepared = None
     free_batches()
     middle = len(runs) // 2
     first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
