@@ -1,5 +1,6 @@
 """Joints on the device: their arrays, and the launches of their kernels in a step."""
 
+import weakref
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -185,7 +186,8 @@ class JointStages:
 
     def __init__(self, of_step: Any) -> None:
         """Look up the arrays."""
-        self._step = of_step
+        # Not a cycle of references: the arrays are freed with the last reference to the simulator.
+        self._step = weakref.proxy(of_step)
         model = of_step.model
         self.arrays = model.constraint_rows[NAME]
         sizes = model.layout.sizes

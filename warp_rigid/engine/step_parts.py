@@ -131,8 +131,8 @@ class StepParts:
         if again is not None:
             flag = again.numpy()
             return lambda: bool(flag[0])
-        finished, last = self._tickets.finished.numpy(), self._launches - 1
-        return lambda: bool(finished[last] < self._chunks)
+        finished, last, chunks = self._tickets.finished.numpy(), self._launches - 1, self._chunks
+        return lambda: bool(finished[last] < chunks)
 
     def _begin(self) -> None:
         wp.capture_begin(self._device, force_module_load=False)

@@ -1,6 +1,5 @@
 """Batches: runs that share a simulator, from their parameters to their result rows."""
 
-import gc
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +24,7 @@ from warp_rigid.sweep.observers import Observers
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.structure import structure
 
-__all__ = ["Batch", "failed_batch", "free_batches", "prepare", "replay", "run_batch"]
+__all__ = ["Batch", "failed_batch", "prepare", "replay", "run_batch"]
 
 log = logging.getLogger("warp_rigid")
 
@@ -138,8 +137,8 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
             return failed_batch(runs, error, (time.perf_counter() - start) / len(runs))
         problem = "contains a run with a bad value" if refused else "does not fit into memory"
         log.info("batch of %d runs %s (%s); splitting it in half", len(runs), problem, error)
+    # The whole batch is freed before its halves are built.
     prepared = None
-    free_batches()
     middle = len(runs) // 2
     first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
     for row in second.rows:
@@ -149,11 +148,6 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     watch.add(second.seconds)
     trajectories, series = first.trajectories + second.trajectories, first.series + second.series
     return Batch(first.rows + second.rows, trajectories, series, watch.seconds)
-
-
-def free_batches() -> None:
-    """Free the memory of batches that have ended: reference cycles keep a simulator until they are collected."""
-    gc.collect()
 
 
 def _is_memory_error(error: Exception) -> bool:

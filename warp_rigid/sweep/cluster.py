@@ -11,7 +11,7 @@ import warp as wp
 
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.runs.user_code import errors_of, module_of_file
-from warp_rigid.sweep.batch_run import Batch, failed_batch, free_batches, run_batch
+from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
@@ -124,6 +124,5 @@ def _worker_capacity(job: Job, hosts: Counter[str]) -> tuple[int, int]:
 
 def _run_on_worker(job: Job, runs: list[Run], hosts: Counter[str]) -> Batch:
     """Run a batch on a worker."""
-    free_batches()
     with _shared_cores(hosts):
         return run_batch(_on_this_worker(job), runs)

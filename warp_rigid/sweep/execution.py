@@ -18,7 +18,7 @@ import warp as wp
 from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.sweep.axes import clean_axes, plain
-from warp_rigid.sweep.batch_run import Batch, free_batches, run_batch
+from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
@@ -239,10 +239,7 @@ def _results(
     device = choose_device(job.device)
     job = replace(job, device=device)
     parts = split_into_batches(groups, batch, max_environments(device), free_memory(device))
-    for index, part in enumerate(parts):
-        if index:
-            with watch.of("build"):
-                free_batches()
+    for part in parts:
         yield part, run_batch(job, part)
 
 

@@ -12,7 +12,7 @@ import warp as wp
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.engine.loading import OVERLAP, STEP, load_kernels
 from warp_rigid.engine.teams import WARP
-from warp_rigid.sweep.batch_run import Batch, free_batches, run_batch
+from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import free_memory, max_environments
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
@@ -52,7 +52,6 @@ def accept(job: Job) -> tuple[int, int]:
 
 def run(part: list[Run]) -> Batch:
     """Run a batch of the job."""
-    free_batches()
     with shared_by(_sharers):
         return run_batch(_job, part)
 
