@@ -1,6 +1,5 @@
 """Heaps: the launches of the kernels that solve their pairs in rounds."""
 
-import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,8 +24,7 @@ class HeapStages:
         self.model, self.state, self.envs = stages.model, stages.state, stages.envs
         self.pools, self.motions = stages.pools, stages.motions
         self.dt, self.device = stages.dt, stages.device
-        # Not a cycle of references: the arrays are freed with the last reference to the simulator.
-        self._step = weakref.proxy(stages)
+        self._step = stages
         self.parts: StepParts = stages.parts
         self.bodies, self.most_pairs = stages.rows, stages.pools.sizes["constraints"]
 
@@ -99,6 +97,7 @@ class HeapStages:
         wp.capture_while(some.again, group)
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
+        """Launch a kernel whose threads share `size` rows."""
         self._step._shared(kernel, size, before, inputs, outputs)
 
     def _per_round_pair(self, kernel: Any, some: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:

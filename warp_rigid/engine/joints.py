@@ -1,6 +1,5 @@
 """Joints on the device: their arrays, and the launches of their kernels in a step."""
 
-import weakref
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -186,8 +185,7 @@ class JointStages:
 
     def __init__(self, of_step: Any) -> None:
         """Look up the arrays."""
-        # Not a cycle of references: the arrays are freed with the last reference to the simulator.
-        self._step = weakref.proxy(of_step)
+        self._step = of_step
         model = of_step.model
         self.arrays = model.constraint_rows[NAME]
         sizes = model.layout.sizes

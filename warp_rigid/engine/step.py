@@ -1,6 +1,7 @@
 """The step as a sequence of kernel launches, recorded once and replayed."""
 
 import functools
+import weakref
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
@@ -113,8 +114,9 @@ class Stages:
         for kind in OTHER_KINDS:
             setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
         self.parts = StepParts(self.device, useful_workers(workers, layout.most_bodies) if self.crowded else 1)
-        self.joints = JointStages(self)
-        self.heaps = HeapStages(self)
+        # A cycle of references would keep all arrays until the garbage collector runs.
+        of_step = weakref.proxy(self)
+        self.joints, self.heaps = JointStages(of_step), HeapStages(of_step)
         optional = (
             (loading.SLEEP, sleeping),
             (loading.GROUND, model.surface_vertices > 0),

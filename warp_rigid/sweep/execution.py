@@ -238,8 +238,7 @@ def _results(
         return
     device = choose_device(job.device)
     job = replace(job, device=device)
-    parts = split_into_batches(groups, batch, max_environments(device), free_memory(device))
-    for part in parts:
+    for part in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
         yield part, run_batch(job, part)
 
 
