@@ -1,20 +1,19 @@
-# Every target works in a fresh clone that has only make and python3 (3.11 or newer): the first
-# one to run fills .venv with the versions of requirements.lock.
+# Every target works in a fresh clone that has only make and python3 (3.11 or newer, with its own pip): the first one to
+# run fills .venv with the versions of requirements.lock.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-DOCS_READY := $(VENV)/.docs-ready
 ROBOTS := $(VENV)/robots
 ROBOTS_READY := $(VENV)/.robots-ready
 FRAMEWORKS_READY := $(VENV)/.frameworks-ready
 OUT := out
-# A command that prints a lock file: with its hashes where they are those of the platform's wheels.
-HASHED := $(filter Linux-x86_64-%,$(shell $(PYTHON) -c 'import platform as p, sys; \
-	print(p.system(), p.machine(), "%d.%d" % sys.version_info[:2], sep="-")'))
-WITHOUT_HASHES := sed 's/ --hash=[^ ]*//g; /^omniverse-asset-validator/s/$$/; python_version < "3.13"/'
-LOCKED := $(if $(filter %-3.11 %-3.12,$(HASHED)),cat,$(WITHOUT_HASHES))
-DOCS_LOCKED := $(if $(filter %-3.12 %-3.13,$(HASHED)),cat,$(WITHOUT_HASHES))
+# A lock is installed as it is: it holds every need, so that nothing is looked up, and a later version changes nothing.
+PIP := -m pip
+INSTALL := $(PIP) install --quiet --disable-pip-version-check --no-deps
+INSTALL_LOCK := $(INSTALL) --require-hashes --only-binary :all: -r
+COMPILE := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --only-binary :all: \
+	--generate-hashes --no-annotate --custom-compile-command "make locks" $(UPGRADE)
 PYTEST := $(BIN)/python -m pytest -q
 # Besides the version of PYTHON; the tests are those of files that use most of the standard library and the dependencies.
 OTHER_PYTHONS := 3.12 3.13
@@ -22,7 +21,7 @@ PART := public_names packaging simulator determinism cli sweep_files usd_export 
 # One worker a core; the tests of a file stay together, for they share what is costly to make. The longest files first.
 WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-all other-pythons other-python-test frameworks browser-test fuzz dist pins validate lint docs format clean
+.PHONY: demo test test-all other-pythons other-python-test frameworks browser-test fuzz dist pins locks validate lint docs format clean
 
 # Two scenes: films, pictures and a contact sheet in out/.
 demo: $(READY)
@@ -72,6 +71,14 @@ dist: $(READY)
 pins: $(READY)
 	$(BIN)/python -m tests.pin_hashes
 
+# Renew the locks and the bill of materials after a change of pyproject.toml. Versions stay where they suit;
+# `make locks UPGRADE=--upgrade` takes the newest.
+locks: $(READY)
+	$(COMPILE) pyproject.toml --extra dev -o requirements.lock
+	$(COMPILE) --group robots -o tests/robots.lock
+	$(COMPILE) --group frameworks --constraints requirements.lock -o tests/frameworks.lock
+	$(BIN)/python docs/make_sbom.py
+
 # Measure every validation case: tables and figures in out/validation/.
 validate: $(READY)
 	$(BIN)/warp-rigid validate -o $(OUT)/validation
@@ -83,7 +90,7 @@ lint: $(READY)
 	$(BIN)/mypy
 
 # The site of the documents, warnings as errors: out/site/index.html.
-docs: $(DOCS_READY)
+docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "built $(OUT)/site/index.html"
 
@@ -100,10 +107,8 @@ clean:
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "python3 must be 3.11 or newer")'
 	$(PYTHON) -m venv $(VENV)
-	$(LOCKED) requirements.lock >$(VENV)/requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $(VENV)/requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-		--no-deps --no-build-isolation --editable .
+	$(BIN)/python $(INSTALL_LOCK) requirements.lock
+	$(BIN)/python $(INSTALL) --no-build-isolation --editable .
 	@touch $@
 
 # The converters of robots' files have an environment of their own, and links to them beside the interpreter. They need
@@ -111,18 +116,11 @@ $(READY): requirements.lock pyproject.toml
 $(ROBOTS_READY): $(READY) tests/robots.lock
 	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
 		$(PYTHON) -m venv $(ROBOTS) && \
-		$(LOCKED) tests/robots.lock >$(VENV)/robots-requirements.txt && \
-		$(ROBOTS)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r $(VENV)/robots-requirements.txt && \
+		$(ROBOTS)/bin/python $(INSTALL_LOCK) tests/robots.lock && \
 		ln -sf ../robots/bin/mujoco_usd_converter ../robots/bin/urdf_usd_converter $(BIN)/; \
 	else echo "no converters of robots' files for this Python: their tests are skipped"; fi
 	@touch $@
 
 $(FRAMEWORKS_READY): $(READY) tests/frameworks.lock
-	$(LOCKED) tests/frameworks.lock >$(VENV)/frameworks.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r $(VENV)/frameworks.txt
-	@touch $@
-
-$(DOCS_READY): $(READY) docs/requirements.lock
-	$(DOCS_LOCKED) docs/requirements.lock >$(VENV)/docs-requirements.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r $(VENV)/docs-requirements.txt
+	$(BIN)/python $(INSTALL_LOCK) tests/frameworks.lock
 	@touch $@

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 import tomllib
@@ -56,28 +55,6 @@ def test_links_make_the_checkout_importable(name):
     link = ROOT / "warp_rigid" / name
     assert os.readlink(link) == f"../{name}"
     assert (link / "__init__.py").samefile(ROOT / name / "__init__.py")
-
-
-def test_lock_holds_every_requirement(pyproject):
-    locks = [ROOT / "requirements.lock", ROOT / "docs" / "requirements.lock"]
-    lines = [line for lock in locks for line in lock.read_text().splitlines()]
-    locked = dict(line.lower().split()[0].split("==") for line in lines if not line.startswith("#"))
-    project = pyproject["project"]
-    wanted = project["dependencies"] + [
-        requirement
-        for extra in project["optional-dependencies"].values()
-        for requirement in extra
-        if not requirement.startswith("warp-rigid")
-    ]
-    missing = [r for r in wanted if r.split(">")[0].lower() not in locked]
-    assert missing == []
-
-
-def test_every_locked_version_has_hashes():
-    folders = (ROOT, ROOT / "docs", ROOT / "tests")
-    for lock in (path for folder in folders for path in sorted(folder.glob("*.lock"))):
-        for line in lock.read_text().splitlines():
-            assert line.startswith("#") or re.fullmatch(r"[\w.-]+==[\w.+]+( --hash=sha256:[0-9a-f]{64})+", line), line
 
 
 def test_the_bill_of_materials_is_that_of_the_lock():
