@@ -8,7 +8,6 @@ import base64
 import contextlib
 import io
 import json
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -17,7 +16,7 @@ NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 
 def run_cells(notebook: dict) -> list:
-    """Execute the code cells of a notebook in place, in a folder of its own; returns all figures.
+    """Execute the code cells of a notebook in place, in the working folder; returns all figures.
 
     Args:
         notebook: content of the file, whose outputs are replaced.
@@ -29,19 +28,17 @@ def run_cells(notebook: dict) -> list:
 
     shown: list = []
     names: dict = {"__name__": "__main__"}
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        os.mkdir("out")
-        for number, cell in enumerate((c for c in notebook["cells"] if c["cell_type"] == "code"), start=1):
-            printed = io.StringIO()
-            code = compile("".join(cell["source"]), f"cell {number}", "exec")
-            with contextlib.redirect_stdout(printed):
-                exec(code, names)
-            figures = [plt.figure(k) for k in plt.get_fignums()]
-            cell["execution_count"] = number
-            cell["outputs"] = _stream(printed.getvalue()) + [_image(figure) for figure in figures]
-            shown += figures
-            for figure in figures:
-                plt.close(figure)
+    for number, cell in enumerate((c for c in notebook["cells"] if c["cell_type"] == "code"), start=1):
+        printed = io.StringIO()
+        code = compile("".join(cell["source"]), f"cell {number}", "exec")
+        with contextlib.redirect_stdout(printed):
+            exec(code, names)
+        figures = [plt.figure(k) for k in plt.get_fignums()]
+        cell["execution_count"] = number
+        cell["outputs"] = _stream(printed.getvalue()) + [_image(figure) for figure in figures]
+        shown += figures
+        for figure in figures:
+            plt.close(figure)
     return shown
 
 
@@ -63,7 +60,8 @@ def main(names: list[str]) -> None:
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         if not names or path.stem in names:
             notebook = json.loads(path.read_text())
-            run_cells(notebook)
+            with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+                run_cells(notebook)
             path.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
             print(f"ran {path.name}")
 

@@ -1,27 +1,16 @@
 """The notebooks of the tutorials run, and end in a figure that can be published: units on the axes, and a legend."""
 
-import importlib.util
 import json
 import re
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-
-
-def tool():
-    """docs/run_notebooks.py as a module."""
-    spec = importlib.util.spec_from_file_location("run_notebooks", ROOT / "docs" / "run_notebooks.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from tests.pages import DOCS, NOTEBOOKS, notebook_tool
 
 
 def test_each_use_has_a_notebook_that_the_tutorials_name():
     assert [path.stem for path in NOTEBOOKS] == ["film", "speed", "sweep"]
-    page = (ROOT / "docs" / "tutorials.md").read_text()
+    page = (DOCS / "tutorials.md").read_text()
     assert all(f"(notebooks/{path.name})" in page for path in NOTEBOOKS)
 
 
@@ -39,9 +28,10 @@ def test_file_is_a_notebook_with_its_output(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs_and_ends_in_a_figure_with_units_and_a_legend(path):
+def test_notebook_runs_and_ends_in_a_figure_with_units_and_a_legend(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     notebook = json.loads(path.read_text())
-    figures = tool().run_cells(notebook)
+    figures = notebook_tool().run_cells(notebook)
     (axes,) = figures[-1].axes
     for label in (axes.get_xlabel(), axes.get_ylabel()):
         assert re.search(r"\w \[[^\]]+\]$", label), label

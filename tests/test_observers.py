@@ -212,7 +212,7 @@ def test_series_in_zarr_are_those_in_parquet(tmp_path, monkeypatch):
     assert root["position[ball]"].shape == (10, 11, 3) and root["time"].shape == (10, 11)
     assert not (tmp_path / "t.series").exists()
     more = {**axes, "height": np.linspace(0.05, 0.3, 9)}
-    with pytest.raises(ValueError, match="s.zarr: already exists; resume it, overwrite it"):
+    with pytest.raises(ValueError, match="s.zarr: already exists; resume=True .* overwrite=True"):
         quick(more, **options | {"output": tmp_path / "u.parquet"})
     with pytest.raises(ValueError, match="s.zarr: holds the series of a different sweep"):
         quick(axes, **options | {"output": None, "duration": 0.25, "resume": True})

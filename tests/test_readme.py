@@ -3,15 +3,14 @@
 import ast
 import inspect
 import re
-import shlex
 import textwrap
 import tomllib
-from pathlib import Path
 
 import pytest
 import warp as wp
 
 import warp_rigid
+from tests.pages import DOCS, ROOT, arguments_of, blocks, close_viewers_at_once, commands, write_scene_files
 from tests.robot_tools import robot_files
 from warp_rigid.commands import cli
 from warp_rigid.engine import hash_grid, heaps, step
@@ -19,10 +18,7 @@ from warp_rigid.engine.step import Stages
 from warp_rigid.kernels.joints import joint_stages
 from warp_rigid.scene import fields
 from warp_rigid.validation import suite
-from warp_rigid.viewer.page import stop_server
 
-ROOT = Path(__file__).resolve().parents[1]
-DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MEASURES = {("overlap", "deepest_overlap")}
 """Kernels that are no part of a step."""
@@ -30,49 +26,38 @@ MEASURES = {("overlap", "deepest_overlap")}
 MOST_BYTES = {".png": 120_000, ".gif": 1_500_000}
 
 
-def blocks(language):
-    """Code of a language, each text once; tests/test_sweep_docs.py runs that of the sweeps' pages."""
-    text = "\n".join(page.read_text() for page in PAGES if page.parent.name != "sweeps")
-    return list(dict.fromkeys(re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)))
+OTHERS = [page for page in PAGES if page.parent.name != "sweeps"]
+"""Not those of the sweeps, whose code tests/test_sweep_docs.py runs."""
 
-
-COMMANDS = list(dict.fromkeys(line.split("#")[0].strip() for b in blocks("bash") for line in b.splitlines() if line))
+COMMANDS = commands(OTHERS)
+PROGRAMS = blocks("python", OTHERS)
 OWN_COMMANDS = [command for command in COMMANDS if command.startswith("warp-rigid ")]
 
 
 def test_there_is_something_to_test():
-    assert len(OWN_COMMANDS) >= 10 and len(blocks("python")) >= 1
+    assert len(OWN_COMMANDS) >= 10 and len(PROGRAMS) >= 1
 
 
 @pytest.mark.parametrize("command", OWN_COMMANDS)
 def test_command_runs(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
-    arguments = shlex.split(command)[1:]
+    write_scene_files(OTHERS, tmp_path)
+    arguments = arguments_of(command)
     if any(part.startswith("robots/") for part in arguments):
         (tmp_path / "robots").mkdir()
         for name, file in robot_files().items():
             (tmp_path / "robots" / name).symlink_to(file)
-    if arguments[0] == "run":
-        arguments += ["--frames", "2", "--device", "cpu"]
     if arguments[0] == "view":
-        # The page opens, and closes at once; tests/browser has it used.
-        monkeypatch.setattr("warp_rigid.viewer.live.LiveViewer.run", lambda viewer: stop_server(viewer.server))
-        monkeypatch.setattr("warp_rigid.viewer.playback.FilmViewer.run", lambda viewer: stop_server(viewer.server))
+        close_viewers_at_once(monkeypatch.setattr)
     for film in (part for part in arguments if arguments[0] == "view" and part.startswith("out/")):
         assert cli.main(["run", "seesaw", "-o", film, "--frames", "2", "--device", "cpu"]) == 0
-    if arguments[0] == "bench":
-        arguments += ["--device", "cpu"]
-    if arguments[0] == "sweep":
-        arguments += ["--duration", "0.01", "--device", "cpu"]
-    if arguments[0] == "inspect":
-        arguments += ["--sdf-resolution", "16"]
     assert cli.main(arguments) == 0
     written = [part for part in arguments if part.startswith("out/")]
     assert all((tmp_path / path).stat().st_size > 0 for path in written)
 
 
-@pytest.mark.parametrize("program", blocks("python"))
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_program_runs(program, tmp_path, monkeypatch):
     for framework in re.findall(r"^import (torch|jax|gymnasium)\b", program, flags=re.MULTILINE):
         pytest.importorskip(framework, reason="an optional framework")
@@ -81,14 +66,10 @@ def test_program_runs(program, tmp_path, monkeypatch):
     assert all((tmp_path / path).is_file() for path in re.findall(r'"(out/[^"]+)"', program))
 
 
-FILES = re.findall(r'```python title="(\w+\.py)"\n(.*?)```', "\n".join(p.read_text() for p in PAGES), flags=re.DOTALL)
-
-
-@pytest.mark.parametrize(("name", "text"), FILES)
-def test_scene_files_of_the_pages_run(name, text, tmp_path, monkeypatch):
+def test_scene_files_of_the_pages_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path(name).write_text(text)
-    assert cli.main(["run", name, "--frames", "2", "--device", "cpu", "--picture", "out/a.png"]) == 0
+    for name in write_scene_files(PAGES, tmp_path):
+        assert cli.main(["run", name, "--frames", "2", "--device", "cpu", "--picture", "out/a.png"]) == 0
 
 
 def test_make_targets_and_files_exist():
@@ -107,7 +88,7 @@ def test_make_targets_and_files_exist():
 
 def test_pictures_are_small_and_made_by_a_command_or_program():
     for picture in (DOCS / "pictures").iterdir():
-        assert any(f"out/{picture.name}" in maker for maker in OWN_COMMANDS + blocks("python")), picture.name
+        assert any(f"out/{picture.name}" in maker for maker in OWN_COMMANDS + PROGRAMS), picture.name
         assert any(f"pictures/{picture.name})" in page.read_text() for page in PAGES), picture.name
         assert picture.stat().st_size <= MOST_BYTES[picture.suffix], picture.name
 

@@ -88,7 +88,7 @@ def test_other_sweeps_are_not_mixed(tmp_path, runs_done):
     quick(AXES, output=path)
     before, _ = path.read_bytes(), runs_done.clear()
     for options, message in (
-        ({}, "already exists; resume it, overwrite it"),
+        ({}, "already exists; resume=True .* overwrite=True"),
         ({"resume": True, "duration": 0.2}, "holds a different sweep: duration is 0.1 there, 0.2 here"),
         ({"resume": True, "fixed": {"mass": 2.0}}, "holds a different sweep: fixed"),
         ({"resume": True, "metrics": ["drift"]}, "holds a different sweep: metrics"),

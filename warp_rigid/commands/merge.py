@@ -15,6 +15,7 @@ def merge_command(
     plot_x: Annotated[str | None, typer.Option(help="Axis on the x axis of the plot.")] = None,
     plot_y: Annotated[str | None, typer.Option(help="Metric on the y axis of the plot.")] = None,
     plot_kind: Annotated[str | None, typer.Option(help="Kind of plot: line, heatmap or scatter.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing table.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """Merge the tables of the shards of a sweep. Missing runs count as failed."""
@@ -25,8 +26,9 @@ def merge_command(
         check_plot(plot, plot_kind)
     if not output.endswith(".parquet"):
         raise ValueError(f"-o: must end in .parquet, got {output}")
-    if Path(output).exists() and Path(output).resolve() not in [Path(table).resolve() for table in tables]:
-        raise ValueError(f"{output}: already exists and is not one of the tables; choose another name")
+    own = Path(output).resolve() in [Path(table).resolve() for table in tables]
+    if Path(output).exists() and not own and not overwrite:
+        raise ValueError(f"{output}: already exists and is not one of the tables; --overwrite replaces it")
     result = merge(tables)
     result.to_parquet(output)
     if plot:

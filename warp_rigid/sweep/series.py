@@ -16,6 +16,9 @@ __all__ = ["Series", "ZarrSeries", "open_series", "read_series", "series_folder"
 SUFFIX = ".series"
 ZARR = ".zarr"
 
+EXISTS = "already exists; resume=True (--resume) continues it, overwrite=True (--overwrite) replaces it"
+"""Why a sweep does not start: the end of a message that begins with the path."""
+
 RUNS_PER_CHUNK = 64
 """Runs of a chunk of a zarr array, which is one file."""
 
@@ -102,7 +105,7 @@ class ZarrSeries:
         if self.folder.exists() and overwrite and not resume:
             shutil.rmtree(self.folder)
         elif self.folder.exists() and not resume:
-            raise ValueError(f"{path}: already exists; resume it, overwrite it or choose another name")
+            raise ValueError(f"{path}: {EXISTS}")
         self._root = zarr.open_group(self.folder, mode="a")
         own = {name: about[name] for name in ("scene", "duration", "fps", "version", "series")}
         before = self._root.attrs.get("warp_rigid", own)

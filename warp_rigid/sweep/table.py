@@ -23,7 +23,7 @@ from warp_rigid.sweep.columns import (
 )
 from warp_rigid.sweep.design import MAX_RUNS, Run
 from warp_rigid.sweep.result_plots import plot
-from warp_rigid.sweep.series import Series, ZarrSeries
+from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
 
@@ -189,7 +189,7 @@ class ResultFile:
         if self.path.exists() and resume:
             self._load_finished()
         elif self.path.exists() and not overwrite:
-            raise ValueError(f"{self.path}: already exists; resume it, overwrite it or choose another name")
+            raise ValueError(f"{self.path}: {EXISTS}")
 
     def missing(self, runs: Sequence[Run]) -> list[Run]:
         """The runs of a design that have no finished row.

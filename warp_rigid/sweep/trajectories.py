@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.sweep.design import Run
+from warp_rigid.sweep.series import EXISTS
 
 __all__ = ["Trajectories"]
 
@@ -42,7 +43,7 @@ class Trajectories:
         if self.path.exists() and overwrite and not resume:
             shutil.rmtree(self.path)
         elif self.path.exists() and not resume:
-            raise ValueError(f"{path}: already exists; resume it, overwrite it or choose another name")
+            raise ValueError(f"{path}: {EXISTS}")
         self.root = zarr.open_group(self.path, mode="a")
         self.root.attrs["warp_rigid"] = {name: about[name] for name in ("scene", "duration", "fps", "version")}
 

@@ -1,0 +1,94 @@
+"""The commands and programs of the pages, cut in size, for tests.
+
+As a program it runs those of the README, the tutorials and the notebooks twice, one after the other, in the working
+folder, with what is installed beside the interpreter: `python tests/pages.py`.
+"""
+
+import importlib.util
+import json
+import re
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from unittest import mock
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
+
+
+def blocks(language: str, pages: list[Path]) -> list[str]:
+    """Code of a language, each text once."""
+    text = "\n".join(page.read_text() for page in pages)
+    return list(dict.fromkeys(re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)))
+
+
+def commands(pages: list[Path]) -> list[str]:
+    """The lines of the blocks of a shell, each once."""
+    lines = [line for block in blocks("bash", pages) for line in block.splitlines() if line]
+    return list(dict.fromkeys(line.split("#")[0].strip() for line in lines))
+
+
+def arguments_of(command: str) -> list[str]:
+    """Arguments of a command `warp-rigid ...`, with options that cut its size."""
+    arguments = shlex.split(command)[1:]
+    smaller = {
+        "run": ["--frames", "2", "--device", "cpu"],
+        "bench": ["--device", "cpu"],
+        "sweep": ["--duration", "0.01", "--device", "cpu"],
+        "inspect": ["--sdf-resolution", "16"],
+    }
+    return arguments + smaller.get(arguments[0], [])
+
+
+def write_scene_files(pages: list[Path], folder: Path) -> dict[str, str]:
+    """Write the files that the pages tell the reader to save, and return their text by name."""
+    text = "\n".join(page.read_text() for page in pages)
+    files = dict(re.findall(r'```python title="(\w+\.py)"\n(.*?)```', text, flags=re.DOTALL))
+    for name, content in files.items():
+        (folder / name).write_text(content)
+    return files
+
+
+def close_viewers_at_once(setattr: Callable) -> None:
+    """Let `warp-rigid view` open its page, and close it at once; tests/browser has it used."""
+    from warp_rigid.viewer.page import stop_server
+
+    for viewer in ("live.LiveViewer", "playback.FilmViewer"):
+        setattr(f"warp_rigid.viewer.{viewer}.run", lambda viewer: stop_server(viewer.server))
+
+
+def notebook_tool() -> ModuleType:
+    """docs/run_notebooks.py as a module."""
+    spec = importlib.util.spec_from_file_location("run_notebooks", DOCS / "run_notebooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def run_once() -> None:
+    """Run all; the first exception or failure ends the program."""
+    from warp_rigid.commands import cli
+
+    pages = [ROOT / "README.md", DOCS / "tutorials.md"]
+    for command in commands(pages):
+        if command.startswith("warp-rigid "):
+            print(command, flush=True)
+            status = cli.main(arguments_of(command))
+            if status:
+                sys.exit(f"status {status}: {command}")
+    for program in blocks("python", pages):
+        exec(compile(program, "program.py", "exec"), {"__name__": "__main__"})
+    for path in NOTEBOOKS:
+        print(path.name, flush=True)
+        notebook_tool().run_cells(json.loads(path.read_text()))
+
+
+if __name__ == "__main__":
+    close_viewers_at_once(lambda target, new: mock.patch(target, new).start())
+    write_scene_files([DOCS / "tutorials.md"], Path())
+    for _ in range(2):
+        run_once()
+    print("ran all twice")
