@@ -13,7 +13,7 @@ PIP := -m pip
 INSTALL := $(PIP) install --quiet --disable-pip-version-check --no-deps
 INSTALL_LOCK := $(INSTALL) --require-hashes --only-binary :all: -r
 COMPILE := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --only-binary :all: \
-	--generate-hashes --no-annotate --custom-compile-command "make locks" $(UPGRADE)
+	--generate-hashes --no-annotate --no-strip-extras --custom-compile-command "make locks" $(UPGRADE)
 PYTEST := $(BIN)/python -m pytest -q
 # Besides the version of PYTHON; the tests are those of files that use most of the standard library and the dependencies.
 OTHER_PYTHONS := 3.12 3.13
@@ -115,7 +115,7 @@ $(READY): requirements.lock pyproject.toml
 # Python 3.11 or 3.12: elsewhere their tests are skipped.
 $(ROBOTS_READY): $(READY) tests/robots.lock
 	@if $(PYTHON) -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
-		$(PYTHON) -m venv $(ROBOTS) && \
+		$(PYTHON) -m venv --clear $(ROBOTS) && \
 		$(ROBOTS)/bin/python $(INSTALL_LOCK) tests/robots.lock && \
 		ln -sf ../robots/bin/mujoco_usd_converter ../robots/bin/urdf_usd_converter $(BIN)/; \
 	else echo "no converters of robots' files for this Python: their tests are skipped"; fi

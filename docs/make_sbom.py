@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def bill_of_materials() -> str:
     """The bill of materials as JSON text."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    pinned = re.findall(r"^([\w.-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), flags=re.MULTILINE)
+    pinned = re.findall(r"^([\w.-]+)(?:\[.*\])?==(\S+)", (ROOT / "requirements.lock").read_text(), flags=re.MULTILINE)
     made = {
         "bomFormat": "CycloneDX",
         "specVersion": "1.5",

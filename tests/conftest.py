@@ -16,7 +16,18 @@ ROOT = Path(__file__).resolve().parents[1]
 MOST_WORKERS = 4
 """More workers need 1.5 GB of memory each and gain little: the longest files take a tenth of the whole time each."""
 
-LONGEST = ("ahead_of_time", "fuzz", "validation", "worlds", "convex", "readme", "startup", "sweep_costs", "usd_scene")
+LONGEST = (
+    "ahead_of_time",
+    "setup",
+    "fuzz",
+    "validation",
+    "worlds",
+    "convex",
+    "readme",
+    "startup",
+    "sweep_costs",
+    "usd_scene",
+)
 """Files that take longest, in this order: the workers begin with them, so that none is left for one worker alone."""
 
 

@@ -24,13 +24,18 @@ def lines_of(name):
     return [line.split() for line in text.splitlines() if not line.startswith("#")]
 
 
+def pin_in(line):
+    """A line without its hashes."""
+    return " ".join(word for word in line if not word.startswith("--"))
+
+
 def is_wanted(requirement, extra=""):
     return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
 
 
 def pins_of(name):
     """Versions by the names of packages: those that this Python gets from a lock."""
-    pins = [Requirement(" ".join(word for word in line if not word.startswith("--"))) for line in lines_of(name)]
+    pins = [Requirement(pin_in(line)) for line in lines_of(name)]
     return {canonicalize_name(pin.name): str(pin.specifier).removeprefix("==") for pin in pins if is_wanted(pin)}
 
 
@@ -64,7 +69,7 @@ def test_every_locked_version_has_hashes():
     for name in LOCKS:
         for line in lines_of(name):
             hashes = [word for word in line if word.startswith("--")]
-            assert re.fullmatch(r"[\w.-]+==[\w.]+", line[0]), line
+            assert re.match(r"[\w.-]+(\[[\w, -]+\])?==[\w.]+( ;|$)", pin_in(line)), line
             assert hashes and all(re.fullmatch("--hash=sha256:[0-9a-f]{64}", word) for word in hashes), line
 
 

@@ -1,0 +1,98 @@
+"""A fresh clone sets itself up from the locks alone, and the command of the README brings all that its pages use."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+from tests.pages import ROOT, commands
+from tests.test_locks import LOCKS, pins_of
+
+PIPS = {
+    "22.3": "1daab4b8d3b97d1d763caeb01a4640a2250a0ea899e257b1e44b9eded91e15ab",
+    "26.3": "f3b60b20ffaadd4415ed7957212a38ac63fa4c5fa375bd0f4a797777940fad13",
+}
+"""The version that Python 3.11.0 brings, and the newest, with the hashes of their wheels."""
+
+MADE = {"dev": (".venv/.ready", ".venv"), "robots": (".venv/.robots-ready", ".venv/robots")}
+"""The targets of the Makefile that install the locks, and their environments."""
+
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+
+
+def clone(folder):
+    """The files of this checkout that git tracks, or that are new, as they are now."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.split("\0")
+    for name in filter(lambda name: name and os.path.lexists(ROOT / name), listed):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, folder / name, follow_symlinks=False)
+    return folder
+
+
+def publish_newer(folder):
+    """A wheel of a version 9999 of every package of the locks, as an index might offer it tomorrow."""
+    folder.mkdir()
+    for name in {package.replace("-", "_") for lock in LOCKS for package in pins_of(lock)}:
+        info = f"{name}-9999.dist-info"
+        with zipfile.ZipFile(folder / f"{name}-9999-py3-none-any.whl", "w") as wheel:
+            wheel.writestr(f"{info}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: 9999\n")
+            wheel.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+            wheel.writestr(f"{info}/RECORD", "")
+    return folder
+
+
+def pip_of(version, folder):
+    """A version of pip as one file, which Python runs."""
+    (folder / "pip.txt").write_text(f"pip=={version} --hash=sha256:{PIPS[version]}\n")
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--require-hashes", "--dest", folder]
+    subprocess.run([*command, "-r", folder / "pip.txt"], check=True)
+    return folder / f"pip-{version}-py3-none-any.whl" / "pip"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("version", "locks"), [("22.3", ("dev", "robots")), ("26.3", ("dev",))])
+def test_a_clone_sets_itself_up(version, locks, tmp_path):
+    """With the oldest and the newest pip, although newer versions of all packages are published."""
+    pip = pip_of(version, tmp_path)
+    links = f"{publish_newer(tmp_path / 'newer')} {os.environ.get('PIP_FIND_LINKS', '')}"
+    environment = {**ENVIRONMENT, "PIP_FIND_LINKS": links, "PIP_NO_COMPILE": "1"}
+    copy = clone(tmp_path / "clone")
+
+    def run(*command):
+        return subprocess.run(command, cwd=copy, env=environment, check=True, capture_output=True, text=True).stdout
+
+    offered = run(sys.executable, pip, "download", "--no-deps", "--dest", "offered", "coverage")
+    assert "coverage-9999" in offered
+    for lock in filter(pins_of, locks):  # there are no converters of robots' files for Python 3.13
+        ready, folder = MADE[lock]
+        run("make", f"PYTHON={sys.executable}", f"PIP={pip}", ready)
+        python = f"{folder}/bin/python"
+        listed = json.loads(run(python, "-m", "pip", "list", "--format", "json"))
+        installed = {package["name"].lower().replace("_", "-"): package["version"] for package in listed}
+        assert {name: installed.get(name) for name in pins_of(lock)} == pins_of(lock)
+    assert "box_stack" in run(".venv/bin/warp-rigid", "scenes")
+
+
+@pytest.mark.long
+def test_the_documented_command_brings_all_that_the_pages_use(tmp_path):
+    """In a new environment, all commands and programs of the README, the tutorials and the notebooks run, and again."""
+    copy = clone(tmp_path / "clone")
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    (documented,) = [command for command in commands([copy / "README.md"]) if command.startswith("pip install ")]
+    path = f"{tmp_path / 'venv' / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    environment = {**ENVIRONMENT, "PATH": path, "PIP_NO_COMPILE": "1"}
+    subprocess.run(f"{documented} --quiet", shell=True, cwd=copy, env=environment, check=True)
+    (tmp_path / "work").mkdir()
+    command = [tmp_path / "venv" / "bin" / "python", copy / "tests" / "pages.py"]
+    done = subprocess.run(command, cwd=tmp_path / "work", env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.endswith("ran all twice\n"), done.stdout + done.stderr
