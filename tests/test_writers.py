@@ -91,6 +91,60 @@ def test_a_stream_onto_a_full_disk_tells_it_once_and_again(tmp_path, options):
     assert str(again.value) == str(error.value)
 
 
+def files_of(folder):
+    return {file.relative_to(folder): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize("layout", ["single", "payloads", "clips"])
+@pytest.mark.parametrize(("suffix", "profile"), [(".usdc", "animation"), (".usda", "animation"), (".usdc", "scene")])
+def test_a_stream_onto_a_full_disk_leaves_the_old_film(tmp_path, recording, suffix, profile, layout):
+    """All files of the older film, byte for byte, and no other ones; with room, the new film replaces it."""
+    sim = wr.Simulator(wr.scenes.load("box_stack", height=3), device="cpu")
+    path = tmp_path / f"a{suffix}"
+    wr.export_usd(recording, path, profile=profile, layout=layout)
+    before = files_of(tmp_path)
+
+    def stream():
+        with wr.UsdStream(sim, path, profile=profile, layout=layout) as film:
+            for _ in range(30):
+                sim.step(4)
+                film.capture(sim)
+
+    with full_disk(6000), pytest.raises(OSError) as error:
+        stream()
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+    assert files_of(tmp_path) == before
+    stream()
+    assert Usd.Stage.Open(str(path)).GetEndTimeCode() == 30.0
+    assert not [file.name for file in tmp_path.iterdir() if file.name.startswith(".")]
+
+
+def test_an_old_film_stays_until_the_new_one_is_complete(tmp_path, recording):
+    """Also if the writer is killed or the run is interrupted by an error of its own."""
+    sim = wr.Simulator(wr.scenes.load("box_stack", height=3), device="cpu")
+    path = tmp_path / "a.usdc"
+    wr.export_usd(recording, path)
+    before = path.read_bytes()
+    film = wr.UsdStream(sim, path)
+    for _ in range(30):
+        sim.step(4)
+        film.capture(sim)
+        assert path.read_bytes() == before
+    film.close()
+    assert Usd.Stage.Open(str(path)).GetEndTimeCode() == 30.0 and list(tmp_path.iterdir()) == [path]
+
+
+def test_an_override_onto_a_full_disk_leaves_the_old_one(tmp_path):
+    wr.export_usd(wr.record(wr.Simulator(wr.scenes.load("box_stack", height=3), device="cpu"), 0), tmp_path / "a.usda")
+    scene = wr.import_usd(tmp_path / "a.usda")
+    film = wr.record(wr.Simulator(scene, device="cpu"), 4)
+    wr.export_usd(film, tmp_path / "b.usda", layout="override")
+    before = files_of(tmp_path)
+    with full_disk(10), pytest.raises(OSError, match=r"b\.usda"):
+        wr.export_usd(film, tmp_path / "b.usda", layout="override")
+    assert files_of(tmp_path) == before
+
+
 def test_an_open_stage_shows_the_film_that_replaced_its_file(tmp_path, recording):
     wr.export_usd(recording, tmp_path / "a.usdc")
     stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-__all__ = ["atomic_file", "check_replaceable"]
+__all__ = ["atomic_file", "check_replaceable", "replace_files"]
 
 
 def check_replaceable(path: Any) -> None:
@@ -22,6 +22,24 @@ def check_replaceable(path: Any) -> None:
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "must be a regular file", str(path))
+
+
+def replace_files(folder: Path, target: Path) -> None:
+    """Move the files of a folder and of the folders in it to another folder of the same disk, over older ones.
+
+    Those in folders are moved first, since the others refer to them.
+
+    Raises:
+        OSError: A file cannot be moved.
+    """
+    files = sorted((file for file in folder.rglob("*") if file.is_file()), key=lambda file: -len(file.parts))
+    for file in files:
+        with file.open("rb+") as stream:
+            os.fsync(stream.fileno())
+    for file in files:
+        place = target / file.relative_to(folder)
+        place.parent.mkdir(exist_ok=True)
+        os.replace(file, place)
 
 
 @contextlib.contextmanager
