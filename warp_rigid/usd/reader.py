@@ -84,6 +84,7 @@ class Reader:
         findings: differences between the file and the scene.
         prims: indices of the movable bodies by the paths of their prims.
         paths: motion of the animated kinematic bodies by their indices.
+        files: paths of the file and of all that it refers to.
 
     Raises:
         ValueError: The file is not a USD file or does not have the root prim.
@@ -96,6 +97,7 @@ class Reader:
         self.paths: dict[int, PosePath] = {}
         self._sdf_resolution = sdf_resolution
         self._stage = open_stage(path)
+        self.files = tuple(layer.realPath for layer in self._stage.GetUsedLayers() if layer.realPath)
         for error in self._stage.GetCompositionErrors():
             self._leave_out(error.rootSite.path, " ".join(str(error).split()))
         self._stage.SetEditTarget(self._stage.GetSessionLayer())

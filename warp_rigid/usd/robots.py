@@ -75,7 +75,7 @@ def import_robot(
         findings.append(ImportFinding(path.name, "changed", "bodies of the same mechanism do not collide"))
     report = scene.import_report
     assert report is not None
-    report = replace(report, file=str(path), findings=(*findings, *report.findings))
+    report = replace(report, file=str(path), findings=(*findings, *report.findings), files=(str(path),))
     scene.import_report = report
     if strict and report.findings:
         raise ValueError(f"{path}: {report.findings[0]} (and {len(report.findings) - 1} more)")

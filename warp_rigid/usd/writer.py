@@ -1,7 +1,6 @@
 """Writer of USD files frame by frame; the file is readable after every flush."""
 
 import contextlib
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 
-from warp_rigid.files.atomic import atomic_file, check_replaceable, replace_files
+from warp_rigid.files.atomic import atomic_file, check_replaceable, hidden_beside, replace_files
 from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets, is_tilted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
@@ -59,15 +58,14 @@ class UsdWriter:
         self._live = live or options.layout == "clips"
         self._film, self._path, self._rows, self._options = film, path, rows, options
         self._is_package = path.suffix == ".usdz"
-        self._folder: tempfile.TemporaryDirectory | None = None
+        self._folder: Path | None = None
+        self._hidden = contextlib.ExitStack()
         self._failure: OSError | None = None
         with self._writing():
             check_replaceable(path)
-            path.parent.mkdir(parents=True, exist_ok=True)
             if self._is_package or not live or path.exists():
-                beside = None if self._is_package else path.parent
-                self._folder = tempfile.TemporaryDirectory(prefix=f".{path.stem[:50]}.", dir=beside)
-        inner = Path(self._folder.name if self._folder else path.parent) / path.name
+                self._folder = self._hidden.enter_context(hidden_beside(path, is_folder=True))
+        inner = (self._folder or path.parent) / path.name
         inner = inner.with_suffix(".usdc") if self._is_package else inner
         self._suffix = ".usda" if path.suffix == ".usda" else ".usdc"
         self._parts = inner.parent / f"{inner.stem}_parts"
@@ -165,14 +163,13 @@ class UsdWriter:
         elif self._live and self._profile == "scene":
             self._compact()
         if self._folder and not self._is_package:
-            replace_files(Path(self._folder.name), self._path.parent)
+            replace_files(self._folder, self._path.parent)
             reload_layer(self._path)
         self.discard()
 
     def discard(self) -> None:
         """Remove what is not published yet."""
-        if self._folder:
-            self._folder.cleanup()
+        self._hidden.close()
 
     def _compact(self) -> None:
         """Remove the data that later flushes replaced."""
