@@ -55,6 +55,8 @@ FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 
 NAMED = {"Newton": "newton:", "Mjc": "mjc:"}
 """Families whose schemas are applied without need: only the attributes with this prefix that a file sets count."""
+CUSTOM = ("mjc:body:",)
+"""Prefixes of attributes that the converter of MuJoCo's files writes without a schema."""
 READ = {
     "newton:armature", "newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction",
     "newton:torsionalFriction", "mjc:compiler:angle", "mjc:compiler:setTotalMass", "mjc:ref", "mjc:springref",
@@ -192,12 +194,16 @@ class Reader:
         custom = custom_data(self._stage.GetPrimAtPath(next(iter(found)))) if found else {}
         scene = Scene(
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
-            friction_combine=custom.get("frictionCombine", "min"),
+            friction_combine=custom.get("frictionCombine", "max" if self._is_of_mujoco(objects) else "min"),
             restitution_combine=custom.get("restitutionCombine", "min"),
         )
         for force_field in fields_from_data(custom):
             scene.add_force_field(force_field)
         return scene
+
+    def _is_of_mujoco(self, objects: dict) -> bool:
+        """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
+        return any(is_of_mujoco(self._stage.GetPrimAtPath(path)) for path, _ in _described(objects, COLLIDERS))
 
     @staticmethod
     def _environments(scenes: dict) -> str:
@@ -452,9 +458,10 @@ def _joined(group: list[Collider], motion: Motion) -> tuple[Shape, np.ndarray, n
 def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:
     """What a prim says in schemas that are not supported."""
     prefixes = tuple(prefix for family, prefix in NAMED.items() if any(name.startswith(family) for name in schemas))
+    prefixes += CUSTOM
     told = [f"schema {name} is not supported" for name in schemas if not name.startswith(tuple(NAMED))]
     authored = [entry.GetName() for entry in prim.GetAuthoredProperties()]
-    lost = [name for name in authored if prefixes and name.startswith(prefixes) and name not in READ]
+    lost = [name for name in authored if name.startswith(prefixes) and name not in READ]
     if lost:
         told.append(f"{', '.join(lost)}: not supported")
     return told
