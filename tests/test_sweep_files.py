@@ -104,6 +104,16 @@ def test_other_sweeps_are_not_mixed(tmp_path, runs_done):
     assert len(quick({"height": [0.1]}, output=path, overwrite=True)) == 1
 
 
+def test_a_name_with_no_room_for_that_of_the_metadata_is_refused_before_any_run(tmp_path, runs_done):
+    """A name has at most 255 bytes; the metadata lie in NAME.json."""
+    longest = 255 - len(".parquet.json")
+    with pytest.raises(OSError, match=r"File name too long: .*\.parquet\.json"):
+        quick(AXES, output=tmp_path / ("a" * (longest + 1) + ".parquet"))
+    assert runs_done == [] and list(tmp_path.iterdir()) == []
+    quick({"height": [0.1]}, output=tmp_path / ("a" * longest + ".parquet"))
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_interrupted_writing_leaves_the_old_table(tmp_path, monkeypatch):
     path = tmp_path / "t.parquet"
     result = quick(AXES, output=path)

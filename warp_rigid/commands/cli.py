@@ -46,6 +46,7 @@ def main(argv: list[str] | None = None) -> int:
         with messages_on_stderr():
             start_warp()
             given = sys.argv[1:] if argv is None else argv
+            _refuse_empty(given)
             return app(args=argv, prog_name="warp-rigid", standalone_mode=False, obj=["warp-rigid", *given]) or 0
     except UsageError as error:
         return _fail(USAGE, error.format_message())
@@ -84,6 +85,14 @@ app.command("merge")(merge_command)
 app.add_typer(usd_app, name="usd")
 app.command("validate")(validate_command)
 app.command("bench")(bench_command)
+
+
+def _refuse_empty(given: list[str]) -> None:
+    """Reject empty arguments, such as the name of a file from a variable that is not set."""
+    for before, argument in zip(["", *given], given, strict=False):
+        if not argument or (argument.startswith("--") and argument.endswith("=")):
+            name = argument[:-1] or (before if before.startswith("-") else "argument")
+            raise ValueError(f"{name}: must not be empty")
 
 
 def _fail(status: int, text: str) -> int:

@@ -19,6 +19,7 @@ from warp_rigid.commands.terminal import (
     progress,
     told_if_interrupted,
 )
+from warp_rigid.files.atomic import check_unread
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
@@ -94,6 +95,8 @@ def run_command(
         raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
     pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
     check_outputs(output, {path: endings for path, endings in pictures.items() if path})
+    kept = [*written, checkpoint or ""]
+    check_unread(kept, [scene])
     one_of("--color", color, COLORINGS)
     usd = UsdOptions(usd_profile, color, usd_layout, usd_contacts)
     to_usd = output is not None and not output.endswith(".glb")
@@ -111,6 +114,7 @@ def run_command(
         seed=seed,
         memory_limit=_memory_limit(memory_limit),
     )
+    check_unread(kept, plan.scene.import_report.files if plan.scene.import_report else ())
     if checkpoint_every is not None:
         whole_in("--checkpoint-every", checkpoint_every, 1, 10**9)
         check_writable(checkpoint or f"{plan.demo.name}.ckpt")

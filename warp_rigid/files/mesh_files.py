@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import number_in
+from warp_rigid.files import polygons
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-TRIMESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
+TRIMESH_SUFFIXES = (".stl", ".glb", ".gltf")
 
 
 def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -25,19 +26,28 @@ def load(path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     path = Path(path)
     scale = number_in("scale", scale, above=0)
     suffix = path.suffix.lower()
-    if suffix not in USD_SUFFIXES + TRIMESH_SUFFIXES:
-        known = " ".join(TRIMESH_SUFFIXES + USD_SUFFIXES)
-        raise ValueError(f"{path}: must be a mesh file ({known})")
+    known = (*polygons.READERS, *TRIMESH_SUFFIXES, *USD_SUFFIXES)
+    if suffix not in known:
+        raise ValueError(f"{path}: must be a mesh file ({' '.join(known)})")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        vertices, faces = _load_usd(path) if suffix in USD_SUFFIXES else _load_trimesh(path)
+        vertices, faces = _load(path, suffix)
     except Exception as error:  # the exceptions of the parsers are not documented
         reason = (str(error).strip() or repr(error)).splitlines()[0]
         raise ValueError(reason if reason.startswith(f"{path}: ") else f"{path}: cannot be read: {reason}") from None
     if not len(faces):
         raise ValueError(f"{path}: holds no triangles")
     return scale * vertices, faces
+
+
+def _load(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
+    if suffix in USD_SUFFIXES:
+        return _load_usd(path)
+    if suffix in TRIMESH_SUFFIXES:
+        return _load_trimesh(path)
+    points, corners, sides = polygons.READERS[suffix](path)
+    return points, polygons.triangulated(points, corners, sides)
 
 
 def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -78,24 +88,19 @@ def _load_usd(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def usd_triangles(mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) of one USD mesh, and its polygons split into triangle fans."""
+    """Points (n, 3) of one USD mesh, and the triangles of its polygons (m, 3)."""
     from pxr import UsdGeom
 
-    points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=np.float64)
+    points = np.array(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
     sides = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
-    if sides.sum() != len(corners):
-        raise ValueError(
-            f"{mesh.GetPath()}: faceVertexCounts must add up to the length of faceVertexIndices, {len(corners)}, "
-            f"got {sides.sum()}"
-        )
-    first = np.repeat(np.cumsum(sides) - sides, np.maximum(sides - 2, 0))
-    fans = np.maximum(sides - 2, 0)
-    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    faces = corners[np.stack([first, first + step + 1, first + step + 2], axis=1)]
+    try:
+        faces = polygons.triangulated(points, corners, sides, ("faceVertexIndices", "faceVertexCounts"))
+    except ValueError as error:
+        raise ValueError(f"{mesh.GetPath()}: {error}") from None
     if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
         faces = faces[:, ::-1]
-    return points.reshape(-1, 3), faces
+    return points, faces
 
 
 def _turn_z_up(vertices: np.ndarray) -> np.ndarray:

@@ -37,6 +37,7 @@ class ImportReport:
         prims: indices of the movable bodies in the scene, by the paths of their prims.
         paths: motion of the kinematic bodies that the file animates, by their indices; `run`, `view` and `sweep`
             follow it.
+        files: paths of all files that were read, with those that the imported file refers to.
     """
 
     file: str
@@ -44,6 +45,7 @@ class ImportReport:
     root: str | None = None
     prims: dict[str, int] = field(default_factory=dict)
     paths: dict[int, PosePath] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
 
     @property
     def left_out(self) -> list[ImportFinding]:

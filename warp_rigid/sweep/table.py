@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_rigid import scenes
 from warp_rigid.checks import shown, suggestion
-from warp_rigid.files.atomic import atomic_file
+from warp_rigid.files.atomic import atomic_file, check_replaceable
 from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.batch_run import Batch, replay
 from warp_rigid.sweep.columns import (
@@ -166,6 +166,7 @@ class ResultFile:
 
     Raises:
         ValueError: The file exists and is neither resumed nor overwritten, or holds rows of a different sweep.
+        OSError: Its name, or that of the file of metadata beside it, is too long, or something else is there.
     """
 
     def __init__(
@@ -186,6 +187,8 @@ class ResultFile:
         SweepResult([{"run": 0}], {}).to_arrow()
         if self.path.suffix != ".parquet":
             raise ValueError(f"output: must end in .parquet, got {self.path}")
+        check_replaceable(self.path)
+        check_replaceable(sidecar_of(self.path))
         if self.path.exists() and resume:
             self._load_finished()
         elif self.path.exists() and not overwrite:
@@ -271,8 +274,13 @@ def write(result: SweepResult, path: Any, sidecar: bool = True) -> None:
     with atomic_file(path) as temporary, temporary.open("wb") as file:
         pyarrow.parquet.write_table(table, file, compression="zstd")
     if sidecar:
-        with atomic_file(path.with_name(path.name + ".json")) as temporary:
+        with atomic_file(sidecar_of(path)) as temporary:
             temporary.write_text(json.dumps(result.about, default=str, indent=2) + "\n")
+
+
+def sidecar_of(path: Path) -> Path:
+    """The file beside a table that holds its metadata."""
+    return path.with_name(path.name + ".json")
 
 
 def read(path: Any) -> SweepResult:

@@ -1,13 +1,11 @@
 """USD export of animations and of scenes with physics."""
 
-import contextlib
 from collections.abc import Iterable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.files.atomic import atomic_file
 from warp_rigid.runs.recording import Recorder, Recording
 from warp_rigid.usd.options import UsdOptions
 
@@ -61,17 +59,15 @@ def export_usd(
         write_override(recording, path, int(rows[0]))
         return
 
-    from warp_rigid.usd.specs import reload_layer
     from warp_rigid.usd.writer import UsdWriter
 
-    # A film of one file replaces the older one as a whole; a package does so itself.
-    whole = layout == "single" and path.suffix != ".usdz"
-    with atomic_file(path) if whole else contextlib.nullcontext(path) as target:
-        writer = UsdWriter(recording, target, rows, options, live=False)
+    writer = UsdWriter(recording, path, rows, options, live=False)
+    try:
         for frame in recording.frames():
             writer.write(frame)
         writer.close()
-    reload_layer(path)
+    finally:
+        writer.discard()
 
 
 class UsdStream:
@@ -79,7 +75,7 @@ class UsdStream:
 
     The first frame is the initial state; each `capture` appends one. The file is readable at any time, even if the
     process is killed: an animation lacks at most the last 24 frames, a scene or a text file at most the last 24 frames
-    or a fifth of them.
+    or a fifth of them. A film that exists already stays as it is until `close` replaces it.
 
     with wr.UsdStream(sim, "film.usdc", fps=60) as film:
         for _ in range(240):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pxr import Usd, UsdGeom
 
+from warp_rigid.files.atomic import check_unread
 from warp_rigid.usd.instancing import expand_instancers
 from warp_rigid.usd.opening import convert_errors, open_stage
 from warp_rigid.usd.options import SUFFIXES
@@ -25,7 +26,7 @@ def flatten_usd(source, target) -> int:
     Raises:
         FileNotFoundError: The source does not exist.
         ValueError: The source is not a USD file, its number of instances changes over time, or the target has another
-            suffix.
+            suffix or is a file that is read.
         OSError: The target cannot be written.
     """
     source, target = Path(source), Path(target)
@@ -34,6 +35,7 @@ def flatten_usd(source, target) -> int:
     if not source.is_file():
         raise FileNotFoundError(f"{source}: no such file")
     stage = open_stage(source)
+    check_unread([target], [layer.realPath for layer in stage.GetUsedLayers() if layer.realPath])
     with convert_errors(source):
         # Equal rates keep USD from scaling the times of the session layer.
         stage.GetSessionLayer().timeCodesPerSecond = stage.GetTimeCodesPerSecond()

@@ -5,7 +5,7 @@ from pxr import Gf
 
 from warp_rigid.scene.shapes import Plane
 
-__all__ = ["MARK", "frame_of_plane", "gf_quaternion", "precise_quaternions", "quaternion_of_matrix"]
+__all__ = ["MARK", "frame_of_plane", "gf_quaternion", "polar", "precise_quaternions", "quaternion_of_matrix"]
 
 MARK = "warp_rigid"
 """Key of the custom data for content without a USD schema."""
@@ -31,6 +31,13 @@ def quaternion_of_matrix(rotation: np.ndarray) -> np.ndarray:
     real_first = Gf.Matrix3d(*np.asarray(rotation, dtype=np.float64).T.ravel().tolist()).ExtractRotation().GetQuat()
     found = np.array([*real_first.GetImaginary(), real_first.GetReal()])
     return found / np.linalg.norm(found)
+
+
+def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and symmetric stretch (3, 3) with `rotation @ stretch = matrix`; a reflection is in the stretch."""
+    left, sizes, right = np.linalg.svd(matrix)
+    rotation, stretch = left @ right, right.T @ np.diag(sizes) @ right
+    return (rotation, stretch) if np.linalg.det(rotation) > 0.0 else (-rotation, -stretch)
 
 
 def frame_of_plane(plane: Plane) -> tuple[np.ndarray, np.ndarray]:

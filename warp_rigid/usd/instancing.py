@@ -1,11 +1,17 @@
 """Expansion of PointInstancers to Xforms, for readers such as physics parsers that ignore instancers."""
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
 
 from warp_rigid.usd.examination import MAX_PRIMS
+from warp_rigid.usd.geometry import MARK, polar
 
-__all__ = ["expand_instancers"]
+__all__ = ["OF_ORIGIN", "expand_instancers"]
+
+VELOCITY, SPIN = f"{MARK}:velocity", f"{MARK}:angularVelocity"
+"""Attributes of an instance: its velocities in the frame of the instancer [1/s, degrees/s]."""
+OF_ORIGIN = f"{MARK}:velocityOfOrigin"
+"""Attribute of a body whose velocity is that of its origin, not of its centre of mass."""
 
 MAX_NESTED = 100
 """Maximum nesting of instancers within prototypes of instancers."""
@@ -36,6 +42,8 @@ def expand_instancers(root: Usd.Prim, times: list[Usd.TimeCode]) -> int:
         # An instancer below another one was deactivated with it. Instancers within prototypes come first.
         if stage.GetPrimAtPath(path):
             total += _expand(UsdGeom.PointInstancer(stage.GetPrimAtPath(path)), times)
+    if total:
+        _set_velocities(root, times[0])
     return total
 
 
@@ -106,6 +114,9 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
     group = f"{prim.GetPath()}_instances"
     width = len(str(max(len(indices) - 1, 0)))
     colors = _colors(instancer, len(indices))
+    given = {VELOCITY: instancer.GetVelocitiesAttr(), SPIN: instancer.GetAngularVelocitiesAttr()}
+    motion = {name: values for name, attribute in given.items() if (values := _values(attribute, times[0]))}
+    motion = {name: values for name, values in motion.items() if len(values) == len(indices)}
     with Sdf.ChangeBlock():
         parent = Sdf.CreatePrimInLayer(layer, group)
         parent.specifier, parent.typeName = Sdf.SpecifierDef, "Xform"
@@ -120,7 +131,8 @@ def _expand(instancer: UsdGeom.PointInstancer, times: list[Usd.TimeCode]) -> int
                 hue = Sdf.AttributeSpec(spec, "primvars:displayColor", Sdf.ValueTypeNames.Color3fArray)
                 hue.default = Vt.Vec3fArray([colors[index]])
                 hue.SetInfo("interpolation", "constant")
-            _set_velocities(inner, stage.GetPrimAtPath(prototypes[indices[index]]), instancer, index)
+            for name, values in motion.items():
+                Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Vector3f).default = values[index]
     prim.SetActive(False)
     return int(visible.sum())
 
@@ -142,18 +154,74 @@ def _set_matrix(spec: Sdf.PrimSpec, matrices: list[Gf.Matrix4d], times: list[Usd
     order.default = Vt.TokenArray(["xformOp:transform"])
 
 
-def _set_velocities(spec: Sdf.PrimSpec, prototype: Usd.Prim, instancer: UsdGeom.PointInstancer, index: int) -> None:
-    """Copy the velocities of an instance to its rigid body."""
-    if "PhysicsRigidBodyAPI" not in prototype.GetAppliedSchemas():
-        return
-    sources = (
-        (instancer.GetVelocitiesAttr(), "physics:velocity"),
-        (instancer.GetAngularVelocitiesAttr(), "physics:angularVelocity"),
-    )
-    for source, name in sources:
-        values = source.Get()
-        if values and index < len(values):
-            Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Vector3f).default = values[index]
+def _values(attribute: Usd.Attribute, time: Usd.TimeCode):
+    """The values of an array at a time, else the first ones."""
+    return attribute.Get(time) or attribute.Get(Usd.TimeCode.EarliestTime())
+
+
+def _set_velocities(root: Usd.Prim, time: Usd.TimeCode) -> None:
+    """Give the rigid bodies in moving instances the velocities of their origins, in the frames of the bodies."""
+    while held := {_instance_above(body).GetPath() for body in _carried(root) if body.IsInstanceProxy()}:
+        for path in held:  # Bodies within native instances have no velocities of their own.
+            root.GetStage().GetPrimAtPath(path).SetInstanceable(False)
+    places = UsdGeom.XformCache(time)
+    found = {body.GetPath(): _velocity_of(body, root, places) for body in _carried(root)}
+    layer = root.GetStage().GetEditTarget().GetLayer()
+    with Sdf.ChangeBlock():
+        for path, velocities in found.items():
+            spec = Sdf.CreatePrimInLayer(layer, path)
+            for name, value in zip(("physics:velocity", "physics:angularVelocity"), velocities, strict=True):
+                Sdf.AttributeSpec(spec, name, Sdf.ValueTypeNames.Vector3f).default = Gf.Vec3f(*value.tolist())
+            Sdf.AttributeSpec(spec, OF_ORIGIN, Sdf.ValueTypeNames.Bool).default = True
+
+
+def _carried(root: Usd.Prim) -> list[Usd.Prim]:
+    """The rigid bodies in moving instances below a prim."""
+    prims = Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+    return [prim for prim in prims if prim.HasAPI(UsdPhysics.RigidBodyAPI) and any(_instances_above(prim))]
+
+
+def _instances_above(prim: Usd.Prim):
+    """The moving instances that a prim belongs to, the innermost first."""
+    while prim := prim.GetParent():
+        if prim.HasAttribute(VELOCITY) or prim.HasAttribute(SPIN):
+            yield prim
+
+
+def _instance_above(prim: Usd.Prim) -> Usd.Prim:
+    """The native instance that holds a proxy."""
+    while prim.IsInstanceProxy():
+        prim = prim.GetParent()
+    return prim
+
+
+def _velocity_of(body: Usd.Prim, root: Usd.Prim, places: UsdGeom.XformCache) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity of the origin [1/s] and angular velocity [degrees/s] of a body, in its frame.
+
+    They are those of the rigid motions of all instances that it belongs to, or its own where these do not state them.
+    """
+
+    def frame(prim: Usd.Prim) -> np.ndarray:
+        outside = root.IsPseudoRoot()
+        return np.array(
+            places.GetLocalToWorldTransform(prim) if outside else places.ComputeRelativeTransform(prim, root)[0]
+        ).T
+
+    instances, own = list(_instances_above(body)), frame(body)
+    rotation, api = polar(own[:3, :3])[0], UsdPhysics.RigidBodyAPI(body)
+    linear, angular = np.zeros(3), np.zeros(3)
+    for instance in instances:
+        outer, arm = frame(instance.GetParent()), own[:3, 3] - frame(instance)[:3, 3]
+        if instance.HasAttribute(SPIN):
+            spin = polar(outer[:3, :3])[0] @ instance.GetAttribute(SPIN).Get()
+            linear, angular = linear + np.cross(np.radians(spin), arm), angular + spin
+        if instance.HasAttribute(VELOCITY):
+            linear = linear + outer[:3, :3] @ instance.GetAttribute(VELOCITY).Get()
+    if not any(instance.HasAttribute(VELOCITY) for instance in instances):
+        linear = linear + rotation @ api.GetVelocityAttr().Get()
+    if not any(instance.HasAttribute(SPIN) for instance in instances):
+        angular = angular + rotation @ api.GetAngularVelocityAttr().Get()
+    return rotation.T @ linear, rotation.T @ angular
 
 
 def _colors(instancer: UsdGeom.PointInstancer, count: int):

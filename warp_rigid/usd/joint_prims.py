@@ -25,7 +25,7 @@ from warp_rigid.scene.joints import (
     SphericalJoint,
 )
 from warp_rigid.scene.joints.placing import turn_to, world_frame
-from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.usd.actuators import read_servos
 from warp_rigid.usd.geometry import MARK, gf_quaternion
 from warp_rigid.usd.masses import states_no_mass
@@ -203,9 +203,19 @@ class JointReader:
             collide=bool(description.collisionEnabled),
             armature=self._armature(prim, description.type),
         )
+        if not description.collisionEnabled:
+            for side, path in ((first, description.rel0), (second, description.rel1)):
+                self._filter_static(body_a, side[0], str(path))
         self._add_drive(index, prim, description)
         if self._is_held_by_others(index):
             self._change(prim, "another joint holds the same bodies about another axis, which prevents both rotations")
+
+    def _filter_static(self, body: int, other: int | None, path: str) -> None:
+        """Keep a body and the static colliders at or below the prim that a joint holds it to, if any, apart."""
+        for collider, index in self._body_of.items():
+            is_below = collider == path or collider.startswith(path + "/")
+            if other is None and path and is_below and self._scene.bodies[index].motion == Motion.STATIC:
+                self._scene.filter_pair(body, index)
 
     def _is_held_by_others(self, index: int) -> bool:
         """Whether another hinge of the same bodies has an axis of another direction: files of robots have such ones."""
@@ -238,7 +248,7 @@ class JointReader:
         """Index of the body to which a prim belongs; None if it belongs to none."""
         while prim and not prim.IsPseudoRoot():
             path = str(prim.GetPath())
-            if prim.HasAPI(UsdPhysics.RigidBodyAPI):
+            if prim.HasAPI(UsdPhysics.RigidBodyAPI) and UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
                 if path in self._parts:
                     whole = self._parts[path]
                     return self._body(self._stage.GetPrimAtPath(whole) if whole else None)

@@ -13,6 +13,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Compound, Shape
 from warp_rigid.scene.shapes.compound import with_distribution
 from warp_rigid.scene.shapes.mass_properties import MassProperties, combine, steiner
+from warp_rigid.usd.geometry import polar
 from warp_rigid.usd.prims import Unreadable
 
 __all__ = ["Collider", "MassReader", "is_of_mujoco", "positive", "scale_to_total", "states_no_mass"]
@@ -34,6 +35,8 @@ class Collider:
     coefficients: dict[str, float]
     density: float | None
     mass: float | None
+    frame: np.ndarray | None
+    """Transform from its prim to the body (4, 4), with the length unit [m]; None if that is the prim of the body."""
 
 
 class MassReader:
@@ -68,8 +71,8 @@ class MassReader:
         given = positive(api.GetMassAttr())
         mass = float(parts.sum()) if given is None else given * self._kilogram
         weights = parts if parts.sum() > 0.0 else np.array([collider.shape.volume for collider in group])
-        own = combine(_piece(c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
-        center, per_mass = self._distribution(prim, api, mass, stretch, own)
+        own = combine(self._piece(c, weight) for c, weight in zip(group, weights / weights.sum(), strict=True))
+        center, per_mass = self._distribution(prim, mass, _matrix(stretch), own)
         if _is_uniform(shape, center, per_mass):
             return shape, mass
         return with_distribution(shape, center, per_mass), mass
@@ -86,7 +89,7 @@ class MassReader:
             raise Unreadable(f"and no {'mass' if mass is None else 'moments of inertia'}")
         mass *= self._kilogram
         nothing = MassProperties(1.0, np.zeros(3), np.zeros((3, 3)))
-        return Compound([], *self._distribution(prim, api, mass, stretch, nothing)), mass
+        return Compound([], *self._distribution(prim, mass, _matrix(stretch), nothing)), mass
 
     def _mass_of(self, collider: Collider) -> float:
         """Mass of a collider by its own mass or density [kg]."""
@@ -95,27 +98,44 @@ class MassReader:
         unit = self._kilogram / self._meter**3
         return (DEFAULT_DENSITY if collider.density is None else collider.density * unit) * collider.shape.volume
 
+    def _piece(self, collider: Collider, part: float) -> tuple[MassProperties, np.ndarray, np.ndarray]:
+        """A collider as a part of the mass of its body, in the frame of the body."""
+        own = collider.shape.mass_properties
+        scaled = MassProperties(1.0, own.center_of_mass, own.inertia / own.volume)
+        placed = combine([(scaled, collider.position, rotations.matrix(collider.orientation))])
+        center, per_mass = placed.center_of_mass, placed.inertia
+        if collider.frame is not None and (mass := self._mass_of(collider)) > 0.0:
+            center, per_mass = self._distribution(collider.prim, mass, collider.frame, placed)
+        return MassProperties(part, center, part * per_mass), np.zeros(3), np.eye(3)
+
     def _distribution(
-        self, prim: Usd.Prim, api: UsdPhysics.MassAPI, mass: float, stretch: np.ndarray, own: MassProperties
+        self, prim: Usd.Prim, mass: float, frame: np.ndarray, own: MassProperties
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Centre of mass (3,) [m] and inertia about it per mass (3, 3) [m^2]; where not in the file, that of `own`."""
+        """Centre of mass (3,) [m] and inertia about it per mass (3, 3) [m^2]; where not in the file, that of `own`.
+
+        `frame` is the transform from the prim to the body (4, 4), to which the results refer.
+        """
+        api = UsdPhysics.MassAPI(prim)
         center, per_mass = own.center_of_mass, own.inertia
         given = api.GetCenterOfMassAttr().Get() if api.GetCenterOfMassAttr().HasAuthoredValue() else None
         # The default of the schema is minus infinity.
         if given is not None and np.isfinite(given).all():
-            center = stretch @ np.array(given, dtype=np.float64)
+            center = (frame @ np.array([*given, 1.0]))[:3]
             per_mass = per_mass + steiner(center - own.center_of_mass)
         tensor = self._tensor(prim, api)
-        return center, per_mass if tensor is None else tensor / mass
+        if tensor is not None:
+            turn, _ = polar(frame[:3, :3])
+            per_mass = turn @ tensor @ turn.T / mass
+        return center, per_mass
 
     def _tensor(self, prim: Usd.Prim, api: UsdPhysics.MassAPI) -> np.ndarray | None:
-        """The inertia tensor in the frame of the body (3, 3) [kg m^2]; None if the file does not state it."""
+        """The inertia tensor in the frame of the prim (3, 3) [kg m^2]; None if the file does not state it."""
         given = api.GetDiagonalInertiaAttr().Get()
         moments = np.zeros(3) if given is None else np.array(given, dtype=np.float64)
         if not moments.any():
             return None
         if not (np.isfinite(moments).all() and (moments > 0.0).all()):
-            self._change(prim, "moments of inertia: must be > 0; those of its colliders are used")
+            self._change(prim, "moments of inertia: must be > 0; those of its shape are used")
             return None
         axes = api.GetPrincipalAxesAttr().Get()
         turn = np.array([*axes.GetImaginary(), axes.GetReal()] if axes else [0.0, 0.0, 0.0, 1.0], dtype=np.float64)
@@ -164,11 +184,11 @@ def positive(attribute: Usd.Attribute) -> float | None:
     return float(value)
 
 
-def _piece(collider: Collider, part: float) -> tuple[MassProperties, np.ndarray, np.ndarray]:
-    """A collider as a part of the mass of its body."""
-    own = collider.shape.mass_properties
-    scaled = MassProperties(part, own.center_of_mass, own.inertia * (part / own.volume))
-    return scaled, collider.position, rotations.matrix(collider.orientation)
+def _matrix(stretch: np.ndarray) -> np.ndarray:
+    """A stretch (3, 3) as a transform (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = stretch
+    return matrix
 
 
 def _is_uniform(shape: Shape, center: np.ndarray, per_mass: np.ndarray) -> bool:

@@ -11,7 +11,7 @@ from warp_rigid.runs.recording import Recording
 from warp_rigid.usd.metadata import FROM_Y_UP, first_time, is_y_up, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import matrix_of
-from warp_rigid.usd.specs import define, open_layer, save_layer, set_attribute
+from warp_rigid.usd.specs import define, export_layer, set_attribute
 
 __all__ = ["write_override"]
 
@@ -49,7 +49,7 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
     times = start + np.arange(len(recording.position)) * (rate / recording.fps)
     cache = UsdGeom.XformCache(first_time(stage))
     to_scene = _conversion(stage, cache, report.root)
-    layer = open_layer(path)
+    layer = Sdf.Layer.CreateAnonymous(path.suffix)
     with Sdf.ChangeBlock():
         _copy_metadata(layer, stage, os.path.relpath(source, path.resolve().parent))
         layer.startTimeCode, layer.endTimeCode = float(times[0]), float(times[-1])
@@ -60,7 +60,7 @@ def write_override(recording: Recording, path: Path, row: int) -> None:
             world = matrix_of(cache.GetLocalToWorldTransform(stage.GetPrimAtPath(prim_path)))
             before = np.linalg.inv(first) @ to_scene @ world
             _animate(layer, prim_path, times, np.linalg.inv(to_scene) @ poses @ before)
-    save_layer(layer)
+    export_layer(layer, path)
 
 
 def _copy_metadata(layer: Sdf.Layer, stage: Usd.Stage, source: str) -> None:

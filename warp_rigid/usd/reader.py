@@ -1,5 +1,6 @@
 """Reader of stages with UsdPhysics."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,9 +17,9 @@ from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.actuators import ACTUATOR
 from warp_rigid.usd.field_data import fields_from_data
-from warp_rigid.usd.filters import filter_pairs
-from warp_rigid.usd.geometry import quaternion_of_matrix
-from warp_rigid.usd.instancing import expand_instancers
+from warp_rigid.usd.filters import filter_pairs, linked
+from warp_rigid.usd.geometry import polar, quaternion_of_matrix
+from warp_rigid.usd.instancing import OF_ORIGIN, expand_instancers
 from warp_rigid.usd.joint_prims import JOINT_KINDS, JOINT_SCHEMAS, JointReader
 from warp_rigid.usd.masses import Collider, MassReader, is_of_mujoco, positive, scale_to_total
 from warp_rigid.usd.materials import read_material
@@ -54,6 +55,8 @@ FAMILIES = ("Physics", "Physx", "Newton", "Mjc", "Isaac")
 
 NAMED = {"Newton": "newton:", "Mjc": "mjc:"}
 """Families whose schemas are applied without need: only the attributes with this prefix that a file sets count."""
+CUSTOM = ("mjc:body:",)
+"""Prefixes of attributes that the converter of MuJoCo's files writes without a schema."""
 READ = {
     "newton:armature", "newton:damping", "newton:friction", "newton:inertia", "newton:rollingFriction",
     "newton:torsionalFriction", "mjc:compiler:angle", "mjc:compiler:setTotalMass", "mjc:ref", "mjc:springref",
@@ -83,6 +86,7 @@ class Reader:
         findings: differences between the file and the scene.
         prims: indices of the movable bodies by the paths of their prims.
         paths: motion of the animated kinematic bodies by their indices.
+        files: paths of the file and of all that it refers to.
 
     Raises:
         ValueError: The file is not a USD file or does not have the root prim.
@@ -95,6 +99,7 @@ class Reader:
         self.paths: dict[int, PosePath] = {}
         self._sdf_resolution = sdf_resolution
         self._stage = open_stage(path)
+        self.files = tuple(layer.realPath for layer in self._stage.GetUsedLayers() if layer.realPath)
         for error in self._stage.GetCompositionErrors():
             self._leave_out(error.rootSite.path, " ".join(str(error).split()))
         self._stage.SetEditTarget(self._stage.GetSessionLayer())
@@ -125,12 +130,14 @@ class Reader:
         for body in self._bodies(objects):
             self._add(scene, body)
         scale_to_total(self._stage, scene)
-        descriptions = {
-            str(path): description
-            for kind in {Types.RigidBody, *COLLIDERS}
-            for path, description in zip(*objects.get(kind, ([], [])), strict=True)
-        }
-        filter_pairs(self._stage, scene, self._body_of, descriptions, self._leave_out)
+        descriptions = dict(_described(objects, COLLIDERS))
+        members = {path: {path} for path, body in _described(objects, {Types.RigidBody}) if body.rigidBodyEnabled}
+        joints = {path: {str(joint.body0), str(joint.body1)} for path, joint in _described(objects, JOINT_KINDS)}
+        for path, articulation in _described(objects, {Types.Articulation}):
+            # The parser names the bodies only if the root is above them, not if it is one of them, or a joint.
+            named = {str(body) for body in articulation.articulatedBodies} or joints.get(path, {path})
+            members[path] = linked(named & members.keys(), joints.values())
+        filter_pairs(self._stage, scene, self._body_of, descriptions, members, self._leave_out)
         JointReader(
             self._stage,
             scene,
@@ -187,12 +194,16 @@ class Reader:
         custom = custom_data(self._stage.GetPrimAtPath(next(iter(found)))) if found else {}
         scene = Scene(
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
-            friction_combine=custom.get("frictionCombine", "min"),
+            friction_combine=custom.get("frictionCombine", "max" if self._is_of_mujoco(objects) else "min"),
             restitution_combine=custom.get("restitutionCombine", "min"),
         )
         for force_field in fields_from_data(custom):
             scene.add_force_field(force_field)
         return scene
+
+    def _is_of_mujoco(self, objects: dict) -> bool:
+        """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
+        return any(is_of_mujoco(self._stage.GetPrimAtPath(path)) for path, _ in _described(objects, COLLIDERS))
 
     @staticmethod
     def _environments(scenes: dict) -> str:
@@ -201,21 +212,20 @@ class Reader:
     def _bodies(self, objects: dict) -> list[_Body]:
         """Bodies in file order, each with its enabled colliders."""
         bodies: dict[str, _Body] = {}
-        for path, description in zip(*objects.get(Types.RigidBody, ([], [])), strict=True):
+        for path, description in _described(objects, {Types.RigidBody}):
+            if description.rigidBodyEnabled:
+                motion = Motion.KINEMATIC if description.kinematicBody else Motion.DYNAMIC
+                bodies[path] = _Body(self._stage.GetPrimAtPath(path), motion)
+        for path, description in _described(objects, COLLIDERS):
+            if not description.collisionEnabled:
+                continue
             prim = self._stage.GetPrimAtPath(path)
-            motion = Motion.KINEMATIC if description.kinematicBody else Motion.DYNAMIC
-            bodies[str(path)] = _Body(prim, motion if description.rigidBodyEnabled else Motion.STATIC)
-        for kind in COLLIDERS:
-            for path, description in zip(*objects.get(kind, ([], [])), strict=True):
-                if not description.collisionEnabled:
-                    continue
-                prim = self._stage.GetPrimAtPath(path)
-                owner = str(description.rigidBody)
-                if owner not in bodies:
-                    group = self._static_owner(prim)
-                    owner = str(group.GetPath())
-                    bodies.setdefault(owner, _Body(group, Motion.STATIC))
-                bodies[owner].colliders.append(prim)
+            owner = str(description.rigidBody)
+            if owner not in bodies:
+                group = self._static_owner(prim)
+                owner = str(group.GetPath())
+                bodies.setdefault(owner, _Body(group, Motion.STATIC))
+            bodies[owner].colliders.append(prim)
         order = {
             str(prim.GetPath()): index
             for index, prim in enumerate(Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()))
@@ -279,7 +289,7 @@ class Reader:
                     position=position,
                     orientation=quaternion_of_matrix(rotation),
                     name=body.prim.GetDisplayName() or self._unique_name(body.prim.GetName()),
-                    **self._velocities(body.prim, rotation),
+                    **self._velocities(body.prim, rotation, shape.center_of_mass),
                 )
                 self._keep_index(body, index)
                 self._change(body.prim, f"{reason}: it touches nothing")
@@ -302,12 +312,13 @@ class Reader:
             if body.motion == Motion.STATIC:
                 index = scene.add_static(shape, **common)
             elif body.motion == Motion.KINEMATIC:
-                common |= self._velocities(body.prim, rotation)
-                index = scene.add_kinematic(shape, **common)
+                center = where + rotations.rotate(turn, shape.center_of_mass)
+                index = scene.add_kinematic(shape, **common, **self._velocities(body.prim, rotation, center))
             else:
-                common |= self._velocities(body.prim, rotation)
                 shape, mass = self._masses.of_colliders(body.prim, group, shape, stretch)
-                index = scene.add_body(shape, mass=mass, **common)
+                center = where + rotations.rotate(turn, shape.center_of_mass)
+                velocities = self._velocities(body.prim, rotation, center)
+                index = scene.add_body(shape, mass=mass, **common, **velocities)
         except ValueError as error:
             self._leave_out(body.prim.GetPath(), str(error))
             return
@@ -341,10 +352,7 @@ class Reader:
             matrix = matrix_of(transforms.GetLocalToWorldTransform(prim))
         else:
             matrix = matrix_of(transforms.ComputeRelativeTransform(prim, self._root)[0])
-        left, sizes, right = np.linalg.svd(matrix[:3, :3])
-        rotation, stretch = left @ right, right.T @ np.diag(sizes) @ right
-        if np.linalg.det(rotation) < 0.0:
-            rotation, stretch = -rotation, -stretch
+        rotation, stretch = polar(matrix[:3, :3])
         if np.abs(stretch - np.eye(3)).max() < 1e-6:
             stretch = np.eye(3)
         stretch = self._meter * np.round(stretch, 9)
@@ -380,7 +388,8 @@ class Reader:
         for note in notes:
             self._change(prim, note)
         shape = self._shapes.setdefault(shape.key, shape)
-        return Collider(prim, shape, position, orientation, coefficients, own_density, mass)
+        frame = matrix if prim != body.prim else None
+        return Collider(prim, shape, position, orientation, coefficients, own_density, mass, frame)
 
     def _material(self, prim: Usd.Prim, material: Usd.Prim | None) -> tuple[dict[str, float], float | None]:
         """Coefficients of a collider, and the density of its material in stage units."""
@@ -394,11 +403,13 @@ class Reader:
             self._change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
         return group[0].coefficients
 
-    def _velocities(self, prim: Usd.Prim, rotation: np.ndarray) -> dict[str, Any]:
-        """Velocities in the world frame; USD has them in the body frame, in degrees."""
+    def _velocities(self, prim: Usd.Prim, rotation: np.ndarray, center: np.ndarray) -> dict[str, Any]:
+        """Velocities in the world frame; USD has them in the body frame, in degrees, as is the centre of mass."""
         api = UsdPhysics.RigidBodyAPI(prim)
         speed = np.array(api.GetVelocityAttr().Get(self._start), dtype=np.float64) * self._meter
         spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(self._start), dtype=np.float64))
+        if prim.HasAttribute(OF_ORIGIN):
+            speed = speed + np.cross(spin, center)
         return {"linear_velocity": rotation @ speed, "angular_velocity": rotation @ spin}
 
     def _motion(self, body: _Body) -> PosePath | None:
@@ -415,6 +426,13 @@ class Reader:
         orientation = continuous_signs(np.array([quaternion_of_matrix(rotation) for _, rotation, _ in frames]))
         time = (np.array(codes) - codes[0]) / self._stage.GetTimeCodesPerSecond()
         return PosePath(time, np.array([position for position, _, _ in frames]), orientation)
+
+
+def _described(objects: dict, kinds: Any) -> Iterator[tuple[str, Any]]:
+    """Paths and descriptions of the objects of some kinds."""
+    for kind in kinds:
+        for path, description in zip(*objects.get(kind, ([], [])), strict=True):
+            yield str(path), description
 
 
 def _is_animated(prim: Usd.Prim) -> bool:
@@ -440,9 +458,10 @@ def _joined(group: list[Collider], motion: Motion) -> tuple[Shape, np.ndarray, n
 def _losses(prim: Usd.Prim, schemas: list[str]) -> list[str]:
     """What a prim says in schemas that are not supported."""
     prefixes = tuple(prefix for family, prefix in NAMED.items() if any(name.startswith(family) for name in schemas))
+    prefixes += CUSTOM
     told = [f"schema {name} is not supported" for name in schemas if not name.startswith(tuple(NAMED))]
     authored = [entry.GetName() for entry in prim.GetAuthoredProperties()]
-    lost = [name for name in authored if prefixes and name.startswith(prefixes) and name not in READ]
+    lost = [name for name in authored if name.startswith(prefixes) and name not in READ]
     if lost:
         told.append(f"{', '.join(lost)}: not supported")
     return told

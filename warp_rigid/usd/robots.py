@@ -4,6 +4,7 @@ The files are converted by the programs mujoco_usd_converter and urdf_usd_conver
 and are installed into a Python environment of their own, because they bring another build of OpenUSD than usd-core.
 """
 
+import json
 import os
 import re
 import shutil
@@ -30,6 +31,8 @@ MESSAGE = re.compile(r"^\[(Warning|Error)\] (?:\[[^\]]*\] )?(.*)$")
 """A line that a converter prints: its severity, the function that it comes from, and the text."""
 PACKAGE = re.compile(r"""package://([^/"'\s]+)/""")
 """A package in the address of a mesh, as in package://my_robot/meshes/arm.stl."""
+MASKED = re.compile(r"\b(contype|conaffinity)\b|<(include|model|attach)\b")
+"""What an MJCF file contains that has masks, or refers to another file that may have some."""
 NOT_FOUND = "package {} is neither around the file nor in ROS_PACKAGE_PATH: its meshes are missing"
 
 
@@ -45,8 +48,8 @@ def import_robot(
 
     Args:
         path: .xml or .mjcf (MJCF), or .urdf.
-        self_collision: whether bodies of the same mechanism can touch each other. The links of many robots overlap, and
-            the converters do not keep the masks by which MJCF files exclude contacts.
+        self_collision: whether bodies of the same mechanism can touch each other, where the masks of an MJCF file
+            allow it. The links of many robots overlap.
         strict: reject a file that cannot be imported completely and unchanged.
         sdf_resolution: grid cells along the longest side of meshes.
 
@@ -64,7 +67,7 @@ def import_robot(
     if path.suffix.lower() not in CONVERTERS:
         raise ValueError(f"{path}: must end in one of {', '.join(CONVERTERS)}")
     with tempfile.TemporaryDirectory() as folder:
-        findings = _convert(path, folder)
+        findings = _convert(path, folder) + _keep_masks(path, folder)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*see scene.import_report")
             try:
@@ -75,7 +78,7 @@ def import_robot(
         findings.append(ImportFinding(path.name, "changed", "bodies of the same mechanism do not collide"))
     report = scene.import_report
     assert report is not None
-    report = replace(report, file=str(path), findings=(*findings, *report.findings))
+    report = replace(report, file=str(path), findings=(*findings, *report.findings), files=(str(path),))
     scene.import_report = report
     if strict and report.findings:
         raise ValueError(f"{path}: {report.findings[0]} (and {len(report.findings) - 1} more)")
@@ -127,6 +130,27 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
         raise ValueError(f"{path}: {name}: {reasons[0]}")
     told += [("Warning", NOT_FOUND.format(name)) for name, place in packages.items() if place is None]
     return [ImportFinding(path.name, "left out", text) for text in dict.fromkeys(text for _, text in told)]
+
+
+def _keep_masks(path: Path, folder: str) -> list[ImportFinding]:
+    """Add the masks of an MJCF file to its conversion, and return what cannot be added."""
+    if path.suffix.lower() == ".urdf" or not MASKED.search(path.read_text(errors="replace")):
+        return []
+    from warp_rigid.usd.masks import LIST_MASKS, add_masks
+
+    program = shutil.which(CONVERTERS[path.suffix.lower()], path=search_path()) or ""
+    python = Path(program).resolve().parent / "python"
+    surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+    command = [str(python), "-c", LIST_MASKS, str(path.absolute())]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder, check=True
+        )
+        add_masks(_main_file(path, folder), json.loads(done.stdout.splitlines()[-1]))
+    except (OSError, subprocess.SubprocessError, ValueError, IndexError) as error:
+        reason = str(error).splitlines()[0] if isinstance(error, ValueError) else f"{python} has no MuJoCo"
+        return [ImportFinding(path.name, "left out", f"contype and conaffinity: {reason}: all bodies touch each other")]
+    return []
 
 
 def _packages(path: Path) -> dict[str, Path | None]:

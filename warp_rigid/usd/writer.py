@@ -1,7 +1,6 @@
 """Writer of USD files frame by frame; the file is readable after every flush."""
 
 import contextlib
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Tf, UsdUtils, Vt
 
-from warp_rigid.files.atomic import atomic_file
+from warp_rigid.files.atomic import atomic_file, check_replaceable, hidden_beside, replace_files
 from warp_rigid.render.appearance import Spread, drawn_surfaces, environment_offsets, is_tilted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.usd.animation import Instancers
@@ -24,6 +23,7 @@ from warp_rigid.usd.specs import (
     define,
     export_layer,
     open_layer,
+    reload_layer,
     save_layer,
     set_attribute,
     stage_metadata,
@@ -39,12 +39,15 @@ FLUSH_EVERY = 24
 class UsdWriter:
     """Writes a recording frame by frame.
 
+    An older film is replaced only when the new one is complete, which grows in a hidden folder beside it until then.
+
     Args:
         film: recording with the constant data and at least one frame, which determines the layout of environments.
         path: output file.
         rows: rows of the environments to write.
         options: export options.
-        live: whether the simulation is still running, so that frames are flushed at intervals.
+        live: whether the simulation is still running, so that frames are flushed at intervals. A new file is then
+            readable from the start.
 
     Raises:
         OSError: The file cannot be written.
@@ -54,13 +57,20 @@ class UsdWriter:
         """Create an empty file."""
         self._live = live or options.layout == "clips"
         self._film, self._path, self._rows, self._options = film, path, rows, options
-        self._package = tempfile.TemporaryDirectory() if path.suffix == ".usdz" else None
-        inner = Path(self._package.name) / f"{path.stem}.usdc" if self._package else path
+        self._is_package = path.suffix == ".usdz"
+        self._folder: Path | None = None
+        self._hidden = contextlib.ExitStack()
+        self._failure: OSError | None = None
+        with self._writing():
+            check_replaceable(path)
+            if self._is_package or not live or path.exists():
+                self._folder = self._hidden.enter_context(hidden_beside(path, is_folder=True))
+        inner = (self._folder or path.parent) / path.name
+        inner = inner.with_suffix(".usdc") if self._is_package else inner
         self._suffix = ".usda" if path.suffix == ".usda" else ".usdc"
         self._parts = inner.parent / f"{inner.stem}_parts"
         self._profile = options.chosen_profile(film, len(rows))
         self._spread = Spread(film)
-        self._failure: OSError | None = None
         with self._writing():
             self._root = open_layer(inner)
         self._layers = [self._root]
@@ -76,8 +86,11 @@ class UsdWriter:
         try:
             yield
         except (Tf.ErrorException, OSError) as error:
-            foreign = self._package is not None or not isinstance(error, OSError)
-            self._failure = OSError(f"{self._path}: cannot be written; is the disk full?") if foreign else error
+            if isinstance(error, OSError) and error.errno:
+                self._failure = OSError(error.errno, error.strerror, str(self._path))
+            else:
+                self._failure = OSError(f"{self._path}: cannot be written; is the disk full?")
+            self.discard()
             raise self._failure from None
 
     def write(self, frame: Frame) -> None:
@@ -145,10 +158,18 @@ class UsdWriter:
                 self._arrange()
         if self._frames != self._flushed or any(layer.dirty for layer in self._layers):
             self.flush()
-        if self._package:
-            self._pack(self._package)
+        if self._is_package:
+            self._pack()
         elif self._live and self._profile == "scene":
             self._compact()
+        if self._folder and not self._is_package:
+            replace_files(self._folder, self._path.parent)
+            reload_layer(self._path)
+        self.discard()
+
+    def discard(self) -> None:
+        """Remove what is not published yet."""
+        self._hidden.close()
 
     def _compact(self) -> None:
         """Remove the data that later flushes replaced."""
@@ -249,7 +270,7 @@ class UsdWriter:
         """Path of an additional file relative to the root file."""
         return f"./{self._parts.name}/{Path(part.realPath).name}"
 
-    def _pack(self, package: tempfile.TemporaryDirectory) -> None:
+    def _pack(self) -> None:
         """Write the .usdz package. The library does not report a disk that becomes full, so the result is checked."""
         inner = Path(self._root.realPath)
         try:
@@ -261,8 +282,6 @@ class UsdWriter:
                     raise OSError(f"{temporary}: cannot be written")
         except (Tf.ErrorException, zipfile.BadZipFile, KeyError, EOFError):
             raise OSError(f"{self._path}: cannot be written; is the disk full?") from None
-        finally:
-            package.cleanup()
 
 
 class Clips:

@@ -6,7 +6,11 @@ import numpy as np
 
 from warp_rigid.checks import number_array, shown
 from warp_rigid.scene.shapes import mass_properties, topology
-from warp_rigid.scene.shapes.mesh_union import join_shells
+from warp_rigid.scene.shapes.distance_grid import mesh_distance
+from warp_rigid.scene.shapes.mesh_union import join_shells, separate_shells
+
+COINCIDENT, NEARLY_COINCIDENT = 1e-9, 1e-5
+"""Differences of coordinates up to which vertices are one, everywhere and at open edges, relative to the extent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +51,7 @@ def repair(vertices, faces) -> Surface:
     repairs: list[str] = []
     vertices, faces = _merge_duplicates(vertices, faces, repairs)
     faces = _drop_degenerate(vertices, faces, repairs)
+    faces = _drop_repeated(vertices, faces, repairs)
     if not len(faces):
         raise ValueError("faces: must hold a triangle with an area > 0, got none")
     vertices, faces = _drop_unused(vertices, faces, repairs)
@@ -81,21 +86,44 @@ def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _merge_duplicates(vertices, faces, repairs):
-    """Merge vertices that coincide to 1e-9 of the mesh's extent; the first of each stays, in the given order."""
+    """Merge vertices that coincide, and those of open edges that nearly do; the first of each stays, in its order.
+
+    Coordinates in files are float32 numbers or have six digits, and their last digits can differ from face to face.
+    """
     from trimesh.grouping import unique_rows
 
     extent = float(np.ptp(vertices, axis=0).max())
-    places = (vertices - vertices.min(axis=0)) / (1e-9 * extent) if extent > 0.0 else np.zeros_like(vertices)
-    kept, merged = unique_rows(np.round(places).astype(np.int64), keep_order=True)
-    if len(kept) == len(vertices):
-        return vertices, faces
-    repairs.append(f"merged {len(vertices) - len(kept)} duplicate vertices")
-    return vertices[kept], merged[faces]
+    places = (vertices - vertices.min(axis=0)) / extent if extent > 0.0 else np.zeros_like(vertices)
+    kept, merged = unique_rows(np.round(places / COINCIDENT).astype(np.int64), keep_order=True)
+    count, faces = len(vertices), merged[faces]
+    vertices, places = vertices[kept], places[kept]
+    edges = topology.find_edges(faces)
+    border = np.unique(edges.ends[edges.count % 2 == 1])
+    if len(border):
+        kept, merged = np.unique(topology.components(_near(places, border), len(vertices)), return_inverse=True)
+        vertices, faces = vertices[kept], merged[faces]
+    if len(vertices) < count:
+        repairs.append(f"merged {count - len(vertices)} duplicate vertices")
+    return vertices, faces
+
+
+def _near(places, border):
+    """Pairs of some vertices (p, 2), which link all those that differ by at most NEARLY_COINCIDENT in each coordinate.
+
+    Of eight grids with cells of twice that size, shifted by half a cell along some of the axes, at least one has both
+    vertices in one cell.
+    """
+    from trimesh.grouping import unique_rows
+
+    pairs = []
+    for shift in np.ndindex(2, 2, 2):
+        cell = np.floor(0.5 * (places[border] / NEARLY_COINCIDENT + shift))
+        first, which = unique_rows(cell.astype(np.int64))
+        pairs.append(np.stack([border, border[first[which]]], axis=1))
+    return np.concatenate(pairs)
 
 
 def _drop_degenerate(vertices, faces, repairs):
-    from trimesh.grouping import unique_rows
-
     a, b, c = faces.T
     _, area = topology.face_normals(vertices, faces)
     sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
@@ -104,13 +132,42 @@ def _drop_degenerate(vertices, faces, repairs):
     if flat.any():
         repairs.append(f"dropped {int(flat.sum())} faces without area")
         faces = faces[~flat]
-    # Repeated faces have the same corners in the same cyclic order; a face and its reverse both stay.
-    turn = np.argmin(faces, axis=1)[:, None] + np.arange(3)
-    kept, _ = unique_rows(np.take_along_axis(faces, turn % 3, axis=1), keep_order=True)
-    if len(kept) < len(faces):
-        repairs.append(f"dropped {len(faces) - len(kept)} repeated faces")
-        faces = faces[kept]
     return faces
+
+
+def _drop_repeated(vertices, faces, repairs):
+    """Keep one of the faces that have the same corners, in any order, or none where they are a wall inside a solid.
+
+    Repeated faces form patches, which end where other faces meet them. A patch is such a wall, as where two solids
+    touch, if an even number of other faces meets at more of its sides than an odd number. Other patches fill a gap, or
+    are surfaces of their own. Of these, one that is there in both directions bounds a solid, not a cavity.
+    """
+    from trimesh.grouping import unique_rows
+
+    kept, which = unique_rows(np.sort(faces, axis=1), keep_order=True)
+    count = np.bincount(which)
+    repeated = count > 1
+    if not repeated.any():
+        return faces
+    once = faces[kept]
+    edges = topology.find_edges(once)
+    others = np.bincount(edges.face_edge[~repeated].ravel(), minlength=len(edges.ends))
+    pairs, shared = topology.face_pairs(edges)
+    patch = topology.components(pairs[others[shared] == 0], len(once))
+    met = others[edges.face_edge]
+    odd, even = (
+        np.bincount(patch, n.sum(axis=1), minlength=len(once)) for n in (met % 2 == 1, (met > 0) & (met % 2 == 0))
+    )
+    turn = np.take_along_axis(faces, (np.argmin(faces, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    forward = np.bincount(which, turn[:, 1] < turn[:, 2])
+    both = (forward > 0) & (forward < count)
+    for alone in np.unique(patch[both & (odd[patch] + even[patch] == 0)]):
+        own = patch == alone
+        agreed = _agree_winding(once[own], [])
+        once[own] = _turned(agreed, np.full(len(agreed), signed_volume(vertices, agreed) < 0.0))
+    once = once[~repeated | (odd[patch] >= even[patch])]
+    repairs.append(f"dropped {len(faces) - len(once)} repeated faces")
+    return once
 
 
 def _drop_unused(vertices, faces, repairs):
@@ -147,21 +204,48 @@ def _agree_winding(faces, repairs):
 
 
 def _face_outward(vertices, faces, repairs):
-    """Make the volume positive, then turn each inverted component unless it is a cavity."""
-    flip = np.full(len(faces), signed_volume(vertices, faces) < 0.0)
-    label = topology.face_components(topology.find_edges(faces))
-    labels = np.unique(label)
-    volume = np.array([signed_volume(vertices, faces[label == part]) for part in labels])
-    volume = -volume if flip.all() else volume
-    upright = np.isin(label, labels[volume > 0.0])
-    solid = vertices[_turned(faces, flip)[upright]]
-    for part in labels[volume < 0.0]:
-        own = label == part
-        if topology.winding_number(vertices[faces[own][0, 0]], solid) < 0.5:
+    """Turn each inverted surface outward unless it is a cavity: inside the larger surfaces, as these face then.
+
+    If the largest surface is inverted, all are turned first, so that its cavities stay cavities.
+    """
+    label = _surfaces(vertices, faces)
+    parts = np.unique(label)
+    volume = np.array([signed_volume(vertices, faces[label == part]) for part in parts])
+    largest, *others = np.argsort(-np.abs(volume), kind="stable").tolist()
+    flip = np.full(len(faces), volume[largest] < 0.0)
+    settled = label == parts[largest]
+    for k in others:
+        own = label == parts[k]
+        inverted = (volume[k] < 0.0) != (volume[largest] < 0.0)
+        if inverted and not _is_inside(vertices, faces[own], _turned(faces, flip)[settled]):
             flip ^= own
+        settled |= own
     if flip.any():
         repairs.append(f"turned {int(flip.sum())} faces of an inverted surface outward")
     return _turned(faces, flip)
+
+
+def _surfaces(vertices, faces):
+    """Label of the surface of each face: of all that meet at edges, or of each closed one where several meet."""
+    edges = topology.find_edges(faces)
+    label = topology.face_components(edges)
+    crowded, uneven = (np.unique(label[odd[edges.face_edge].any(axis=1)]) for odd in (edges.count > 2, edges.net != 0))
+    several = np.flatnonzero(np.isin(label, np.setdiff1d(crowded, uneven)))
+    if len(several):
+        label[several] = several[separate_shells(vertices, faces[several])[2]]
+    return label
+
+
+def _is_inside(vertices, faces, around) -> bool:
+    """Whether the corners and the middles of some faces lie inside a surface, or on it."""
+    points = np.concatenate([vertices[np.unique(faces)], vertices[faces].mean(axis=1)])
+    corners = vertices[around].reshape(-1, 3)
+    margin = NEARLY_COINCIDENT * float(np.ptp(corners, axis=0).max())
+    lower, upper = corners.min(axis=0) - margin, corners.max(axis=0) + margin
+    if not ((points >= lower) & (points <= upper)).all():
+        return False
+    distance, _ = mesh_distance(*topology.close_boundaries(vertices, around), points, simple=False)
+    return bool((distance <= margin).all())
 
 
 def _turned(faces, flip):

@@ -44,6 +44,7 @@ def separate_shells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray
     """Cut a closed surface where it touches itself along edges or at vertices, so that two faces meet at every edge.
 
     Where more than two faces meet, faces of one shell stay together, and else those that bound the same wedge of solid.
+    Of faces that coincide, the one is taken that other edges have joined already.
 
     Returns:
         Vertices (k, 3), faces (m, 3), and the component of each face (m,).
@@ -70,9 +71,10 @@ def _partners(vertices, faces, sides):
     partner = np.empty(len(sides), dtype=np.int64)
     simple = starts[counts == 2]
     partner[order[simple]], partner[order[simple + 1]] = order[simple + 1], order[simple]
-    shell = topology.components(np.stack([order[simple], order[simple + 1]], axis=1) // 3, len(faces))[
-        np.arange(len(sides)) // 3
-    ]
+    pairs = np.stack([order[simple], order[simple + 1]], axis=1) // 3
+    _, shell = np.unique(topology.components(pairs, len(faces)), return_inverse=True)
+    shell = np.repeat(shell, 3)
+    joined = np.arange(shell.max(initial=0) + 1)
     for start, count in zip(starts[counts > 2], counts[counts > 2], strict=True):
         group = order[start : start + count]
         backward, onward = group[~forward[group]], group[forward[group]]
@@ -81,10 +83,13 @@ def _partners(vertices, faces, sides):
         turn = (angle[: len(onward)][:, None] - angle[len(onward) :][None]) % (2.0 * np.pi)
         turn[turn < 1e-9] = 2.0 * np.pi
         turn[shell[onward][:, None] != shell[backward][None]] += 2.0 * np.pi
+        turn[joined[shell[onward]][:, None] != joined[shell[backward]][None]] += 1e-6
         for _ in range(len(onward)):
             i, j = np.unravel_index(np.argmin(turn), turn.shape)
             partner[onward[i]], partner[backward[j]] = backward[j], onward[i]
             turn[i], turn[:, j] = np.inf, np.inf
+            one, other = joined[shell[[onward[i], backward[j]]]]
+            joined[joined == max(one, other)] = min(one, other)
     return partner
 
 
