@@ -8,6 +8,7 @@ four words, so that a GPU reads each group with one 16-byte load.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 import warp as wp
 
 
@@ -108,11 +109,16 @@ def group_of(packed: Any, name: str) -> int:
     return first_word(packed, name) // WORDS_OF_A_GROUP
 
 
+IN_BOUNDS = "assert(row >= 0 && row < records.shape[0]);"
+"""Native check of a row, which the compiler leaves out except in Warp's debug mode, as it does for other arrays."""
+
+
 def group_reader(packed: Any) -> Any:
     """Return a device function (records, row, group) that reads four words of a packed record, as a vec4 or vec4i."""
     if _is_of_integers(packed):
 
-        @wp.func_native("""
+        @wp.func_native(f"""
+            {IN_BOUNDS}
             const int* p = (const int*)__builtin_assume_aligned((const int*)(records.data + row) + 4 * group, 16);
             return wp::vec_t<4, int>(p[0], p[1], p[2], p[3]);
         """)
@@ -122,7 +128,8 @@ def group_reader(packed: Any) -> Any:
 
     else:
 
-        @wp.func_native("""
+        @wp.func_native(f"""
+            {IN_BOUNDS}
             const float* p = (const float*)__builtin_assume_aligned((const float*)(records.data + row) + 4 * group, 16);
             return wp::vec4(p[0], p[1], p[2], p[3]);
         """)
@@ -136,7 +143,8 @@ def group_reader(packed: Any) -> Any:
 def group_writer(packed: Any) -> Any:
     """Return a device function (records, row, group, xyz, w) that writes four words of a packed record of floats."""
 
-    @wp.func_native("""
+    @wp.func_native(f"""
+        {IN_BOUNDS}
         float* p = (float*)__builtin_assume_aligned((float*)(records.data + row) + 4 * group, 16);
         p[0] = xyz[0]; p[1] = xyz[1]; p[2] = xyz[2]; p[3] = w;
     """)
@@ -156,7 +164,10 @@ def record_reader(packed: Any, flag: str = "", optional_from: str = "") -> Any:
         optional_from: the first member that is not always read; it must start a group.
     """
     word = "int" if _is_of_integers(packed) else "float"
-    lines = [f"const {word}* p = (const {word}*)__builtin_assume_aligned((const {word}*)(records.data + row), 16);"]
+    lines = [
+        IN_BOUNDS,
+        f"const {word}* p = (const {word}*)__builtin_assume_aligned((const {word}*)(records.data + row), 16);",
+    ]
     for group, members in _groups(packed).items():
         if flag and group == group_of(packed, optional_from):
             lines.append(f"if (value.{flag} == 0.0f) {{ return; }}")
@@ -192,7 +203,7 @@ def record_writer(packed: Any, flag: str = "", optional_from: str = "") -> Any:
     if flag:
         optional = [text for word, text in words.items() if word >= first_word(packed, optional_from)]
         words[first_word(packed, flag)] = f"({' || '.join(f'{text} != 0.0f' for text in optional)}) ? 1.0f : 0.0f"
-    lines = ["float* p = (float*)__builtin_assume_aligned((float*)(records.data + row), 16);"]
+    lines = [IN_BOUNDS, "float* p = (float*)__builtin_assume_aligned((float*)(records.data + row), 16);"]
     lines += [f"p[{word}] = {text};" for word, text in words.items()]
 
     @wp.func_native("\n".join(lines))
@@ -230,6 +241,15 @@ def allocate(struct: Any, sizes: Mapping[str, int], device: Any) -> Any:
     for key, field in LAYOUTS[struct.key].items():
         shape = tuple(extent(term, sizes) for term in field.shape.split(","))
         setattr(instance, key, wp.zeros(shape, dtype=field.dtype, device=device))
+    return instance
+
+
+def upload(struct: Any, rows: Mapping[str, np.ndarray], device: Any) -> Any:
+    """Return an instance of `struct` with the given rows; an array without rows gets one of zeros, so none is empty."""
+    instance = struct()
+    for key, field in LAYOUTS[struct.key].items():
+        array = wp.array(rows[key], dtype=field.dtype, device=device)
+        setattr(instance, key, array if array.size else wp.zeros(1, dtype=field.dtype, device=device))
     return instance
 
 
