@@ -1,15 +1,28 @@
 """Declarations of device arrays, and what is derived from them: Warp structs, allocation, packing and slices.
 
 `schema` declares the arrays of the simulator with these functions. A declaration states a field's element type, its
-symbolic shape, its unit and a description. Records are elements of arrays; packed records are laid out in groups of
+symbolic shape, its unit, a description and its lifetime, from which follows what a reset, a checkpoint and the undoing
+of a step work on. Records are elements of arrays; packed records are laid out in groups of
 four words, so that a GPU reads each group with one 16-byte load.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
+
+
+class Lifetime(Enum):
+    """How long the values of an array are valid, and who writes them."""
+
+    STEP = "written by each step before it reads it"
+    SCENE = "follows from the scenes; no step changes it"
+    SETTING = "users may change it, no step does; a reset keeps it"
+    REMEMBERED = "left by a step to the next one, or to users; a reset returns it to its start"
+    REUSED = "a step may reuse it instead of computing it again, with the same results"
 
 
 class Field(NamedTuple):
@@ -21,6 +34,9 @@ class Field(NamedTuple):
         unit: SI unit; empty for pure numbers, indices and flags.
         description: contents.
         index_of: if the values are row indices, the symbol of the indexed rows; in a slice they count from its start.
+        lifetime: of the values; None for that of the layout.
+        start: value before the first step. For a reused array it is the one with which the next step computes the
+            struct again; None where the step then does not read it.
     """
 
     dtype: Any
@@ -28,7 +44,15 @@ class Field(NamedTuple):
     unit: str
     description: str
     index_of: str = ""
+    lifetime: Lifetime | None = None
+    start: float | None = None
 
+
+Fixed = partial(Field, lifetime=Lifetime.SCENE)
+Setting = partial(Field, lifetime=Lifetime.SETTING)
+Remembered = partial(Field, lifetime=Lifetime.REMEMBERED)
+Reused = partial(Field, lifetime=Lifetime.REUSED)
+Scratch = partial(Field, lifetime=Lifetime.STEP)
 
 LAYOUTS: dict[str, dict[str, Field]] = {}
 """Declared structs of arrays, and their fields."""
@@ -54,8 +78,9 @@ PADDING = "padding_"
 """Start of the names of members that only fill a group."""
 
 
-def layout(name: str, doc: str, **fields: Field) -> Any:
-    """Declare a Warp struct whose members are the arrays `fields`."""
+def layout(name: str, doc: str, lifetime: Lifetime = Lifetime.STEP, **fields: Field) -> Any:
+    """Declare a Warp struct whose members are the arrays `fields`; `lifetime` is that of those that state none."""
+    fields = {key: field._replace(lifetime=field.lifetime or lifetime) for key, field in fields.items()}
     annotations = {key: wp.array(dtype=f.dtype, ndim=f.shape.count(",") + 1) for key, f in fields.items()}
     LAYOUTS[name] = fields
     return _struct(name, doc, annotations)
@@ -236,11 +261,14 @@ def _from_words(packed: Any, key: str, word: int) -> str:
 
 
 def allocate(struct: Any, sizes: Mapping[str, int], device: Any) -> Any:
-    """Return an instance of `struct` with all its arrays zero and sized by the symbols in `sizes`."""
+    """Return an instance of `struct` with all its arrays sized by the symbols in `sizes`, at their start or zero."""
     instance = struct()
     for key, field in LAYOUTS[struct.key].items():
         shape = tuple(extent(term, sizes) for term in field.shape.split(","))
-        setattr(instance, key, wp.zeros(shape, dtype=field.dtype, device=device))
+        array = wp.zeros(shape, dtype=field.dtype, device=device)
+        if field.start:
+            array.fill_(field.start)
+        setattr(instance, key, array)
     return instance
 
 
@@ -287,6 +315,38 @@ def byte_size(struct: Any, sizes: Mapping[str, int]) -> int:
 def field_names(struct: Any) -> list[str]:
     """Return the names of the arrays of `struct`, in the order of their declaration."""
     return list(LAYOUTS[struct.key])
+
+
+class Declared(NamedTuple):
+    """An array of an instance, with its name and its declaration."""
+
+    name: str
+    field: Field
+    array: Any
+
+
+def arrays_of(instance: Any, *lifetimes: Lifetime) -> Iterator[Declared]:
+    """Iterate over the arrays of an instance that have one of these lifetimes."""
+    for name, field in LAYOUTS[instance._cls.key].items():
+        if field.lifetime in lifetimes:
+            yield Declared(name, field, getattr(instance, name))
+
+
+def compute_again(instance: Any) -> None:
+    """Let the next step compute what it could otherwise reuse of an instance."""
+    for _, field, array in arrays_of(instance, Lifetime.REUSED):
+        if field.start is not None:
+            array.fill_(field.start)
+
+
+def counted_by(field: Field) -> str:
+    """The symbol that counts the rows of an array; arrays of sums have one row more."""
+    return field.shape.split(",")[0].partition(" + ")[0]
+
+
+def is_sum(field: Field) -> bool:
+    """Whether an array has a row more than its symbol counts, as sums have."""
+    return " + " in field.shape.split(",")[0]
 
 
 def extent(term: str, sizes: Mapping[str, int]) -> int:

@@ -160,7 +160,10 @@ def heap(rng):
 
 def act(sim, step, rng):
     """What a user may do between two steps: push, switch, break, spawn."""
-    movers = [k for k, body in enumerate(sim.scene.bodies) if body.motion == wr.Motion.DYNAMIC and body.active]
+    bodies = enumerate(zip(sim.scene.bodies, sim.get("active").all(axis=0), strict=True))
+    movers = [index for index, (body, active) in bodies if body.motion == wr.Motion.DYNAMIC and active]
+    if not movers:
+        return
     body = int(rng.choice(movers))
     kind = rng.integers(6)
     if kind == 0:
@@ -177,16 +180,22 @@ def act(sim, step, rng):
         sim.apply_impulse(rng.normal(0, 1, 3), sim.get("position")[:, body], body)
 
 
-def shown_by(sim, steps=1):
-    """Everything that a simulator shows after each of some steps, as bytes by name."""
+def shown_by(sim, steps=1, envs=None):
+    """What a simulator shows of environments after each of some steps, as bytes by name."""
+    envs = np.arange(sim.num_envs) if envs is None else np.array(envs)
     shown = {}
     for step in range(steps):
         sim.step()
         names = STATE + (OF_JOINTS if sim.scene.joints else ())
-        found = {name: sim.get(name) for name in names} | {"contacts": sim.contacts(), "status": sim.status()}
-        found |= sim.stats()
+        contacts, status = sim.contacts(), sim.status()
+        stats = {name: values for name, values in sim.stats().items() if "capacity" not in name}
+        found = {name: sim.get(name)[envs] for name in names} | {f"stats {k}": v[envs] for k, v in stats.items()}
+        found |= {f"contacts {env}": contacts[contacts["env"] == env] for env in envs.tolist()}
+        found |= {f"status {name}": status[name][envs] for name in ("status", "step", "body")}
         if sim._world.watches is not None:
-            found |= sim.watched()
+            found |= {f"watched {name}": values[envs] for name, values in sim.watched().items()}
+        if len(envs) == sim.num_envs:
+            found["warnings"] = sim.warnings()
         shown |= {f"{name} in step {step}": np.ascontiguousarray(value).tobytes() for name, value in found.items()}
     return shown
 

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import checkpoint, quantities, spawning, step_reports, watching
+from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, step_reports, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings, check_settings
@@ -229,7 +229,7 @@ class Simulator:
         Args:
             envs: indices of the environments, or a mask, as for `set`; None for all, which also resets the time.
         """
-        quantities.reset(self._world, envs)
+        forgetting.reset(self._world, envs)
 
     @guarded
     def spawn(
