@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
+from warp_rigid.checks import LARGEST, array_of, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
 from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.layout import spread_rows
 from warp_rigid.engine.model import mass_arrays
@@ -201,8 +201,8 @@ def _broadcast(name: str, value: Any, shape: tuple[int, ...], needed: np.ndarray
 
 
 def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
-    values = value if isinstance(value, list | tuple | np.ndarray) else [value]
-    numbers = [check_setting(name, v.item() if isinstance(v, np.generic) else v) for v in values]
+    several = isinstance(value, list | tuple | np.ndarray) and len(shape_of(value)) > 0
+    numbers = [check_setting(name, _as_python(v)) for v in (value if several else [value])]
     if len(numbers) not in (1, len(chosen)):
         raise ValueError(f"{name}: must be one value or {len(chosen)}, got {len(numbers)}")
     rows = getattr(world.envs, name).numpy()
@@ -213,6 +213,12 @@ def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> N
         wake(world, chosen, rows)
         _count_anew(world, rows)
     world.choose_step()
+
+
+def _as_python(value: Any) -> Any:
+    """The Python value of a NumPy scalar or an array without axes; other values, and masked ones, as they are."""
+    scalar = isinstance(value, np.generic | np.ndarray) and np.ndim(value) == 0 and array_of(value) is not None
+    return value.item() if scalar else value
 
 
 def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
@@ -326,10 +332,9 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
     rows = body_rows(layout, chosen, body, "body")[:, 0]
     push = _broadcast("impulse", impulse, (len(chosen), 3))
     at = _broadcast("point", point, (len(chosen), 3))
-    free = world.model.bodies.motion.numpy()[rows] == Motion.DYNAMIC
-    chosen, rows, push, at = chosen[free], rows[free], push[free], at[free]
-    if not len(chosen):
-        return
+    for row in rows[world.model.bodies.motion.numpy()[rows] != Motion.DYNAMIC][:1].tolist():
+        found = layout.scene_bodies[layout.source[row]]
+        raise ValueError(f"body: {found.name} is {found.motion.name.lower()}, and an impulse cannot move it")
     index = rows - layout.first_body[chosen]
     arm = at - read(world, "center_of_mass")[chosen, index]
     inverse = np.linalg.inv(read(world, "inertia")[chosen, index].astype(np.float64))

@@ -299,7 +299,7 @@ class Simulator:
 
     @guarded
     def apply_impulse(self, impulse: Any, point: Any, body: int | str, envs: Any = None) -> None:
-        """Apply an impulse to a body immediately; the body and its island wake up. Bodies that cannot move ignore it.
+        """Apply an impulse to a body immediately; the body and its island wake up.
 
         Args:
             impulse: (3,) or (envs, 3) impulse [N s].
@@ -308,7 +308,8 @@ class Simulator:
             envs: indices of the environments, or a mask, as for `set`; None for all.
 
         Raises:
-            ValueError: an environment has no such body, or a value has the wrong shape or is not finite.
+            ValueError: an environment has no such body, the body is static or kinematic, or a value has the wrong shape
+                or is not finite.
         """
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 

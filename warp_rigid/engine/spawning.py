@@ -60,7 +60,7 @@ def _one_row_each(world: World, name: str, value: Any, rows: np.ndarray) -> np.n
     count, length = len(rows), quantities.VECTOR_LENGTHS[name]
     if shape_of(value) not in ((length,), (1, length), (count, length)):
         raise ValueError(f"{name}: must be ({length},) or ({count}, {length}) numbers, got {shown(value)}")
-    return quantities.checked_rows(world, name, np.asarray(value).reshape(-1, 1, length), rows)
+    return quantities.checked_rows(world, name, np.reshape(value, (-1, 1, length)), rows)
 
 
 def _clear(world: World, rows: np.ndarray) -> None:
