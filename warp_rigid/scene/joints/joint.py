@@ -157,9 +157,10 @@ def ordered_limits(value: Any) -> tuple[float, float] | None:
     if value is None:
         return None
     limits = numbers_of(value)
-    if limits is None or limits.shape != (2,) or not ((np.abs(limits) <= LARGEST) | np.isinf(limits)).all():
-        most = f"each up to {LARGEST:g} or infinite"
-        raise ValueError(f"limits: must be (lower, upper), {most}, or None, got {shown(value)}")
+    if limits is None or limits.shape != (2,):
+        raise ValueError(f"limits: must be (lower, upper) or None, got {shown(value)}")
+    if not ((np.abs(limits) <= LARGEST) | np.isinf(limits)).all():
+        raise ValueError(f"limits: must be up to {LARGEST:g} or infinite, got {shown(value)}")
     lower, upper = limits.tolist()
     if not lower <= upper or lower == math.inf or upper == -math.inf:
         raise ValueError(f"limits: lower must be at most upper, got {shown(value)}")
