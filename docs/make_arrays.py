@@ -30,6 +30,13 @@ are rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` ge
 The first dimension of a shape is a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
 """
 
+LIFETIMES = """
+## Lifetimes
+
+How long the values of an array are valid, and who writes them. From this follows what a reset, a checkpoint and the
+undoing of a step work on. Tests overwrite all arrays of the lifetime `step` between steps, and get the same bits.
+"""
+
 RECORDS = """
 ## Records
 
@@ -48,9 +55,21 @@ def page() -> str:
     """The whole page."""
     symbols = {**schema.SYMBOLS, **arrays.SYMBOLS}
     sizes = table("symbol", "counts", rows=[(code(name), text) for name, text in symbols.items()])
+    lifetimes = table("lifetime", "values", rows=[(code(one.name.lower()), one.value) for one in declare.Lifetime])
     structs = [section(name, struct_table(fields)) for name, fields in declare.LAYOUTS.items()]
     records = [section(name, record_table(name, fields)) for name, fields in declare.RECORDS.items()]
-    parts = [INTRODUCTION, sizes, "## Structs of arrays", *structs, RECORDS, *records, ENUMERATIONS, *enumerations()]
+    parts = [
+        INTRODUCTION,
+        sizes,
+        LIFETIMES,
+        lifetimes,
+        "## Structs of arrays",
+        *structs,
+        RECORDS,
+        *records,
+        ENUMERATIONS,
+        *enumerations(),
+    ]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -61,8 +80,11 @@ def section(name: str, content: str) -> str:
 
 def struct_table(fields: dict[str, declare.Field]) -> str:
     """The arrays of a struct."""
-    lines = [(code(key), type_name(f.dtype), f"({f.shape})", f.unit, f.description) for key, f in fields.items()]
-    return table("array", "type", "shape", "unit", "description", rows=lines)
+    lines = [
+        (code(key), type_name(f.dtype), f"({f.shape})", f.lifetime.name.lower(), f.unit, f.description)
+        for key, f in fields.items()
+    ]
+    return table("array", "type", "shape", "lifetime", "unit", "description", rows=lines)
 
 
 def record_table(name: str, fields: dict[str, declare.Field]) -> str:

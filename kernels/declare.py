@@ -1,14 +1,28 @@
 """Declarations of device arrays, and what is derived from them: Warp structs, allocation, packing and slices.
 
 `schema` declares the arrays of the simulator with these functions. A declaration states a field's element type, its
-symbolic shape, its unit and a description. Records are elements of arrays; packed records are laid out in groups of
+symbolic shape, its unit, a description and its lifetime, from which follows what a reset, a checkpoint and the undoing
+of a step work on. Records are elements of arrays; packed records are laid out in groups of
 four words, so that a GPU reads each group with one 16-byte load.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 import warp as wp
+
+
+class Lifetime(Enum):
+    """How long the values of an array are valid, and who writes them."""
+
+    STEP = "written by each step before it reads it"
+    SCENE = "follows from the scenes; no step changes it"
+    SETTING = "users may change it, no step does; a reset keeps it"
+    REMEMBERED = "left by a step to the next one, or to users; a reset returns it to its start"
+    REUSED = "a step may reuse it instead of computing it again, with the same results"
 
 
 class Field(NamedTuple):
@@ -20,6 +34,9 @@ class Field(NamedTuple):
         unit: SI unit; empty for pure numbers, indices and flags.
         description: contents.
         index_of: if the values are row indices, the symbol of the indexed rows; in a slice they count from its start.
+        lifetime: of the values; None for that of the layout.
+        start: value before the first step. For a reused array it is the one with which the next step computes the
+            struct again; None where the step then does not read it.
     """
 
     dtype: Any
@@ -27,7 +44,15 @@ class Field(NamedTuple):
     unit: str
     description: str
     index_of: str = ""
+    lifetime: Lifetime | None = None
+    start: float | None = None
 
+
+Fixed = partial(Field, lifetime=Lifetime.SCENE)
+Setting = partial(Field, lifetime=Lifetime.SETTING)
+Remembered = partial(Field, lifetime=Lifetime.REMEMBERED)
+Reused = partial(Field, lifetime=Lifetime.REUSED)
+Scratch = partial(Field, lifetime=Lifetime.STEP)
 
 LAYOUTS: dict[str, dict[str, Field]] = {}
 """Declared structs of arrays, and their fields."""
@@ -53,8 +78,9 @@ PADDING = "padding_"
 """Start of the names of members that only fill a group."""
 
 
-def layout(name: str, doc: str, **fields: Field) -> Any:
-    """Declare a Warp struct whose members are the arrays `fields`."""
+def layout(name: str, doc: str, lifetime: Lifetime = Lifetime.STEP, **fields: Field) -> Any:
+    """Declare a Warp struct whose members are the arrays `fields`; `lifetime` is that of those that state none."""
+    fields = {key: field._replace(lifetime=field.lifetime or lifetime) for key, field in fields.items()}
     annotations = {key: wp.array(dtype=f.dtype, ndim=f.shape.count(",") + 1) for key, f in fields.items()}
     LAYOUTS[name] = fields
     return _struct(name, doc, annotations)
@@ -108,11 +134,16 @@ def group_of(packed: Any, name: str) -> int:
     return first_word(packed, name) // WORDS_OF_A_GROUP
 
 
+IN_BOUNDS = "assert(row >= 0 && row < records.shape[0]);"
+"""Native check of a row, which the compiler leaves out except in Warp's debug mode, as it does for other arrays."""
+
+
 def group_reader(packed: Any) -> Any:
     """Return a device function (records, row, group) that reads four words of a packed record, as a vec4 or vec4i."""
     if _is_of_integers(packed):
 
-        @wp.func_native("""
+        @wp.func_native(f"""
+            {IN_BOUNDS}
             const int* p = (const int*)__builtin_assume_aligned((const int*)(records.data + row) + 4 * group, 16);
             return wp::vec_t<4, int>(p[0], p[1], p[2], p[3]);
         """)
@@ -122,7 +153,8 @@ def group_reader(packed: Any) -> Any:
 
     else:
 
-        @wp.func_native("""
+        @wp.func_native(f"""
+            {IN_BOUNDS}
             const float* p = (const float*)__builtin_assume_aligned((const float*)(records.data + row) + 4 * group, 16);
             return wp::vec4(p[0], p[1], p[2], p[3]);
         """)
@@ -136,7 +168,8 @@ def group_reader(packed: Any) -> Any:
 def group_writer(packed: Any) -> Any:
     """Return a device function (records, row, group, xyz, w) that writes four words of a packed record of floats."""
 
-    @wp.func_native("""
+    @wp.func_native(f"""
+        {IN_BOUNDS}
         float* p = (float*)__builtin_assume_aligned((float*)(records.data + row) + 4 * group, 16);
         p[0] = xyz[0]; p[1] = xyz[1]; p[2] = xyz[2]; p[3] = w;
     """)
@@ -156,7 +189,10 @@ def record_reader(packed: Any, flag: str = "", optional_from: str = "") -> Any:
         optional_from: the first member that is not always read; it must start a group.
     """
     word = "int" if _is_of_integers(packed) else "float"
-    lines = [f"const {word}* p = (const {word}*)__builtin_assume_aligned((const {word}*)(records.data + row), 16);"]
+    lines = [
+        IN_BOUNDS,
+        f"const {word}* p = (const {word}*)__builtin_assume_aligned((const {word}*)(records.data + row), 16);",
+    ]
     for group, members in _groups(packed).items():
         if flag and group == group_of(packed, optional_from):
             lines.append(f"if (value.{flag} == 0.0f) {{ return; }}")
@@ -192,7 +228,7 @@ def record_writer(packed: Any, flag: str = "", optional_from: str = "") -> Any:
     if flag:
         optional = [text for word, text in words.items() if word >= first_word(packed, optional_from)]
         words[first_word(packed, flag)] = f"({' || '.join(f'{text} != 0.0f' for text in optional)}) ? 1.0f : 0.0f"
-    lines = ["float* p = (float*)__builtin_assume_aligned((float*)(records.data + row), 16);"]
+    lines = [IN_BOUNDS, "float* p = (float*)__builtin_assume_aligned((float*)(records.data + row), 16);"]
     lines += [f"p[{word}] = {text};" for word, text in words.items()]
 
     @wp.func_native("\n".join(lines))
@@ -225,11 +261,23 @@ def _from_words(packed: Any, key: str, word: int) -> str:
 
 
 def allocate(struct: Any, sizes: Mapping[str, int], device: Any) -> Any:
-    """Return an instance of `struct` with all its arrays zero and sized by the symbols in `sizes`."""
+    """Return an instance of `struct` with all its arrays sized by the symbols in `sizes`, at their start or zero."""
     instance = struct()
     for key, field in LAYOUTS[struct.key].items():
         shape = tuple(extent(term, sizes) for term in field.shape.split(","))
-        setattr(instance, key, wp.zeros(shape, dtype=field.dtype, device=device))
+        array = wp.zeros(shape, dtype=field.dtype, device=device)
+        if field.start:
+            array.fill_(field.start)
+        setattr(instance, key, array)
+    return instance
+
+
+def upload(struct: Any, rows: Mapping[str, np.ndarray], device: Any) -> Any:
+    """Return an instance of `struct` with the given rows; an array without rows gets one of zeros, so none is empty."""
+    instance = struct()
+    for key, field in LAYOUTS[struct.key].items():
+        array = wp.array(rows[key], dtype=field.dtype, device=device)
+        setattr(instance, key, array if array.size else wp.zeros(1, dtype=field.dtype, device=device))
     return instance
 
 
@@ -267,6 +315,38 @@ def byte_size(struct: Any, sizes: Mapping[str, int]) -> int:
 def field_names(struct: Any) -> list[str]:
     """Return the names of the arrays of `struct`, in the order of their declaration."""
     return list(LAYOUTS[struct.key])
+
+
+class Declared(NamedTuple):
+    """An array of an instance, with its name and its declaration."""
+
+    name: str
+    field: Field
+    array: Any
+
+
+def arrays_of(instance: Any, *lifetimes: Lifetime) -> Iterator[Declared]:
+    """Iterate over the arrays of an instance that have one of these lifetimes."""
+    for name, field in LAYOUTS[instance._cls.key].items():
+        if field.lifetime in lifetimes:
+            yield Declared(name, field, getattr(instance, name))
+
+
+def compute_again(instance: Any) -> None:
+    """Let the next step compute what it could otherwise reuse of an instance."""
+    for _, field, array in arrays_of(instance, Lifetime.REUSED):
+        if field.start is not None:
+            array.fill_(field.start)
+
+
+def counted_by(field: Field) -> str:
+    """The symbol that counts the rows of an array; arrays of sums have one row more."""
+    return field.shape.split(",")[0].partition(" + ")[0]
+
+
+def is_sum(field: Field) -> bool:
+    """Whether an array has a row more than its symbol counts, as sums have."""
+    return " + " in field.shape.split(",")[0]
 
 
 def extent(term: str, sizes: Mapping[str, int]) -> int:

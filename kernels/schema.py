@@ -6,9 +6,28 @@ and the page of arrays in the documentation. All environments are stored consecu
 environment `e` are rows `first_body[e]` to `first_body[e + 1] - 1`.
 """
 
+import math
+
 import warp as wp
 
-from warp_rigid.kernels.declare import Field, layout, packed_record, record
+from warp_rigid.kernels.declare import (
+    Field,
+    Fixed,
+    Lifetime,
+    Remembered,
+    Reused,
+    Scratch,
+    Setting,
+    layout,
+    packed_record,
+)
+from warp_rigid.kernels.shape_arrays import ClusterRecord as ClusterRecord
+from warp_rigid.kernels.shape_arrays import PartRecord as PartRecord
+from warp_rigid.kernels.shape_arrays import SampleRecord as SampleRecord
+from warp_rigid.kernels.shape_arrays import ShapeRecord as ShapeRecord
+from warp_rigid.kernels.shape_arrays import Shapes as Shapes
+from warp_rigid.kernels.shape_arrays import TreeRecord as TreeRecord
+from warp_rigid.kernels.shape_arrays import TriangleRecord as TriangleRecord
 from warp_rigid.kernels.symbols import SYMBOLS as SYMBOLS
 
 COLORS = 32
@@ -29,106 +48,10 @@ BALL_PLACES = 4
 PAIR_SLOTS = PATCHES * PATCH_SLOTS
 """Samples kept for each pair before duplicates are removed."""
 
-PartRecord = record(
-    "PartRecord",
-    "One signed distance function of a shape.",
-    kind=Field(int, "", "", "distance function, a PartKind (distance.py)"),
-    placed=Field(int, "", "", "0: the pose in the shape's frame is the identity"),
-    position=Field(wp.vec3, "", "m", "position in the shape's frame"),
-    orientation=Field(wp.quat, "", "", "orientation in the shape's frame"),
-    size=Field(wp.vec4, "", "m", "dimensions, depending on the kind"),
-    grid_start=Field(int, "", "", "first node of the grid"),
-    grid_dims=Field(wp.vec3i, "", "", "number of grid nodes along x, y, z"),
-    grid_origin=Field(wp.vec3, "", "m", "position of the first node, in the part's frame"),
-    grid_spacing=Field(float, "", "m", "distance between neighbouring nodes"),
-    tree_start=Field(int, "", "", "first node of the tree of triangles"),
-    tree_end=Field(int, "", "", "one past the last; tree_start if the part has no exact distance to triangles"),
-)
-
-TreeRecord = record(
-    "TreeRecord",
-    "A node of a tree of triangles, stored depth first.",
-    lower=Field(wp.vec3, "", "m", "lower corner of the box around its triangles, in the part's frame"),
-    upper=Field(wp.vec3, "", "m", "upper corner of the box"),
-    skip=Field(int, "", "", "node that follows its subtree"),
-    triangle_start=Field(int, "", "", "first triangle of a leaf; 0 for other nodes"),
-    triangle_end=Field(int, "", "", "one past the last; 0 for other nodes"),
-)
-
-TriangleRecord = record(
-    "TriangleRecord",
-    "A triangle of a mesh, with the normals that give the sign of a distance.",
-    corner_0=Field(wp.vec3, "", "m", "first corner, in the part's frame"),
-    corner_1=Field(wp.vec3, "", "m", "second corner"),
-    corner_2=Field(wp.vec3, "", "m", "third corner"),
-    normal=Field(wp.vec3, "", "", "outward unit normal"),
-    side_0=Field(wp.vec3, "", "", "mean of the normals at the side between the first and second corner"),
-    side_1=Field(wp.vec3, "", "", "the same, second and third corner"),
-    side_2=Field(wp.vec3, "", "", "the same, third and first corner"),
-    vertex_0=Field(wp.vec3, "", "", "angle-weighted mean of the normals at the first corner"),
-    vertex_1=Field(wp.vec3, "", "", "the same at the second corner"),
-    vertex_2=Field(wp.vec3, "", "", "the same at the third corner"),
-)
-
-ClusterRecord = record(
-    "ClusterRecord",
-    "A few neighbouring samples and their bounding sphere.",
-    center=Field(wp.vec3, "", "m", "centre of the sphere, in the shape's frame"),
-    radius=Field(float, "", "m", "radius of the sphere"),
-    kind=Field(int, "", "", "kind of the samples; rims are grouped with points"),
-    sample_start=Field(int, "", "", "first sample"),
-    sample_end=Field(int, "", "", "one past the last"),
-)
-
-SampleRecord = record(
-    "SampleRecord",
-    "A surface point, edge segment or rim that is tested against other bodies.",
-    point=Field(wp.vec3, "", "m", "position in the shape's frame"),
-    normal=Field(wp.vec3, "", "", "outward unit normal; zero for the centre of a sphere"),
-    slide=Field(wp.vec3, "", "m", "half of the edge segment, from its middle to its end; zero for other samples"),
-    radius=Field(float, "", "m", "radius of a sphere around the sample, or of a rim"),
-    kind=Field(int, "", "", "a SampleKind"),
-    choice=Field(int, "", "", "of a ball or rim on a mesh: the place that it stands for, from 1; 0: the nearest place"),
-)
-
-ShapeRecord = record(
-    "ShapeRecord",
-    "Ranges of a shape's parts and clusters in the pool, and its bounding box.",
-    part_start=Field(int, "", "", "first part"),
-    part_end=Field(int, "", "", "one past the last"),
-    convex=Field(int, "", "", "1: one convex part with an exact distance"),
-    cluster_start=Field(int, "", "", "first cluster"),
-    cluster_end=Field(int, "", "", "one past the last"),
-    hull_start=Field(int, "", "", "first hull vertex, if the shape is a convex mesh"),
-    hull_end=Field(int, "", "", "one past the last; `hull_start` if it is not"),
-    inside=Field(wp.vec3, "", "m", "a point inside the shape, if it is convex"),
-    lower=Field(wp.vec3, "", "m", "lower corner of the bounding box"),
-    upper=Field(wp.vec3, "", "m", "upper corner of the bounding box"),
-    size=Field(float, "", "m", "smallest extent of the bounding box; contact tolerances scale with it"),
-    wall=Field(float, "", "m", "thickness of its walls"),
-    ball_start=Field(int, "", "", "first inner ball, the largest one"),
-    ball_end=Field(int, "", "", "one past the last"),
-    cell=Field(float, "", "m", "widest cell of the distance grids of its meshes; 0 without a mesh"),
-    rise=Field(float, "", "m/s", "largest speed of the surface relative to the body; 0 except for moving ground"),
-)
-
-Shapes = layout(
-    "Shapes",
-    "The pool of shapes, shared by all environments. Values that are read together are stored in one record.",
-    shapes=Field(ShapeRecord, "shapes", "", "shapes"),
-    parts=Field(PartRecord, "parts", "", "signed distance functions of the shapes"),
-    clusters=Field(ClusterRecord, "clusters", "", "sample clusters of the shapes"),
-    samples=Field(SampleRecord, "samples", "", "surface samples of the shapes"),
-    balls=Field(wp.vec4, "balls", "m", "inner balls: centre and radius; radius 0 if the shape has no inside"),
-    hull=Field(wp.vec3, "hull_vertices", "m", "vertices of convex meshes, in the shape's frame"),
-    grid_value=Field(float, "nodes", "m", "signed distance, or height, at a grid node"),
-    tree=Field(TreeRecord, "tree_nodes", "", "trees of the triangles of meshes"),
-    triangles=Field(TriangleRecord, "triangles", "", "triangles of meshes, in the order of the leaves"),
-)
-
 Surfaces = layout(
     "Surfaces",
     "Vertices of moving height fields, grouped by environment; their grid nodes are the last ones of the pool.",
+    lifetime=Lifetime.SCENE,
     env=Field(int, "vertices", "", "environment of the vertex", "envs"),
     sample=Field(int, "vertices", "", "surface sample at the vertex"),
     around=Field(
@@ -140,27 +63,28 @@ Surfaces = layout(
     amplitude=Field(float, "vertices", "m", "amplitude of the motion"),
     phase=Field(float, "vertices", "rad", "phase of the motion at time 0"),
     frequency=Field(float, "vertices", "rad/s", "angular frequency of the motion"),
-    rise=Field(float, "vertices", "m/s", "mean vertical velocity over this step"),
-    rise_before=Field(float, "vertices", "m/s", "mean vertical velocity over the previous step"),
+    rise=Scratch(float, "vertices", "m/s", "mean vertical velocity over this step"),
+    rise_before=Scratch(float, "vertices", "m/s", "mean vertical velocity over the previous step"),
 )
 
 Bodies = layout(
     "Bodies",
     "Properties of the bodies. Masses and coefficients can be changed for each environment.",
-    env=Field(int, "bodies", "", "environment of the body", "envs"),
-    shape=Field(int, "bodies", "", "index into the pool of shapes"),
-    motion=Field(int, "bodies", "", "static, kinematic or dynamic"),
+    lifetime=Lifetime.SETTING,
+    env=Fixed(int, "bodies", "", "environment of the body", "envs"),
+    shape=Fixed(int, "bodies", "", "index into the pool of shapes"),
+    motion=Fixed(int, "bodies", "", "static, kinematic or dynamic"),
     mass=Field(float, "bodies", "kg", "mass; 0 unless dynamic"),
     inverse_mass=Field(float, "bodies", "1/kg", "inverse mass; 0 unless dynamic"),
     inertia=Field(wp.mat33, "bodies", "kg m^2", "inertia tensor about the centre of mass, in the shape's frame"),
     inverse_inertia=Field(wp.mat33, "bodies", "1/(kg m^2)", "inverse inertia tensor; 0 unless dynamic"),
-    center_of_mass=Field(wp.vec3, "bodies", "m", "centre of mass in the shape's frame"),
+    center_of_mass=Fixed(wp.vec3, "bodies", "m", "centre of mass in the shape's frame"),
     friction=Field(float, "bodies", "", "Coulomb coefficient"),
     restitution=Field(float, "bodies", "", "coefficient of restitution"),
     rolling_friction=Field(float, "bodies", "m", "rolling torque limit divided by the normal force"),
     spinning_friction=Field(float, "bodies", "m", "spinning torque limit divided by the normal force"),
-    filtered_start=Field(int, "bodies + 1", "", "first entry of the body's filtered pairs", "filtered"),
-    filtered=Field(
+    filtered_start=Fixed(int, "bodies + 1", "", "first entry of the body's filtered pairs", "filtered"),
+    filtered=Fixed(
         int,
         "filtered",
         "",
@@ -171,6 +95,7 @@ Bodies = layout(
 State = layout(
     "State",
     "State of the bodies that a step changes and that users read and write.",
+    lifetime=Lifetime.REMEMBERED,
     position=Field(wp.vec3, "bodies", "m", "position of the origin of the shape's frame"),
     orientation=Field(wp.quat, "bodies", "", "orientation of the shape's frame, (x, y, z, w)"),
     linear_velocity=Field(wp.vec3, "bodies", "m/s", "velocity of the centre of mass"),
@@ -250,28 +175,29 @@ Motions = layout(
     course_change=Field(wp.vec3, "bodies", "m/s", "change of the mean velocity by the previous round"),
     spin_change=Field(wp.vec3, "bodies", "rad/s", "change of the mean angular velocity by the previous round"),
     changed=Field(int, "bodies", "", "1: the motion was changed by an impact of the previous round"),
-    overlap=Field(float, "bodies", "m", "deepest of the deep overlaps; 0 outside a health check"),
+    overlap=Field(float, "bodies", "m", "deepest of the deep overlaps, in a health check"),
 )
 
 Environments = layout(
     "Environments",
     "Bodies, rules, settings and status of each environment.",
-    first_body=Field(int, "envs + 1", "", "first body of each environment, then the number of bodies", "bodies"),
-    friction_rule=Field(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
-    restitution_rule=Field(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
-    out_of_bounds=Field(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
-    impact_rounds=Field(int, "envs", "", "rounds of continuous collision detection"),
-    lower=Field(wp.vec3, "envs", "m", "lower corner of the bounds"),
-    upper=Field(wp.vec3, "envs", "m", "upper corner of the bounds"),
-    gravity=Field(wp.vec3, "envs", "m/s^2", "uniform gravity"),
-    collision_iterations=Field(int, "envs", "", "maximum sweeps of the restitution stage"),
-    contact_iterations=Field(int, "envs", "", "sweeps of the contact solver (gauss_seidel.py)"),
-    shock_iterations=Field(int, "envs", "", "repetitions of shock propagation"),
-    shock_propagation=Field(int, "envs", "", "a ShockMode: off, one_pass or two_pass"),
-    collision_first=Field(int, "envs", "", "1: restitution is solved before the velocity update"),
-    warm_starting=Field(int, "envs", "", "1: the solver starts from the impulses of the last step"),
-    edge_samples=Field(int, "envs", "", "1: edge samples are used in contact detection"),
-    sleeping=Field(int, "envs", "", "1: bodies at rest are put to sleep"),
+    lifetime=Lifetime.REMEMBERED,
+    first_body=Fixed(int, "envs + 1", "", "first body of each environment, then the number of bodies", "bodies"),
+    friction_rule=Fixed(int, "envs", "", "a CombineRule, of the friction coefficients of a pair"),
+    restitution_rule=Fixed(int, "envs", "", "a CombineRule, of the coefficients of restitution of a pair"),
+    out_of_bounds=Fixed(int, "envs", "", "an OutOfBounds: what happens to a body that leaves the bounds"),
+    impact_rounds=Fixed(int, "envs", "", "rounds of continuous collision detection"),
+    lower=Fixed(wp.vec3, "envs", "m", "lower corner of the bounds"),
+    upper=Fixed(wp.vec3, "envs", "m", "upper corner of the bounds"),
+    gravity=Setting(wp.vec3, "envs", "m/s^2", "uniform gravity"),
+    collision_iterations=Setting(int, "envs", "", "maximum sweeps of the restitution stage"),
+    contact_iterations=Setting(int, "envs", "", "sweeps of the contact solver (gauss_seidel.py)"),
+    shock_iterations=Setting(int, "envs", "", "repetitions of shock propagation"),
+    shock_propagation=Setting(int, "envs", "", "a ShockMode: off, one_pass or two_pass"),
+    collision_first=Setting(int, "envs", "", "1: restitution is solved before the velocity update"),
+    warm_starting=Setting(int, "envs", "", "1: the solver starts from the impulses of the last step"),
+    edge_samples=Setting(int, "envs", "", "1: edge samples are used in contact detection"),
+    sleeping=Setting(int, "envs", "", "1: bodies at rest are put to sleep"),
     failed=Field(int, "envs", "", "1: a non-finite state was found, the environment is halted"),
     failed_step=Field(int, "envs", "", "step in which it was found"),
     failed_body=Field(int, "envs", "", "body in which it was found"),
@@ -283,7 +209,7 @@ Environments = layout(
         int, "envs", "", "rank of the first non-finite body in this step (integrate.find_non_finite); 0 if none"
     ),
     strayed=Field(int, "envs", "", "rank of the first body that left the bounds in this step; 0 if none"),
-    passive=Field(int, "envs", "", "1: no joints or constraints: only forces and kinematic bodies do work"),
+    passive=Fixed(int, "envs", "", "1: no joints or constraints: only forces and kinematic bodies do work"),
     health=Field(
         wp.vec2d, "envs", "J", "least sum of the energies gained without work, and largest kinetic energy of late"
     ),
@@ -298,18 +224,19 @@ Environments = layout(
 Cells = layout(
     "Cells",
     "The order of bodies for the broad phase and, in large environments, their fat boxes, hash grid and candidates.",
-    order=Field(int, "bodies", "", "bodies of an environment in the order of pairs, by their index within it"),
-    rank=Field(int, "bodies", "", "place of each body in that order"),
-    listed=Field(int, "bodies", "", "number of candidates in the list of each body; -1: all later bodies"),
-    stale=Field(int, "envs", "", "1: the candidates are computed again in this step"),
-    width=Field(float, "envs", "m", "cell width at the lowest level of the grid"),
-    first_bucket=Field(int, "envs + 1", "", "first bucket of each environment, which has none or a power of two"),
-    levels=Field(int, "envs", "", "bit mask of the levels of the grid that have bodies"),
-    dynamic_levels=Field(int, "envs", "", "bit mask of the levels that have dynamic bodies"),
-    lower=Field(wp.vec3, "boxed", "m", "lower corner of the fat box"),
+    lifetime=Lifetime.REUSED,
+    order=Fixed(int, "bodies", "", "bodies of an environment in the order of pairs, by their index within it"),
+    rank=Fixed(int, "bodies", "", "place of each body in that order"),
+    listed=Field(int, "bodies", "", "number of candidates in the list of each body; -1: all later bodies", start=-1),
+    stale=Scratch(int, "envs", "", "1: the candidates are computed again in this step"),
+    width=Fixed(float, "envs", "m", "cell width at the lowest level of the grid"),
+    first_bucket=Fixed(int, "envs + 1", "", "first bucket of each environment, which has none or a power of two"),
+    levels=Scratch(int, "envs", "", "bit mask of the levels of the grid that have bodies"),
+    dynamic_levels=Scratch(int, "envs", "", "bit mask of the levels that have dynamic bodies"),
+    lower=Field(wp.vec3, "boxed", "m", "lower corner of the fat box", start=math.inf),
     upper=Field(wp.vec3, "boxed", "m", "upper corner of the fat box"),
     cell=Field(wp.vec4i, "boxed", "", "cell of the centre of the fat box, along x, y and z, and its level"),
-    bucket_count=Field(int, "buckets + 1", "", "bodies that are still to be entered in each bucket"),
+    bucket_count=Field(int, "buckets + 1", "", "bodies that are still to be entered in each bucket", start=0),
     bucket_start=Field(int, "buckets + 1", "", "first member of each bucket"),
     member=Field(int, "boxed", "", "bodies by bucket, in any order within one"),
     candidates=Field(int, "candidates", "", "lists of equal capacity of the candidates of each body, in that order"),
@@ -318,9 +245,11 @@ Cells = layout(
 FieldForces = layout(
     "FieldForces",
     "Force fields besides gravity. Their parameters can be changed for each environment.",
-    start=Field(int, "envs + 1", "", "first force field of each environment", "fields"),
-    kind=Field(int, "fields", "", "a FieldKind"),
-    parameters=Field(float, "fields, field_parameters", "SI", "attributes of the host class, in order of declaration"),
+    start=Fixed(int, "envs + 1", "", "first force field of each environment", "fields"),
+    kind=Fixed(int, "fields", "", "a FieldKind"),
+    parameters=Setting(
+        float, "fields, field_parameters", "SI", "attributes of the host class, in order of declaration"
+    ),
 )
 
 Pairs = layout(
@@ -414,8 +343,9 @@ Contacts = layout(
 Watches = layout(
     "Watches",
     "What watches have recorded of an environment, one of its bodies, or a pair of them, since the last reset.",
-    first=Field(int, "envs, watches", "", "first body by its index in the environment; -1: all bodies, -2: none"),
-    second=Field(int, "envs, watches", "", "second body by its index in the environment; -1: any body, -2: none"),
+    lifetime=Lifetime.REMEMBERED,
+    first=Setting(int, "envs, watches", "", "first body by its index in the environment; -1: all bodies, -2: none"),
+    second=Setting(int, "envs, watches", "", "second body by its index in the environment; -1: any body, -2: none"),
     peak=Field(float, "envs, watches", "N s", "largest impulse of a pair in a step"),
     total=Field(wp.int64, "envs, watches", "", "sum of the impulses over pairs and steps, in multiples of 2^-36 N s"),
     overlap=Field(float, "envs, watches", "m", "largest overlap at a contact"),
@@ -429,6 +359,7 @@ Watches = layout(
 History = layout(
     "History",
     "Contacts of the last step and of sleeping bodies, for warm starting and for reuse where a pair has hardly moved.",
+    lifetime=Lifetime.REMEMBERED,
     pair_start=Field(int, "bodies + 1", "", "first pair of each first body"),
     body_b=Field(int, "pairs", "", "second body"),
     contact_start=Field(int, "pairs + 1", "", "first contact of each pair"),
@@ -447,6 +378,7 @@ History = layout(
 SleepState = layout(
     "SleepState",
     "Sleep state of the bodies.",
+    lifetime=Lifetime.REMEMBERED,
     asleep=Field(int, "bodies", "", "1: asleep until its island is disturbed"),
     still_steps=Field(int, "bodies", "", "consecutive steps in which the body has hardly moved"),
     position=Field(
@@ -467,8 +399,8 @@ Constraints = layout(
     "Constraints",
     "Constraints of this step: for each pair its contacts, then the constraints of other kinds.",
     start=Field(int, "envs + 1", "", "first constraint of each environment; the last entry is their number"),
-    start_before=Field(int, "envs + 1", "", "`start` of the last step"),
-    other_start=Field(
+    start_before=Reused(int, "envs + 1", "", "`start` of the last step"),
+    other_start=Fixed(
         int, "envs + 1", "", "number of constraints of other kinds than contact in all previous environments"
     ),
     kind=Field(int, "constraints", "", "kind of the rows (constraints/rows.py)"),
@@ -495,6 +427,7 @@ OrderRecord = packed_record(
 Graph = layout(
     "Graph",
     "The contact graph: supports, levels, islands and colours, and data that the solver stages share.",
+    lifetime=Lifetime.REUSED,
     supports=Field(
         int, "constraints", "", "bit mask: 1 if the second body supports the first, 2 if the first supports the second"
     ),
@@ -503,7 +436,7 @@ Graph = layout(
     ),
     active=Field(int, "envs", "", "number of active constraints"),
     active_before=Field(
-        int, "envs", "", "1 + number of active constraints of the last step; 0: its graph is not available"
+        int, "envs", "", "1 + number of active constraints of the last step; 0: its graph is not available", start=0
     ),
     altered=Field(int, "envs", "", "1: the supports of a constraint differ from those of the last step"),
     unchanged=Field(
@@ -521,7 +454,7 @@ Graph = layout(
     needs_sweeps=Field(int, "bodies", "", "at an island's index: 1 if it cannot be solved in rounds"),
     solver=Field(int, "bodies", "", "an IslandSolver: how the body's island is solved; 0 for bodies without an island"),
     swept=Field(int, "envs", "", "1: at least one island with constraints is solved in sweeps"),
-    level=Field(
+    level=Remembered(
         int, "bodies", "", "0 for statics, else 1 + the highest level of the supports; bodies of a cycle share a level"
     ),
     waiting=Field(int, "bodies", "", "at a cycle's index: 1 if one of its supports has no level yet"),
@@ -556,7 +489,7 @@ Graph = layout(
     energy_terms=Field(
         wp.vec2, "constraints", "J", "summands of the line search of each active constraint, in solving order"
     ),
-    level_count=Field(int, "envs", "", "highest level of a body with an active constraint"),
+    level_count=Remembered(int, "envs", "", "highest level of a body with an active constraint"),
     colors=Field(wp.uint32, "bodies", "", "bit mask of the colours used at a body"),
     bid=Field(int, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
     color=Field(int, "constraints", "", "colour; -1 for a constraint that is not active or not coloured yet"),
@@ -586,6 +519,7 @@ Graph = layout(
 Order = layout(
     "Order",
     "Active constraints in solving order, colour by colour.",
+    lifetime=Lifetime.REUSED,
     entries=Field(OrderRecord, "constraints", "", "active constraints"),
     color_start=Field(int, f"envs, {COLORS + 1}", "", "first entry of each colour, and the end of the last"),
     color_count=Field(int, "envs", "", "number of colours in use; 32 if some constraints are solved serially"),

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "warp_rigid"
 
 LAYERS = (
-    ("version", "errors", "checks", "rotations", "threads"),
+    ("version", "errors", "checks", "rotations", "threads", "interruption"),
     ("kernels",),
     ("files",),
     ("kernel_cache",),

@@ -1,6 +1,7 @@
 """Archives of arrays: only what is asked for is read, and no more than the file can hold."""
 
 import io
+import os
 import resource
 import zipfile
 
@@ -73,3 +74,18 @@ def test_a_member_is_read_only_when_it_is_asked_for(tmp_path):
     assert set(arrays) == {"header", "a", "part.b"} and list(arrays.below("part.")) == ["b"]
     assert arrays.declared("part.b") == (np.float64, (2, 2)) and "b" not in arrays
     np.testing.assert_array_equal(arrays.below("part.")["b"], np.zeros((2, 2)))
+
+
+def test_a_header_that_is_much_larger_than_the_file_is_refused_before_it_is_parsed(tmp_path):
+    """20 MB of brackets in a file of 20 kB: parsing them would take seconds and 600 MB."""
+    path = tmp_path / "brackets.npz"
+    text = b'{"kind": "checkpoint", "more": [' + b"[]," * 6_600_000 + b"[]]}"
+    np.savez_compressed(path, header=np.frombuffer(text, np.uint8))
+    with pytest.raises(ValueError, match="header is too large for the size of the file"):
+        archive.load(path, "checkpoint", 1)
+
+
+def test_a_named_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="must be a regular file"):
+        archive.load(tmp_path / "pipe", "checkpoint", 1)

@@ -4,6 +4,7 @@ import errno
 import io
 import json
 import pickle
+import re
 import zipfile
 
 import numpy as np
@@ -306,6 +307,52 @@ def test_arrays_that_the_kernels_could_not_trust_are_refused(saved, tmp_path, na
         array[len(array) // 2] = 10**6
     parts[f"{name}.npy"] = npy(array)
     assert name.partition(".")[2] in refused(rewritten(tmp_path / "changed", parts))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("Bodies.mass", -1.0, "mass: must be a number from 1e-17 to 1e.15, got -1.0"),
+        ("Bodies.mass", 7.0, "Bodies.inverse_mass must follow from the masses"),
+        ("Bodies.inertia", np.nan, "Bodies.inertia must follow from the masses"),
+        ("Bodies.friction", -0.5, "friction: must be >= 0, got -0.5"),
+        ("Bodies.restitution", np.nan, "Bodies.restitution must be finite numbers"),
+        ("Environments.gravity", np.inf, "Environments.gravity must be finite numbers"),
+        ("Environments.failed_body", 10**6, "Environments.failed_body must be from 0 to "),
+        ("Environments.step", -1, "Environments.step must be from 0 to "),
+        ("State.active", 2, "State.active must be from 0 to 1"),
+        ("State.orientation", 0.0, "State.orientation must be quaternions of length 1"),
+    ],
+)
+def test_values_that_no_simulator_writes_are_refused(saved, tmp_path, name, value, told):
+    """In the row of the last body, which is dynamic, or of the last environment."""
+    parts = members(saved)
+    array = np.load(io.BytesIO(parts[f"{name}.npy"])).copy()
+    array[-1] = value
+    parts[f"{name}.npy"] = npy(array)
+    assert re.search(told, refused(rewritten(tmp_path / "changed", parts)))
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "told"),
+    [
+        ("FieldForces.parameters", (0, 0), np.nan, "acceleration: must be 3 finite numbers"),
+        ("Joints.numbers", (0, 0), 2.0, "the lower limits must be at most the upper ones"),
+        ("Joints.numbers", (0, 2), -1.0, "joint_friction: must be finite numbers >= 0"),
+        ("Joints.broken", (0,), 2, "Joints.broken must be from 0 to 1"),
+    ],
+)
+def test_values_of_fields_and_joints_are_checked(tmp_path, name, place, value, told):
+    scene = wr.Scene()
+    scene.add_joint(wr.RevoluteJoint((0, 0, 1), (-1, 1)), scene.add_body(wr.Sphere(0.1)))
+    scene.add_force_field(wr.UniformField((1, 0, 0)))
+    sim = Simulator(scene, device="cpu")
+    sim.save(tmp_path / "good")
+    parts = members(tmp_path / "good")
+    array = np.load(io.BytesIO(parts[f"{name}.npy"])).copy()
+    array[place] = value
+    parts[f"{name}.npy"] = npy(array)
+    assert told in refused(rewritten(tmp_path / "changed", parts))
 
 
 class Trap:

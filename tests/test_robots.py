@@ -1,8 +1,13 @@
 """MJCF and URDF, by way of the converters to USD: real files, what is reported, and converters that fail."""
 
 import math
+import os
 import re
+import subprocess
+import sys
+import time
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -126,12 +131,12 @@ def test_a_file_that_is_not_there_or_of_another_kind_is_refused(tmp_path):
         ("echo '[Error] [some.function] no link named foot'; exit 1", "no link named foot"),
         ("echo 'Traceback'; echo 'ValueError: bad axis' >&2; exit 1", "ValueError: bad axis"),
         ("exit 0", "no message"),
-        ("sleep 9", "was stopped after 0 s"),
+        ("exec sleep 99", "was stopped after 3 s"),
     ],
 )
 def test_a_failed_conversion_is_one_line(converter, tmp_path, monkeypatch, script, told):
     converter(script)
-    monkeypatch.setattr("warp_rigid.usd.robots.SECONDS", 0.3)
+    monkeypatch.setattr("warp_rigid.usd.robots.SECONDS", 3.0)
     (tmp_path / "robot.urdf").write_text("<robot/>")
     with pytest.raises(ValueError, match=told) as caught:
         wr.import_robot(tmp_path / "robot.urdf")
@@ -152,6 +157,53 @@ def test_warnings_of_the_converter_are_findings(converter, tmp_path):
         scene = wr.import_robot(path)
     assert len(scene.bodies) == 1 and scene.import_report.file == str(path)
     assert [str(f) for f in scene.import_report.findings] == ["robot.mjcf: left out: lights are not supported"]
+
+
+def test_a_conversion_has_limits_and_ends_with_the_process_that_waits(converter, tmp_path):
+    """A limit of the system that is lower stays."""
+    converter('echo $$ >"$2.pid"; exec sleep 60')
+    (tmp_path / "robot.urdf").write_text("<robot/>")
+    program = (
+        "import resource, sys\nfrom warp_rigid.usd import robots\nimport warp_rigid as wr\n"
+        "resource.setrlimit(resource.RLIMIT_CPU, (200, 200))\nrobots.search_path = lambda: sys.argv[1]\n"
+        "robots._convert(robots.Path(sys.argv[2]), sys.argv[3])\n"
+    )
+    folder = tmp_path / "converted"
+    folder.mkdir()
+    arguments = [str(tmp_path / "bin"), str(tmp_path / "robot.urdf"), str(folder)]
+    waiting = subprocess.Popen([sys.executable, "-c", program, *arguments])
+    pid_file = tmp_path / "converted.pid"
+    deadline = time.monotonic() + 60.0
+    while not (pid_file.exists() and pid_file.read_text().strip()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    limits = Path(f"/proc/{int(pid_file.read_text())}/limits")
+    soft = {line[:25].strip(): line[25:].split()[0] for line in limits.read_text().splitlines()}
+    assert (soft["Max cpu time"], soft["Max address space"]) == ("200", str(8 * 2**30))
+    waiting.kill()
+    waiting.wait()
+    while limits.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not limits.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("robot.urdf", '<robot><mesh filename="pipe.stl"/></robot>'),
+        ("robot.urdf", '<robot><mesh filename="package://arm/pipe.stl"/></robot>'),
+        ("robot.xml", '<mujoco><compiler meshdir="arm"/><asset><mesh file="pipe.stl"/></asset></mujoco>'),
+        ("robot.xml", '<mujoco><include file="more.xml"/></mujoco>'),
+    ],
+)
+def test_a_named_pipe_behind_a_description_is_not_waited_for(converter, tmp_path, name, text):
+    converter("exit 1")
+    (tmp_path / "arm").mkdir()
+    os.mkfifo(tmp_path / "arm" / "pipe.stl")
+    os.mkfifo(tmp_path / "pipe.stl")
+    (tmp_path / "more.xml").write_text("<mujoco><asset><mesh file='pipe.stl'/></asset></mujoco>")
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=r"pipe\.stl: must be a regular file$"):
+        wr.import_robot(tmp_path / name)
 
 
 ARM = """<robot name="arm"><link name="upper"><inertial><mass value="2"/>

@@ -412,7 +412,8 @@ def test_apply_impulse(device):
         np.testing.assert_allclose(sim.get("linear_velocity")[env, body], impulse / 2.0, rtol=1e-6)
         np.testing.assert_allclose(sim.get("angular_velocity")[env, body], spin, rtol=1e-5)
     assert (sim.get("linear_velocity")[1] == 0).all() and (sim.get("angular_velocity")[1] == 0).all()
-    sim.apply_impulse((1e6, 0, 0), (0, 0, 0), wall)
+    with pytest.raises(ValueError, match=r"^body: plane_0 is static, and an impulse cannot move it$"):
+        sim.apply_impulse((1e6, 0, 0), (0, 0, 0), wall)
     assert (sim.get("linear_velocity")[:, wall] == 0).all()
 
 

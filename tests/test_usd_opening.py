@@ -1,6 +1,8 @@
 """Files that would become too much, too deep, or that refer to themselves, are refused before USD composes them."""
 
+import ctypes
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -325,3 +327,54 @@ def test_a_target_that_cannot_be_written_is_one_line(tmp_path, file):
     (tmp_path / "folder.usda").mkdir()
     with pytest.raises(OSError, match="Is a directory: '.*/folder.usda'"):
         flatten_usd(file(BALL), tmp_path / "folder.usda")
+
+
+PR_CAPBSET_DROP, CAP_SYS_RESOURCE = 24, 24
+IMPORT_IT = "import sys; import warp_rigid as wr; print(len(wr.import_usd(sys.argv[1]).bodies))"
+
+
+@pytest.mark.parametrize("limits", [{"CPU": 100}, {"AS": 9 * 2**30}, {"CPU": 100, "AS": 9 * 2**30}])
+def test_a_file_is_read_under_hard_limits_of_the_system(file, limits):
+    """As set by `ulimit` or a queue; the process that examines files must not raise them, which root alone may."""
+
+    def limit():
+        ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_SYS_RESOURCE)
+        for name, most in limits.items():
+            resource.setrlimit(getattr(resource, f"RLIMIT_{name}"), (most, most))
+
+    command = [sys.executable, "-c", IMPORT_IT, str(file(BALL))]
+    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=limit)
+    assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
+
+
+def test_the_examination_ends_with_the_process_that_asked(file):
+    """A file that takes long is left when its reader is killed."""
+    points = ", ".join(["(0, 0, 0)"] * 3_000_000)
+    slow = file(f'def Points "A" {{\npoint3f[] points = [{points}]\n}}\n')
+    environment = os.environ | {"WARP_RIGID_USD_SECONDS": "100", "WARP_RIGID_USD_GIGABYTES": "4"}
+    program = "import sys; from warp_rigid.usd import opening; opening._EXAMINER.start()\n" + (
+        "print(opening._EXAMINER._process.pid, flush=True); opening._EXAMINER.refusal(sys.argv[1])"
+    )
+    command = [sys.executable, "-c", program, str(slow)]
+    reader = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    group = int(reader.stdout.readline())
+    time.sleep(1.0)
+    assert processes_of(group) == 2
+    reader.kill()
+    reader.wait()
+    deadline = time.monotonic() + 5.0
+    while processes_of(group) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert processes_of(group) == 0
+
+
+def processes_of(group):
+    """Number of processes of a group that have not ended."""
+    found = 0
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, of_group = entry.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        found += of_group == str(group) and state != "Z"
+    return found

@@ -10,6 +10,11 @@ sim.step(240)
 print(sim.get("position")[:, 1])
 """
 
+from warp_rigid import interruption
+
+if interruption.is_of_command():
+    interruption.end_at_once()
+
 import warp
 
 if warp.config.log_level == warp.LOG_INFO:

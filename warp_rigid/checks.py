@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 __all__ = [
+    "array_of",
     "box_corners",
     "brief",
     "finite_number",
@@ -18,6 +19,7 @@ __all__ = [
     "listed",
     "number_array",
     "number_in",
+    "numbers_of",
     "numbers_of_shape",
     "one_of",
     "shape_of",
@@ -57,7 +59,7 @@ def finite_vector(name, value, length=3):
     Raises:
         ValueError: The value is not `length` finite numbers.
     """
-    array = _array(value)
+    array = numbers_of(value)
     ok = array is not None and array.shape == (length,)
     if not (ok and bool((np.abs(array) <= LARGEST).all())):
         raise ValueError(f"{name}: must be {length} finite numbers, got {shown(value)}")
@@ -77,11 +79,8 @@ def box_corners(name, value):
     Raises:
         ValueError: The value has another form, or the lower corner is not below the upper one.
     """
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (ValueError, TypeError):
-        array = np.zeros(0)
-    if array.shape != (2, 3) or not (array[0] < array[1]).all():
+    array = numbers_of(value)
+    if array is None or array.shape != (2, 3) or not (array[0] < array[1]).all():
         raise ValueError(f"{name}: must be (lower, upper), three numbers each, lower below upper, got {shown(value)}")
     return tuple(tuple(float(x) for x in corner) for corner in array)
 
@@ -107,7 +106,7 @@ def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):
     Raises:
         ValueError: The value is not a finite number or is outside the range.
     """
-    array = _array(value)
+    array = numbers_of(value)
     if array is None or array.shape != ():
         raise ValueError(f"{name}: must be {_range(low, high, above)}, got {shown(value)}")
     number = float(array)
@@ -122,7 +121,7 @@ def number_array(name, value):
 
     Any shape is accepted, and so are NaN and infinity.
     """
-    array = _array(value)
+    array = numbers_of(value)
     if array is None:
         raise ValueError(f"{name}: must be an array of numbers, got {shown(value)}")
     return array
@@ -134,12 +133,12 @@ def numbers_of_shape(name, value, shape):
     Text, complex numbers and booleans are no numbers. NaN and infinity are accepted. The first axis of a shape is that
     of the environments: the message for one value per environment tells which axis it lacks.
     """
+    array = array_of(value)
     try:
-        array = np.asarray(value)
-        if array.dtype.kind not in "iuf":
+        if array is None or array.dtype.kind not in "iuf":
             raise TypeError
         return np.broadcast_to(array, shape)
-    except (ValueError, TypeError, OverflowError) as error:
+    except (ValueError, TypeError) as error:
         lacks_axis = len(shape) > 1 and shape_of(value) == (shape[0], *shape[2:])
         hint = f"; one per environment has shape {(shape[0], 1, *shape[2:])}" if lacks_axis else ""
         raise ValueError(f"{name}: must be numbers that broadcast to {shape}, got {brief(value)}{hint}") from error
@@ -147,11 +146,8 @@ def numbers_of_shape(name, value, shape):
 
 def flags(name, value, shape):
     """Check that a value is True and False only and return it as a boolean array of a shape; else raise ValueError."""
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        array = np.asarray(None)
-    if array.dtype != bool:
+    array = array_of(value)
+    if array is None or array.dtype != bool:
         raise ValueError(f"{name}: must be True or False, got {shown(value)}")
     try:
         return np.broadcast_to(array, shape)
@@ -230,13 +226,20 @@ def unit_quaternion(name, value):
     return quaternion if abs(length - 1.0) <= 1e-15 else tuple(x / length for x in quaternion)
 
 
-def _array(value):
-    """Convert to a float64 array; None if the value is not numeric."""
+def array_of(value):
+    """Convert to an array; None for what is none, such as lists of unequal lengths, and where values are masked."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+        return None
     try:
-        array = np.asarray(value)
+        return np.asarray(value)
     except (ValueError, TypeError, OverflowError):
         return None
-    return array.astype(np.float64) if array.dtype.kind in "iuf" else None
+
+
+def numbers_of(value):
+    """Convert to a float64 array; None if the value is not numeric. Complex numbers and booleans are not."""
+    array = array_of(value)
+    return None if array is None or array.dtype.kind not in "iuf" else array.astype(np.float64)
 
 
 def _range(low, high, above):

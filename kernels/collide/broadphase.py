@@ -16,7 +16,7 @@ import warp as wp
 from warp_rigid.kernels.collide.candidates import ALL_LATER
 from warp_rigid.kernels.common.team import ballot, bits_below
 from warp_rigid.kernels.enums import Role
-from warp_rigid.kernels.schema import Bodies, Cells, Environments, History, Motions, Pairs
+from warp_rigid.kernels.schema import Bodies, Cells, Environments, History, Motions, Pairs, Shapes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -38,6 +38,12 @@ def boxes_overlap(motions: Motions, i: int, j: int):
     c = motions.lower[j]
     d = motions.upper[j]
     return a[0] <= d[0] and c[0] <= b[0] and a[1] <= d[1] and c[1] <= b[1] and a[2] <= d[2] and c[2] <= b[2]
+
+
+@wp.func
+def has_colliders(i: int, shapes: Shapes, bodies: Bodies):
+    """Whether a body can touch others: its shape has at least one distance function."""
+    return shapes.shapes[bodies.shape[i]].part_end > shapes.shapes[bodies.shape[i]].part_start
 
 
 @wp.func
@@ -96,6 +102,7 @@ def visit_candidates(
     write: int,
     room: int,
     cells: Cells,
+    shapes: Shapes,
     bodies: Bodies,
     motions: Motions,
     envs: Environments,
@@ -112,7 +119,7 @@ def visit_candidates(
         j = candidate(i, base + lane, room, bodies, envs, cells)
         meets = int(0)
         if j >= 0 and may_meet(motions.role[i], motions.role[j]) and boxes_overlap(motions, i, j):
-            meets = wp.where(is_filtered(i, j - first, bodies), 0, 1)
+            meets = wp.where(has_colliders(j, shapes, bodies) and not is_filtered(i, j - first, bodies), 1, 0)
         hits = ballot(meets, lanes)
         if write == 1 and meets == 1:
             write_pair(pairs.start[i] + found + bits_below(hits, lane), i, j, 0, pairs)
@@ -127,6 +134,7 @@ def list_pairs_of_bodies(
     lanes: int,
     room: int,
     cells: Cells,
+    shapes: Shapes,
     bodies: Bodies,
     motions: Motions,
     envs: Environments,
@@ -139,8 +147,8 @@ def list_pairs_of_bodies(
         env = bodies.env[i]
         found = int(0)
         if envs.failed[env] == 0 and (write == 0 or pairs.start[i + 1] > pairs.start[i]):
-            if envs.moving[env] > envs.step[env]:
-                found = visit_candidates(i, lane, lanes, write, room, cells, bodies, motions, envs, pairs)
+            if envs.moving[env] > envs.step[env] and has_colliders(i, shapes, bodies):
+                found = visit_candidates(i, lane, lanes, write, room, cells, shapes, bodies, motions, envs, pairs)
             if lane == 0:
                 found = keep_dormant(i, found, write, motions, history, pairs)
         if write == 0 and lane == 0:

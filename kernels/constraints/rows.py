@@ -21,8 +21,8 @@ OTHER_KINDS: tuple[ModuleType, ...] = ()
 
 KIND: the number of the kind in `Constraints`, different for each kind;
 NAME: of its member in `Rows`, and the symbol that counts its constraints in the shapes of its arrays;
-ROWS: the layout of its arrays, among them `body_a` and `body_b` (with index_of="bodies");
-KEPT: names of the arrays that one step leaves for the next, such as impulses for the warm start; a reset clears them;
+ROWS: the layout of its arrays, among them `body_a` and `body_b` (with index_of="bodies"). Impulses for the warm start
+are Remembered: a step leaves them to the next one, and a reset clears them;
 `definitions(scene)`: the constraints of this kind in `scene.constraints`, a list;
 `upload(scene, device)`: an instance of ROWS with the constraints of one environment, which the model copies to all
 environments of the scene; raises a ValueError where a constraint does not fit the scene;

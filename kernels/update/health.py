@@ -101,7 +101,6 @@ def check_bodies(shapes: Shapes, bodies: Bodies, motions: Motions, state: State,
     """One thread per body: its kinetic energy, and whether its overlap does not shrink or its position is coarse."""
     b = wp.tid()
     depth = wp.float64(motions.overlap[b])
-    motions.overlap[b] = 0.0
     health = state.health[b]
     if bodies.motion[b] != Motion.DYNAMIC:
         return

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from warp_rigid import interruption
 from warp_rigid.commands.bench import bench_command
 from warp_rigid.commands.doctor import doctor_command
 from warp_rigid.commands.inspect import inspect_command
@@ -42,12 +43,22 @@ def main(argv: list[str] | None = None) -> int:
     Args:
         argv: the arguments; None uses those of the process.
     """
+    with interruption.watched():
+        status = _run(argv)
+        if status == interruption.STATUS and interruption.needs_telling():
+            note("warp-rigid: interrupted")
+        return status
+
+
+def _run(argv: list[str] | None) -> int:
     try:
         with messages_on_stderr():
             start_warp()
             given = sys.argv[1:] if argv is None else argv
             _refuse_empty(given)
             return app(args=argv, prog_name="warp-rigid", standalone_mode=False, obj=["warp-rigid", *given]) or 0
+    except KeyboardInterrupt:
+        return interruption.STATUS
     except UsageError as error:
         return _fail(USAGE, error.format_message())
     except CapacityError as error:

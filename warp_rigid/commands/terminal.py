@@ -16,6 +16,7 @@ import warp as wp
 from rich.console import Console
 from rich.progress import Progress
 
+from warp_rigid import interruption
 from warp_rigid.files.atomic import check_replaceable
 
 _LIBRARIES = {
@@ -56,15 +57,17 @@ def console(stderr: bool = False) -> Console:
 @contextlib.contextmanager
 def told_if_interrupted(describe, begun):
     """Print the text that `describe` returns if Ctrl-C, or an error after `begun()`, ends the block."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        note(f"interrupted: {describe()}")
-        raise
-    except Exception:
-        if begun():
-            note(f"stopped: {describe()}")
-        raise
+    with interruption.keeping():
+        try:
+            yield
+        except KeyboardInterrupt:
+            interruption.needs_telling()
+            note(f"interrupted: {describe()}")
+            raise
+        except Exception:
+            if begun():
+                note(f"stopped: {describe()}")
+            raise
 
 
 def continued(context: Any, flag: str = "--resume") -> str:

@@ -14,9 +14,10 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import joints, step_reports
+from warp_rigid.engine import checkpoint_values, joints, step_reports
+from warp_rigid.engine.checkpoint_values import within
 from warp_rigid.engine.layout import MOST_ENVIRONMENTS
-from warp_rigid.engine.pools import LARGEST, NAMES
+from warp_rigid.engine.pools import LARGEST, NAMES, fill
 from warp_rigid.engine.settings import PER_ENVIRONMENT, SHOCK_MODES, Settings, check_setting
 from warp_rigid.engine.shard import Shard
 from warp_rigid.engine.world import World
@@ -24,18 +25,13 @@ from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS
+from warp_rigid.kernels.declare import Lifetime
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.version import __version__
 
 KIND = "checkpoint"
 VERSION = 11  # raise whenever older files could no longer be read
-
-FROM_SCENE = ("env", "shape", "motion", "center_of_mass", "filtered_start", "filtered")
-"""Arrays of bodies that follow from the scenes."""
-
-RULES = ("first_body", "friction_rule", "restitution_rule", "out_of_bounds", "impact_rounds", "lower", "upper")
-"""Arrays of environments that follow from the scenes."""
 
 SCENE_OF = "scene_of"
 
@@ -110,6 +106,7 @@ def restore(world: World, header: dict[str, Any], arrays: Mapping[str, np.ndarra
         name: own if name in newer else _checked(name, own, arrays, used, world) for name, own in _stored(world).items()
     }
     _check_neighbours(world, rows)
+    checkpoint_values.check(world, rows)
     steps = whole_in("steps", header["steps"], 0, 2**62)
     most_wanted = [whole_in("fitted", n, 0, LARGEST) for _, n in zip(NAMES, header["fitted"], strict=True)]
     _upload(world, rows)
@@ -123,7 +120,7 @@ def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict
     scenes = scenes_from_data(header, arrays)
     envs = whole_in("num_envs", header["num_envs"], 1, MOST_ENVIRONMENTS)
     scene_of = shaped(arrays, SCENE_OF, np.int32, (envs,))
-    _within(SCENE_OF, scene_of, 0, len(scenes) - 1)
+    within(SCENE_OF, scene_of, 0, len(scenes) - 1)
     bodies = int(np.array([len(scene.bodies) for scene in scenes])[scene_of].sum())
     shaped(arrays, "State.position", np.float32, (bodies, 3))
     return {
@@ -140,16 +137,14 @@ def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict
 
 def _whole(world: World) -> dict[str, wp.array]:
     """Device arrays of all environments that are stored as they are."""
-    owners = [
-        (schema.Bodies, world.model.bodies, [n for n in declare.field_names(schema.Bodies) if n not in FROM_SCENE]),
-        (schema.State, world.state, declare.field_names(schema.State)),
-        (schema.SleepState, world.sleep_state, [n for n in declare.field_names(schema.SleepState) if n != "island"]),
-        (schema.Environments, world.envs, [n for n in declare.field_names(schema.Environments) if n not in RULES]),
-        (schema.FieldForces, world.model.fields, ["parameters"]),
-    ]
-    if world.layout.sizes[joints.NAME]:
-        owners.append((joints.ROWS, world.model.constraint_rows[joints.NAME], [*joints.KEPT, "numbers"]))
-    return {f"{struct.key}.{name}": getattr(owner, name) for struct, owner, names in owners for name in names}
+    jointless = None if world.layout.sizes[joints.NAME] else world.model.constraint_rows[joints.NAME]
+    kept = [arrays for arrays in world.lasting if arrays is not world.watches and arrays is not jointless]
+    return {
+        f"{arrays._cls.key}.{name}": array
+        for arrays in kept
+        for name, _, array in declare.arrays_of(arrays, Lifetime.SETTING, Lifetime.REMEMBERED)
+        if name != "island"
+    }
 
 
 def _stored(world: World) -> dict[str, np.ndarray]:
@@ -158,8 +153,13 @@ def _stored(world: World) -> dict[str, np.ndarray]:
     island = world.sleep_state.island.numpy() + _first_bodies(world)
     stored["SleepState.island"] = np.where(stored["SleepState.asleep"] == 1, island, 0).astype(np.int32)
     stored |= {f"History.{name}": rows for name, rows in _history(world).items()}
-    levels = [shard.pools.levels for shard in world.shards]
-    return stored | {name: np.concatenate([some[name].numpy() for some in levels]) for name in levels[0]}
+    of_shards = [_of_graph(shard) for shard in world.shards]
+    return stored | {name: np.concatenate([some[name].numpy() for some in of_shards]) for name in of_shards[0]}
+
+
+def _of_graph(shard: Shard) -> dict[str, wp.array]:
+    """What a step leaves of the contact graph of a shard."""
+    return {f"Graph.{name}": array for name, _, array in declare.arrays_of(shard.pools.graph, Lifetime.REMEMBERED)}
 
 
 def _first_bodies(world: World) -> np.ndarray:
@@ -173,21 +173,18 @@ def _history(world: World) -> dict[str, np.ndarray]:
     last = {"pair_start": 0, "contact_start": 0}
     for shard in world.shards:
         history = shard.pools.history
-        pairs, contacts = int(history.pair_start.numpy()[-1]), int(history.contact_start.numpy()[-1])
-        used = {"bodies": shard.end_body - shard.first_body, "pairs": pairs, "contacts": contacts}
+        used = shard.pools.used()
         shift = {**last, "body_b": shard.first_body}
         for name, field in declare.LAYOUTS["History"].items():
-            rows = getattr(history, name).numpy()[: used[_counted_by(field)]]
+            rows = getattr(history, name).numpy()[: used[declare.counted_by(field)]]
             parts[name].append(rows + np.int32(shift[name]) if name in shift else rows)
-        last = {"pair_start": last["pair_start"] + pairs, "contact_start": last["contact_start"] + contacts}
+        last = {
+            "pair_start": last["pair_start"] + used["pairs"],
+            "contact_start": last["contact_start"] + used["contacts"],
+        }
     for name, total in last.items():
         parts[name].append(np.array([total], np.int32))
     return {name: np.concatenate(some) for name, some in parts.items()}
-
-
-def _counted_by(field: declare.Field) -> str:
-    """What there is a row for; sums have one more."""
-    return field.shape.partition(" + ")[0]
 
 
 def _newer_coefficients(header: dict[str, Any]) -> set[str]:
@@ -201,7 +198,7 @@ def _checked(
 ) -> np.ndarray:
     """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
     struct, _, last = name.partition(".")
-    counted = _counted_by(declare.LAYOUTS[struct][last])
+    counted = declare.counted_by(declare.LAYOUTS[struct][last])
     count = used[counted] + last.endswith("_start") if counted in used else len(own)
     rows = shaped(arrays, name, own.dtype, (count, *own.shape[1:]))
     if last in PER_ENVIRONMENT:
@@ -213,10 +210,8 @@ def _checked(
             raise ValueError(f"{name} must rise from 0 to {top}")
     if last == "contact_start" and np.diff(rows).max(initial=0) > schema.PAIR_SLOTS:
         raise ValueError(f"{name} must not give a pair more than {schema.PAIR_SLOTS} contacts")
-    if last == "broken" and struct == "Joints":
-        _within(name, rows, 0, 1)
     if last == "key":
-        _within(name, rows, BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
+        within(name, rows, BY_AXIS, 2 * world.model.shapes.samples.shape[0] - 1)
     return rows
 
 
@@ -236,11 +231,6 @@ def _check_neighbours(world: World, rows: dict[str, np.ndarray]) -> None:
             raise ValueError(f"{name} must be bodies of the same environment")
 
 
-def _within(name: str, rows: np.ndarray, low: int, high: int) -> None:
-    if len(rows) and not low <= rows.min() <= rows.max() <= high:
-        raise ValueError(f"{name} must be from {low} to {high}")
-
-
 def _check_stored_setting(name: str, value: int) -> None:
     """A setting as the device keeps it."""
     if name == "shock_propagation":
@@ -258,11 +248,12 @@ def _upload(world: World, rows: dict[str, np.ndarray]) -> None:
         world.shards.ensure_capacity(shard, {"pairs": len(part["body_b"]), "contacts": len(part["key"])})
     for shard, part in zip(world.shards, parts, strict=True):
         for name, values in part.items():
-            _fill(getattr(shard.pools.history, name), values)
+            fill(getattr(shard.pools.history, name), values)
         shard.pools.forget_graph()
-        levels = shard.pools.levels
-        levels["Graph.level"].assign(rows["Graph.level"][shard.first_body : shard.end_body])
-        levels["Graph.level_count"].assign(rows["Graph.level_count"][shard.first : shard.end])
+        ranges = {"bodies": slice(shard.first_body, shard.end_body), "envs": slice(shard.first, shard.end)}
+        for name, array in _of_graph(shard).items():
+            field = declare.LAYOUTS["Graph"][name.removeprefix("Graph.")]
+            array.assign(rows[name][ranges[declare.counted_by(field)]])
     for name, array in _whole(world).items():
         array.assign(rows[name])
     island = np.where(rows["SleepState.asleep"] == 1, rows["SleepState.island"] - _first_bodies(world), 0)
@@ -280,16 +271,7 @@ def _part_of_history(shard: Shard, rows: dict[str, np.ndarray]) -> dict[str, np.
     shift = {"pair_start": pairs[0], "contact_start": contacts[0], "body_b": bodies[0]}
     part = {}
     for name, field in declare.LAYOUTS["History"].items():
-        first, end = bounds[_counted_by(field)]
+        first, end = bounds[declare.counted_by(field)]
         own = rows[f"History.{name}"][first : end + name.endswith("_start")]
         part[name] = own - np.int32(shift[name]) if name in shift else own
     return part
-
-
-def _fill(array: wp.array, rows: np.ndarray) -> None:
-    """Write the first rows of an array, and the last of them to all that follow (sums stay what they are)."""
-    host = array.numpy().copy()
-    host[: len(rows)] = rows
-    if 0 < len(rows) < len(host):
-        host[len(rows) :] = rows[-1]
-    array.assign(host)

@@ -1,6 +1,5 @@
 """The candidate pairs of the broad phase: their arrays, and the launches that keep them up to date."""
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -76,8 +75,6 @@ class HashGrid:
         finest = np.array([ORDINARY_WIDTH * group.width / (1 << candidates.FINER_LEVELS) for group in groups])
         self.cells.width.assign(finest[layout.scene_of].astype(np.float32))
         self.cells.first_bucket.assign(exclusive_sums(_buckets(layout.bodies_per_env)).astype(np.int32))
-        self.cells.listed.fill_(int(candidates.ALL_LATER))
-        self.cells.lower.fill_(math.inf)
 
     def update(self, dt: float, envs: Any, motions: Any, which: int, turn: wp.array, wanted: wp.array) -> None:
         """Compute the candidates of the environments in which a body has left its fat box.

@@ -52,6 +52,7 @@ def check(stages: Stages) -> None:
     """Check all environments of a shard after a step; `load_kernels` must have been called for `STEP`."""
     model, pools, device = stages.model, stages.pools, stages.device
     threads = pools.sizes["pairs"] if device.is_cuda else 1
+    stages.motions.overlap.zero_()
     wp.launch(
         health.check_overlaps,
         dim=threads,

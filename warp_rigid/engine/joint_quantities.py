@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from warp_rigid import rotations
-from warp_rigid.checks import flags, numbers_of_shape
+from warp_rigid.checks import LARGEST, flags, numbers_of_shape
 from warp_rigid.engine.joints import NAME, definitions
 from warp_rigid.engine.layout import concatenated, spread_rows
 from warp_rigid.engine.selection import existing
@@ -47,8 +47,9 @@ def check(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     if name == "joint_broken":
         return flags(name, value, shape)
     values = numbers_of_shape(name, value, shape)
-    with np.errstate(over="ignore"):  # such numbers become infinite, which `check_range` judges
-        return values.astype(np.float32)
+    if ((np.abs(values) > LARGEST) & np.isfinite(values)).any():
+        raise ValueError(f"{name}: must be up to {LARGEST:g}{' or infinite' if name in INFINITE else ''}")
+    return values.astype(np.float32)
 
 
 def check_range(name: str, values: np.ndarray) -> None:

@@ -18,8 +18,6 @@ from warp_rigid.scene.scene import Motion, Scene
 
 NAME = "joints"
 ROWS = Joints
-KEPT = ("broken", "position", "impulse", "angular_impulse")
-"""Arrays that one step leaves for the next; a reset clears them."""
 
 FROM_BODIES = "joined"
 """The symbol of the bodies that joints may join: all bodies if any environment has joints."""

@@ -19,7 +19,7 @@ from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfiel
 MOST_ENVIRONMENTS = 10_000_000
 
 KINDS = (*OTHER_KINDS, joints)
-"""Everything besides contacts that connects bodies: modules with NAME, ROWS, KEPT and `definitions`."""
+"""Everything besides contacts that connects bodies: modules with NAME, ROWS and `definitions`."""
 
 LACKING = -1
 """Row index, and integer value, of a body that an environment lacks."""
@@ -99,6 +99,13 @@ class Layout:
         index = np.arange(int(count.max()))
         rows = start[:-1, None] + index
         return rows if (count == count[0]).all() else np.where(index < count[:, None], rows, LACKING)
+
+    def rows_of(self, symbol: str, chosen: np.ndarray) -> np.ndarray:
+        """Rows that a symbol counts in the chosen environments, (n,)."""
+        if symbol == "envs":
+            return chosen
+        rows = self.table(symbol)[chosen].ravel()
+        return rows[rows != LACKING]
 
     @cached_property
     def env_of_row(self) -> np.ndarray:

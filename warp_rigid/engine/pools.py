@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_rigid.engine.layout import Layout
+from warp_rigid.engine.layout import Layout, exclusive_sums
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.near_samples import NearSamples, Suspects
+from warp_rigid.kernels.declare import Lifetime
 from warp_rigid.kernels.graph import heap_arrays
 from warp_rigid.kernels.joints.arrays import VisitOrder
 
@@ -95,11 +96,6 @@ class Pools:
             wanted=wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device),
         )
 
-    @property
-    def levels(self) -> dict[str, wp.array]:
-        """Levels of the last step, which users can read."""
-        return {"Graph.level": self.graph.level, "Graph.level_count": self.graph.level_count}
-
     def begin(self) -> None:
         """Reset the required sizes, and start at the first row."""
         self.turn.zero_()
@@ -107,7 +103,30 @@ class Pools:
 
     def forget_graph(self) -> None:
         """Discard the graph of the last step, so that the next step computes it again."""
-        self.graph.active_before.zero_()
+        declare.compute_again(self.graph)
+
+    def used(self) -> dict[str, int]:
+        """Rows in use of the history, by the symbol that counts them."""
+        pairs, contacts = self.history.pair_start.numpy()[-1], self.history.contact_start.numpy()[-1]
+        return {"bodies": self.sizes["bodies"], "pairs": int(pairs), "contacts": int(contacts)}
+
+    def remove_pairs(self, bodies: np.ndarray) -> None:
+        """Remove the pairs of some bodies from the history, with their contacts; the graph must be forgotten, too."""
+        history, used = self.history, self.used()
+        start = history.pair_start.numpy()
+        of_pair = np.diff(history.contact_start.numpy()[: used["pairs"] + 1])
+        body_a = np.repeat(np.arange(used["bodies"]), np.diff(start))
+        stays = ~(np.isin(body_a, bodies) | np.isin(history.body_b.numpy()[: used["pairs"]], bodies))
+        if stays.all():
+            return
+        kept = {"pairs": stays, "contacts": np.repeat(stays, of_pair)}
+        sums = {"bodies": np.bincount(body_a[stays], minlength=used["bodies"]), "pairs": of_pair[stays]}
+        for _, field, array in declare.arrays_of(history, Lifetime.REMEMBERED):
+            symbol = declare.counted_by(field)
+            rows = (
+                exclusive_sums(sums[symbol]) if declare.is_sum(field) else array.numpy()[: used[symbol]][kept[symbol]]
+            )
+            fill(array, rows)
 
     def wanted_by_environment(self, name: str) -> np.ndarray:
         """Required size of a pool for each environment in the current step, (envs,); may exceed the capacity."""
@@ -129,8 +148,8 @@ class Pools:
         pools = Pools.allocate(self.layout, sizes, self.wanted.device)
         pools.history.contact_start.fill_(int(self.history.contact_start.numpy()[-1]))
         copy_arrays(self.history, pools.history, schema.History)
-        for name, array in self.levels.items():
-            wp.copy(pools.levels[name], array)
+        for name, _, array in declare.arrays_of(self.graph, Lifetime.REMEMBERED):
+            wp.copy(getattr(pools.graph, name), array)
         return pools
 
 
@@ -162,6 +181,15 @@ def with_constraints(sizes: dict[str, int]) -> dict[str, int]:
 def expected_pairs(dynamic: np.ndarray) -> np.ndarray:
     """Initial capacity for pairs of environments with a number of dynamic bodies: six pairs each."""
     return np.maximum(8, 6 * dynamic)
+
+
+def fill(array: wp.array, rows: np.ndarray) -> None:
+    """Write the first rows of an array, and the last of them to all that follow (sums stay what they are)."""
+    host = array.numpy().copy()
+    host[: len(rows)] = rows
+    if 0 < len(rows) < len(host):
+        host[len(rows) :] = rows[-1]
+    array.assign(host)
 
 
 def copy_arrays(source: Any, target: Any, struct: Any) -> None:

@@ -6,16 +6,14 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
-from warp_rigid.engine import field_values, joint_quantities, watching
-from warp_rigid.engine.layout import KINDS, spread_rows
+from warp_rigid.checks import LARGEST, array_of, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
+from warp_rigid.engine import field_values, joint_quantities
+from warp_rigid.engine.layout import spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
 from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_rows
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
-from warp_rigid.engine.shard import WATCHED, Shard
 from warp_rigid.engine.world import World
-from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion, check_mass
 
@@ -203,8 +201,8 @@ def _broadcast(name: str, value: Any, shape: tuple[int, ...], needed: np.ndarray
 
 
 def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
-    values = value if isinstance(value, list | tuple | np.ndarray) else [value]
-    numbers = [check_setting(name, v.item() if isinstance(v, np.generic) else v) for v in values]
+    several = isinstance(value, list | tuple | np.ndarray) and len(shape_of(value)) > 0
+    numbers = [check_setting(name, _as_python(v)) for v in (value if several else [value])]
     if len(numbers) not in (1, len(chosen)):
         raise ValueError(f"{name}: must be one value or {len(chosen)}, got {len(numbers)}")
     rows = getattr(world.envs, name).numpy()
@@ -215,6 +213,12 @@ def _write_setting(world: World, name: str, value: Any, chosen: np.ndarray) -> N
         wake(world, chosen, rows)
         _count_anew(world, rows)
     world.choose_step()
+
+
+def _as_python(value: Any) -> Any:
+    """The Python value of a NumPy scalar or an array without axes; other values, and masked ones, as they are."""
+    scalar = isinstance(value, np.generic | np.ndarray) and np.ndim(value) == 0 and array_of(value) is not None
+    return value.item() if scalar else value
 
 
 def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> None:
@@ -317,64 +321,6 @@ def _check_mass_ratios(world: World, new: np.ndarray, targets: np.ndarray) -> No
         check_mass_ratio(worst[~np.isnan(worst)].tolist())
 
 
-def forget_contacts(shard: Shard, bodies: np.ndarray) -> None:
-    """Make bodies of a shard start their next step without remembered contacts and impulses."""
-    history = shard.pools.history
-    pairs, start = history.pair_start.numpy(), history.contact_start.numpy()
-    body_a = np.repeat(np.arange(len(pairs) - 1), np.diff(pairs))
-    theirs = np.isin(body_a, bodies) | np.isin(history.body_b.numpy()[: len(body_a)], bodies)
-    keys, searched = history.key.numpy(), history.searched.numpy()
-    for pair in np.flatnonzero(theirs):
-        keys[start[pair] : start[pair + 1]] = -1
-    searched[: len(theirs)][theirs] = 0
-    history.key.assign(keys)
-    history.searched.assign(searched)
-
-
-def forget_history(world: World, chosen: np.ndarray) -> None:
-    """Make environments start their next step without remembered contacts and impulses."""
-    for shard, own in world.shards.of(chosen):
-        history = shard.pools.history
-        pairs = history.pair_start.numpy()
-        start = history.contact_start.numpy()[pairs]
-        keys, searched = history.key.numpy(), history.searched.numpy()
-        for env in own:
-            first, last = shard.layout.first_body[env : env + 2]
-            keys[start[first] : start[last]] = -1
-            searched[pairs[first] : pairs[last]] = 0
-        history.key.assign(keys)
-        history.searched.assign(searched)
-    for kind in KINDS:
-        start = world.layout.starts[kind.NAME]
-        rows = np.concatenate([np.arange(start[env], start[env + 1]) for env in chosen])
-        for name in kind.KEPT:
-            array = getattr(world.model.constraint_rows[kind.NAME], name)
-            values = array.numpy()
-            values[rows] = 0
-            array.assign(values)
-
-
-def reset(world: World, envs: Any) -> None:
-    """Reset environments to their initial state; see Simulator.reset."""
-    chosen = env_indices(world.layout, envs)
-    if not len(chosen):
-        return
-    rows = body_rows(world.layout, chosen, None)
-    for name in declare.field_names(schema.State):
-        start = spread_rows(getattr(world.start, name).numpy(), rows)
-        assign_rows(getattr(world.state, name), start, rows)
-    for name in declare.field_names(schema.SleepState):
-        assign_rows(getattr(world.sleep_state, name), 0, rows)
-    for name in WATCHED:
-        values = getattr(world.envs, name).numpy()
-        values[chosen] = 0
-        getattr(world.envs, name).assign(values)
-    watching.reset(world, chosen)
-    forget_history(world, chosen)
-    if envs is None:
-        world.shards.steps = 0
-
-
 def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs: Any) -> None:
     """Change velocities by an impulse at a world point; see Simulator.apply_impulse."""
     layout = world.layout
@@ -386,10 +332,9 @@ def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs:
     rows = body_rows(layout, chosen, body, "body")[:, 0]
     push = _broadcast("impulse", impulse, (len(chosen), 3))
     at = _broadcast("point", point, (len(chosen), 3))
-    free = world.model.bodies.motion.numpy()[rows] == Motion.DYNAMIC
-    chosen, rows, push, at = chosen[free], rows[free], push[free], at[free]
-    if not len(chosen):
-        return
+    for row in rows[world.model.bodies.motion.numpy()[rows] != Motion.DYNAMIC][:1].tolist():
+        found = layout.scene_bodies[layout.source[row]]
+        raise ValueError(f"body: {found.name} is {found.motion.name.lower()}, and an impulse cannot move it")
     index = rows - layout.first_body[chosen]
     arm = at - read(world, "center_of_mass")[chosen, index]
     inverse = np.linalg.inv(read(world, "inertia")[chosen, index].astype(np.float64))
@@ -447,6 +392,3 @@ _DERIVE = {
     "potential_energy": _potential_energy,
 }
 assert set(_DERIVE) | {"asleep", "level"} == set(DERIVED)
-assert {*STATE_NAMES, *REMAINDER_OF.values(), "active", "heap_steps", "fallen", "health"} == set(
-    declare.field_names(schema.State)
-)

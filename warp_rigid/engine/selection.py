@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import listed, shown
+from warp_rigid.checks import array_of, listed, shown
 from warp_rigid.engine.layout import LACKING, Layout
 from warp_rigid.scene.scene import Scene
 
@@ -104,10 +104,10 @@ def _whole_indices(name: str, value: Any, size: int, whose: str = "") -> np.ndar
 
 
 def _as_array(name: str, value: Any) -> np.ndarray:
-    try:
-        return np.asarray(value)
-    except (ValueError, TypeError):  # lists of unequal lengths, an array on a GPU
-        raise ValueError(f"{name}: must be a list of indices, got {shown(value)}") from None
+    array = array_of(value)
+    if array is None:
+        raise ValueError(f"{name}: must be a list of indices, got {shown(value)}")
+    return array
 
 
 def _check_distinct(name: str, chosen: Sequence | np.ndarray, value: Any) -> None:

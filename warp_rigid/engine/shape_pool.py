@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import warp as wp
 
 from warp_rigid.engine.layout import Layout, exclusive_sums
-from warp_rigid.kernels import schema
+from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import PartKind, SampleKind, Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield, moves
@@ -59,19 +58,22 @@ def build_pool(layout: Layout, device: Any) -> Pool:
     for entry in entries:
         if entry.env >= 0:
             vertices[entry.env] += entry.shape.grid_nodes
-    arrays = schema.Shapes()
-    arrays.shapes = wp.array(_shape_rows(entries, parts, samples), dtype=schema.ShapeRecord, device=device)
-    arrays.parts = wp.array(_part_rows(entries, parts, grids, grid_of_part), dtype=schema.PartRecord, device=device)
-    arrays.clusters = wp.array(_cluster_rows(samples), dtype=schema.ClusterRecord, device=device)
-    arrays.samples = wp.array(_sample_rows(samples), dtype=schema.SampleRecord, device=device)
     balls = np.concatenate([entry.shape.inner_balls for entry in entries])
-    arrays.balls = wp.array(balls.astype(np.float32), dtype=wp.vec4, device=device)
     hull = np.concatenate([np.zeros((0, 3)), *(entry.shape.hull for entry in entries)])
-    arrays.hull = wp.array(hull.astype(np.float32), dtype=wp.vec3, device=device)
-    _add_trees(arrays, [part for group in parts for part in group], device)
-    arrays.grid_value = wp.array(np.concatenate(grids).astype(np.float32), dtype=float, device=device)
+    nodes, triangles = _trees([part for group in parts for part in group])
+    rows = {
+        "shapes": _shape_rows(entries, parts, samples),
+        "parts": _part_rows(entries, parts, grids, grid_of_part),
+        "clusters": _cluster_rows(samples),
+        "samples": _sample_rows(samples),
+        "balls": balls.astype(np.float32),
+        "hull": hull.astype(np.float32),
+        "grid_value": np.concatenate(grids).astype(np.float32),
+        "tree": nodes,
+        "triangles": triangles,
+    }
     return Pool(
-        arrays=arrays,
+        arrays=declare.upload(schema.Shapes, rows, device),
         shape_of_row=shape_of_row,
         moving=[(index, entry) for index, entry in enumerate(entries) if entry.env >= 0],
         sample_start=exclusive_sums(np.array([len(some.kind) for some in samples])),
@@ -205,8 +207,8 @@ def _part_rows(entries: list[Entry], parts: list, grids: list[np.ndarray], grid_
     return rows
 
 
-def _add_trees(arrays: Any, parts: list, device: Any) -> None:
-    """Concatenate the trees of all meshes; their indices then count from the start of the pool."""
+def _trees(parts: list) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and triangles of the trees of all meshes; their indices count from the start of the pool."""
     trees = [part.tree for part in parts if part.tree]
     node_start = exclusive_sums(np.array([len(tree.nodes) for tree in trees], np.int64))
     triangle_start = exclusive_sums(np.array([len(tree.triangles) for tree in trees], np.int64))
@@ -218,8 +220,7 @@ def _add_trees(arrays: Any, parts: list, device: Any) -> None:
         rows["triangle_start"] += triangle
         rows["triangle_end"] += triangle
     triangles = np.concatenate([np.zeros(0, schema.TriangleRecord.numpy_dtype()), *[t.triangles for t in trees]])
-    arrays.tree = wp.array(nodes, dtype=schema.TreeRecord, device=device)
-    arrays.triangles = wp.array(triangles, dtype=schema.TriangleRecord, device=device)
+    return nodes, triangles
 
 
 def _cluster_rows(samples: list) -> np.ndarray:

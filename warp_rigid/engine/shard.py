@@ -12,27 +12,13 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.engine import health_checks
-from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.loading import OVERLAP, load_kernels
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.step import Stages
-from warp_rigid.kernels import declare, schema
+from warp_rigid.kernels import declare
+from warp_rigid.kernels.declare import Lifetime
 from warp_rigid.threads import exclusive
-
-WATCHED = (
-    "failed",
-    "failed_step",
-    "failed_body",
-    "outside",
-    "outside_step",
-    "outside_body",
-    "health",
-    "warned_step",
-    "warned_body",
-    "step",
-)
-"""Status of an environment that a step records; it is undone with the step and cleared by a reset."""
 
 
 class Shard:
@@ -87,9 +73,6 @@ class Shard:
         self._sleep_state = declare.part(sleep_state, ranges)
         self._envs = declare.part(envs, ranges)
         self._device: Any = envs.step.device
-        self._saved_state = declare.allocate(schema.State, sizes, self._device)
-        self._saved_sleep_state = declare.allocate(schema.SleepState, sizes, self._device)
-        self._saved_envs = [(array, wp.clone(array)) for array in (getattr(self._envs, name) for name in WATCHED)]
         self._saved_in: int | None = None
         self.pools = Pools.allocate(self.layout, sizes, self._device)
         self.note_masses()
@@ -200,17 +183,9 @@ class Shard:
         return self._deepest.numpy()[:, 0]
 
     def _kept_arrays(self, pools: Pools, sleeping: bool) -> list[tuple[wp.array, wp.array]]:
-        """Arrays that a step changes and that later steps or users read, with the copies that undo it."""
-        structs = [(schema.State, self._state, self._saved_state)]
-        structs += [(schema.SleepState, self._sleep_state, self._saved_sleep_state)] if sleeping else []
-        structs += [(schema.History, pools.history, declare.allocate(schema.History, pools.sizes, self._device))]
-        both = [(getattr(a, n), getattr(b, n)) for struct, a, b in structs for n in declare.field_names(struct)]
-        if self.watches is not None:
-            kept = [getattr(self.watches, name) for name in declare.field_names(schema.Watches)]
-            both += [(array, wp.clone(array)) for array in kept]
-        both += [
-            (array, wp.clone(array))
-            for kind in KINDS
-            for array in (getattr(self._model.constraint_rows[kind.NAME], name) for name in kind.KEPT)
-        ]
-        return both + self._saved_envs + [(some, wp.clone(some)) for some in pools.levels.values()]
+        """What a step leaves to the next one or to users, with the copies that undo it."""
+        lasting = [self._state, self._envs, pools.history, pools.graph, *self._model.constraint_rows.values()]
+        lasting += [self._sleep_state] if sleeping else []
+        lasting += [] if self.watches is None else [self.watches]
+        arrays = [array for some in lasting for _, _, array in declare.arrays_of(some, Lifetime.REMEMBERED)]
+        return [(array, wp.clone(array)) for array in arrays]

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import checkpoint, quantities, spawning, step_reports, watching
+from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, step_reports, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings, check_settings
@@ -229,7 +229,7 @@ class Simulator:
         Args:
             envs: indices of the environments, or a mask, as for `set`; None for all, which also resets the time.
         """
-        quantities.reset(self._world, envs)
+        forgetting.reset(self._world, envs)
 
     @guarded
     def spawn(
@@ -299,7 +299,7 @@ class Simulator:
 
     @guarded
     def apply_impulse(self, impulse: Any, point: Any, body: int | str, envs: Any = None) -> None:
-        """Apply an impulse to a body immediately; the body and its island wake up. Bodies that cannot move ignore it.
+        """Apply an impulse to a body immediately; the body and its island wake up.
 
         Args:
             impulse: (3,) or (envs, 3) impulse [N s].
@@ -308,7 +308,8 @@ class Simulator:
             envs: indices of the environments, or a mask, as for `set`; None for all.
 
         Raises:
-            ValueError: an environment has no such body, or a value has the wrong shape or is not finite.
+            ValueError: an environment has no such body, the body is static or kinematic, or a value has the wrong shape
+                or is not finite.
         """
         quantities.apply_impulse(self._world, impulse, point, body, envs)
 

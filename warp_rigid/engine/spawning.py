@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.checks import shape_of, shown
-from warp_rigid.engine import quantities
+from warp_rigid.engine import forgetting, quantities
 from warp_rigid.engine.layout import LACKING
-from warp_rigid.engine.selection import body_rows, env_indices
+from warp_rigid.engine.selection import body_rows, env_indices, existing
 from warp_rigid.engine.world import World
-from warp_rigid.kernels import declare, schema
 from warp_rigid.scene.scene import Scene
 
 
@@ -61,20 +60,14 @@ def _one_row_each(world: World, name: str, value: Any, rows: np.ndarray) -> np.n
     count, length = len(rows), quantities.VECTOR_LENGTHS[name]
     if shape_of(value) not in ((length,), (1, length), (count, length)):
         raise ValueError(f"{name}: must be ({length},) or ({count}, {length}) numbers, got {shown(value)}")
-    return quantities.checked_rows(world, name, np.asarray(value).reshape(-1, 1, length), rows)
+    return quantities.checked_rows(world, name, np.reshape(value, (-1, 1, length)), rows)
 
 
 def _clear(world: World, rows: np.ndarray) -> None:
-    """Forget what is left of the bodies' former lives: forces, rounding errors, sleep and contacts."""
-    for owner, struct in ((world.state, schema.State), (world.sleep_state, schema.SleepState)):
-        for name in declare.field_names(struct):
-            if name not in ("position", "orientation", "linear_velocity", "angular_velocity", "active", "health"):
-                quantities.assign_rows(getattr(owner, name), 0, rows)
-    # What a former life gained or lost stays, as the check of energies compares the sum of all lives with earlier ones.
-    only_gained = np.array([1.0, 0.0, 0.0, 0.0])
-    quantities.assign_rows(world.state.health, world.state.health.numpy()[rows] * only_gained, rows)
-    present = rows[rows != LACKING]
-    for shard in world.shards:
-        own = present[(present >= shard.first_body) & (present < shard.end_body)] - shard.first_body
-        if len(own):
-            quantities.forget_contacts(shard, own)
+    """Forget what is left of the bodies' former lives.
+
+    What these gained or lost stays, as the check of energies compares the sum of all lives with earlier ones.
+    """
+    only_gained = world.state.health.numpy()[rows] * np.array([1.0, 0.0, 0.0, 0.0])
+    forgetting.forget_bodies(world, rows[existing(rows)])
+    quantities.assign_rows(world.state.health, only_gained, rows)

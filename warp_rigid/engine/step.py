@@ -540,7 +540,7 @@ class Stages:
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
         model, grid = self.model, self.grid
-        inputs = [grid.room, grid.cells, model.bodies, self.motions, self.envs, self.pools.history]
+        inputs = [grid.room, grid.cells, model.shapes, model.bodies, self.motions, self.envs, self.pools.history]
         self._share(broadphase.list_pairs_of_bodies, self.rows, grid.lanes, [write], inputs, [self.pools.pairs])
 
     def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:

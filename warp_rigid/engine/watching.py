@@ -18,9 +18,6 @@ NONE = -2
 MOST_WATCHES = 64
 """Each watch is compared with every pair of bodies."""
 
-CHOICE = ("first", "second")
-"""Arrays that say what is watched; the others are what was recorded."""
-
 
 def watch(world: World, watched: Sequence[Any]) -> None:
     """Start to record; see Simulator.watch."""
@@ -34,7 +31,7 @@ def watch(world: World, watched: Sequence[Any]) -> None:
         if (table[:, column] == NONE).any(axis=1).all():
             raise ValueError(f"watched: no scene has the bodies {shown(bodies)}")
     watches: Any = declare.allocate(schema.Watches, {"envs": layout.num_envs, "watches": len(watched)}, world.device)
-    for k, name in enumerate(CHOICE):
+    for k, name in enumerate(("first", "second")):
         getattr(watches, name).assign(np.ascontiguousarray(table[layout.scene_of, :, k]))
     world.watches = watches
     for shard in world.shards:
@@ -55,16 +52,6 @@ def watched(world: World) -> dict[str, np.ndarray]:
         "rest_time": kept["moving_step"] * dt,
         "largest_overlap": kept["overlap"].copy(),
     }
-
-
-def reset(world: World, chosen: np.ndarray) -> None:
-    """Forget what was recorded of some environments."""
-    if world.watches is not None:
-        for name in declare.field_names(schema.Watches):
-            if name not in CHOICE:
-                values = getattr(world.watches, name).numpy()
-                values[chosen] = 0
-                getattr(world.watches, name).assign(values)
 
 
 def _bodies(scene: Scene, bodies: Any) -> tuple[int, int]:

@@ -26,6 +26,8 @@ HEADER = "header"
 
 LEAST_BYTES, MOST_EXPANSION = 2**29, 100
 """The arrays of a file may take 512 MiB [bytes], and this many times the size of the file in addition."""
+LEAST_HEADER, MOST_HEADER_EXPANSION = 2**22, 50
+"""The same for the header, whose text takes more time and memory than an array: 4 MiB, and 50 times its own size."""
 CHUNK = 2**20
 """Bytes read at once."""
 
@@ -71,6 +73,7 @@ def load(path: Any, kind: str, version: int) -> tuple[dict[str, Any], "Members"]
         arrays = Members(Path(path))
         if HEADER not in arrays:
             raise ValueError("another kind of file")
+        arrays.check_header()
         header = json.loads(arrays[HEADER].tobytes())
         if not isinstance(header, dict) or header.get("kind") != kind:
             raise ValueError("another kind of file")
@@ -92,10 +95,22 @@ class Members(Mapping[str, np.ndarray]):
         path: the file, which stays open as long as this object exists.
     """
 
-    def __init__(self, path: Any) -> None:
+    def __init__(self, path: Path) -> None:
         """Read the directory of the archive."""
+        if path.exists() and not path.is_file():
+            raise ValueError("must be a regular file")  # a named pipe would be waited for without end
         self._archive, self._prefix = zipfile.ZipFile(path), ""
         self._left = [LEAST_BYTES + MOST_EXPANSION * sum(m.compress_size for m in self._archive.infolist())]
+
+    def check_header(self) -> None:
+        """Check that the header is not too large for its size in the file.
+
+        Raises:
+            ValueError: It is.
+        """
+        member = self._archive.getinfo(f"{HEADER}.npy")
+        if member.file_size > LEAST_HEADER + MOST_HEADER_EXPANSION * member.compress_size:
+            raise ValueError(f"{HEADER} is too large for the size of the file")
 
     def below(self, prefix: str) -> "Members":
         """The arrays whose names start with a prefix, without it."""

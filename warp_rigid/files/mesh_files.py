@@ -53,7 +53,17 @@ def _load(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
 def _load_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     import trimesh
 
-    mesh: Any = trimesh.load(path, force="mesh", process=False)
+    class RegularFiles(trimesh.resolvers.FilePathResolver):
+        """The files beside a mesh; a named pipe among them would be waited for without end."""
+
+        def absolute(self, name: str) -> Path:
+            """The path of a file."""
+            found = super().absolute(name)
+            if found.exists() and not found.is_file():
+                raise ValueError(f"{found}: must be a regular file")
+            return found
+
+    mesh: Any = trimesh.load(path, force="mesh", process=False, resolver=RegularFiles(str(path)))
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
     if path.suffix.lower() in (".glb", ".gltf"):
         vertices = _turn_z_up(vertices)

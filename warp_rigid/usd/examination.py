@@ -11,6 +11,7 @@ This module runs as a script too (`serve`), so it imports nothing of the package
 import json
 import os
 import re
+import select
 import signal
 import stat
 import sys
@@ -344,10 +345,19 @@ def serve() -> None:
             os.write(writing, _answer(request).encode()[:4096])
             os._exit(0)
         os.close(writing)
+        if _has_hung_up(reading):
+            os.kill(worker, signal.SIGKILL)
+            return
         with os.fdopen(reading, "rb") as stream:
             answer = stream.read().decode(errors="replace")
         status = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
         print(json.dumps(answer[1:] if answer else _how_it_ended(request, status)), flush=True)
+
+
+def _has_hung_up(reading: int) -> bool:
+    """Wait for an answer of the worker; whether the process that asked has ended before it came."""
+    ready, _, _ = select.select([reading, sys.stdin.fileno()], [], [])
+    return reading not in ready
 
 
 def _answer(request: dict[str, Any]) -> str:
@@ -409,7 +419,8 @@ class _Limits:
             (self._resource.RLIMIT_CPU, max(1, round(self._seconds))),
             (self._resource.RLIMIT_AS, self._before + int(self._bytes)),
         ):
-            self._resource.setrlimit(kind, (limit, self._resource.RLIM_INFINITY))
+            most = self._resource.getrlimit(kind)[1]
+            self._resource.setrlimit(kind, (limit if most == self._resource.RLIM_INFINITY else min(limit, most), most))
         signal.setitimer(signal.ITIMER_REAL, 4.0 * self._seconds)  # on a busy machine, or a slow network
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.usd import limited
 from warp_rigid.usd.load import import_usd
 
 __all__ = ["ROBOT_SUFFIXES", "import_robot"]
@@ -27,8 +28,14 @@ CONVERTERS = {".xml": "mujoco_usd_converter", ".mjcf": "mujoco_usd_converter", "
 ROBOT_SUFFIXES = tuple(CONVERTERS)
 SECONDS = 300.0
 """Longest time that a conversion may take."""
+MOST_BYTES = 8 * 2**30
+"""Largest memory that a conversion may take."""
 MESSAGE = re.compile(r"^\[(Warning|Error)\] (?:\[[^\]]*\] )?(.*)$")
 """A line that a converter prints: its severity, the function that it comes from, and the text."""
+REFERENCE = re.compile(r"""\b(?:file|filename)\s*=\s*["']([^"']+)["']""")
+"""An attribute that names a file: a mesh, a texture, or another part of the description."""
+FOLDER = re.compile(r"""\b(?:meshdir|texturedir|assetdir)\s*=\s*["']([^"']+)["']""")
+"""An attribute that names the folder of such files."""
 PACKAGE = re.compile(r"""package://([^/"'\s]+)/""")
 """A package in the address of a mesh, as in package://my_robot/meshes/arm.stl."""
 MASKED = re.compile(r"\b(contype|conaffinity)\b|<(include|model|attach)\b")
@@ -119,6 +126,10 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
     packages = _packages(path)
     known = [f"--package={name}={place}" for name, place in packages.items() if place]
     command = [program, str(path.absolute()), folder, *known]
+    _check_files(path, packages, set())
+    if sys.platform != "win32":
+        limits = [str(MOST_BYTES), str(max(1, round(SECONDS))), str(os.getpid())]
+        command = [sys.executable, "-I", "-S", limited.__file__, *limits, *command]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder)
     except subprocess.TimeoutExpired:
@@ -159,6 +170,25 @@ def _packages(path: Path) -> dict[str, Path | None]:
         return {}
     names = dict.fromkeys(PACKAGE.findall(path.read_text(errors="replace")))
     return {name: _package_folder(name, path) for name in names}
+
+
+def _check_files(path: Path, packages: dict[str, Path | None], checked: set[Path]) -> None:
+    """Check that the files behind a description are regular ones: a named pipe would be waited for without end.
+
+    Raises:
+        ValueError: One of them is not.
+    """
+    checked.add(path)
+    text = path.read_text(errors="replace")
+    folders = [path.parent, *(path.parent / name for name in FOLDER.findall(text))]
+    for name in REFERENCE.findall(text):
+        package, _, rest = name.removeprefix("package://").partition("/")
+        within = [packages.get(package) or path.parent] if name.startswith("package://") else folders
+        for found in [folder / (rest if name.startswith("package://") else name) for folder in within]:
+            if found.exists() and not found.is_file() and not found.is_dir():
+                raise ValueError(f"{path}: {name}: must be a regular file")
+            if found.suffix.lower() in CONVERTERS and found.is_file() and found not in checked:
+                _check_files(found, packages, checked)
 
 
 def _package_folder(name: str, path: Path) -> Path | None:

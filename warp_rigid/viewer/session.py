@@ -223,7 +223,8 @@ class Session:
             The impulse [N s]; zero for bodies that nothing moves.
         """
         impulse = float(self._sim.get("mass")[env, body]) * np.asarray(velocity)
-        self._sim.apply_impulse(impulse, point, body, envs=[env])
+        if impulse.any():
+            self._sim.apply_impulse(impulse, point, body, envs=[env])
         return impulse
 
     def pull(self, env: int, body: int, point: np.ndarray, target: np.ndarray) -> None:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from warp_rigid.checks import finite_vector, number_in, shown
+from warp_rigid.checks import LARGEST, finite_vector, number_in, numbers_of, shown
 from warp_rigid.kernels.enums import Coordinate
 
 Vector3 = tuple[float, float, float]
@@ -156,10 +156,12 @@ def ordered_limits(value: Any) -> tuple[float, float] | None:
     """Check (lower, upper) limits; None for no limits."""
     if value is None:
         return None
-    try:
-        lower, upper = (float(x) for x in value)
-    except (TypeError, ValueError):
-        raise ValueError(f"limits: must be (lower, upper) or None, got {shown(value)}") from None
+    limits = numbers_of(value)
+    if limits is None or limits.shape != (2,):
+        raise ValueError(f"limits: must be (lower, upper) or None, got {shown(value)}")
+    if not ((np.abs(limits) <= LARGEST) | np.isinf(limits)).all():
+        raise ValueError(f"limits: must be up to {LARGEST:g} or infinite, got {shown(value)}")
+    lower, upper = limits.tolist()
     if not lower <= upper or lower == math.inf or upper == -math.inf:
         raise ValueError(f"limits: lower must be at most upper, got {shown(value)}")
     return lower, upper

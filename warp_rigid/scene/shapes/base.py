@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from warp_rigid.checks import number_array
 from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import host_distance
 from warp_rigid.kernels.enums import PartKind
@@ -288,7 +289,7 @@ def content_hash(*items) -> str:
 
 def point_array(points) -> np.ndarray:
     """Points as a float64 (n, 3) array, or a ValueError."""
-    array = np.asarray(points, dtype=np.float64)
+    array = number_array("points", points)
     if array.ndim == 1 and array.shape == (3,):
         array = array[None]
     if array.ndim != 2 or array.shape[1] != 3:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_rigid import rotations
-from warp_rigid.checks import finite_vector, shown, unit_quaternion, whole_in
+from warp_rigid.checks import finite_vector, numbers_of, shown, unit_quaternion, whole_in
 from warp_rigid.scene.shapes import mass_properties
 from warp_rigid.scene.shapes.base import (
     IDENTITY_ROTATION,
@@ -251,8 +251,13 @@ def _checked_distribution(center: ArrayLike | None, per_mass: ArrayLike | None) 
         return None
     if center is None or per_mass is None:
         raise ValueError("center_of_mass: must be given together with inertia_per_mass")
-    tensor = np.asarray(per_mass, np.float64)
-    if tensor.shape != (3, 3) or not np.isfinite(tensor).all() or not np.allclose(tensor, tensor.T, rtol=1e-6):
+    tensor = numbers_of(per_mass)
+    if (
+        tensor is None
+        or tensor.shape != (3, 3)
+        or not np.isfinite(tensor).all()
+        or not np.allclose(tensor, tensor.T, rtol=1e-6)
+    ):
         raise ValueError("inertia_per_mass: must be a symmetric matrix of 3 x 3 finite numbers")
     if np.linalg.eigvalsh(tensor)[0] <= 0.0:
         raise ValueError("inertia_per_mass: must have principal moments > 0")

@@ -80,7 +80,7 @@ class Heightfield(Shape):
     def _at_vertices(self, name, value):
         """A finite number for each vertex."""
         try:
-            values = np.broadcast_to(np.asarray(value, dtype=np.float64), self.heights.shape)
+            values = np.broadcast_to(number_array(name, value), self.heights.shape)
         except ValueError:
             raise ValueError(
                 f"{name}: must be a number or shaped {self.heights.shape}, got shape {np.shape(value)}"

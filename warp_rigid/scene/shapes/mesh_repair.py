@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_rigid.checks import number_array, shown
+from warp_rigid.checks import array_of, number_array, shown
 from warp_rigid.scene.shapes import mass_properties, topology
 from warp_rigid.scene.shapes.distance_grid import mesh_distance
 from warp_rigid.scene.shapes.mesh_union import join_shells, separate_shells
@@ -65,10 +65,9 @@ def repair(vertices, faces) -> Surface:
 def checked(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     """Vertices as float64 and faces as int64; a ValueError if they do not describe triangles."""
     vertices = number_array("vertices", vertices).copy()
-    try:
-        faces = np.asarray(faces)
-    except ValueError:
-        raise ValueError(f"faces: must be shaped (m, 3), got {shown(faces)}") from None
+    given, faces = faces, array_of(faces)
+    if faces is None:
+        raise ValueError(f"faces: must be shaped (m, 3), got {shown(given)}")
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices):
         raise ValueError(f"vertices: must be shaped (n, 3) with n > 0, got {vertices.shape}")
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):

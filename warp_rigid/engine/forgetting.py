@@ -1,0 +1,67 @@
+"""Forgetting: environments return to their start, and bodies of a pool begin a new life.
+
+What there is to forget follows from the declared lifetimes of the arrays (kernels/declare.py), and is not listed here.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from warp_rigid.engine import joints
+from warp_rigid.engine.pools import Pools
+from warp_rigid.engine.selection import env_indices
+from warp_rigid.engine.world import World
+from warp_rigid.kernels import declare
+from warp_rigid.kernels.declare import Lifetime
+
+
+def reset(world: World, envs: Any) -> None:
+    """Reset environments to their initial state; see Simulator.reset."""
+    chosen = env_indices(world.layout, envs)
+    if not len(chosen):
+        return
+    for arrays in world.lasting:
+        start = world.start if arrays is world.state else None
+        _return_to_start(arrays, {symbol: world.layout.rows_of(symbol, chosen) for symbol in _symbols(arrays)}, start)
+    for shard, own in world.shards.of(chosen):
+        rows = {symbol: shard.layout.rows_of(symbol, own) for symbol in ("envs", "bodies")}
+        _forget_pairs(shard.pools, rows)
+    if envs is None:
+        world.shards.steps = 0
+
+
+def forget_bodies(world: World, rows: np.ndarray) -> None:
+    """Return all that steps left of bodies to zero, given their rows in the arrays of all environments.
+
+    Their poses and velocities are to be written next.
+    """
+    own = {"bodies": rows, joints.FROM_BODIES: rows}
+    for arrays in world.lasting:
+        _return_to_start(arrays, own)
+    for shard in world.shards:
+        inside = rows[(rows >= shard.first_body) & (rows < shard.end_body)] - shard.first_body
+        if len(inside):
+            _forget_pairs(shard.pools, {"bodies": inside})
+
+
+def _symbols(arrays: Any) -> set[str]:
+    """What counts the rows of the arrays that a step leaves for the next one."""
+    return {declare.counted_by(field) for _, field, _ in declare.arrays_of(arrays, Lifetime.REMEMBERED)}
+
+
+def _return_to_start(arrays: Any, rows: Mapping[str, np.ndarray], start: Any = None) -> None:
+    """Write the start of what a step leaves for the next one to some rows of each symbol; `start`: arrays with it."""
+    for name, field, array in declare.arrays_of(arrays, Lifetime.REMEMBERED):
+        own = rows.get(declare.counted_by(field), ())
+        if len(own):
+            host = array.numpy()
+            host[own] = (field.start or 0) if start is None else getattr(start, name).numpy()[own]
+            array.assign(host)
+
+
+def _forget_pairs(pools: Pools, rows: Mapping[str, np.ndarray]) -> None:
+    """Forget the contacts of bodies of a shard, and the contact graph, whose places depend on the list of pairs."""
+    _return_to_start(pools.graph, rows)
+    pools.remove_pairs(rows["bodies"])
+    pools.forget_graph()

@@ -1,0 +1,112 @@
+"""Ctrl-C in the commands: it ends them within a second, with one line.
+
+While the package is imported, nothing is lost: the process ends at once. Later, KeyboardInterrupt is raised in the main
+thread. Libraries may swallow it, as Python does in destructors and callbacks, and no exception is raised while machine
+code runs. A thread therefore watches what becomes of it: it is raised again, and after LONGEST the process ends in any
+case, unless results are being kept.
+"""
+
+import _thread
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+__all__ = ["STATUS", "end_at_once", "is_of_command", "keeping", "needs_telling", "watched"]
+
+STATUS = 130
+AGAIN, LONGEST = 0.2, 0.8
+"""Time after which an interruption is raised again, and after which the process ends [s]."""
+
+_state = {"told": False, "keeping": 0, "ended": False}
+"""Whether a line was printed, how many blocks keep results, and whether the command has ended."""
+
+
+def is_of_command() -> bool:
+    """Whether this process is a command of the package, and not another program, which keeps its handler."""
+    name = os.path.basename(sys.argv[0]) if sys.argv else ""
+    module = name == "-m" and "warp_rigid" in sys.orig_argv
+    return (
+        module or name in ("warp-rigid", "warp-rigid.exe")
+    ) and threading.current_thread() is threading.main_thread()
+
+
+def end_at_once() -> None:
+    """End at the first Ctrl-C, until `watched`: nothing was done yet."""
+    signal.signal(signal.SIGINT, lambda *_: _end())
+
+
+def needs_telling() -> bool:
+    """Whether no line about the interruption was printed yet; the caller prints one next."""
+    before, _state["told"] = _state["told"], True
+    return not before
+
+
+@contextlib.contextmanager
+def keeping() -> Iterator[None]:
+    """Context in which results are kept if it is interrupted, which may take longer."""
+    _state["keeping"] += 1
+    try:
+        yield
+    finally:
+        _state["keeping"] -= 1
+
+
+@contextlib.contextmanager
+def watched() -> Iterator[None]:
+    """Context of a command that ends soon after Ctrl-C, if this process is one (`end_at_once`)."""
+    handler: Any = signal.getsignal(signal.SIGINT)
+    if getattr(handler, "__module__", "") != __name__:
+        yield
+        return
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    threading.Thread(target=_watch, args=(reading,), daemon=True).start()
+    sys.unraisablehook = _raise_again
+    signal.set_wakeup_fd(writing)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        _state["ended"] = True
+
+
+def _watch(reading: int) -> None:
+    """Wait for the first interruption, and end the process if nothing else does."""
+    while os.read(reading, 1) != bytes([signal.SIGINT]):
+        pass
+    begin = time.monotonic()
+    while True:
+        time.sleep(AGAIN)
+        ended, kept = _state["ended"], _state["keeping"] > 0
+        if time.monotonic() - begin > LONGEST and (ended or not kept):
+            _end()
+        if not ended and not kept:
+            _raise()
+
+
+def _raise() -> None:
+    """Interrupt the main thread, also where it waits."""
+    if hasattr(signal, "pthread_kill") and (ident := threading.main_thread().ident) is not None:
+        signal.pthread_kill(ident, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
+
+
+def _raise_again(unraisable: Any) -> None:
+    """Report what a destructor raised, but for an interruption: it is raised again outside of it."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        threading.Timer(0.01, _raise).start()
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
+def _end() -> None:
+    """End the process without its cleanup: other threads may be in machine code."""
+    if needs_telling():
+        os.write(2, b"warp-rigid: interrupted\n")
+    os._exit(STATUS)
