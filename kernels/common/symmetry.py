@@ -46,6 +46,25 @@ def symmetry_of(b: int, shapes: Shapes, bodies: Bodies):
 
 
 @wp.func
+def axis_of(b: int, shapes: Shapes, bodies: Bodies, state: State):
+    """The axis of a body of revolution in the world frame."""
+    local = shapes.parts[shapes.shapes[bodies.shape[b]].part_start].orientation
+    return wp.quat_rotate(state.orientation[b] * local, wp.vec3(0.0, 0.0, 1.0))
+
+
+@wp.func
+def spin_of_surface(b: int, spin: wp.vec3, shapes: Shapes, bodies: Bodies, state: State):
+    """The angular velocity of a body's surface: that of the body, without the part that leaves the surface in place."""
+    symmetry = symmetry_of(b, shapes, bodies)
+    if symmetry == BALL:
+        return wp.vec3(0.0, 0.0, 0.0)
+    if symmetry == ROUND:
+        axis = axis_of(b, shapes, bodies, state)
+        return spin - wp.dot(spin, axis) * axis
+    return spin
+
+
+@wp.func
 def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bodies, state: State):
     """The rotation of a body's surface in a step: that of the body, without the part that leaves the surface in place.
 
@@ -57,7 +76,6 @@ def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bo
         return wp.quat_identity()
     turn = wp.quat_from_axis_angle(wp.normalize(spin), angle)
     if symmetry == ROUND:
-        local = shapes.parts[shapes.shapes[bodies.shape[b]].part_start].orientation
-        axis = wp.quat_rotate(state.orientation[b] * local, wp.vec3(0.0, 0.0, 1.0))
+        axis = axis_of(b, shapes, bodies, state)
         turn = turn * wp.quat_from_axis_angle(axis, -dt * wp.dot(spin, axis))
     return turn
