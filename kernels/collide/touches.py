@@ -178,8 +178,8 @@ def passes_by(
     An example is a corner that slides towards the next tile of a floor: the nearest point is on the edge of the tile,
     the corner moves along the normal there, and arrives above the tile. A contact would stop it. The way is that of the
     surface at the velocities before the step, continued straight on until it clearly passes the plane of the contact.
-    A surface that turns may come less near than the velocity of the contact point tells: then the way of the step
-    decides. A body that can move may be pushed into the way within the step, so its contacts are kept.
+    The side of a rolling disc does not come nearer, although its material does. A body that can move may be pushed into
+    the way within the step, so its contacts are kept.
 
     `material_fall`: the approach in the step at the velocity of the contact point [m].
     """
@@ -191,16 +191,13 @@ def passes_by(
     way = way_of(s, placed, approach, own, other, dt, shapes, state)
     gap = placed.distance
     fall = -wp.dot(way.step, placed.direction)
-    closes = gap - material_fall < allowed
     steps = float(1.0)
-    if fall < SLOW * allowed or (closes and gap - fall > allowed):
-        turned = material_fall - dt * closing_speed(own, other, way.arm, way.start, placed.direction, 0.0)
-        if not closes or (gap < allowed and turned < SLOW * allowed):
-            return False
-    else:
+    if fall >= SLOW * allowed:
         steps = wp.clamp((gap + CLEARLY * allowed) / fall, 1.0, FURTHEST)
         if gap - steps * fall > -allowed:
             return False
+    elif material_fall < SLOW * allowed + dt * closing_speed(own, other, way.arm, way.start, placed.direction, 0.0):
+        return False
     near = way.radius + steps * wp.length(way.step)
     return stays_outside(way, own, other, dt, steps, allowed, near, shapes)
 
