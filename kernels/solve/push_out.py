@@ -24,6 +24,7 @@ from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     KIND,
+    carrier_velocity,
     contact_velocity,
     read_contact,
     read_impulse,
@@ -101,6 +102,8 @@ def wanted_speed(
     row = read_contact(c, contacts.rows)
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
+    # The rotation of the arms accounts for the chords.
+    row.surface -= carrier_velocity(a, b, dt, motions)
     size = smaller_size(a, b, shapes, bodies)
     pair = load_bodies(a, b, 0.0, 0.0, motions)
     turn_a = turn_of_surface(a, pair.angular_a, dt, shapes, bodies, state)
