@@ -69,8 +69,11 @@ LIGHTER = wp.constant(10.0)
 ENOUGH = wp.constant(1.0e-4)
 """Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
 
-FASTEST = wp.constant(2.0)
-"""Largest speed at which bodies are pushed apart [m/s]."""
+WEIGHTLESS = wp.constant(0.04)
+"""Share of the smaller size by which bodies without acceleration are pushed apart in a step, at most."""
+
+FURTHEST = wp.constant(0.25)
+"""Bodies are pushed apart in a step by at most this fraction of the smaller size: no wall is crossed by a push."""
 
 
 @wp.func
@@ -85,6 +88,15 @@ def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair, turn_a: w
     if key % 2 == 1:
         turn = turn_a
     return row.gap + wp.dot(way_a - way_b + dt * row.surface, wp.quat_rotate(turn, row.normal))
+
+
+@wp.func
+def fastest_recovery(pull: float, size: float, dt: float):
+    """Largest speed at which bodies that overlap are pushed apart [m/s]: that of a fall from their own size.
+
+    Without an acceleration it is a share of the size in a step.
+    """
+    return wp.where(pull > 0.0, wp.sqrt(2.0 * pull * size), WEIGHTLESS * size / dt)
 
 
 @wp.func
@@ -110,7 +122,9 @@ def wanted_speed(
     turn_b = turn_of_surface(b, pair.angular_b, dt, shapes, bodies, state)
     overlap = wp.max(-gap_after(row, contacts.key[c], dt, pair, turn_a, turn_b) - SLOP * size, 0.0)
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
-    return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
+    falls = wp.max(wp.length(motions.acceleration[a]), wp.length(motions.acceleration[b]))
+    recovery = wp.min(RECOVERY * old / dt, fastest_recovery(falls, size, dt))
+    return wp.min((overlap - old) / dt + recovery, FURTHEST * size / dt)
 
 
 @wp.func
