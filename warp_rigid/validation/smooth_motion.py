@@ -48,7 +48,11 @@ def rolling(steps) -> ValidationCase:
         "free motion, closed form",
         (
             ReferenceCheck(
-                "speed after 1.5 s", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), SPEED, absolute(1e-3 * SPEED)
+                "speed after 1.5 s",
+                "m/s",
+                each(lambda t: t.linear_velocity[-1, :, 1, 0]),
+                SPEED,
+                absolute(1e-3 * SPEED),
             ),
             ReferenceCheck(
                 "error of the height",
