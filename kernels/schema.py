@@ -311,7 +311,10 @@ ContactRecord = packed_record(
     coupling_a=Field(wp.vec2, "", "1/kg", "the first body's tangential velocity change per unit normal impulse"),
     coupling_b=Field(wp.vec2, "", "1/kg", "the second body's tangential velocity change per unit normal impulse"),
     surface=Field(
-        wp.vec3, "", "m/s", "relative velocity of the surfaces with respect to their bodies; zero unless ground moves"
+        wp.vec3,
+        "",
+        "m/s",
+        "relative velocity of the surfaces beyond that of the bodies; 0 unless ground moves or a carrier turns",
     ),
     rolling_friction=Field(float, "", "m", "rolling friction coefficient of the pair"),
     spinning_friction=Field(float, "", "m", "spinning friction coefficient of the pair"),

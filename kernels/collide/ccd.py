@@ -447,8 +447,14 @@ def motion_after(b: int, impact: wp.int64, dt: float, bodies: Bodies, state: Sta
 
 
 @wp.kernel
-def change_courses(dt: float, bodies: Bodies, state: State, pairs: Pairs, motions: Motions):
-    """One thread per body: from its first impact on, it moves with the other body."""
+def change_courses(
+    dt: float, bodies: Bodies, state: State, envs: Environments, pairs: Pairs, suspects: Suspects, motions: Motions
+):
+    """One thread per body: from its first impact on, it moves with the other body.
+
+    Unless a kinematic body leads, it stays within the reach of the broad phase, and stops in the last round: its
+    new course would not be traced any more.
+    """
     b = wp.tid()
     impact = motions.first_impact[b]
     motions.changed[b] = wp.where(impact == NO_IMPACT, 0, 1)
@@ -456,9 +462,14 @@ def change_courses(dt: float, bodies: Bodies, state: State, pairs: Pairs, motion
         return
     t = time_of(impact)
     after = motion_after(b, impact, dt, bodies, state, pairs, motions)
+    pair = int(impact % MOST_PAIRS)
+    lead = wp.max(lead_of(pairs.body_a[pair], motions), lead_of(pairs.body_b[pair], motions))
+    if lead == 0:
+        after.linear *= wp.min(1.0, motions.max_travel[b] / wp.max(dt * wp.length(after.linear), 1.0e-12))
+        if suspects.round[0] >= envs.impact_rounds[bodies.env[b]] - 1:
+            after.linear = wp.vec3(0.0, 0.0, 0.0)
+            after.angular = wp.vec3(0.0, 0.0, 0.0)
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
     motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
-    pair = int(impact % MOST_PAIRS)
-    lead = wp.max(lead_of(pairs.body_a[pair], motions), lead_of(pairs.body_b[pair], motions))
     motions.next_carried[b] = wp.max(lead - 1, 0)

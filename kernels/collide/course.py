@@ -278,3 +278,12 @@ def closing_speed(own: Course, other: Course, arm: wp.vec3, x: wp.vec3, n: wp.ve
     v = own.linear + wp.cross(own.angular, wp.quat_rotate(rotation_after(own.angular, t), arm))
     w = other.linear + wp.cross(other.angular, wp.quat_rotate(turn, x - other.local_center))
     return wp.dot(w - v, wp.quat_rotate(turn, n))
+
+
+@wp.func
+def curvature_of(own: Course, other: Course, arm: wp.vec3):
+    """Upper bound of the acceleration of a point at `arm` from a body's centre, in the other body's frame [m/s^2]."""
+    spin = wp.length(other.angular)
+    away = wp.length(own.center + arm - other.center)
+    speed = wp.length(own.linear - other.linear) + wp.length(own.angular) * wp.length(arm) + spin * away
+    return wp.length_sq(own.angular) * wp.length(arm) + spin * (2.0 * speed + spin * away)

@@ -13,14 +13,17 @@ from warp_rigid.kernels.collide.approach import (
     approach_from,
     closing_gap,
     touch_of,
+    velocity_at,
 )
-from warp_rigid.kernels.collide.course import place_at, placed_course
+from warp_rigid.kernels.collide.course import Course, closing_speed, curvature_of, place_at, placed_course
 from warp_rigid.kernels.collide.distance import FAR, signed_distance
 from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, hidden_depth, is_parting
-from warp_rigid.kernels.collide.samples import Search, gradient, place_sample
+from warp_rigid.kernels.collide.samples import OPPOSED, Search, gradient, place_sample
 from warp_rigid.kernels.common.capacity import usable_count
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
+from warp_rigid.kernels.common.symmetry import spin_of_surface
+from warp_rigid.kernels.enums import SampleKind
 from warp_rigid.kernels.schema import Bodies, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.predict import CONTACT_DISTANCE, smaller_size
 
@@ -37,6 +40,24 @@ SLOW = wp.constant(0.01)
 
 ROUNDS = wp.constant(6)
 """Maximum number of distances along a way. They are enough for curved surfaces."""
+
+
+@wp.struct
+class Way:
+    """The way of a sample in the frame of the other body.
+
+    `start`: a point, the centre of a ball of the given radius, or a point of the surface. `arm`: that point from the
+    centre of its body, in the world frame. `facing`: the sample's outward normal. `first`: the distance at the start.
+    `step`: its motion in the step. `bend`: largest distance of that motion from the tangent at its start [m].
+    """
+
+    start: wp.vec3
+    radius: float
+    arm: wp.vec3
+    facing: wp.vec3
+    first: wp.vec4
+    step: wp.vec3
+    bend: float
 
 
 @wp.func
@@ -64,53 +85,86 @@ def place_near_sample(s: int, approach: Approach, parting: bool, shapes: Shapes)
 
 
 @wp.func
-def course_before(b: int, bodies: Bodies, state: State, motions: Motions):
-    """The motion of a body in the step at its velocities before it."""
+def course_before(b: int, shapes: Shapes, bodies: Bodies, state: State, motions: Motions):
+    """The motion of a body's surface in the step at its velocities before it."""
     course = placed_course(b, bodies, state, motions)
     course.linear = state.linear_velocity[b]
-    course.angular = state.angular_velocity[b]
+    course.angular = spin_of_surface(b, state.angular_velocity[b], shapes, bodies, state)
     return course
 
 
 @wp.func
-def stays_outside(p: wp.vec3, way: wp.vec3, start: wp.vec4, allowed: float, shape: int, shapes: Shapes):
-    """Whether a point that moves from p along `way` stays out of a shape, or enters it by at most `allowed`.
+def way_of(
+    s: int, placed: Search, approach: Approach, own: Course, other: Course, dt: float, shapes: Shapes, state: State
+):
+    """The way of a near sample: that of its ball if it has one, else that of the point that is nearest."""
+    way = Way()
+    way.facing = placed.normal
+    way.start = placed.query
+    if shapes.samples[s].kind != SampleKind.RIM and shapes.samples[s].radius > 0.0:
+        way.radius = shapes.samples[s].radius
+        way.facing = wp.vec3(0.0, 0.0, 0.0)
+        way.start += way.radius * placed.direction
+    n = placed.direction
+    way.first = wp.vec4(n[0], n[1], n[2], placed.distance)
+    way.arm = wp.quat_rotate(other.turn, way.start) + state.position[approach.other] - own.center
+    way.step = place_at(own, other, way.arm, dt) - way.start
+    way.bend = 0.5 * dt * dt * curvature_of(own, other, way.arm)
+    return way
 
-    The distance along the way lies above its tangents where the shape is convex: it is evaluated where the tangents at
-    both ends of an interval meet. `start`: the distance at p.
+
+@wp.func
+def stays_outside(
+    way: Way, own: Course, other: Course, dt: float, steps: float, allowed: float, near: float, shapes: Shapes
+):
+    """Whether a sample stays out of a shape for some steps, or enters it by at most `allowed`.
+
+    The distance along a straight way lies above its tangents where the shape is convex, and along a curved way above
+    parabolas. It is evaluated where the tangents at both ends of an interval meet. A sample that moves along a face has
+    entered if its body lies behind that face: the corners of a box that lands flush on an equal one move along its
+    sides.
     """
     left = float(0.0)
-    right = float(1.0)
-    low = start
-    high = start
-    t = wp.where(start[3] < -allowed, 0.0, 1.0)
+    right = float(steps)
+    low = way.first[3]
+    fall = dt * closing_speed(own, other, way.arm, way.start, gradient(way.first), 0.0)
+    high = float(0.0)
+    rise = float(0.0)
+    t = wp.where(low < -allowed, 0.0, right)
     for _round in range(ROUNDS):
-        d = signed_distance(shapes, shape, p + t * way, wp.length(way))
-        if d[3] < -allowed:
+        x = place_at(own, other, way.arm, wp.min(t, 1.0) * dt) + wp.max(t - 1.0, 0.0) * way.step
+        d = signed_distance(shapes, other.shape, x, near)
+        gap = d[3] - way.radius
+        if gap < -allowed or (gap < allowed and wp.dot(gradient(d), way.facing) > OPPOSED):
             return False
-        slope = wp.dot(gradient(d), way)
-        if t == 0.0 or (t < 1.0 and slope < 0.0):
+        slope = wp.dot(gradient(d), way.step)
+        if t < 1.0:
+            slope = -dt * closing_speed(own, other, way.arm, x, gradient(d), t * dt)
+        if t == 0.0 or (t < steps and slope < 0.0):
             left = t
-            low = d
+            low = gap
+            fall = -slope
         else:
             right = t
-            high = d
+            high = gap
+            rise = slope
         if t > 0.0:
-            fall = -wp.dot(gradient(low), way)
-            rise = wp.dot(gradient(high), way)
             if fall <= 0.0 or rise <= 0.0:
                 return True
-            t = (low[3] - high[3] + fall * left + rise * right) / (fall + rise)
-            if low[3] - fall * (t - left) >= -allowed:
+            t = wp.clamp((low - high + fall * left + rise * right) / (fall + rise), left, right)
+            bend = way.bend * wp.max((t - left) * (t - left), (right - t) * (right - t))
+            if low - fall * (t - left) - bend >= -allowed:
                 return True
         else:
-            t = float(1.0)
+            t = float(steps)
     return True
 
 
 @wp.func
 def passes_by(
+    s: int,
     placed: Search,
+    material_fall: float,
     approach: Approach,
     dt: float,
     size: float,
@@ -122,26 +176,30 @@ def passes_by(
     """Whether a sample that approaches the nearest point of an immovable body nevertheless misses that body.
 
     An example is a corner that slides towards the next tile of a floor: the nearest point is on the edge of the tile,
-    the corner moves along the normal there, and arrives above the tile. A contact would stop it. The way is that at the
-    velocities before the step, continued until it clearly passes the plane of the contact. A body that can move may be
-    pushed into the way within the step, so its contacts are kept.
+    the corner moves along the normal there, and arrives above the tile. A contact would stop it. The way is that of the
+    surface at the velocities before the step, continued straight on until it clearly passes the plane of the contact.
+    The side of a rolling disc does not come nearer, although its material does. A body that can move may be pushed into
+    the way within the step, so its contacts are kept.
+
+    `material_fall`: the approach in the step at the velocity of the contact point [m].
     """
-    if bodies.inverse_mass[approach.own] * bodies.inverse_mass[approach.other] > 0.0:
-        return False
     allowed = CONTACT_DISTANCE * size
-    own = course_before(approach.own, bodies, state, motions)
-    other = course_before(approach.other, bodies, state, motions)
-    arm = wp.quat_rotate(other.turn, placed.query) + state.position[approach.other] - own.center
-    way = place_at(own, other, arm, dt) - placed.query
-    fall = -wp.dot(way, placed.direction)
-    if fall < SLOW * allowed:
+    if material_fall < SLOW * allowed or bodies.inverse_mass[approach.own] * bodies.inverse_mass[approach.other] > 0.0:
         return False
-    further = wp.clamp((placed.distance + CLEARLY * allowed) / fall, 1.0, FURTHEST)
-    if placed.distance - further * fall > -allowed:
+    own = course_before(approach.own, shapes, bodies, state, motions)
+    other = course_before(approach.other, shapes, bodies, state, motions)
+    way = way_of(s, placed, approach, own, other, dt, shapes, state)
+    gap = placed.distance
+    fall = -wp.dot(way.step, placed.direction)
+    steps = float(1.0)
+    if fall >= SLOW * allowed:
+        steps = wp.clamp((gap + CLEARLY * allowed) / fall, 1.0, FURTHEST)
+        if gap - steps * fall > -allowed:
+            return False
+    elif material_fall < SLOW * allowed + dt * closing_speed(own, other, way.arm, way.start, placed.direction, 0.0):
         return False
-    n = placed.direction
-    start = wp.vec4(n[0], n[1], n[2], placed.distance)
-    return stays_outside(placed.query, further * way, start, allowed, approach.shape, shapes)
+    near = way.radius + steps * wp.length(way.step)
+    return stays_outside(way, own, other, dt, steps, allowed, near, shapes)
 
 
 @wp.func
@@ -176,9 +234,18 @@ def touching(
     result.closing = wp.where(least < CONTACT_DISTANCE * size, 1, 0)
     if result.closing == 0 and touch.gap > TURNED_BACK * approach.reach:
         return result
-    if not parting and approach.rise == 0.0 and passes_by(placed, approach, dt, size, shapes, bodies, state, motions):
-        result.closing = 0
-        return result
+    if not parting and approach.rise == 0.0:
+        fall = (
+            -wp.dot(
+                velocity_at(a, touch.position, 0.0, state, motions)
+                - velocity_at(b, touch.position, 0.0, state, motions),
+                touch.normal,
+            )
+            * dt
+        )
+        if passes_by(s, placed, fall, approach, dt, size, shapes, bodies, state, motions):
+            result.closing = 0
+            return result
     result.position = wp.quat_rotate_inv(state.orientation[b], touch.position - state.position[b])
     result.normal = wp.quat_rotate_inv(state.orientation[b], touch.normal)
     result.gap = touch.gap

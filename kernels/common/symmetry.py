@@ -13,6 +13,9 @@ CENTERED = wp.constant(1.0e-3)
 LEAST_ANGLE = wp.constant(1.0e-6)
 """Smaller rotations are rounding errors of bodies at rest [rad]."""
 
+SMALL_ANGLE = wp.constant(0.1)
+"""Below this angle the series of the sine is more accurate than the sine [rad]."""
+
 NOT_ROUND, ROUND, BALL = wp.constant(0), wp.constant(1), wp.constant(2)
 """Symmetry about the centre of mass: none, about the axis of a cylinder or capsule, or about every axis."""
 
@@ -24,6 +27,25 @@ def rotation_after(angular: wp.vec3, t: float):
     if speed == 0.0 or t == 0.0:
         return wp.quat_identity()
     return wp.quat_from_axis_angle(angular / speed, speed * t)
+
+
+@wp.func
+def chord_velocity(angular: wp.vec3, arm: wp.vec3, t: float):
+    """Velocity along the chord of the arc on which a point at `arm` turns in a time t, without that along its tangent.
+
+    Rodrigues' rotation formula, without the difference of nearly equal positions.
+    """
+    speed = wp.length(angular)
+    angle = speed * t
+    if angle == 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    axis = angular / speed
+    tangent = wp.cross(axis, arm)
+    lag = wp.sin(angle) - angle
+    if angle < SMALL_ANGLE:
+        lag = -angle * angle * angle * (1.0 / 6.0 - angle * angle / 120.0)
+    half = wp.sin(0.5 * angle)
+    return (lag * tangent + 2.0 * half * half * wp.cross(axis, tangent)) / t
 
 
 @wp.func
@@ -46,6 +68,25 @@ def symmetry_of(b: int, shapes: Shapes, bodies: Bodies):
 
 
 @wp.func
+def axis_of(b: int, shapes: Shapes, bodies: Bodies, state: State):
+    """The axis of a body of revolution in the world frame."""
+    local = shapes.parts[shapes.shapes[bodies.shape[b]].part_start].orientation
+    return wp.quat_rotate(state.orientation[b] * local, wp.vec3(0.0, 0.0, 1.0))
+
+
+@wp.func
+def spin_of_surface(b: int, spin: wp.vec3, shapes: Shapes, bodies: Bodies, state: State):
+    """The angular velocity of a body's surface: that of the body, without the part that leaves the surface in place."""
+    symmetry = symmetry_of(b, shapes, bodies)
+    if symmetry == BALL:
+        return wp.vec3(0.0, 0.0, 0.0)
+    if symmetry == ROUND:
+        axis = axis_of(b, shapes, bodies, state)
+        return spin - wp.dot(spin, axis) * axis
+    return spin
+
+
+@wp.func
 def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bodies, state: State):
     """The rotation of a body's surface in a step: that of the body, without the part that leaves the surface in place.
 
@@ -57,7 +98,6 @@ def turn_of_surface(b: int, spin: wp.vec3, dt: float, shapes: Shapes, bodies: Bo
         return wp.quat_identity()
     turn = wp.quat_from_axis_angle(wp.normalize(spin), angle)
     if symmetry == ROUND:
-        local = shapes.parts[shapes.shapes[bodies.shape[b]].part_start].orientation
-        axis = wp.quat_rotate(state.orientation[b] * local, wp.vec3(0.0, 0.0, 1.0))
+        axis = axis_of(b, shapes, bodies, state)
         turn = turn * wp.quat_from_axis_angle(axis, -dt * wp.dot(spin, axis))
     return turn

@@ -15,6 +15,7 @@ from warp_rigid.kernels.common.tangents import tangent_of, world_vector
 from warp_rigid.kernels.constraints.contact import (
     ANGULAR_IMPULSE,
     IMPULSE,
+    carrier_velocity,
     impulse_of,
     read_contact,
     set_impulse,
@@ -194,6 +195,7 @@ def build_row(a: int, b: int, touch: Touch, dt: float, size: float, bodies: Bodi
     row.arm_b = touch.position - apart - motions.center[b]
     row.gap = touch.gap
     row.bias_velocity = bias_velocity_of(touch.gap, size, dt)
+    row.surface = carrier_velocity(a, b, dt, motions)
     return with_masses(row, a, b, bodies, motions)
 
 

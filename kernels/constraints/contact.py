@@ -18,9 +18,11 @@ from warp_rigid.kernels.common.solver_body import (
     with_angular_impulse,
     with_impulse,
 )
+from warp_rigid.kernels.common.symmetry import chord_velocity
 from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.declare import group_of, group_reader, group_writer, record_reader, record_writer
-from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord
+from warp_rigid.kernels.enums import Role
+from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord, Motions
 
 wp.set_module_options({"enable_backward": False})
 
@@ -70,6 +72,22 @@ def set_target_impulse(c: int, impulse: wp.vec3, target: float, contacts: Contac
 def contact_velocity(row: ContactRecord, pair: BodyPair):
     """Velocity of the first body's surface relative to the second's at a contact [m/s]."""
     return relative_velocity(row.arm_a, row.arm_b, pair) + row.surface
+
+
+@wp.func
+def carrier_velocity(a: int, b: int, dt: float, motions: Motions):
+    """Mean velocity in a step of the first body's frame relative to the second's, beyond that of their tangents [m/s].
+
+    A point of a kinematic body that turns moves along a chord. A body that it carries turns with it, so that the chord
+    of its centre counts.
+    """
+    away = motions.center[b] - motions.center[a]
+    result = wp.vec3(0.0, 0.0, 0.0)
+    if motions.role[a] == Role.KINEMATIC:
+        result += chord_velocity(motions.solver_bodies[a].angular, away, dt)
+    if motions.role[b] == Role.KINEMATIC:
+        result -= chord_velocity(motions.solver_bodies[b].angular, -away, dt)
+    return result
 
 
 @wp.func

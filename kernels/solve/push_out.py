@@ -24,6 +24,7 @@ from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
     KIND,
+    carrier_velocity,
     contact_velocity,
     read_contact,
     read_impulse,
@@ -68,8 +69,11 @@ LIGHTER = wp.constant(10.0)
 ENOUGH = wp.constant(1.0e-4)
 """Sweeps end when no contact changes a pseudo-velocity by more than this [m/s]: about a micrometre per step."""
 
-FASTEST = wp.constant(2.0)
-"""Largest speed at which bodies are pushed apart [m/s]."""
+WEIGHTLESS = wp.constant(0.04)
+"""Share of the smaller size by which bodies without acceleration are pushed apart in a step, at most."""
+
+FURTHEST = wp.constant(0.25)
+"""Bodies are pushed apart in a step by at most this fraction of the smaller size: no wall is crossed by a push."""
 
 
 @wp.func
@@ -87,6 +91,15 @@ def gap_after(row: ContactRecord, key: int, dt: float, pair: BodyPair, turn_a: w
 
 
 @wp.func
+def fastest_recovery(pull: float, size: float, dt: float):
+    """Largest speed at which bodies that overlap are pushed apart [m/s]: that of a fall from their own size.
+
+    Without an acceleration it is a share of the size in a step.
+    """
+    return wp.where(pull > 0.0, wp.sqrt(2.0 * pull * size), WEIGHTLESS * size / dt)
+
+
+@wp.func
 def wanted_speed(
     c: int,
     dt: float,
@@ -101,13 +114,17 @@ def wanted_speed(
     row = read_contact(c, contacts.rows)
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
+    # The rotation of the arms accounts for the chords.
+    row.surface -= carrier_velocity(a, b, dt, motions)
     size = smaller_size(a, b, shapes, bodies)
     pair = load_bodies(a, b, 0.0, 0.0, motions)
     turn_a = turn_of_surface(a, pair.angular_a, dt, shapes, bodies, state)
     turn_b = turn_of_surface(b, pair.angular_b, dt, shapes, bodies, state)
     overlap = wp.max(-gap_after(row, contacts.key[c], dt, pair, turn_a, turn_b) - SLOP * size, 0.0)
     old = wp.min(overlap, wp.max(-row.gap - SLOP * size, 0.0))
-    return (overlap - old) / dt + wp.min(RECOVERY * old / dt, FASTEST)
+    falls = wp.max(wp.length(motions.acceleration[a]), wp.length(motions.acceleration[b]))
+    recovery = wp.min(RECOVERY * old / dt, fastest_recovery(falls, size, dt))
+    return wp.min((overlap - old) / dt + recovery, FURTHEST * size / dt)
 
 
 @wp.func

@@ -94,12 +94,14 @@ def set_surface_velocity(
     pairs: Pairs,
     contacts: Contacts,
 ):
-    """One thread per contact: relative surface velocity; with `before`, that of the last step (for restitution)."""
+    """One thread per contact: surface velocity of moving ground; with `before`, that of the last step (restitution)."""
     c = wp.tid()
     if c >= pairs.contact_start[pairs.contact_start.shape[0] - 1]:
         return
     a = pairs.body_a[contacts.pair[c]]
     b = pairs.body_b[contacts.pair[c]]
+    if shapes.shapes[bodies.shape[a]].rise + shapes.shapes[bodies.shape[b]].rise == 0.0:
+        return
     x = contacts.position[c]
     earlier = before * envs.collision_first[bodies.env[a]]
     v = surface_velocity(a, x, earlier, first, shapes, bodies, state, surfaces)

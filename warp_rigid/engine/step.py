@@ -508,7 +508,8 @@ class Stages:
         self._share(ccd.advance_solids, size, lanes, [], inputs, [suspects, self.motions])
         if not model.layout.has_only_solids:
             wp.capture_if(suspects.sampled, self._trace_samples)
-        self._per_body(ccd.change_courses, [self.dt, model.bodies, self.state, pairs], [self.motions])
+        inputs = [self.dt, model.bodies, self.state, self.envs, pairs, suspects]
+        self._per_body(ccd.change_courses, inputs, [self.motions])
         self.joints.share_impacts()
 
     def _trace_samples(self) -> None:

@@ -16,6 +16,7 @@ from warp_rigid.validation import (
     nonconvex,
     rolling,
     sliding,
+    smooth_motion,
     towers,
     walls_and_unions,
 )
@@ -34,6 +35,7 @@ SECTIONS = (
     walls_and_unions,
     contact_search,
     sliding,
+    smooth_motion,
     articulated,
 )
 CPU = "cpu"

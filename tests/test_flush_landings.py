@@ -1,0 +1,60 @@
+"""Boxes that land flush on a box of equal, half or double width touch it at four corners, and do not turn."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from warp_rigid.engine.settings import Settings
+from warp_rigid.engine.simulator import Simulator
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Plane
+
+
+def land(half, ratio, drop, free, friction, restitution, dt):
+    """A box dropped onto the middle of another one: largest angular velocity, drift, and contacts at rest."""
+    scene = Scene()
+    below = half * ratio
+    material = {"friction": friction, "restitution": restitution}
+    if free:
+        scene.add_static(Plane(), **material)
+        scene.add_body(Box((below,) * 3), position=(0, 0, below), **material)
+    else:
+        scene.add_static(Box((below,) * 3), position=(0, 0, below), **material)
+    body = scene.add_body(Box((half,) * 3), position=(0, 0, 2 * below + half + drop), **material)
+    sim = Simulator(scene, settings=Settings(dt=dt), device="cpu")
+    spin = drift = 0.0
+    for _ in range(round((2.5 if restitution else 1.0) / dt)):
+        sim.step(1)
+        spin = max(spin, np.abs(sim.get("angular_velocity")[0, body]).max())
+        drift = max(drift, np.abs(sim.get("position")[0, body, :2]).max())
+    found = sim.contacts()
+    return spin, drift, np.sum((found["body_a"] == body) | (found["body_b"] == body))
+
+
+@pytest.mark.short
+@pytest.mark.parametrize("free", [False, True], ids=["static", "dynamic"])
+def test_an_equal_box_lands_on_four_contacts(free):
+    spin, drift, contacts = land(0.1, 1, 0.05, free, 0.6, 0.0, 1 / 240)
+    assert (spin < 1e-4, drift < 1e-4, contacts) == (True, True, 4), (spin, drift)
+
+
+@pytest.mark.short
+@pytest.mark.parametrize("restitution", [0.3, 0.6])
+def test_an_equal_box_bounces_without_turning(restitution):
+    spin, drift, contacts = land(0.1, 1, 0.15, False, 0.0, restitution, 1 / 240)
+    assert (spin < 1e-4, drift < 1e-4, contacts) == (True, True, 4), (spin, drift)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
+@pytest.mark.parametrize("drop", [0.05, 0.15, 0.5])
+@pytest.mark.parametrize("ratio", [1, 2])
+@pytest.mark.parametrize("half", [0.05, 0.1, 0.2])
+def test_boxes_of_all_sizes_land_flush(half, ratio, drop, dt):
+    """A bouncing box may turn by the rounding of its impulses: by 5e-4 rad/s from 0.5 m."""
+    for free, friction in itertools.product((False, True), (0.0, 0.6)):
+        spin, drift, contacts = land(half, ratio, drop, free, friction, 0.0, dt)
+        assert (spin < 1e-4, drift < 1e-4, contacts) == (True, True, 4), (free, friction, spin, drift)
+    spin, drift, contacts = land(half, ratio, drop, False, 0.0, 0.6, dt)
+    assert (spin < 5e-4, drift < 1e-4, contacts) == (True, True, 4), (spin, drift)

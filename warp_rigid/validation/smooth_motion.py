@@ -1,0 +1,126 @@
+"""Section I: bodies that roll over cells, land flush on each other, and are carried along circles."""
+
+import numpy as np
+
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Cylinder, Heightfield, Sphere
+from warp_rigid.validation.case import ReferenceCheck, ValidationCase, absolute, at_most, each
+from warp_rigid.validation.experiment import Experiment
+
+RADIUS, SPEED = 0.05, 1.5
+HALF, SPIN = 0.05, 2.0
+PLACES = (0.2, 0.4, 0.6, 0.9)
+"""Distances of the boxes on a turntable from its axis, below the friction limit of 1.23 m [m]."""
+
+
+def cases(quick: bool) -> list[ValidationCase]:
+    """All cases of the section; fewer time steps if quick."""
+    steps = (1 / 60, 1 / 240) if quick else (1 / 60, 1 / 120, 1 / 240, 1 / 480)
+    return [rolling(steps), flush_landing(), turntable(steps, 2.0 if quick else 10.0)]
+
+
+def rolling(steps) -> ValidationCase:
+    """A ball that rolls over a height field of small cells."""
+
+    def scene(cells: int):
+        def build():
+            made = Scene()
+            made.add_static(Heightfield(np.zeros((cells + 1, cells + 1)), (4, 4)), friction=1.0)
+            made.add_body(
+                Sphere(RADIUS),
+                position=(-1.13, 0.003, RADIUS),
+                linear_velocity=(SPEED, 0, 0),
+                angular_velocity=(0, SPEED / RADIUS, 0),
+                friction=1.0,
+            )
+            return made
+
+        return build
+
+    experiments = tuple(
+        Experiment(scene(cells), duration=1.5, dt=dt, label=f"{4 / cells:g} m, dt 1/{1 / dt:.0f}")
+        for cells in (40, 320)
+        for dt in steps
+    )
+    return ValidationCase(
+        "V100",
+        "ball that rolls over the triangles of flat ground",
+        "free motion, closed form",
+        (
+            ReferenceCheck(
+                "speed after 1.5 s",
+                "m/s",
+                each(lambda t: t.linear_velocity[-1, :, 1, 0]),
+                SPEED,
+                absolute(1e-3 * SPEED),
+            ),
+            ReferenceCheck(
+                "error of the height",
+                "m",
+                each(lambda t: np.abs(t.position[:, :, 1, 2] - RADIUS).max(0)),
+                0,
+                at_most(1e-4),
+            ),
+        ),
+        experiments,
+    )
+
+
+def flush_landing() -> ValidationCase:
+    """A box that lands flush on a box of equal or double width."""
+
+    def scene(ratio: float):
+        def build():
+            made = Scene()
+            made.add_static(Box((2 * HALF * ratio,) * 3), position=(0, 0, 2 * HALF * ratio), friction=0.6)
+            made.add_body(Box((2 * HALF,) * 3), position=(0, 0, 4 * HALF * ratio + 2 * HALF + 0.15), friction=0.6)
+            return made
+
+        return build
+
+    return ValidationCase(
+        "V101",
+        "box that lands flush on a box of equal or double width",
+        "symmetry",
+        (
+            ReferenceCheck(
+                "largest spin",
+                "rad/s",
+                each(lambda t: np.abs(t.angular_velocity[:, :, 1]).max((0, 2))),
+                0,
+                at_most(1e-4),
+            ),
+            ReferenceCheck("drift", "m", each(lambda t: np.abs(t.position[-1, :, 1, :2]).max(1)), 0, at_most(1e-4)),
+        ),
+        tuple(Experiment(scene(ratio), duration=1.0, label=f"width {ratio:g} : 1") for ratio in (1.0, 2.0)),
+    )
+
+
+def turntable(steps, duration: float) -> ValidationCase:
+    """Boxes that a turntable carries."""
+
+    def scene():
+        made = Scene()
+        made.add_kinematic(Cylinder(1.0, 0.05), position=(0, 0, -0.05), angular_velocity=(0, 0, SPIN), friction=0.5)
+        for k, radius in enumerate(PLACES):
+            way = np.array([np.cos(k), np.sin(k), 0.0])
+            made.add_body(
+                Box((HALF,) * 3),
+                position=radius * way + (0, 0, HALF),
+                linear_velocity=SPIN * radius * np.array([-way[1], way[0], 0]),
+                angular_velocity=(0, 0, SPIN),
+                friction=0.5,
+            )
+        return made
+
+    def creep(trace):
+        radius = np.linalg.norm(trace.position[:, :, 1:, :2], axis=3)
+        return np.abs(radius - np.array(PLACES)).max((0, 2))
+
+    return ValidationCase(
+        "V110",
+        "boxes on a turntable, below their friction limit",
+        "circular motion, closed form",
+        (ReferenceCheck("largest change of the radius", "m", each(creep), 0, at_most(1e-4)),),
+        tuple(Experiment(scene, duration=duration, dt=dt, label=f"dt 1/{1 / dt:.0f}") for dt in steps),
+    )
