@@ -18,6 +18,7 @@ PartRecord = record(
     grid_spacing=Field(float, "", "m", "distance between neighbouring nodes"),
     tree_start=Field(int, "", "", "first node of the tree of triangles"),
     tree_end=Field(int, "", "", "one past the last; tree_start if the part has no exact distance to triangles"),
+    surface_end=Field(int, "", "", "one past the last, also if it has none"),
 )
 
 TreeRecord = record(

@@ -72,7 +72,7 @@ def test_volume_of_the_union(name):
     parts, volume = CLOSED_FORMS[name]
     mesh = joined(*parts)
     assert mesh.volume == pytest.approx(volume, rel=1e-9)
-    assert mesh.watertight and mesh.tree is not None
+    assert mesh.watertight and mesh.tree.signed
 
 
 def test_a_ball_and_a_box_have_no_cavity_where_they_overlap():

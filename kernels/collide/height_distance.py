@@ -135,7 +135,14 @@ def nearest_around(shapes: Shapes, part: int, i: int, j: int, p: wp.vec3):
 
 @wp.func
 def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
-    """Distance to the solid below a height field; size = (x, y, steepest slope, distance up to which it is exact).
+    """Distance to the solid below a height field; size = (x, y, steepest slope, distance up to which it is exact)."""
+    reach = shapes.parts[part].size[3]
+    return distance_to_heights(shapes, part, p, reach, reach)
+
+
+@wp.func
+def distance_to_heights(shapes: Shapes, part: int, p: wp.vec3, near: float, deep: float):
+    """Distance to the solid below a height field, exact up to `near` above it and `deep` below it.
 
     Beside the solid it is the distance to the vertical side; beside and above the solid it is a bound as in
     `grid_distance`.
@@ -151,7 +158,7 @@ def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
     gap = p[2] - below[0]
     n = wp.normalize(wp.vec3(-below[1], -below[2], 1.0))
     distance = gap / wp.sqrt(1.0 + size[2] * size[2])
-    if wp.abs(distance) < size[3]:
+    if distance < near and -distance < deep:
         best = nearest_around(shapes, part, i, j, inside)
         n = best.normal
         distance = wp.dot(best.arm, n)
@@ -161,7 +168,7 @@ def heightfield_distance(shapes: Shapes, part: int, p: wp.vec3):
             distance = wp.where(gap < 0.0, -length, length)
             n = best.arm / distance
     away = p - inside
-    margin = wp.min(MARGIN * size[3], 1.0e-3 * size[0] / float(dims[0] - 1))
+    margin = wp.min(MARGIN * deep, 1.0e-3 * size[0] / float(dims[0] - 1))
     if wp.length_sq(away) > margin * margin:
         above = wp.max(distance, 0.0)
         reach = wp.sqrt(above * above + wp.length_sq(away))

@@ -203,7 +203,9 @@ def _part_rows(entries: list[Entry], parts: list, grids: list[np.ndarray], grid_
             row["grid_origin"], row["grid_spacing"] = part.grid.origin, part.grid.spacing
     rows["grid_start"] = exclusive_sums(np.array([grid.size for grid in grids]))[grid_of_part]
     tree_start = exclusive_sums(np.array([len(part.tree.nodes) if part.tree else 0 for _, part in flat]))
-    rows["tree_start"], rows["tree_end"] = tree_start[:-1], tree_start[1:]
+    rows["tree_start"], rows["surface_end"] = tree_start[:-1], tree_start[1:]
+    exact = [part.tree is not None and part.tree.signed for _, part in flat]
+    rows["tree_end"] = np.where(exact, rows["surface_end"], rows["tree_start"])
     return rows
 
 

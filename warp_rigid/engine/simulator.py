@@ -327,8 +327,11 @@ class Simulator:
     def penetration(self) -> np.ndarray:
         """Return the current deepest overlap of each environment, (envs,) [m].
 
-        It is the depth of the deepest surface sample in another body. If another body contains the centre of the
-        largest ball inside a body, it is at least the distance by which that ball must move.
+        It is the largest depth of a point of one body's surface inside another body, by the true distance to that
+        body's surface. It is searched on the whole surface, apart from contacts and their samples, and found to 1 % or
+        2 um. If another body contains the centre of a large ball inside a body, it is at least the distance by which
+        that ball must move. In a compound the depth is that in the deepest child. The distance to a mesh with holes is
+        that of its grid.
         """
         return self._world.shards.deepest_overlap()
 

@@ -417,11 +417,9 @@ class Stages:
         self.move_ground()
         self.predict(0.0)
         self.find_pairs()
-        self._per_pair(
-            overlap.deepest_overlap,
-            [self.model.shapes, self.model.bodies, self.state, self.pools.pairs],
-            [deepest],
-        )
+        lanes = teams.MEASURING_LANES if self.device.is_cuda else 1
+        inputs = [lanes, self.model.shapes, self.model.bodies, self.state, self.pools.pairs]
+        self._launch(overlap.deepest_overlap, lanes * self.pools.sizes["pairs"], inputs, [deepest])
 
     def _color_by_color(self, kernel: Any, before: Sequence = ()) -> None:
         """Launch a solver kernel that processes the constraints colour by colour."""

@@ -45,8 +45,8 @@ class Part:
 
     `size` by kind: SPHERE (radius, 0, 0, 0), BOX (half x, half y, half z, 0), CAPSULE and CYLINDER
     (radius, half height, 0, 0) about local z, PLANE (unit normal, offset), GRID (0, 0, 0, 0),
-    HEIGHTFIELD (extent x, extent y, steepest slope, 0); all but the slope [m]. A GRID with a `tree` has exact distances
-    to triangles near its surface.
+    HEIGHTFIELD (extent x, extent y, steepest slope, 0); all but the slope [m]. A GRID has a `tree` of its triangles,
+    and exact distances to them near its surface if the tree is signed.
     """
 
     kind: PartKind
@@ -190,7 +190,7 @@ class Shape:
 
     @property
     def tree_triangles(self) -> int:
-        """Number of triangles among the parts that have exact distances."""
+        """Number of triangles of the meshes among the parts."""
         return 0
 
     def to_data(self, place: Callable[["Shape"], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -173,8 +173,8 @@ class Mesh(Shape):
 
     @property
     def tree_triangles(self) -> int:
-        """All, or none."""
-        return len(self._solid_faces) if self._simple else 0
+        """All, with those that close holes."""
+        return len(self._solid_faces)
 
     def to_data(self, place: Callable[[Shape], int]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Triangles and distances as arrays."""
@@ -235,13 +235,13 @@ class Mesh(Shape):
         return inner_balls.spread_out(np.column_stack([centers, np.maximum(depth[tuple(nodes.T)], 0.0)]))
 
     def parts(self) -> list[Part]:
-        """One GRID, with a tree of triangles where their distance has a sign."""
+        """One GRID, with its tree of triangles."""
         return [Part(PartKind.GRID, (0.0, 0.0, 0.0, 0.0), grid=self.grid, tree=self.tree)]
 
     @cached_property
-    def tree(self) -> TriangleTree | None:
-        """Triangles for exact distances near the surface; None if edges or holes leave the sign to winding numbers."""
-        return triangle_tree(self._solid_vertices, self._solid_faces) if self._simple else None
+    def tree(self) -> TriangleTree:
+        """All triangles; where edges or holes leave the sign of the distance to winding numbers, without a sign."""
+        return triangle_tree(self._solid_vertices, self._solid_faces, self._simple)
 
     @property
     def sample_spacing(self) -> float:

@@ -18,13 +18,15 @@ class TriangleTree:
     Attributes:
         triangles: (m,) records `TriangleRecord`, in the order of the leaves.
         nodes: (k,) records `TreeRecord`, depth first; indices count from the first triangle and the first node.
+        signed: whether the nearest triangle tells on which side of the surface a point is.
     """
 
     triangles: np.ndarray
     nodes: np.ndarray
+    signed: bool
 
 
-def triangle_tree(vertices: np.ndarray, faces: np.ndarray) -> TriangleTree:
+def triangle_tree(vertices: np.ndarray, faces: np.ndarray, signed: bool) -> TriangleTree:
     """Build the tree of a closed mesh that faces outward.
 
     The triangles are halved at the median of their centres along the longest side of these, level by level, until no
@@ -33,6 +35,7 @@ def triangle_tree(vertices: np.ndarray, faces: np.ndarray) -> TriangleTree:
     Args:
         vertices: (n, 3) [m].
         faces: (m, 3).
+        signed: whether it had no holes, and two faces meet at each edge.
     """
     corners = vertices[faces]
     center = corners.mean(axis=1)
@@ -40,7 +43,7 @@ def triangle_tree(vertices: np.ndarray, faces: np.ndarray) -> TriangleTree:
     levels = tree_levels(len(faces))
     for level in range(levels):
         order = _halved(order, center, _cuts(len(faces), level))
-    return TriangleTree(_triangle_rows(vertices, faces)[order], _node_rows(corners[order], levels))
+    return TriangleTree(_triangle_rows(vertices, faces)[order], _node_rows(corners[order], levels), signed)
 
 
 def tree_levels(triangles: int) -> int:
