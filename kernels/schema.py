@@ -209,7 +209,10 @@ Environments = layout(
         int, "envs", "", "rank of the first non-finite body in this step (integrate.find_non_finite); 0 if none"
     ),
     strayed=Field(int, "envs", "", "rank of the first body that left the bounds in this step; 0 if none"),
-    passive=Fixed(int, "envs", "", "1: no joints or constraints: only forces and kinematic bodies do work"),
+    passive=Fixed(
+        int, "envs", "", "1: no constraints of other kinds: only forces, drives and kinematic bodies do work"
+    ),
+    driven=Remembered(int, "envs", "", "1: a joint has stored or given energy at the last check"),
     health=Field(
         wp.vec2d, "envs", "J", "least sum of the energies gained without work, and largest kinetic energy of late"
     ),

@@ -57,7 +57,7 @@ def test_the_energy_of_ragdolls_that_land_hardly_grows(device):
 def test_a_ragdoll_comes_to_rest_and_sleeps(device):
     """Its limbs are damped; without damping, they turn about their joints without end."""
     sim = ragdoll(device, STANDING + 0.1, 0.5, sleeping=True)
-    sim.step(720)
+    sim.step(840)
     assert sim.get("asleep")[0, 1:].all()
     assert anchor_errors(sim).max() < 1e-6 and sim.penetration()[0] < 1e-4
 

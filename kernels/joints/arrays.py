@@ -78,6 +78,7 @@ Joints = layout(
     lower=Scratch(mat66d, "blocks", "SI", "block of the factor below the diagonal"),
     factorizations=Reused(int, "mechanisms", "", "number of factorizations so far", start=0),
     activity=Scratch(int, "mechanisms", "", "in this step: STILL, UNTOUCHED or IN_CONTACT"),
+    parts=Remembered(int, "mechanisms", "", "equal parts in which it was moved in the last step; 0: one"),
     loaded=Scratch(int, "mechanisms", "", "how its contacts are solved: SWEPT, TOUCHED, LOADED or CRUSHED"),
     weight=Scratch(float, "mechanisms", "kg", "mass of its dynamic bodies"),
     unsettled=Scratch(int, "mechanisms", "", "1: the solutions at predicted poses did not converge in this step"),
@@ -91,6 +92,8 @@ Joints = layout(
     inverse_inertia=Scratch(
         mat33d, "joined", "1/(kg m^2)", "inverse inertia in the world for the joints; 0 unless free"
     ),
+    base_position=Scratch(wp.vec3d, "joined", "m", "position at the start of the step, or of a part of it"),
+    base_turn=Scratch(wp.quatd, "joined", "", "orientation at the start of the step, or of a part of it"),
     pose_spin=Scratch(wp.vec3d, "joined", "rad/s", "angular velocity predicted for the end of the step"),
     pose_position=Scratch(wp.vec3d, "joined", "m", "position at the start of the step, or predicted for its end"),
     pose_turn=Scratch(wp.quatd, "joined", "", "orientation at the start of the step, or predicted for its end"),

@@ -73,18 +73,28 @@ def is_damped(j: int, k: int, joints: Joints):
 
 
 @wp.func
-def added_by(j: int, b: int, dt: float, bodies: Bodies, joints: Joints):
-    """Mass and moment of inertia that a joint adds to a body, so that fast vibrations under its force are stable.
+def largest_across(n: wp.vec3d, matrix: mat33d):
+    """Largest value of a symmetric matrix for unit vectors that are perpendicular to n."""
+    across = wp.identity(n=3, dtype=wp.float64) - wp.outer(n, n)
+    part = across * matrix * across
+    sum = wp.trace(part)
+    return wp.float64(0.5) * (sum + wp.sqrt(wp.max(wp.float64(2.0) * wp.ddot(part, part) - sum * sum, wp.float64(0.0))))
+
+
+@wp.func
+def vibration_of(j: int, b: int, dt: float, parts: int, bodies: Bodies, motions: Motions, joints: Joints):
+    """Mass and moment of inertia that Newmark's method adds to a body for a joint, and both over those of the body.
 
     A joint's force F at an arm r resists small rotations with a stiffness of at most k = (F . r + |F| |r|) / 2, and a
     string of length l under tension T resists lateral motion with T / l. Vibrations of links under a large tension can
     be faster than the time step resolves. M + dt^2 k / 4 in place of M keeps them stable at any step without damping
-    (Newmark's method with beta = 1/4; geometric stiffness after Tournier et al. 2015 and Andrews et al. 2017).
+    (Newmark's method with beta = 1/4; geometric stiffness after Tournier et al. 2015 and Andrews et al. 2017). The
+    body's own moment of inertia is the least one about an axis across the arm.
     """
-    step = wp.float64(dt)
-    force = wp.vec3d(joints.impulse[j]) / step
+    step = wp.float64(dt) / wp.float64(parts)
+    force = wp.vec3d(joints.impulse[j]) / wp.float64(dt)
     if wp.length(force) == wp.float64(0.0) or joints.broken[j] == 1:
-        return wp.vec2d()
+        return wp.vec4d()
     lateral = wp.float64(0.0)
     if joints.coordinate[j] == Coordinate.LENGTH:
         ends = ends_of(j, joints)
@@ -96,11 +106,35 @@ def added_by(j: int, b: int, dt: float, bodies: Bodies, joints: Joints):
         force = -force
     arm = wp.quat_rotate(joints.pose_turn[b], wp.vec3d(anchor - bodies.center_of_mass[b]))
     stiffness = wp.float64(0.5) * (wp.dot(force, arm) + wp.length(force) * wp.length(arm))
-    return step * step * wp.vec2d(wp.float64(0.5) * lateral, wp.float64(0.25) * stiffness)
+    mass = wp.float64(0.5) * step * step * lateral
+    moment = wp.float64(0.25) * step * step * stiffness
+    across = largest_across(wp.normalize(arm), mat33d(inverse_inertia_of(b, motions)))
+    return wp.vec4d(mass, moment, mass * wp.float64(inverse_mass_of(b, motions)), moment * across)
 
 
 @wp.func
-def store_masses(i: int, dt: float, bodies: Bodies, motions: Motions, joints: Joints):
+def unresolved(added: wp.float64, ratio: wp.float64):
+    """Part of an added mass that vibrations need which the step does not resolve; `ratio`: over the body's own mass.
+
+    The ratio is (omega dt)^2 / 4, at most. The scheme is stable below 1, and conserves energy with masses that do not
+    depend on the last step. Nothing is added below 1/2, and above it as much as leaves 1/2.
+    """
+    if ratio <= wp.float64(0.5):
+        return wp.float64(0.0)
+    return added * (wp.float64(2.0) - wp.float64(1.0) / ratio)
+
+
+@wp.func
+def vibrations_of(i: int, dt: float, parts: int, bodies: Bodies, motions: Motions, joints: Joints):
+    """Sums of `vibration_of` over all joints of a member, for a step in `parts` equal parts."""
+    sums = wp.vec4d()
+    for e in range(joints.first_end[i], joints.first_end[i + 1]):
+        sums += vibration_of(joints.joint_of_end[e], joints.member[i], dt, parts, bodies, motions, joints)
+    return sums
+
+
+@wp.func
+def store_masses(i: int, dt: float, parts: int, bodies: Bodies, motions: Motions, joints: Joints):
     """Inverse mass and inertia of a member with what is added for stability; 0 unless it is free to move.
 
     Contacts use the same ones in this step, so that both act on the same momentum.
@@ -110,13 +144,12 @@ def store_masses(i: int, dt: float, bodies: Bodies, motions: Motions, joints: Jo
     joints.inverse_inertia[b] = mat33d()
     if motions.role[b] != Role.FREE:
         return
-    added = wp.vec2d()
-    for e in range(joints.first_end[i], joints.first_end[i + 1]):
-        added += added_by(joints.joint_of_end[e], b, dt, bodies, joints)
+    sums = vibrations_of(i, dt, parts, bodies, motions, joints)
+    added = wp.vec2d(unresolved(sums[0], sums[2]), unresolved(sums[1], sums[3]))
     one = wp.float64(1.0)
     joints.inverse_mass[b] = one / (one / wp.float64(inverse_mass_of(b, motions)) + added[0])
     inverse = mat33d(inverse_inertia_of(b, motions))
-    if added[1] > wp.float64(0.0):
+    if added[0] + added[1] > wp.float64(0.0):
         inverse = wp.inverse(wp.inverse(inverse) + added[1] * wp.identity(n=3, dtype=wp.float64))
         inertia = wp.mat33(inverse)
         motions.solver_bodies[b].inverse_mass = float(joints.inverse_mass[b])

@@ -26,6 +26,7 @@ from warp_rigid.kernels.joints.loads import (
 from warp_rigid.kernels.joints.mechanism import (
     IN_CONTACT,
     STILL,
+    UNTOUCHED,
     activity_of,
     close_joints,
     energy_terms,
@@ -33,7 +34,9 @@ from warp_rigid.kernels.joints.mechanism import (
     project,
     settle_mechanism,
     start_mechanism,
+    take_poses,
 )
+from warp_rigid.kernels.joints.parts import move_in_parts
 from warp_rigid.kernels.joints.poses import coordinate_of, ends_of, take_pose
 from warp_rigid.kernels.joints.push import push_touching
 from warp_rigid.kernels.joints.turns import choose_turns, solve_touching
@@ -59,6 +62,7 @@ from warp_rigid.kernels.solve.gauss_seidel import (
 from warp_rigid.kernels.solve.line_search import FINE, accepted_share, searched
 from warp_rigid.kernels.solve.push_out import ENOUGH, PUSH_OUT_SWEEPS
 from warp_rigid.kernels.solve.schedule import CONVERGED
+from warp_rigid.kernels.update.integrate import rotational_energy
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -82,20 +86,58 @@ FORGOTTEN = wp.constant(0)
 
 
 @wp.kernel
-def start_joints(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, graph: Graph, joints: Joints):
-    """One team per mechanism: rows at the start of the step, and factors for contacts.
+def bound_travel(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, joints: Joints):
+    """One team per mechanism: the broad phase covers all displacements of its bodies that its energy permits.
 
-    Where there are contacts, the velocities along locked rows are removed before impacts.
+    Joints pass on energy: the end of a whip becomes much faster in a step than its own velocity predicts. The kinetic
+    energy is that before the joints act, which take some of it, relative to the common motion unless the mechanism is
+    held.
+    """
+    team = team_of(wp.tid(), lanes)
+    m = team.env
+    mass = float(0.0)
+    energy = float(0.0)
+    momentum = wp.vec3(0.0, 0.0, 0.0)
+    for i in range(joints.first_member[m], joints.first_member[m + 1]):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            v = state.linear_velocity[b] + dt * motions.acceleration[b]
+            w = state.angular_velocity[b] + dt * motions.spin_acceleration[b]
+            mass += bodies.mass[b]
+            momentum += bodies.mass[b] * v
+            turned = wp.quatd(state.orientation[b])
+            energy += 0.5 * bodies.mass[b] * wp.length_sq(v)
+            energy += float(rotational_energy(turned, wp.vec3d(w), bodies.inertia[b]))
+    common = float(0.0)
+    if joints.anchored[m] == 0 and mass > 0.0:
+        common = wp.length(momentum) / mass
+        energy = wp.max(energy - 0.5 * mass * common * common, 0.0)
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
+        b = joints.member[i]
+        if motions.role[b] == Role.FREE:
+            way = dt * (common + wp.sqrt(2.0 * energy / bodies.mass[b]))
+            if way > motions.max_travel[b]:
+                around = wp.vec3(way, way, way)
+                motions.max_travel[b] = 1.01 * way
+                motions.lower[b] = motions.lower[b] - around
+                motions.upper[b] = motions.upper[b] + around
+
+
+@wp.kernel
+def start_joints(dt: float, lanes: int, bodies: Bodies, state: State, motions: Motions, graph: Graph, joints: Joints):
+    """One team per mechanism with contacts: rows at the start of the step, and factors for contacts.
+
+    The velocities along locked rows are removed before impacts.
     """
     team = team_of(wp.tid(), lanes)
     m = team.env
     activity = activity_of(m, team, motions, graph, joints)
     if team.lane == 0:
         joints.activity[m] = activity
-    if activity == STILL:
-        return
-    start_mechanism(m, dt, team, bodies, state, motions, joints)
     if activity == IN_CONTACT:
+        joints.parts[m] = 1
+        take_poses(m, team, state, joints)
+        start_mechanism(m, dt, 1, team, bodies, motions, joints)
         factorize(m, dt, team, motions, joints)
         project(m, VELOCITY, team, motions, joints)
 
@@ -334,14 +376,18 @@ def settle_joints(
         if not needs_solution(m, joints):
             return
         project(m, PUSH, team, motions, joints)
-    elif joints.activity[m] == STILL:
+    elif joints.activity[m] != IN_CONTACT:
+        if joints.activity[m] == UNTOUCHED:
+            move_in_parts(m, dt, team, bodies, state, motions, joints)
         return
-    settle_mechanism(m, dt, after_push, team, bodies, state, motions, joints)
+    settle_mechanism(m, dt, after_push, 0, team, bodies, state, motions, joints)
 
 
 @wp.kernel
 def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
     """One team per mechanism, before a round of impacts: its bodies rotate for the same time, and would move on alike.
+
+    The course of a body that moved in parts is its mean velocity.
 
     A mechanism would move on with the mean velocity of its bodies; if it is held to the world, it would stop.
     """
@@ -349,6 +395,12 @@ def join_courses(lanes: int, bodies: Bodies, motions: Motions, joints: Joints):
     m = team.env
     if joints.activity[m] == STILL:
         return
+    for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], lanes):
+        b = joints.member[i]
+        if joints.parts[m] > 1 and motions.joined[b] == 0 and motions.role[b] == Role.FREE:
+            motions.course[b] = motions.course[b] + motions.solver_bodies[b].push_linear
+            motions.solver_bodies[b].push_linear = wp.vec3(0.0, 0.0, 0.0)
+    sync_team(team)
     share = float(1.0)
     mass = float(0.0)
     momentum = wp.vec3(0.0, 0.0, 0.0)

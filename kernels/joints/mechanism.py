@@ -121,15 +121,20 @@ def start_joint(j: int, dt: float, bodies: Bodies, motions: Motions, joints: Joi
 
 
 @wp.func
-def start_mechanism(m: int, dt: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """Rows and allowed errors of all joints of a mechanism."""
+def take_poses(m: int, team: Team, state: State, joints: Joints):
+    """Store the present poses of the bodies of a mechanism."""
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         take_pose(joints.member[i], state, joints)
     sync_team(team)
+
+
+@wp.func
+def start_mechanism(m: int, dt: float, parts: int, team: Team, bodies: Bodies, motions: Motions, joints: Joints):
+    """Masses, rows and allowed errors of all joints at the stored poses, for one of the parts of a step."""
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
-        store_masses(i, dt, bodies, motions, joints)
+        store_masses(i, dt, parts, bodies, motions, joints)
     for place in range(joints.first_place[m] + team.lane, joints.first_place[m + 1], team.lanes):
-        start_joint(joints.sequence[place], dt, bodies, motions, joints)
+        start_joint(joints.sequence[place], dt / float(parts), bodies, motions, joints)
     sync_team(team)
 
 
@@ -361,9 +366,19 @@ def first_modes(m: int, dt: float, team: Team, motions: Motions, joints: Joints)
 
 @wp.func
 def settle_mechanism(
-    m: int, dt: float, after_push: int, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints
+    m: int,
+    dt: float,
+    after_push: int,
+    exact: int,
+    team: Team,
+    bodies: Bodies,
+    state: State,
+    motions: Motions,
+    joints: Joints,
 ):
-    """Solve a mechanism at newly predicted poses until its joints hold.
+    """Solve a mechanism at newly predicted poses until its joints hold. Returns 1 if they do not.
+
+    `exact`: 1 if it gives up where the rows of the pose at the start are not enough.
 
     The first solution in a step has a prediction that is linear in the velocities: the impulses with which contacts
     start may give light bodies high velocities, at which predicted poses mean nothing.
@@ -385,22 +400,26 @@ def settle_mechanism(
             store_before_settling(m, team, motions, joints)
             k = 0
         else:
+            left = change
             if k > 0 and change > SLOW * last and anew == 0:
+                if exact == 1:
+                    return 1
                 take_back(m, team, motions, joints)
                 anew = 1
-            left = change
             if k > 0 and anew == 0 and joints.activity[m] == UNTOUCHED:
                 # Each solution decreases the residual by the same ratio, or more. Contacts need a known residual.
                 left = change * change / last
             last = change
             k = wp.where(left <= FINE, MOST_PREDICTIONS, k + 1)
         stale = anew
+    unsettled = wp.where(last > UNSETTLED, 1, 0)
     if team.lane == 0:
-        joints.unsettled[m] = wp.where(last > UNSETTLED, 1, 0)
-    if last > UNSETTLED:
+        joints.unsettled[m] = unsettled
+    if unsettled == 1 and exact == 0:
         # Velocities that obey the joints of the present pose add no energy; `close_joints` corrects the poses.
         take_back(m, team, motions, joints)
     sync_team(team)
+    return unsettled
 
 
 @wp.func

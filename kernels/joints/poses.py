@@ -32,8 +32,10 @@ def in_double(q: wp.quat):
 @wp.func
 def take_pose(b: int, state: State, joints: Joints):
     """Store the present pose of a body."""
-    joints.pose_position[b] = wp.vec3d(state.position[b])
-    joints.pose_turn[b] = wp.normalize(precise(state.orientation[b], state.orientation_remainder[b]))
+    joints.base_position[b] = wp.vec3d(state.position[b])
+    joints.base_turn[b] = wp.normalize(precise(state.orientation[b], state.orientation_remainder[b]))
+    joints.pose_position[b] = joints.base_position[b]
+    joints.pose_turn[b] = joints.base_turn[b]
 
 
 @wp.func
@@ -44,13 +46,14 @@ def predict_pose(
 
     `part`: fraction of the step in which it rotates. `course`: mean velocity over the step [m/s], without the push-out.
     """
-    take_pose(b, state, joints)
+    turn = joints.base_turn[b]
+    joints.pose_position[b] = joints.base_position[b]
+    joints.pose_turn[b] = turn
     joints.pose_spin[b] = wp.vec3d()
     if motions.role[b] != Role.FREE and motions.role[b] != Role.KINEMATIC:
         return
     step = wp.float64(dt)
     time = wp.float64(dt * part)
-    turn = joints.pose_turn[b]
     spin = wp.vec3d(load_velocity(b, VELOCITY + 1, motions)) + wp.vec3d(state.angular_velocity_remainder[b])
     kept = rotate_by(turn, time * spin)
     if bodies.motion[b] == Motion.DYNAMIC:
@@ -60,7 +63,7 @@ def predict_pose(
     travel = step * wp.vec3d(course + load_velocity(b, PUSH, motions))
     center = wp.vec3d(bodies.center_of_mass[b])
     shift = wp.quat_rotate(after, center) - wp.quat_rotate(turn, center)
-    joints.pose_position[b] = joints.pose_position[b] + travel - shift
+    joints.pose_position[b] = joints.base_position[b] + travel - shift
     joints.pose_turn[b] = after
 
 

@@ -5,7 +5,8 @@ They are not a stage of the recorded step: they read what it left, and change on
 
 import warp as wp
 
-from warp_rigid.kernels.enums import Motion, Role, WarningKind
+from warp_rigid.kernels.enums import JointNumber, Motion, Role, WarningKind
+from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.schema import Bodies, Environments, History, Motions, Pairs, Shapes, State
 from warp_rigid.kernels.update.integrate import rotational_energy
 from warp_rigid.kernels.update.predict import smaller_size
@@ -88,6 +89,16 @@ def check_loads(
             wp.atomic_max(envs.overloaded, env, envs.first_body[env + 1] - b)
 
 
+@wp.kernel
+def check_drives(bodies: Bodies, joints: Joints, envs: Environments):
+    """One thread per joint: whether it does work or stores energy, as a motor, a spring or a rotor."""
+    j = wp.tid()
+    spring = joints.numbers[j, JointNumber.STIFFNESS]
+    motor = joints.numbers[j, JointNumber.DAMPING] * wp.abs(joints.numbers[j, JointNumber.TARGET_VELOCITY])
+    if joints.broken[j] == 0 and spring + motor + joints.numbers[j, JointNumber.ARMATURE] > 0.0:
+        wp.atomic_max(envs.driven, bodies.env[joints.body_a[j]], 1)
+
+
 @wp.func
 def is_coarse(center: wp.vec3, shape: int, shapes: Shapes):
     """Whether neighbouring positions are too far apart for a shape: for its largest extent, or for its thickness."""
@@ -146,7 +157,8 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
     gained = wp.float64(0.0)
     kinetic = wp.float64(0.0)
     lift = wp.float64(0.0)
-    driven = int(1 - envs.passive[env])
+    driven = wp.max(1 - envs.passive[env], envs.driven[env])
+    envs.driven[env] = 0
     fastest = int(0)
     most = wp.float64(-1.0)
     first = envs.first_body[env]

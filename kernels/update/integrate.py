@@ -37,6 +37,17 @@ def rotate_by(turn: wp.quatd, rotation: wp.vec3d):
 
 
 @wp.func
+def rotation_vector(turn: wp.quatd):
+    """Axis times angle of a rotation by at most half a turn [rad]."""
+    axis = wp.vec3d(turn[0], turn[1], turn[2])
+    length = wp.length(axis)
+    if length == wp.float64(0.0):
+        return axis
+    angle = wp.atan2(length, wp.abs(turn[3]))
+    return (wp.float64(2.0) * wp.sign(turn[3]) * angle / length) * axis
+
+
+@wp.func
 def precise(q: wp.quat, remainder: wp.vec4):
     """A stored orientation in float64, with its rounding error added."""
     return wp.quatd(
@@ -266,7 +277,9 @@ def integrate_positions(dt: float, bodies: Bodies, motions: Motions, envs: Envir
     kept_push = wp.where(motions.joined[b] == 1, 1.0, motions.next_time_of_impact[b])
     pushed = kept_push * motions.solver_bodies[b].push_angular
     push_turn = wp.float64(dt) * wp.vec3d(pushed + motions.next_shared_spin[b])
-    missed = dt * (motions.solver_bodies[b].linear - motions.next_course[b])
+    missed = wp.vec3(0.0, 0.0, 0.0)
+    if motions.next_time_of_impact[b] < 1.0:
+        missed = dt * (motions.solver_bodies[b].linear - motions.next_course[b])
     linear = without_added_speed(motions.solver_bodies[b].linear, motions.acceleration[b], missed)
     kept = rotate_by(turn, turning * spin)
     health = state.health[b]

@@ -61,6 +61,9 @@ def check(stages: Stages) -> None:
         device=device,
     )
     check_loads(stages)
+    joints = stages.joints.arrays
+    drives = [model.bodies, joints]
+    wp.launch(health.check_drives, dim=joints.broken.shape[0], inputs=drives, outputs=[stages.envs], device=device)
     inputs = [model.shapes, model.bodies, stages.motions]
     for kernel, dim in ((health.check_bodies, stages.rows), (health.check_environments, stages.num_envs)):
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=[stages.state, stages.envs], device=device)

@@ -191,6 +191,14 @@ class JointStages:
         self.present = self._joints > 0
         self.kernels: Any = import_module(loading.JOINTS) if self.present else None
 
+    def bound_travel(self) -> None:
+        """Cover the motion of mechanisms by the bounding boxes of their bodies."""
+        step = self._step
+        if self.present:
+            self._per_mechanism(
+                self.kernels.bound_travel, [step.dt], [step.model.bodies, step.state], [step.motions, self.arrays]
+            )
+
     def join_islands(self) -> None:
         """Joints make one island of those of their bodies."""
         step = self._step

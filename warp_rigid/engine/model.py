@@ -131,7 +131,7 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
         "friction_rule": [COMBINE_RULES.index(scene.friction_combine) for scene in layout.scenes],
         "restitution_rule": [COMBINE_RULES.index(scene.restitution_combine) for scene in layout.scenes],
         "out_of_bounds": [_out_of_bounds(scene) for scene in layout.scenes],
-        "passive": [not (scene.constraints or scene.joints) for scene in layout.scenes],
+        "passive": [not scene.constraints for scene in layout.scenes],
         "impact_rounds": [impact_rounds(scene) for scene in layout.scenes],
         "lower": np.array([lower for lower, _ in bounds], np.float32),
         "upper": np.array([upper for _, upper in bounds], np.float32),

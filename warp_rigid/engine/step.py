@@ -196,6 +196,7 @@ class Stages:
             [self.motions],
         )
         self._per_body(predict.sweep_boxes, [dt, self.model.shapes, self.model.bodies, self.state], [self.motions])
+        self.joints.bound_travel()
         if self.model.surface_vertices:
             self._per_body(
                 ground_motion.drive_ground,

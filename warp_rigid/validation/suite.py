@@ -14,6 +14,7 @@ from warp_rigid.validation import (
     many_bodies,
     mass_and_distance,
     nonconvex,
+    passive_mechanisms,
     rolling,
     sliding,
     smooth_motion,
@@ -37,6 +38,7 @@ SECTIONS = (
     sliding,
     smooth_motion,
     articulated,
+    passive_mechanisms,
 )
 CPU = "cpu"
 
@@ -55,7 +57,8 @@ def choose(cases: Sequence[ValidationCase], names: Sequence[str]) -> list[Valida
     known = list(dict.fromkeys(case.id for case in cases))
     for name in names:
         if name not in known:
-            where = f"{min(known)} to {max(known)}, in docs/validation_table.md"
+            first, *_, last = sorted(known, key=lambda name: int(name[1:]))
+            where = f"{first} to {last}, in docs/validation_table.md"
             raise ValueError(f"--cases: must be names of cases, got {shown(name)}{suggestion(name, known, where)}")
     return [case for case in cases if case.id in names]
 

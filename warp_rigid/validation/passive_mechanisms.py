@@ -1,0 +1,246 @@
+"""Section L: mechanisms without drives keep their energy, and pendulums their period."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from warp_rigid import rotations
+from warp_rigid.kernels.enums import Coordinate
+from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint, SphericalJoint
+from warp_rigid.scene.scene import Scene
+from warp_rigid.scene.shapes import Box, Sphere
+from warp_rigid.validation.articulated import GRAVITY, exact_period, pendulum, period_of
+from warp_rigid.validation.case import Measure, ReferenceCheck, ValidationCase, at_most, each, relative
+from warp_rigid.validation.experiment import Experiment, Trace
+
+ANGLES = (10.0, 90.0, 150.0, 178.0)
+"""Angles from which a pendulum is let go [degrees]."""
+RATES = (60, 240, 120, 480)
+"""Steps per second; the first two for the whole time."""
+SHORT = 10.0
+"""Time of the loss of energy, and of long chains [s]."""
+AXIS = (0.0, 1.0, 0.0)
+"""Axis of hinges: linkages move in the plane of x and z."""
+LAYER = 0.06
+"""Distance of the planes in which bars move, so that they do not meet [m]."""
+
+
+def cases(quick: bool) -> list[ValidationCase]:
+    """All cases of the section; for a shorter time and with fewer steps if quick."""
+    duration, rates = (SHORT, RATES[:2]) if quick else (120.0, RATES)
+    return [pendulums(duration, rates), mechanisms(duration, rates, 5 if quick else 50)]
+
+
+def rows_of(trace: Trace) -> np.ndarray:
+    """Velocities that the joints prevent, as coefficients of the bodies' velocities, (records, rows, 6 bodies).
+
+    A joint prevents relative motion of its point along axes of its second frame, and rotation about them; a distance
+    prevents that along its line. One environment.
+    """
+    place, turn, center = (values[:, 0] for values in (trace.position, trace.orientation, trace.center))
+    rows = []
+    for entry in trace.scene.joints:
+        points, frame = [], None
+        for body, local in ((entry.body_a, entry.frame_a), (entry.body_b, entry.frame_b)):
+            point, frame = np.array(local.position), np.array(local.orientation)
+            if body is not None:
+                point = place[:, body] + rotations.rotate(turn[:, body], point)
+                frame = rotations.multiply(turn[:, body], frame)
+            points.append(np.broadcast_to(point, center[:, 0].shape))
+        axes = np.swapaxes(np.broadcast_to(rotations.matrix(frame), (len(place), 3, 3)), 1, 2)
+        prevented = [k for k in range(6) if entry.joint.locked >> k & 1]
+        if entry.joint.coordinate == Coordinate.LENGTH:
+            line = points[0] - points[1]
+            axes, prevented = (line / np.linalg.norm(line, axis=-1, keepdims=True))[:, None], [0]
+        for k in prevented:
+            row = np.zeros((len(place), len(trace.scene.bodies), 6))
+            axis = axes[:, k % 3]
+            for body, sign in ((entry.body_a, 1.0), (entry.body_b, -1.0)):
+                if body is not None:
+                    row[:, body, :3] += sign * axis if k < 3 else 0.0
+                    row[:, body, 3:] += sign * (np.cross(points[0] - center[:, body], axis) if k < 3 else axis)
+            rows.append(row.reshape(len(place), -1))
+    return np.stack(rows, axis=1)
+
+
+def energy_at_pose(trace: Trace, since: float) -> np.ndarray:
+    """Kinetic and potential energy with the velocities at each pose, (records,) [J]. One environment.
+
+    Velocities of a record belong to a time up to half a step earlier. Those at the pose have, besides, the acceleration
+    of gravity over the time `since` then [s], and what the joints prevent removed (Leimkuhler and Reich 2004, RATTLE).
+    """
+    count = len(trace.scene.bodies)
+    turns = trace.turns[:, 0]
+    mass = np.zeros((len(turns), count, 6, 6))
+    mass[:, :, :3, :3] = trace.mass[0][:, None, None] * np.eye(3)
+    mass[:, :, 3:, 3:] = turns @ trace.inertia[0] @ np.swapaxes(turns, -1, -2)
+    momentum_free = np.linalg.inv(mass)
+    velocity = np.concatenate(
+        [trace.linear_velocity[:, 0] + since * trace.gravity[0], trace.angular_velocity[:, 0]], -1
+    )
+    rows = rows_of(trace)
+    change = np.einsum("nbij,nrbj->nrbi", momentum_free, rows.reshape(len(rows), -1, count, 6)).reshape(rows.shape)
+    matrix = rows @ np.swapaxes(change, 1, 2)
+    speeds = (rows @ velocity.reshape(len(rows), -1, 1))[..., 0]
+    impulse = np.linalg.pinv(matrix, rcond=1e-10, hermitian=True) @ speeds[..., None]
+    velocity = velocity - (np.swapaxes(change, 1, 2) @ impulse)[..., 0].reshape(velocity.shape)
+    kinetic = 0.5 * np.einsum("nbi,nbij,nbj->n", velocity, mass, velocity)
+    return kinetic - np.einsum("b,nbi,i->n", trace.mass[0], trace.center[:, 0], trace.gravity[0])
+
+
+def change_of_energy(trace: Trace) -> np.ndarray:
+    """Energy less that at the start over m g L for the whole length L, (records,); at least so much is there.
+
+    The smaller one of the energies with velocities of half a step before the pose, and of the pose. They are equal
+    whenever the centre of mass is at its lowest or highest point.
+    """
+    energy = np.minimum(energy_at_pose(trace, 0.0), energy_at_pose(trace, 0.5 * trace.experiment.dt))
+    length = np.linalg.norm(trace.center[0, 0], axis=-1).max()
+    return (energy - energy[0]) / (trace.mass.sum() * GRAVITY * length)
+
+
+def largest_gain(trace: Trace) -> list[float]:
+    """Largest gain of energy at any time."""
+    return [max(change_of_energy(trace).max(), 0.0)]
+
+
+def loss(trace: Trace) -> list[float]:
+    """Loss of energy in `SHORT`: the smallest in the last second."""
+    last = (trace.time > SHORT - 1.0) & (trace.time <= SHORT)
+    return [max(-change_of_energy(trace)[last].max(), 0.0)]
+
+
+def pendulums(duration: float, rates: tuple[int, ...]) -> ValidationCase:
+    """Period and energy of a pendulum that is let go at up to 178 degrees."""
+    options = [(angle, rate) for angle in ANGLES for rate in rates]
+    experiments = tuple(
+        Experiment(
+            partial(pendulum, angle), _time(duration, rate), dt=1.0 / rate, label=f"{angle:g} degrees, 1/{rate} s"
+        )
+        for angle, rate in options
+    )
+    small = [k for k, (angle, _) in enumerate(options) if angle < ANGLES[-1]]
+    large = [k for k in range(len(options)) if k not in small]
+    checks = [
+        ReferenceCheck(
+            "period",
+            "s",
+            _of(chosen, period_of),
+            [exact_period(options[k][0]) for k in chosen],
+            relative(tolerance),
+            [experiments[k].label for k in chosen],
+        )
+        for chosen, tolerance in ((small, 1e-3), (large, 1e-2))
+    ]
+    source = "arithmetic-geometric mean; conservation of energy"
+    return ValidationCase("V102", "Pendulums", source, (*checks, *_kept(experiments)), experiments)
+
+
+def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> ValidationCase:
+    """Energy of a double pendulum, chains and closed loops, all let go from rest."""
+    scenes: list[tuple[str, Callable[[], Scene], float]] = [
+        ("double pendulum", double_pendulum, duration),
+        ("chain of 5", partial(chain, 5), duration),
+        ("four-bar linkage", four_bar, duration),
+        ("slider-crank", slider_crank, duration),
+    ]
+    if links > 5:
+        scenes.append((f"chain of {links}", partial(chain, links), SHORT))
+    experiments = tuple(
+        Experiment(scene, _time(time, rate), dt=1.0 / rate, every=rate // RATES[0], label=f"{name}, 1/{rate} s")
+        for name, scene, time in scenes
+        for rate in rates
+    )
+    title = f"Double pendulum, chains of up to {links}, closed loops"
+    return ValidationCase("V102", title, "conservation of energy", _kept(experiments), experiments)
+
+
+def _time(duration: float, rate: int) -> float:
+    """Time to simulate with so many steps per second [s]."""
+    return duration if rate in RATES[:2] else SHORT
+
+
+def _of(chosen: list[int], measure: Measure) -> Callable:
+    """A measure of some of the experiments."""
+    return lambda traces: each(measure)(tuple(traces[k] for k in chosen))
+
+
+def _kept(experiments: tuple[Experiment, ...]) -> tuple[ReferenceCheck, ...]:
+    """Checks that no mechanism gains energy, and that none loses much in `SHORT` with the default step."""
+    default = [k for k, experiment in enumerate(experiments) if round(experiment.dt * 240) == 1]
+    return (
+        ReferenceCheck("largest gain of energy", "m g L", each(largest_gain), 0.0, at_most(1e-3)),
+        ReferenceCheck(
+            "loss of energy in 10 s",
+            "m g L",
+            _of(default, loss),
+            0.0,
+            at_most(0.03),
+            [experiments[k].label for k in default],
+        ),
+    )
+
+
+def double_pendulum() -> Scene:
+    """Two balls of 1 kg on rods of 1 m without mass, let go in a horizontal line."""
+    scene = Scene(gravity=(0, 0, -GRAVITY))
+    above, at = None, (0.0, 0.0, 0.0)
+    for k in (1.0, 2.0):
+        ball = scene.add_body(Sphere(0.01), position=(k, 0, 0), mass=1.0)
+        scene.add_joint(DistanceJoint(1.0, 1.0), ball, above, anchor=(k, 0, 0), anchor_b=at)
+        above, at = ball, (k, 0.0, 0.0)
+    return scene
+
+
+def chain(links: int) -> Scene:
+    """Rods of 0.2 m on ball joints, let go in a horizontal line."""
+    scene = Scene(gravity=(0, 0, -GRAVITY))
+    above = None
+    for k in range(links):
+        link = scene.add_body(Box((0.1, 0.01, 0.01)), position=(0.2 * k + 0.1, 0, 0), mass=1.0 / links)
+        scene.add_joint(SphericalJoint(), link, above, anchor=(0.2 * k, 0, 0))
+        above = link
+    for a in range(links):
+        for b in range(a + 1, links):
+            scene.filter_pair(a, b)
+    return scene
+
+
+def four_bar() -> Scene:
+    """Crank, coupler and rocker of 0.3, 0.9 and 0.7 m on a base of 1 m, let go with the crank upright."""
+    scene = Scene(gravity=(0, 0, -GRAVITY))
+    a, d = np.zeros(2), np.array([1.0, 0.0])
+    b = np.array([0.0, 0.3])
+    apart = np.linalg.norm(d - b)
+    along = (0.9**2 - 0.7**2 + apart**2) / (2.0 * apart)
+    line = (d - b) / apart
+    c = b + along * line + np.sqrt(0.9**2 - along**2) * np.array([-line[1], line[0]])
+    crank, coupler, rocker = _bar(scene, a, b, 0), _bar(scene, b, c, 1), _bar(scene, d, c, 2)
+    for body, other, point in ((crank, None, a), (coupler, crank, b), (rocker, coupler, c), (rocker, None, d)):
+        scene.add_joint(RevoluteJoint(AXIS), body, other, anchor=(point[0], 0.0, point[1]))
+    return scene
+
+
+def slider_crank() -> Scene:
+    """A crank of 0.3 m and a rod of 0.8 m that moves a slider, let go with the crank at 60 degrees."""
+    scene = Scene(gravity=(0, 0, -GRAVITY))
+    a, b = np.zeros(2), 0.3 * np.array([np.cos(np.pi / 3.0), np.sin(np.pi / 3.0)])
+    c = np.array([b[0] + np.sqrt(0.8**2 - b[1] ** 2), 0.0])
+    crank, rod = _bar(scene, a, b, 0), _bar(scene, b, c, 1)
+    slider = scene.add_body(Box((0.06, 0.02, 0.04)), position=(c[0], 2.0 * LAYER, 0.0))
+    for body, other, point in ((crank, None, a), (rod, crank, b), (slider, rod, c)):
+        scene.add_joint(RevoluteJoint(AXIS), body, other, anchor=(point[0], 0.0, point[1]))
+    scene.add_joint(PrismaticJoint((1, 0, 0)), slider, anchor=(c[0], 0.0, 0.0))
+    return scene
+
+
+def _bar(scene: Scene, p: np.ndarray, q: np.ndarray, layer: int) -> int:
+    """A bar between two points of the plane, in one of the layers."""
+    middle, along = 0.5 * (p + q), q - p
+    angle = float(np.arctan2(-along[1], along[0]))
+    return scene.add_body(
+        Box((0.5 * float(np.linalg.norm(along)), 0.02, 0.02)),
+        position=(middle[0], layer * LAYER, middle[1]),
+        orientation=rotations.about_axis(AXIS, angle),
+    )
