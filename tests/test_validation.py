@@ -239,7 +239,7 @@ def test_table_shows_value_reference_error_tolerance_and_verdict(capsys, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--cases", "V10,nothing"], "--cases: must be names of cases, got 'nothing'; all names: V01 to V102"),
+        (["--cases", "V10,nothing"], "--cases: must be names of cases, got 'nothing'; all names: V01 to V110"),
         (["--device", "cuda:77"], "device: must be one of"),
     ],
 )

@@ -12,6 +12,7 @@ from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
     Curve,
+    Miss,
     ReferenceCheck,
     ValidationCase,
     absolute,
@@ -25,6 +26,8 @@ from warp_rigid.validation.experiment import Experiment, Start
 ERLEBEN = "Erleben 2018; rigid-ipc unit-tests/erleben"
 PARTED = 1e-4
 """Overlap below which two bodies count as separated [m]."""
+BETWEEN_SAMPLES = "contacts are found at the samples of a surface, and two curved surfaces also meet between them"
+"""Cause of the known overlap of meshes."""
 OVER = 1e-4
 """Initial gap below a dropped tip [m]."""
 
@@ -216,7 +219,8 @@ def push_out():
                 AT_LEAST,
                 names(experiments),
             ),
-            check(lambda s: each(lambda t: t.overlap[-1])(s[:-2]), names(experiments)),
+            check(lambda s: each(lambda t: t.overlap[-1])(s[:3]), names(experiments[:3])),
+            check(lambda s: s[3].overlap[-1], names(experiments[3:]), Miss(BETWEEN_SAMPLES, 4.2e-4)),
             check(lambda s: s[-2].overlap[-1], names((stuck,))),
             check(lambda s: s[-1].overlap[-1], crossing.variants),
             ReferenceCheck("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-6)),

