@@ -1,6 +1,6 @@
 """Ctrl-C in the commands: it ends them within a second, with one line.
 
-While the package is imported, nothing is lost: the process ends at once. Later, KeyboardInterrupt is raised in the main
+While modules are imported, nothing is lost: the process ends at once. Otherwise, KeyboardInterrupt is raised in the main
 thread. Libraries may swallow it, as Python does in destructors and callbacks, and no exception is raised while machine
 code runs. A thread therefore watches what becomes of it: it is raised again, and after LONGEST the process ends in any
 case, unless results are being kept.
@@ -14,16 +14,17 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from types import FrameType
 from typing import Any
 
-__all__ = ["STATUS", "end_at_once", "is_of_command", "keeping", "needs_telling", "watched"]
+__all__ = ["STATUS", "end_at_once", "is_of_command", "keeping", "needs_telling", "received", "watched"]
 
 STATUS = 130
-AGAIN, LONGEST = 0.2, 0.8
+AGAIN, LONGEST = 0.2, 0.6
 """Time after which an interruption is raised again, and after which the process ends [s]."""
 
-_state = {"told": False, "keeping": 0, "ended": False}
-"""Whether a line was printed, how many blocks keep results, and whether the command has ended."""
+_state = {"watched": False, "told": False, "keeping": 0, "ended": False}
+"""Whether a command is watched, a line was printed, how many blocks keep results, and whether the command has ended."""
 
 
 def is_of_command() -> bool:
@@ -56,6 +57,18 @@ def keeping() -> Iterator[None]:
         _state["keeping"] -= 1
 
 
+def received() -> int:
+    """Status of a command that an interruption has ended.
+
+    A watched process ends here: the interpreter's own end takes longer, and it can be interrupted again.
+    """
+    if _state["watched"]:
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+        _end()
+    return STATUS
+
+
 @contextlib.contextmanager
 def watched() -> Iterator[None]:
     """Context of a command that ends soon after Ctrl-C, if this process is one (`end_at_once`)."""
@@ -66,13 +79,28 @@ def watched() -> Iterator[None]:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     threading.Thread(target=_watch, args=(reading,), daemon=True).start()
+    _state["watched"] = True
     sys.unraisablehook = _raise_again
     signal.set_wakeup_fd(writing)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _interrupt)
     try:
         yield
     finally:
         _state["ended"] = True
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, or end the process in an import: libraries may go on with a part of what they need."""
+    if not _state["keeping"] and any("<frozen importlib" in file for file in _files(frame)):
+        _end()
+    raise KeyboardInterrupt
+
+
+def _files(frame: FrameType | None) -> Iterator[str]:
+    """Source files of a frame and of its callers."""
+    while frame is not None:
+        yield frame.f_code.co_filename
+        frame = frame.f_back
 
 
 def _watch(reading: int) -> None:

@@ -58,7 +58,7 @@ def _run(argv: list[str] | None) -> int:
             _refuse_empty(given)
             return app(args=argv, prog_name="warp-rigid", standalone_mode=False, obj=["warp-rigid", *given]) or 0
     except KeyboardInterrupt:
-        return interruption.STATUS
+        return interruption.received()
     except UsageError as error:
         return _fail(USAGE, error.format_message())
     except CapacityError as error:

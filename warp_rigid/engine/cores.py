@@ -7,7 +7,7 @@ The threads must neither record steps nor compile kernels, as a process can do o
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -52,25 +52,38 @@ def _quota(count: int) -> int:
 def spread(work: Callable[[Part], Result], parts: Sequence[Part], threads: int) -> list[Result]:
     """Call `work` for each part, on `threads` threads including the current one; with one thread, run it directly.
 
-    A thread that is done takes the next part. When this returns or raises an exception of `work`, the threads are idle.
+    A thread that is done takes the next part. When this returns or raises, all threads are idle, also after Ctrl-C.
 
     Returns:
         The results, in the order of the parts.
     """
     found: list = [None] * len(parts)
     left = iter(enumerate(parts))
-    others = min(threads, len(parts)) - 1
-    helpers = [_threads().submit(_take, work, left, found) for _ in range(others)]
+    helpers: list[Future] = []
     try:
+        for _ in range(min(threads, len(parts)) - 1):
+            helpers.append(_threads().submit(_take, work, left, found))
         _take(work, left, found)
     finally:
+        _wait_until_idle(left, helpers)
+    for helper in helpers:
+        if not helper.cancelled():
+            helper.result()
+    return found
+
+
+def _wait_until_idle(left: Iterable, helpers: Sequence[Future]) -> None:
+    """Drop the parts that are left and wait for those begun.
+
+    Ctrl-C does not cut this short: the parts use memory that the caller frees.
+    """
+    try:
         for _ in left:
             pass
-        called = [helper for helper in helpers if not helper.cancel()]
-        wait(called)
-    for helper in called:
-        helper.result()
-    return found
+        wait([helper for helper in helpers if not helper.cancel()])
+    except KeyboardInterrupt:
+        _wait_until_idle(left, helpers)
+        raise
 
 
 def _take(work: Callable[[Part], Result], left: Iterable[tuple[int, Part]], found: list) -> None:
