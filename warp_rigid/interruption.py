@@ -1,9 +1,9 @@
 """Ctrl-C in the commands: it ends them within a second, with one line.
 
-While modules are imported, nothing is lost: the process ends at once. Otherwise, KeyboardInterrupt is raised in the main
-thread. Libraries may swallow it, as Python does in destructors and callbacks, and no exception is raised while machine
-code runs. A thread therefore watches what becomes of it: it is raised again, and after LONGEST the process ends in any
-case, unless results are being kept.
+While modules are imported, nothing is lost: the process ends at once. Otherwise, KeyboardInterrupt is raised in the
+main thread. Libraries may swallow it, as Python does in destructors and callbacks, and no exception is raised while
+machine code runs. A thread therefore watches what becomes of it: it is raised again, and after LONGEST the process ends
+in any case, unless results are being kept.
 """
 
 import _thread
