@@ -86,14 +86,15 @@ def test_the_overlap_of_two_balls_is_the_way_they_must_move(device):
     np.testing.assert_allclose(sim.penetration(), 2 * RADIUS - apart, atol=0.02 * RADIUS)  # they are polyhedra
 
 
-# Contacts are made at samples: between these, bodies stay in each other, by up to 2.3 and 0.16 mm, 4.4 mm with a disc.
+# Contacts are made at samples: between these, bodies stay in each other, by up to 2.3, 0.16 and 0.16 mm, and by 4.4 mm
+# with a disc.
 unseen = pytest.mark.xfail(strict=True, reason="contacts do not see overlaps between samples")
 
 
 @pytest.mark.parametrize(
     ("first", "second"),
-    [("ball", "ball"), ("bunny", "bunny"), ("ball", "bunny")]
-    + [pytest.param(name, name, marks=unseen) for name in ("torus", "cranium")]
+    [("ball", "ball"), ("ball", "bunny")]
+    + [pytest.param(name, name, marks=unseen) for name in ("torus", "cranium", "bunny")]
     + [("cube", "corner"), ("rod", "corner"), ("corner", "channel"), *((name, name) for name in BRANCHED)]
     + [(name, "boxes") for name in ("sphere", "box", "rod", "capsule", "boxes")],
 )

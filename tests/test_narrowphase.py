@@ -461,3 +461,20 @@ def test_an_edge_that_reaches_beyond_a_grid_touches_where_it_crosses_it(device):
     assert contact_list(stages)["gap"].min() == pytest.approx(-0.0106, abs=1e-3)
     sim.step(60)
     assert sim.penetration()[0] < 1e-3
+
+
+def test_a_pair_that_an_axis_separates_notes_no_search(device):
+    """Otherwise it would keep what an earlier step has found for another pair at its place in the list."""
+    scene = Scene(gravity=(0, 0, 0))
+    scene.add_body(Box((HALF,) * 3))
+    across = (HALF * 2**0.5 + HALF + 0.03) / 2**0.5
+    scene.add_body(Box((HALF,) * 3), position=(across, across, 0), orientation=rotate_about((0, 0, 1), 45))
+    sim = Simulator(scene, device=device)
+    sim.step(1)
+    (shard,) = sim._world.shards
+    shard.pools.pairs.searched.fill_(7)
+    shard.pools.pairs.searched_position.fill_(1.0)
+    sim.step(1)
+    history = shard.pools.history
+    assert history.pair_start.numpy()[-1] == 1
+    assert history.searched.numpy()[0] == 0 and not history.searched_position.numpy()[0].any()

@@ -96,6 +96,14 @@ def reuse_contacts(pair: int, last: int, edges: int, history: History, pairs: Pa
     pairs.axis[pair] = history.axis[last]
 
 
+@wp.func
+def note_no_search(pair: int, pairs: Pairs):
+    """Note that a pair was not searched in this step; its contacts of an earlier one are not to be reused."""
+    pairs.searched[pair] = 0
+    pairs.searched_orientation[pair] = wp.quat()
+    pairs.searched_position[pair] = wp.vec3()
+
+
 @wp.kernel
 def keep_contacts(
     woken: int,
@@ -135,7 +143,9 @@ def keep_contacts(
             and not may_be_pushed_together(last, a, b, dt, size, state, motions, history)
         ):
             reuse_contacts(pair, last, edges, history, pairs)
-        elif not is_apart(pair, last, dt, size, shapes, bodies, state, motions, history, pairs):
+        elif is_apart(pair, last, dt, size, shapes, bodies, state, motions, history, pairs):
+            note_no_search(pair, pairs)
+        else:
             pairs.candidates[take_places(pairs.candidate_count, 0, 1)] = pair
     finish(own, sharing)
 
