@@ -59,9 +59,11 @@ frameworks: $(FRAMEWORKS_READY)
 browser-test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) tests/browser
 
-# 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks.
+# 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks; and
+# 200 random scenes that are reset, saved and changed.
 fuzz: $(READY)
 	FUZZ_CASES=10000 $(PYTEST) tests/fuzz
+	FORGETTING_SCENES=200 $(PYTEST) -m long tests/test_forgetting.py
 
 # Wheel and sdist of the last commit, of the same bytes every time: out/dist.
 dist: $(READY)

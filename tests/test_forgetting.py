@@ -4,6 +4,8 @@ Random scenes hold every kind of state. That nothing else is remembered is shown
 between the steps, for every array that is declared.
 """
 
+import os
+
 import numpy as np
 import pytest
 
@@ -23,9 +25,12 @@ from warp_rigid.kernels import declare
 from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.declare import LAYOUTS, Lifetime
 
+SCENES = int(os.environ.get("FORGETTING_SCENES", "100"))
+"""Random scenes of the long tests; `make fuzz` takes 200."""
+
 FEW = pytest.param(range(6), marks=pytest.mark.short, id="few")
 MANY = [
-    pytest.param(range(first, first + 50), marks=pytest.mark.long, id=f"from {first}") for first in (0, 50, 100, 150)
+    pytest.param(range(first, first + 50), marks=pytest.mark.long, id=f"from {first}") for first in range(0, SCENES, 50)
 ]
 NOTHING, ONES = 0x00, 0xFF
 """Bytes of which an overwritten array consists: zeros; or NaN, and -1 as an integer."""

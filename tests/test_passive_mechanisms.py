@@ -53,7 +53,7 @@ def test_passive_mechanisms_gain_no_energy_and_lose_little(scene, rate, device):
 @pytest.mark.parametrize(
     "scene",
     [
-        pytest.param(partial(mechanisms.chain, 50), id="chain of 50", marks=pytest.mark.long),
+        pytest.param(partial(mechanisms.chain, 30), id="chain of 30", marks=pytest.mark.long),
         pytest.param(partial(mechanisms.chain, 12), id="chain of 12"),
     ],
 )
