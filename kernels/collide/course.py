@@ -43,6 +43,9 @@ STRAIGHT = wp.constant(1.0e-3)
 LEADER = wp.constant(2**20)
 """The number of a kinematic body in `lead_of`; it is less by one for each body through which it carries another one."""
 
+HOLDER = wp.constant(2**19)
+"""The number of an immovable body in the late rounds of impacts. Bodies that it holds have a smaller one."""
+
 
 @wp.struct
 class Course:
@@ -132,8 +135,14 @@ def mean_velocity_at(p: wp.vec3, course: Course, duration: float):
 
 @wp.func
 def lead_of(b: int, motions: Motions):
-    """Which body of a pair keeps its motion at an impact: the one with the larger number."""
+    """Which body of a pair keeps its motion at an impact: the one with the larger number. Most bodies have 0."""
     return wp.where(motions.role[b] == Role.KINEMATIC, LEADER, motions.carried[b])
+
+
+@wp.func
+def is_driven(a: int, b: int, motions: Motions):
+    """Whether a kinematic body moves a pair, directly or through others."""
+    return wp.max(lead_of(a, motions), lead_of(b, motions)) > HOLDER
 
 
 @wp.func
@@ -170,7 +179,7 @@ def common_motion(own: int, a: int, b: int, t: float, dt: float, bodies: Bodies,
     by_first = mean_velocity_at(place - t * first.linear, first, dt - t)
     after.linear = wp.lerp(by_first, mean_velocity_at(place - t * second.linear, second, dt - t), share)
     after.angular = wp.lerp(first.angular, second.angular, share)
-    if lead_of(a, motions) + lead_of(b, motions) == 0:
+    if not is_driven(a, b, motions):
         speed = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
         slower = wp.min(1.0, wp.sqrt(before / wp.max(speed, 1.0e-30)))
         after.linear *= slower
