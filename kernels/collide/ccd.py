@@ -46,7 +46,7 @@ from warp_rigid.kernels.collide.trace import (
     trace_suspect,
 )
 from warp_rigid.kernels.common.capacity import usable_count
-from warp_rigid.kernels.common.symmetry import BALL, symmetry_of
+from warp_rigid.kernels.common.symmetry import BALL, spin_of_surface, symmetry_of
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -317,6 +317,7 @@ def advance_solids(
                 first.angular = wp.vec3(0.0, 0.0, 0.0)
             if symmetry_of(b, shapes, bodies) == BALL:
                 second.angular = wp.vec3(0.0, 0.0, 0.0)
+            first.roll = first.angular - spin_of_surface(a, first.angular, shapes, bodies, state)
             size = traced_size(a, b, shapes, bodies)
             near = handled_gap_of_solids(first, second, size, pairs.contact_count[pair] > 0)
             t = impact_of_solids(first, second, pairs.axis[pair], near, begin, end, size, shapes)

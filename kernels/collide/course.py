@@ -51,7 +51,8 @@ HOLDER = wp.constant(2**19)
 class Course:
     """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass.
 
-    `joined`: 1 if it is a body of a mechanism.
+    `joined`: 1 if it is a body of a mechanism. `roll`: the part of the angular velocity at the start that leaves the
+    surface of a round body in place.
     """
 
     center: wp.vec3
@@ -59,6 +60,7 @@ class Course:
     local_center: wp.vec3
     linear: wp.vec3
     angular: wp.vec3
+    roll: wp.vec3
     radius: float
     shape: int
     joined: int
