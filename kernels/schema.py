@@ -167,7 +167,7 @@ Motions = layout(
         int,
         "bodies",
         "",
-        "not 0: moved by a kinematic body from an impact in this step on; see `lead_of`",
+        "not 0: moved by a kinematic body, or held by an immovable one, after an impact in this step; see `lead_of`",
     ),
     next_carried=Field(int, "bodies", "", "the same after the impacts of the current round"),
     joined=Field(int, "bodies", "", "1: the body stops together with others of its mechanism"),

@@ -34,7 +34,8 @@ def fastest_closing(axis: wp.vec3, first: Course, second: Course, t: float):
     n = wp.quat_rotate(rotation_after(second.angular, t) * second.turn, axis)
     apart = first.center - second.center + t * (first.linear - second.linear)
     linear = first.linear - second.linear - wp.cross(second.angular, apart)
-    return wp.length(wp.cross(n, first.angular - second.angular)) * first.radius - wp.dot(n, linear)
+    turning = first.angular - wp.quat_rotate(rotation_after(first.angular, t), first.roll) - second.angular
+    return wp.length(wp.cross(n, turning)) * first.radius - wp.dot(n, linear)
 
 
 @wp.func
@@ -46,9 +47,9 @@ def curvature(first: Course, second: Course, t: float, end: float):
     apart = first.center - second.center
     passing = first.linear - second.linear
     away = wp.max(wp.length(apart + t * passing), wp.length(apart + end * passing)) + first.radius
-    own, turning = wp.length(first.angular), wp.length(second.angular)
+    own, turning = wp.length(first.angular - first.roll), wp.length(second.angular)
     speed = wp.length(passing) + own * first.radius + turning * away
-    return own * own * first.radius + turning * (2.0 * speed + turning * away)
+    return own * (own + wp.length(first.roll)) * first.radius + turning * (2.0 * speed + turning * away)
 
 
 @wp.func

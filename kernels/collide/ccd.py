@@ -19,12 +19,14 @@ from warp_rigid.kernels.collide.convex import are_solid
 from warp_rigid.kernels.collide.course import (
     DEPTH,
     FAST,
+    HOLDER,
     Course,
     common_motion,
     common_share,
     course_of,
     handled_gap,
     handled_gap_of_solids,
+    is_driven,
     largest_motion,
     lead_of,
     onward_course,
@@ -44,7 +46,7 @@ from warp_rigid.kernels.collide.trace import (
     trace_suspect,
 )
 from warp_rigid.kernels.common.capacity import usable_count
-from warp_rigid.kernels.common.symmetry import BALL, symmetry_of
+from warp_rigid.kernels.common.symmetry import BALL, spin_of_surface, symmetry_of
 from warp_rigid.kernels.common.team import next_place
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.schema import Bodies, Environments, Motions, Pairs, Shapes, State
@@ -169,6 +171,20 @@ def is_advanced(pair: int, shapes: Shapes, bodies: Bodies, pairs: Pairs):
     return are_solid(bodies.shape[pairs.body_a[pair]], bodies.shape[pairs.body_b[pair]], shapes)
 
 
+@wp.func
+def is_followed(a: int, b: int, turn: int, rounds: int, motions: Motions):
+    """Whether a pair is traced in a round.
+
+    In the late rounds, those after `rounds`, immovable bodies hold what they stop. Impacts of bodies that nothing holds
+    are not followed any more. There are as many late rounds; the one after them traces pairs with immovable bodies
+    only, so that the last impacts take nothing through a wall.
+    """
+    if turn < rounds:
+        return True
+    movable = motions.role[a] == Role.FREE and motions.role[b] == Role.FREE
+    return lead_of(a, motions) != lead_of(b, motions) and turn < 2 * rounds + wp.where(movable, 0, 1)
+
+
 @wp.kernel
 def list_fast_pairs(
     threads: int,
@@ -189,14 +205,14 @@ def list_fast_pairs(
     for pair in range(wp.tid(), pairs.start[pairs.start.shape[0] - 1], threads):
         a = pairs.body_a[pair]
         b = pairs.body_b[pair]
-        if turn >= envs.impact_rounds[bodies.env[a]]:
-            continue
         if turn == 0 or motions.changed[a] == 1 or motions.changed[b] == 1:
             size = traced_size(a, b, shapes, bodies)
             first = course_of(a, bodies, state, motions)
             second = course_of(b, bodies, state, motions)
             change = relative_motion(latest_change(a, first, motions), latest_change(b, second, motions), dt)
             suspects.untraced[pair] += change
+            if not is_followed(a, b, turn, envs.impact_rounds[bodies.env[a]], motions):
+                continue
             if turn > 0 and suspects.untraced[pair] <= SETTLED * DEPTH * size:
                 continue
             suspects.untraced[pair] = 0.0
@@ -301,6 +317,7 @@ def advance_solids(
                 first.angular = wp.vec3(0.0, 0.0, 0.0)
             if symmetry_of(b, shapes, bodies) == BALL:
                 second.angular = wp.vec3(0.0, 0.0, 0.0)
+            first.roll = first.angular - spin_of_surface(a, first.angular, shapes, bodies, state)
             size = traced_size(a, b, shapes, bodies)
             near = handled_gap_of_solids(first, second, size, pairs.contact_count[pair] > 0)
             t = impact_of_solids(first, second, pairs.axis[pair], near, begin, end, size, shapes)
@@ -452,24 +469,24 @@ def change_courses(
 ):
     """One thread per body: from its first impact on, it moves with the other body.
 
-    Unless a kinematic body leads, it stays within the reach of the broad phase, and stops in the last round: its
-    new course would not be traced any more.
+    Unless a kinematic body drives it, it stays within the reach of the broad phase. From the late rounds on, an
+    immovable body leads: a body that it stopped keeps its motion, and others take that over. If instead each body that
+    is hit in the last round stopped, the walls of a falling case would stop, and its content would go on through them.
     """
     b = wp.tid()
+    if motions.role[b] != Role.FREE and suspects.round[0] + 1 >= envs.impact_rounds[bodies.env[b]]:
+        motions.next_carried[b] = HOLDER
     impact = motions.first_impact[b]
     motions.changed[b] = wp.where(impact == NO_IMPACT, 0, 1)
     if impact == NO_IMPACT:
         return
     t = time_of(impact)
     after = motion_after(b, impact, dt, bodies, state, pairs, motions)
-    pair = int(impact % MOST_PAIRS)
-    lead = wp.max(lead_of(pairs.body_a[pair], motions), lead_of(pairs.body_b[pair], motions))
-    if lead == 0:
+    first = pairs.body_a[int(impact % MOST_PAIRS)]
+    second = pairs.body_b[int(impact % MOST_PAIRS)]
+    if not is_driven(first, second, motions):
         after.linear *= wp.min(1.0, motions.max_travel[b] / wp.max(dt * wp.length(after.linear), 1.0e-12))
-        if suspects.round[0] >= envs.impact_rounds[bodies.env[b]] - 1:
-            after.linear = wp.vec3(0.0, 0.0, 0.0)
-            after.angular = wp.vec3(0.0, 0.0, 0.0)
     motions.next_course[b] = t * motions.course[b] + (1.0 - t) * after.linear
     motions.next_shared_spin[b] = t * motions.shared_spin[b] + (1.0 - t) * after.angular
     motions.next_time_of_impact[b] = t * motions.time_of_impact[b]
-    motions.next_carried[b] = wp.max(lead - 1, 0)
+    motions.next_carried[b] = wp.max(wp.max(lead_of(first, motions), lead_of(second, motions)) - 1, 0)

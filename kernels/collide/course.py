@@ -43,12 +43,16 @@ STRAIGHT = wp.constant(1.0e-3)
 LEADER = wp.constant(2**20)
 """The number of a kinematic body in `lead_of`; it is less by one for each body through which it carries another one."""
 
+HOLDER = wp.constant(2**19)
+"""The number of an immovable body in the late rounds of impacts. Bodies that it holds have a smaller one."""
+
 
 @wp.struct
 class Course:
     """Motion of a body in a step: constant linear velocity, and constant angular velocity about the centre of mass.
 
-    `joined`: 1 if it is a body of a mechanism.
+    `joined`: 1 if it is a body of a mechanism. `roll`: the part of the angular velocity at the start that leaves the
+    surface of a round body in place.
     """
 
     center: wp.vec3
@@ -56,6 +60,7 @@ class Course:
     local_center: wp.vec3
     linear: wp.vec3
     angular: wp.vec3
+    roll: wp.vec3
     radius: float
     shape: int
     joined: int
@@ -132,8 +137,14 @@ def mean_velocity_at(p: wp.vec3, course: Course, duration: float):
 
 @wp.func
 def lead_of(b: int, motions: Motions):
-    """Which body of a pair keeps its motion at an impact: the one with the larger number."""
+    """Which body of a pair keeps its motion at an impact: the one with the larger number. Most bodies have 0."""
     return wp.where(motions.role[b] == Role.KINEMATIC, LEADER, motions.carried[b])
+
+
+@wp.func
+def is_driven(a: int, b: int, motions: Motions):
+    """Whether a kinematic body moves a pair, directly or through others."""
+    return wp.max(lead_of(a, motions), lead_of(b, motions)) > HOLDER
 
 
 @wp.func
@@ -170,7 +181,7 @@ def common_motion(own: int, a: int, b: int, t: float, dt: float, bodies: Bodies,
     by_first = mean_velocity_at(place - t * first.linear, first, dt - t)
     after.linear = wp.lerp(by_first, mean_velocity_at(place - t * second.linear, second, dt - t), share)
     after.angular = wp.lerp(first.angular, second.angular, share)
-    if lead_of(a, motions) + lead_of(b, motions) == 0:
+    if not is_driven(a, b, motions):
         speed = wp.length_sq(after.linear) + arm * arm * wp.length_sq(after.angular)
         slower = wp.min(1.0, wp.sqrt(before / wp.max(speed, 1.0e-30)))
         after.linear *= slower
