@@ -80,9 +80,9 @@ def test_a_body_rolls_over_a_flat_floor_as_on_a_plane(roller, floor):
 
 
 @pytest.mark.short
-@pytest.mark.parametrize("dt", [1 / 60, 1 / 240])
+@pytest.mark.parametrize("dt", [1 / 60])
 def test_a_capsule_rolls_over_tiles_much_narrower_than_itself(dt):
-    """It was stopped by an impact that was not there, or supported beyond its end, and turned aside."""
+    """It was stopped by an impact that was not there."""
     speed, jump = roll(tiles(0.0125), "capsule", dt, 0.0, 0)
     assert speed == pytest.approx(SPEED, rel=1e-3)
     assert jump < 1e-4

@@ -48,8 +48,7 @@ TRAVEL_WEIGHT = wp.constant(0.5)
 RANKED = wp.constant(0.02)
 """Overlaps beyond this fraction of the smaller size count as equal. Otherwise the deepest sample of a deep overlap
 would replace those that support the body, which would then turn further in about a single contact. Gaps beyond it count
-as equal, too, where a body is a convex solid that may turn onto corners: it has few samples. If they did so for a
-rolling capsule, contacts beyond its end would replace those on which it rolls."""
+as equal, too, where a body is a convex solid: it has few samples, and may turn onto each of its corners."""
 
 TIE = wp.constant(1.0e-6)
 """A later sample replaces an earlier one only if its score is higher by the weight of a gap of this fraction of the
@@ -74,16 +73,16 @@ class Ranking:
 
 
 @wp.func
-def ranking_of(way: float, turn: float, size: float, corners: bool):
+def ranking_of(way: float, turn: float, size: float, solid: bool):
     """How the gaps of a pair's samples count, from its relative travel [m] and rotation [rad] in the step.
 
-    `corners`: whether a convex solid may turn onto its corners in the step.
+    `solid`: whether one of the bodies is a convex solid.
     """
     result = Ranking()
     result.upright = wp.clamp(TRAVEL_WEIGHT * size / wp.max(way, 1.0e-6 * size), TIPPED, UPRIGHT)
     result.tipped = wp.clamp(1.0 / wp.max(turn, 1.0e-6), TURNING, TIPPED)
     result.deepest = RANKED * size
-    result.furthest = wp.where(corners, RANKED * size, FAR)
+    result.furthest = wp.where(solid, RANKED * size, FAR)
     return result
 
 

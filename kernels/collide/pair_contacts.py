@@ -14,7 +14,6 @@ import warp as wp
 
 from warp_rigid.kernels.collide.approach import REUSE_TRAVEL, Touch, smaller_approach, touch_of, travel
 from warp_rigid.kernels.collide.contact_reduction import (
-    RANKED,
     Ranking,
     contradictory,
     deepest_gap,
@@ -30,7 +29,6 @@ from warp_rigid.kernels.collide.near_samples import NARROWPHASE, NearSamples
 from warp_rigid.kernels.collide.parting import CROSSED, deepest_hidden, way_out
 from warp_rigid.kernels.collide.samples import MUCH_DEEPER, Search, gradient
 from warp_rigid.kernels.common.sharing import Sharing, claim, finish, rows_of
-from warp_rigid.kernels.common.symmetry import NOT_ROUND, spin_of_surface, symmetry_of
 from warp_rigid.kernels.common.team import ballot, broadcast, broadcast_integer, lowest_bit, sync_warp
 from warp_rigid.kernels.enums import PartKind
 from warp_rigid.kernels.schema import PAIR_SLOTS, Bodies, Environments, Motions, Pairs, Shapes, State
@@ -251,25 +249,6 @@ def part(
 
 
 @wp.func
-def turns_onto_corners(
-    a: int, b: int, dt: float, size: float, shapes: Shapes, bodies: Bodies, state: State, motions: Motions
-):
-    """Whether one body of a pair is a convex solid, and may turn onto its corners, or those of the other, in the step.
-
-    A body of revolution that only rolls or slides does not.
-    """
-    tumbling = wp.length(
-        spin_of_surface(a, state.angular_velocity[a], shapes, bodies, state)
-        - spin_of_surface(b, state.angular_velocity[b], shapes, bodies, state)
-    )
-    radius = wp.min(motions.radius[a], motions.radius[b])
-    round = symmetry_of(a, shapes, bodies) != NOT_ROUND or symmetry_of(b, shapes, bodies) != NOT_ROUND
-    if round and dt * tumbling * radius < RANKED * size:
-        return False
-    return is_solid(shapes, bodies.shape[a]) or is_solid(shapes, bodies.shape[b])
-
-
-@wp.func
 def choose(
     pair: int,
     lane: int,
@@ -291,7 +270,7 @@ def choose(
         pairs.patch_count[pair] = 0
     sync_warp(lanes)
     turn = dt * wp.length(state.angular_velocity[a] - state.angular_velocity[b])
-    corners = turns_onto_corners(a, b, dt, size, shapes, bodies, state, motions)
+    corners = is_solid(shapes, bodies.shape[a]) or is_solid(shapes, bodies.shape[b])
     ranking = ranking_of(travel(a, b, dt, 0.0, state, motions), turn, size, corners)
     offered = offer_near_samples(pair, ranking, size, lane, lanes, near, pairs)
     closing = offered & 1
