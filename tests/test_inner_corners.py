@@ -6,6 +6,7 @@ import trimesh
 
 import warp_rigid as wr
 from tests.oracles import contact_list, find_contacts, opened
+from warp_rigid.kernels.constraints.build_contacts import GONE
 
 HALF = 0.45
 """Half of the width of the closed room [m]; its walls are 50 mm thick."""
@@ -82,6 +83,25 @@ def test_bodies_thrown_into_a_corner_stay_and_rest(device, body, speed):
     assert (np.abs(sim.get("center_of_mass")[:, 1]) < HALF).all()
     assert np.abs(sim.get("linear_velocity")[:, 1]).max() < 1e-3
     assert sim.penetration().max() < 1e-4
+
+
+def test_a_contact_that_is_gone_acts_at_its_body(device):
+    """A disc that tumbles in a corner: a sample of the last step has no point in this one, and its row stays finite."""
+    scene = wr.Scene(gravity=(-5, -5, -9.81))
+    scene.add_static(ROOM)
+    disc = scene.add_body(BODIES["disc"], position=(-0.2, -0.2, -0.3))
+    sim, stages = opened(scene, device, num_envs=16)
+    way = np.random.default_rng(1).uniform((0.5, 0.5, 0.1), (1.0, 1.0, 0.3), (16, 3))
+    velocity = -5.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    sim.set("linear_velocity", velocity[:, None], bodies=[disc])
+    gone = 0
+    for _ in range(40):
+        sim.step()
+        rows = stages.pools.contacts.rows.numpy()[: int(sim.stats()["contacts"].sum())]
+        found = rows[stages.pools.contacts.key.numpy()[: len(rows)] == GONE]
+        gone += len(found)
+        assert (np.abs(found["arm_a"]) < 1.0).all() and (np.abs(found["arm_b"]) < 1.0).all()
+    assert gone > 0
 
 
 CELLS = np.meshgrid(*2 * [np.linspace(-2, 2, 41)], indexing="ij")

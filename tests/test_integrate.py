@@ -155,3 +155,19 @@ def test_a_throw_is_the_sum_of_its_steps_in_float32():
     exact = np.array([3, -2, 4 - 9.81 * 1001 / 2000])
     assert np.array_equal(sim.get("position")[0, 0], x)
     assert 2.7e-5 < np.linalg.norm(x - exact) < 2.9e-5
+
+
+def test_a_body_that_hardly_turns_is_not_turned_by_more(device):
+    """A plank at rest but for rounding errors: the correction of its energy is no turn of its own."""
+    generator = np.random.default_rng(2)
+    scene = Scene(gravity=(0, 0, 0))
+    plank = scene.add_body(Box((0.058, 0.012, 0.004)))
+    sim = Simulator(scene, num_envs=256, device=device)
+    yaw = generator.uniform(-np.pi, np.pi, 256)
+    start = np.stack([0 * yaw, 0 * yaw, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1).astype(np.float32)
+    sim.set("orientation", start[:, None], bodies=[plank])
+    spin = generator.normal(size=(256, 3)) * 10.0 ** generator.uniform(-9, -3, (256, 1))
+    sim.set("angular_velocity", spin[:, None].astype(np.float32), bodies=[plank])
+    sim.step()
+    turned = 2 * np.linalg.norm(sim.get("orientation")[:, plank, :3] - start[:, :3], axis=1)
+    assert (turned < 1.1 * np.linalg.norm(spin, axis=1) * sim.settings.dt + 1e-6).all()

@@ -177,9 +177,10 @@ def point_apart(touch: Touch, a: int, b: int, size: float, bodies: Bodies):
 
     The contact point is halfway between the surfaces. With it, a ball that approaches the ground would bounce with too
     much spin, as the friction would act on a longer arm. Two free bodies are left with a common point, so that their
-    angular momentum is conserved.
+    angular momentum is conserved. A contact that is gone has no point.
     """
-    if touch.gap <= WIDER * TOUCHING * size or bodies.inverse_mass[a] * bodies.inverse_mass[b] > 0.0:
+    near = touch.gap <= WIDER * TOUCHING * size or touch.gap >= FAR
+    if near or bodies.inverse_mass[a] * bodies.inverse_mass[b] > 0.0:
         return wp.vec3(0.0, 0.0, 0.0)
     return 0.5 * touch.gap * touch.normal
 

@@ -17,8 +17,8 @@ ENERGY_TOLERANCE = wp.constant(wp.float64(1.0e-3))
 
 ENERGY_ROUNDING = wp.constant(wp.float64(1.0e-12))
 """Relative error of the energy that is not corrected."""
-LARGEST_CORRECTION = wp.constant(wp.float64(1.0e-2))
-"""Largest turn that corrects the energy of a step [rad]."""
+LARGEST_CORRECTION = wp.constant(wp.float64(5.0e-3))
+"""Largest turn that corrects the energy of a step, over the turn in the step, or over 1 rad if that is less."""
 NEWTON_STEPS = wp.constant(3)
 
 mat33d = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
@@ -91,13 +91,13 @@ def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float6
 
 
 @wp.func
-def with_energy(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, energy: wp.float64):
-    """Orientation turned a little, so that an angular momentum has a given rotational energy (twice the energy).
+def with_energy(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, energy: wp.float64, largest: wp.float64):
+    """Orientation turned by up to an angle, so that an angular momentum has a given rotational energy (twice the energy).
 
     The momentum p in the body's frame moves on a sphere, on which the energy p . w with w = I^-1 p changes fastest
     along p x w (Newton's method). Without this, the energy of a fast spin drifts in one direction (Hairer, Lubich and
     Wanner, Geometric Numerical Integration, section IV.4: projection keeps the order of a scheme). In a steady spin
-    the energy cannot be changed, and a larger turn than LARGEST_CORRECTION is not a correction.
+    the energy cannot be changed, and a turn that is not small beside that of the step is not a correction.
     """
     q = turn
     for _ in range(NEWTON_STEPS):
@@ -106,7 +106,7 @@ def with_energy(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, energy: wp.
         axis = wp.cross(p, w)
         slope = wp.length(axis)
         missing = energy - wp.dot(p, w)
-        if wp.abs(missing) <= ENERGY_ROUNDING * energy or wp.abs(missing) > LARGEST_CORRECTION * slope:
+        if wp.abs(missing) <= ENERGY_ROUNDING * energy or wp.abs(missing) > wp.float64(2.0) * largest * slope:
             return q
         # Turning the body by -angle turns p by angle in the body's frame; p . w changes by 2 slope times the angle.
         angle = wp.float64(0.5) * missing / slope
@@ -131,7 +131,8 @@ def turn_freely(turn: wp.quatd, spin: wp.vec3d, inertia: mat33d, dt: wp.float64)
         after = free_turn(turn, momentum, inverse, dt, parts)
         spin_after = spin_of(after, momentum, inverse)
         if wp.abs(wp.dot(momentum, spin_after) - energy) <= ENERGY_TOLERANCE * energy:
-            after = with_energy(after, momentum, inverse, energy)
+            largest = LARGEST_CORRECTION * wp.min(dt * wp.length(spin), wp.float64(1.0))
+            after = with_energy(after, momentum, inverse, energy, largest)
             return after, spin_of(after, momentum, inverse)
         parts *= 4
     return rotate_by(turn, dt * spin), spin
