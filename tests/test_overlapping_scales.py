@@ -1,4 +1,4 @@
-"""Scenes scaled by a power of four, with time steps scaled by its root, agree: with overlaps at the start and joints."""
+"""Scenes scaled by a power of four, with time steps scaled by its root, agree, with overlaps or joints too."""
 
 import numpy as np
 import pytest

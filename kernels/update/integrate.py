@@ -92,7 +92,7 @@ def free_turn(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, dt: wp.float6
 
 @wp.func
 def with_energy(turn: wp.quatd, momentum: wp.vec3d, inverse: mat33d, energy: wp.float64, largest: wp.float64):
-    """Orientation turned by up to an angle, so that an angular momentum has a given rotational energy (twice the energy).
+    """Orientation turned by at most `largest`, so that a momentum has a given rotational energy (twice the energy).
 
     The momentum p in the body's frame moves on a sphere, on which the energy p . w with w = I^-1 p changes fastest
     along p x w (Newton's method). Without this, the energy of a fast spin drifts in one direction (Hairer, Lubich and
