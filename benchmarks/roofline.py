@@ -430,7 +430,7 @@ def _build_graph(c: Counts) -> Work:
     read = c.pairs * row(schema.Pairs, "pairs", "body_a", "body_b", "contact_start") + c.contacts * CONTACT
     read += c.rows * (VELOCITY + row(schema.Motions, "bodies", "acceleration"))
     written = c.rows * row(schema.Graph, "bodies", "level", "depth", "island", "colors")
-    written += c.pairs * row(schema.Graph, "constraints", "supports", "color") + c.touching * ENTRY
+    written += c.pairs * row(schema.Graph, "pairs", "supports", "color") + c.touching * ENTRY
     return Work(read, written, c.contacts * OPERATIONS["graph"])
 
 

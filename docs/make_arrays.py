@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import warp_rigid.kernels.collide.near_samples  # noqa: F401  declares the list of near samples
-import warp_rigid.kernels.constraints.rows  # noqa: F401  declares the arrays of all kinds of constraints
 from warp_rigid.kernels import declare, enums, schema
 from warp_rigid.kernels.graph import heap_arrays  # noqa: F401  declares the arrays of heaps
 from warp_rigid.kernels.joints import arrays

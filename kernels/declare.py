@@ -96,20 +96,21 @@ def packed_record(name: str, doc: str, **fields: Field) -> Any:
     """Declare a record in groups of four words; a member that does not fit into a group starts the next one."""
     padded: dict[str, Field] = {}
     used = 0
+    filler = int if all(field.dtype is int for field in fields.values()) else float
     for key, field in fields.items():
         left = -used % WORDS_OF_A_GROUP
         if WORDS[field.dtype] > left > 0:
-            used = _pad(padded, used, left)
+            used = _pad(padded, used, left, filler)
         padded[key] = field
         used += WORDS[field.dtype]
-    _pad(padded, used, -used % WORDS_OF_A_GROUP)
+    _pad(padded, used, -used % WORDS_OF_A_GROUP, filler)
     PACKED.append(name)
     return record(name, doc, **padded)
 
 
-def _pad(fields: dict[str, Field], used: int, count: int) -> int:
+def _pad(fields: dict[str, Field], used: int, count: int, filler: type) -> int:
     for word in range(used, used + count):
-        fields[f"{PADDING}{word}"] = Field(float, "", "", "fills a group of four words")
+        fields[f"{PADDING}{word}"] = Field(filler, "", "", "fills a group of four words")
     return used + count
 
 

@@ -209,9 +209,6 @@ Environments = layout(
         int, "envs", "", "rank of the first non-finite body in this step (integrate.find_non_finite); 0 if none"
     ),
     strayed=Field(int, "envs", "", "rank of the first body that left the bounds in this step; 0 if none"),
-    passive=Fixed(
-        int, "envs", "", "1: no constraints of other kinds: only forces, drives and kinematic bodies do work"
-    ),
     driven=Remembered(int, "envs", "", "1: a joint has stored or given energy at the last check"),
     health=Field(
         wp.vec2d, "envs", "J", "least sum of the energies gained without work, and largest kinetic energy of late"
@@ -403,24 +400,19 @@ SleepState = layout(
 
 Constraints = layout(
     "Constraints",
-    "Constraints of this step: for each pair its contacts, then the constraints of other kinds.",
+    "Constraints of this step: the contacts of each pair.",
     start=Field(int, "envs + 1", "", "first constraint of each environment; the last entry is their number"),
     start_before=Reused(int, "envs + 1", "", "`start` of the last step"),
-    other_start=Fixed(
-        int, "envs + 1", "", "number of constraints of other kinds than contact in all previous environments"
-    ),
-    kind=Field(int, "constraints", "", "kind of the rows (constraints/rows.py)"),
-    body_a=Field(int, "constraints", "", "first body"),
-    body_b=Field(int, "constraints", "", "second body"),
-    first_row=Field(int, "constraints", "", "first row, among the rows of this kind"),
-    row_count=Field(int, "constraints", "", "number of rows; 0: not active in this step"),
-    last=Field(int, "constraints", "", "index of the same constraint in the last step, -1 if it is new"),
+    body_a=Field(int, "pairs", "", "first body"),
+    body_b=Field(int, "pairs", "", "second body"),
+    first_row=Field(int, "pairs", "", "first contact"),
+    row_count=Field(int, "pairs", "", "number of contacts; 0: not active in this step"),
+    last=Field(int, "pairs", "", "index of the same constraint in the last step, -1 if it is new"),
 )
 
 OrderRecord = packed_record(
     "OrderRecord",
     "An active constraint in solving order.",
-    kind=Field(int, "", "", "kind of the rows"),
     body_a=Field(int, "", "", "first body"),
     body_b=Field(int, "", "", "second body"),
     begin=Field(int, "", "", "first row"),
@@ -435,11 +427,9 @@ Graph = layout(
     "The contact graph: supports, levels, islands and colours, and data that the solver stages share.",
     lifetime=Lifetime.REUSED,
     supports=Field(
-        int, "constraints", "", "bit mask: 1 if the second body supports the first, 2 if the first supports the second"
+        int, "pairs", "", "bit mask: 1 if the second body supports the first, 2 if the first supports the second"
     ),
-    supports_before=Field(
-        int, "constraints", "", "`supports` of the last step; -1 for a constraint that was not active"
-    ),
+    supports_before=Field(int, "pairs", "", "`supports` of the last step; -1 for a constraint that was not active"),
     active=Field(int, "envs", "", "number of active constraints"),
     active_before=Field(
         int, "envs", "", "1 + number of active constraints of the last step; 0: its graph is not available", start=0
@@ -449,7 +439,7 @@ Graph = layout(
         int, "envs", "", "1: the graph, and the islands that are solved in rounds, are the same as in the last step"
     ),
     touching=Field(int, "bodies", "", "active constraints of the body"),
-    tied=Field(int, "bodies", "", "1: the body has a constraint of another kind than contact"),
+    tied=Field(int, "bodies", "", "1: the body has a joint"),
     island_bodies=Field(int, "bodies", "", "at an island's index: number of its bodies"),
     heap_votes=Field(
         int, "bodies", "", "at an island's index: bodies for whose island shock propagation was ineffective"
@@ -493,13 +483,13 @@ Graph = layout(
         int, "bodies", "", "steps in which shock propagation was ineffective for the body's island"
     ),
     energy_terms=Field(
-        wp.vec2, "constraints", "J", "summands of the line search of each active constraint, in solving order"
+        wp.vec2, "pairs", "J", "summands of the line search of each active constraint, in solving order"
     ),
     level_count=Remembered(int, "envs", "", "highest level of a body with an active constraint"),
     colors=Field(wp.uint32, "bodies", "", "bit mask of the colours used at a body"),
     bid=Field(int, "bodies", "", "highest priority of the constraints that bid for a colour at a body"),
-    color=Field(int, "constraints", "", "colour; -1 for a constraint that is not active or not coloured yet"),
-    color_before=Field(int, "constraints", "", "`color` of the last step"),
+    color=Field(int, "pairs", "", "colour; -1 for a constraint that is not active or not coloured yet"),
+    color_before=Field(int, "pairs", "", "`color` of the last step"),
     tally=Field(int, f"envs, {COLORS}", "", "constraints of a colour, then the next free place of the colour"),
     support_count=Field(int, "bodies", "", "active constraints in which the body is not the lower one"),
     changed=Field(
@@ -526,7 +516,7 @@ Order = layout(
     "Order",
     "Active constraints in solving order, colour by colour.",
     lifetime=Lifetime.REUSED,
-    entries=Field(OrderRecord, "constraints", "", "active constraints"),
+    entries=Field(OrderRecord, "pairs", "", "active constraints"),
     color_start=Field(int, f"envs, {COLORS + 1}", "", "first entry of each colour, and the end of the last"),
     color_count=Field(int, "envs", "", "number of colours in use; 32 if some constraints are solved serially"),
 )

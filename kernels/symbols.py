@@ -23,8 +23,7 @@ SYMBOLS = {
     "pairs": "capacity for pairs of bodies",
     "near_samples": "capacity for samples that may touch, of all searched pairs",
     "contacts": "capacity for contacts",
-    "constraints": "capacity for pairs and for constraints of other kinds than contact",
     "crowd": "bodies; 0 if no environment has more than 128",
-    "crowd_pairs": "capacity for constraints; 0 if no environment has more than 128 bodies",
+    "crowd_pairs": "capacity for pairs; 0 if no environment has more than 128 bodies",
 }
 """What the symbols in the shapes of arrays count."""

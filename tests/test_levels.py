@@ -48,7 +48,7 @@ class HandMadeGraph:
             "envs": self.count,
             "bodies": self.count * self.per_env,
             "filtered": 0,
-            "constraints": max(1, len(rows)),
+            "pairs": max(1, len(rows)),
         }
         self.bodies = declare.allocate(schema.Bodies, sizes, device)
         self.envs = declare.allocate(schema.Environments, sizes, device)

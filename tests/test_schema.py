@@ -13,7 +13,6 @@ from warp_rigid.engine import model
 from warp_rigid.engine.layout import layout_of
 from warp_rigid.kernels import declare, enums, schema
 from warp_rigid.kernels.constraints import contact
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.joints import arrays
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 
@@ -70,7 +69,7 @@ def test_units_are_products_of_si_units():
 
 
 def test_shapes_are_sums_of_known_symbols_and_numbers():
-    known = set(SYMBOLS) | {kind.NAME for kind in OTHER_KINDS}
+    known = set(SYMBOLS)
     used = set()
     for struct, members in declare.LAYOUTS.items():
         for name, field in members.items():
@@ -101,8 +100,7 @@ def test_a_struct_has_the_declared_members(struct):
 def test_arrays_are_allocated_with_the_declared_sizes(struct):
     """Symbols stand for different primes, so that no two shapes agree by accident."""
     primes = [n for n in range(2, 150) if all(n % k for k in range(2, n))]
-    symbols = [*SYMBOLS, *(kind.NAME for kind in OTHER_KINDS)]
-    sizes = dict(zip(symbols, primes[: len(symbols)], strict=True))
+    sizes = dict(zip(SYMBOLS, primes[: len(SYMBOLS)], strict=True))
     arrays = declare.allocate(declare.STRUCTS[struct], sizes, "cpu")
     total = 0
     for name, field in declare.LAYOUTS[struct].items():

@@ -273,7 +273,6 @@ def store_pair(i: int, pairs: Pairs, history: History):
 def store_lists(threads: int, pairs: Pairs, constraints: Constraints, history: History, graph: Graph):
     """History, first part: the threads share the pairs and the constraints and store them for the next step."""
     count = wp.max(history.pair_start.shape[0], history.contact_start.shape[0])
-    count = wp.max(count, wp.max(constraints.kind.shape[0], constraints.start.shape[0]))
     for i in range(wp.tid(), count, threads):
         store_pair(i, pairs, history)
         store_constraint(i, constraints, graph)

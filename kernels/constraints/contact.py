@@ -26,9 +26,6 @@ from warp_rigid.kernels.schema import ContactRecord, Contacts, ImpulseRecord, Mo
 
 wp.set_module_options({"enable_backward": False})
 
-KIND = wp.constant(0)
-"""Kind of contact rows in `Constraints`."""
-
 read_contact = record_reader(ContactRecord, flag="more", optional_from="surface")
 """Read a contact row: (c, contacts.rows)."""
 

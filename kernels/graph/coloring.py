@@ -143,7 +143,6 @@ def add_colors(env: int, begin: int, graph: Graph, order: Order):
 def write_in_order(k: int, env: int, constraints: Constraints, graph: Graph, order: Order):
     """Write a constraint to the next free place of its colour."""
     entry = OrderRecord()
-    entry.kind = constraints.kind[k]
     entry.body_a = constraints.body_a[k]
     entry.body_b = constraints.body_b[k]
     entry.begin = constraints.first_row[k]

@@ -15,7 +15,6 @@ import warp as wp
 
 from warp_rigid.kernels.common.crowd import is_crowded
 from warp_rigid.kernels.common.team import add_together, raise_to
-from warp_rigid.kernels.constraints.contact import KIND as CONTACT
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
 from warp_rigid.kernels.graph.heap_arrays import MOST_SHARING
@@ -136,9 +135,6 @@ def join_islands(threads: int, bodies: Bodies, constraints: Constraints, graph: 
                 wp.atomic_add(graph.touching, a, 1)
             if dynamic_b:
                 wp.atomic_add(graph.touching, b, 1)
-            if constraints.kind[k] != CONTACT:
-                graph.tied[a] = 1
-                graph.tied[b] = 1
             if dynamic_a and dynamic_b and graph.unchanged[bodies.env[a]] == 0:
                 join(a, b, graph.island)
 

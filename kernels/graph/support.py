@@ -20,10 +20,10 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies
 from warp_rigid.kernels.common.team import Team, add_together, any_of_team, sync_team, team_of
+from warp_rigid.kernels.constraints.contact import direction_and_approach
 from warp_rigid.kernels.constraints.records import is_active
-from warp_rigid.kernels.constraints.rows import Rows, direction_and_approach
 from warp_rigid.kernels.enums import IslandSolver, Motion
-from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, Motions
+from warp_rigid.kernels.schema import Bodies, Constraints, Contacts, Environments, Graph, Motions
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,15 +47,14 @@ def presses(pull: wp.vec3, n: wp.vec3, approach: float):
 
 
 @wp.func
-def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constraints: Constraints, rows: Rows):
+def supports_of(k: int, pair: BodyPair, bodies: Bodies, motions: Motions, constraints: Constraints, contacts: Contacts):
     """Which bodies of a constraint are supported by the other one, as bits A_ON_B and B_ON_A."""
     a = constraints.body_a[k]
     b = constraints.body_b[k]
-    kind = constraints.kind[k]
     first = constraints.first_row[k]
     supports = int(0)
     for row in range(first, first + constraints.row_count[k]):
-        found = direction_and_approach(kind, row, pair, rows)
+        found = direction_and_approach(row, pair, contacts)
         n = first_three(found)
         approach = found[3]
         if bodies.motion[a] == Motion.DYNAMIC and presses(motions.acceleration[a], n, approach):
@@ -90,7 +89,9 @@ def start_graph(graph: Graph):
 
 
 @wp.kernel
-def find_support(threads: int, bodies: Bodies, motions: Motions, rows: Rows, constraints: Constraints, graph: Graph):
+def find_support(
+    threads: int, bodies: Bodies, motions: Motions, contacts: Contacts, constraints: Constraints, graph: Graph
+):
     """The threads share the constraints: the supports of each, and whether any differs from those of the last step."""
     for k in range(wp.tid(), constraints.start[constraints.start.shape[0] - 1], threads):
         supports = int(0)
@@ -98,7 +99,7 @@ def find_support(threads: int, bodies: Bodies, motions: Motions, rows: Rows, con
             a = constraints.body_a[k]
             env = bodies.env[a]
             pair = load_bodies(a, constraints.body_b[k], 0.0, 0.0, motions)
-            supports = supports_of(k, pair, bodies, motions, constraints, rows)
+            supports = supports_of(k, pair, bodies, motions, constraints, contacts)
             add_together(graph.active, env, 1)
             if not is_unchanged(k, env, supports, constraints, graph):
                 graph.altered[env] = 1

@@ -17,7 +17,7 @@ SYMBOLS = {
     "ends": "members of the mechanisms, once for each joint that they have",
     "blocks": "blocks below the diagonal in the factors of the mechanisms",
     "eliminations": "updates of a block during factorization",
-    "visits": "capacity for constraints; 0 if no environment has joints",
+    "visits": "capacity for pairs; 0 if no environment has joints",
 }
 """What the symbols in the shapes of these arrays count, besides schema.SYMBOLS."""
 
@@ -105,7 +105,7 @@ TURN_WORDS = 8
 VisitOrder = layout(
     "VisitOrder",
     "The pairs of mechanisms whose contacts are solved where the joints hold, turn by turn.",
-    entries=Field(int, "visits", "", "their indices in `Order.entries`, turn by turn", "constraints"),
+    entries=Field(int, "visits", "", "their indices in `Order.entries`, turn by turn", "pairs"),
     end=Field(int, "visits", "", "from the first entry of an environment on: one past the last pair of each turn"),
     count=Field(int, "envs", "", "number of turns"),
     taken=Field(wp.uint32, f"joined, {TURN_WORDS}", "", "bit masks of the turns that touch a body, or its mechanism"),

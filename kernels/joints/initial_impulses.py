@@ -18,12 +18,12 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import START, load_velocity, store_velocity
 from warp_rigid.kernels.common.team import Team, sync_team
 from warp_rigid.kernels.constraints import contact
-from warp_rigid.kernels.constraints.rows import Rows, blend_row, store_start
+from warp_rigid.kernels.constraints.contact import blend_row, store_start
 from warp_rigid.kernels.enums import Role
 from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.kernels.joints.loads import is_visited
 from warp_rigid.kernels.joints.mechanism import energy_terms
-from warp_rigid.kernels.schema import Graph, Motions, Order
+from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import warm_start_pair
 from warp_rigid.kernels.solve.line_search import (
     FINE,
@@ -46,20 +46,20 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
-def warm_start_others(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
+def warm_start_others(team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints):
     """Apply the initial impulses of all pairs that belong to no mechanism that is visited."""
     for color in range(order.color_count[team.env]):
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
             if not is_visited(entry, joints):
-                warm_start_pair(entry, motions, rows)
+                warm_start_pair(entry, motions, contacts)
         sync_team(team)
 
 
 @wp.func
 def store_before_impulses(
-    first: int, last: int, team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints
+    first: int, last: int, team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints
 ):
     """Store velocities and impulses without the initial ones of the contacts of mechanisms, which start at 0."""
     none = wp.vec3(0.0, 0.0, 0.0)
@@ -71,10 +71,10 @@ def store_before_impulses(
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         for c in range(entry.begin, entry.end):
-            store_start(entry.kind, c, rows)
+            store_start(c, contacts)
             if is_visited(entry, joints):
-                contact.set_impulse(c, contact.START_IMPULSE, none, rows.contacts)
-                contact.set_impulse(c, contact.START_ANGULAR_IMPULSE, none, rows.contacts)
+                contact.set_impulse(c, contact.START_IMPULSE, none, contacts)
+                contact.set_impulse(c, contact.START_ANGULAR_IMPULSE, none, contacts)
     sync_team(team)
 
 
@@ -104,7 +104,7 @@ def add_joint_terms(team: Team, graph: Graph, motions: Motions, joints: Joints):
 
 @wp.func
 def scale_changes(
-    first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows, joints: Joints
+    first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts, joints: Joints
 ):
     """Scale the changes since the start of the search by the factor of each island."""
     for b in range(first + team.lane, last, team.lanes):
@@ -121,7 +121,7 @@ def scale_changes(
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         for c in range(entry.begin, entry.end):
-            blend_row(entry.kind, c, accepted_share(island_of(entry, motions, graph), graph), rows)
+            blend_row(c, accepted_share(island_of(entry, motions, graph), graph), contacts)
     sync_team(team)
 
 
@@ -141,7 +141,7 @@ def search_energy(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
     joints: Joints,
 ):
     """Scale the changes since the start of the search such that they minimize the energy of each island.
@@ -149,8 +149,8 @@ def search_energy(
     The joints must have been solved.
     """
     clear_sums(first, last, team, graph)
-    store_terms(team, order, graph, motions, rows)
+    store_terms(team, order, graph, motions, contacts)
     store_joint_terms(dt, team, graph, motions, joints)
     add_terms(team, order, graph, motions)
     add_joint_terms(team, graph, motions, joints)
-    scale_changes(first, last, team, order, graph, motions, rows, joints)
+    scale_changes(first, last, team, order, graph, motions, contacts, joints)

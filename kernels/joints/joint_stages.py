@@ -5,7 +5,6 @@ import warp as wp
 from warp_rigid.kernels.collide.ccd import NO_IMPACT, motion_after, time_of
 from warp_rigid.kernels.common.solver_body import PUSH, VELOCITY
 from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, part_of_team, sync_team, team_of
-from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import JointNumber, Motion, Role, ShockMode
 from warp_rigid.kernels.graph.islands import join
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
@@ -43,6 +42,7 @@ from warp_rigid.kernels.joints.turns import choose_turns, solve_touching
 from warp_rigid.kernels.schema import (
     Bodies,
     Constraints,
+    Contacts,
     Environments,
     Graph,
     Motions,
@@ -170,7 +170,7 @@ def warm_start_with_joints(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
     joints: Joints,
     visits: VisitOrder,
 ):
@@ -186,7 +186,7 @@ def warm_start_with_joints(
         first_row = constraints.first_row[constraints.start[team.env]]
         choose_turns(first, last, first_row, team, order, graph, motions, joints, visits)
     if envs.warm_starting[team.env] == 1:
-        warm_start_others(team, order, motions, rows, joints)
+        warm_start_others(team, order, motions, contacts, joints)
 
 
 @wp.kernel
@@ -198,7 +198,7 @@ def sweep_with_joints(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
     joints: Joints,
     visits: VisitOrder,
 ):
@@ -215,7 +215,7 @@ def sweep_with_joints(
     touched = any_touched(team, joints)
     starts = after_shock == 0 and touched * envs.warm_starting[env] == 1
     if starts:
-        store_before_impulses(envs.first_body[env], envs.first_body[env + 1], team, order, motions, rows, joints)
+        store_before_impulses(envs.first_body[env], envs.first_body[env + 1], team, order, motions, contacts, joints)
     left = wp.where(is_propagated(env, envs, graph), 1, 0)
     if after_shock != AFTER_PASSES:
         left = sweeps_of(env, after_shock, envs, graph)
@@ -227,7 +227,9 @@ def sweep_with_joints(
     is_searched = after_shock == 1 and searched(env, envs, graph)
     stage = int(wp.where(starts, STARTING, stage_after(STARTING, left, touched, is_searched)))
     while stage != OVER:
-        change = sweep_once(stage, after_shock, touched, layered, dt, team, order, graph, motions, rows, joints, visits)
+        change = sweep_once(
+            stage, after_shock, touched, layered, dt, team, order, graph, motions, contacts, joints, visits
+        )
         if stage == SWEEPING:
             residual = change
             done += 1
@@ -239,7 +241,7 @@ def sweep_with_joints(
                 spare = 0
         if stage == SEARCHING:
             first = envs.first_body[env]
-            search_energy(dt, first, envs.first_body[env + 1], team, order, graph, motions, rows, joints)
+            search_energy(dt, first, envs.first_body[env + 1], team, order, graph, motions, contacts, joints)
         is_first = starts and done == 1 and stage == SWEEPING
         stage = wp.where(is_first, SEARCHING, stage_after(stage, left, touched, is_searched))
     if after_shock == 0:
@@ -273,7 +275,7 @@ def sweep_once(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
     joints: Joints,
     visits: VisitOrder,
 ):
@@ -285,15 +287,15 @@ def sweep_once(
     change = float(0.0)
     if stage == SWEEPING and after_shock != AFTER_PASSES:
         if touched == 1:
-            change = sweep_others(team, order, motions, rows, joints)
+            change = sweep_others(team, order, motions, contacts, joints)
         else:
             for level in range(layered, layered * graph.level_count[team.env] + 1):
-                change = wp.max(change, sweep(level, team, order, graph, motions, rows))
+                change = wp.max(change, sweep(level, team, order, graph, motions, contacts))
     if stage != STARTING:
         change = wp.max(change, solve_joints(team, dt, motions, joints))
     if touched == 1 and stage <= SWEEPING:
         start = wp.where(stage == STARTING, 1, 0)
-        change = wp.max(change, solve_touching(start, team, order, motions, rows, joints, visits))
+        change = wp.max(change, solve_touching(start, team, order, motions, contacts, joints, visits))
     return change
 
 
@@ -340,7 +342,7 @@ def push_joined(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
     joints: Joints,
     visits: VisitOrder,
 ):
@@ -357,7 +359,7 @@ def push_joined(
     sync_team(team)
     left = int(PUSH_OUT_SWEEPS)
     while left > 0:
-        change = push_touching(team, order, motions, rows, joints, visits)
+        change = push_touching(team, order, motions, contacts, joints, visits)
         left = any_of_team(wp.where(change > ENOUGH, 1, 0), team) * (left - 1)
 
 

@@ -30,12 +30,12 @@ from warp_rigid.kernels.common.team import (
     sync_team,
 )
 from warp_rigid.kernels.constraints import contact
-from warp_rigid.kernels.constraints.rows import Rows, distribute_load
+from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, Role
 from warp_rigid.kernels.joints.arrays import Joints, mat66d, vec6d
 from warp_rigid.kernels.joints.mechanism import IN_CONTACT, needs_solution, solve_mechanism
 from warp_rigid.kernels.joints.responses import push_mechanism, store_response
-from warp_rigid.kernels.schema import ContactRecord, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.schema import ContactRecord, Contacts, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import solve_constraint
 from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
@@ -161,7 +161,7 @@ def any_touched(team: Team, joints: Joints):
 
 
 @wp.func
-def sweep_others(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints):
+def sweep_others(team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints):
     """As `sweep`, without the contacts that `solve_touching` solves."""
     change = float(0.0)
     for color in range(order.color_count[team.env]):
@@ -169,7 +169,7 @@ def sweep_others(team: Team, order: Order, motions: Motions, rows: Rows, joints:
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
             if not is_visited(entry, joints):
-                change = wp.max(change, solve_constraint(entry, motions, rows))
+                change = wp.max(change, solve_constraint(entry, motions, contacts))
         sync_team(team)
     return change
 
@@ -332,32 +332,32 @@ def angular_response(response: mat66d):
 
 
 @wp.func
-def roll(c: int, row: ContactRecord, visit: Visit, rows: Rows, joints: Joints):
+def roll(c: int, row: ContactRecord, visit: Visit, contacts: Contacts, joints: Joints):
     """The visit after rolling and spinning friction of a contact."""
     pair = visit.pair
     if visit.m_a >= 0:
         pair.inverse_inertia_a = angular_response(visit.share * joints.response[visit.a])
     if visit.m_b >= 0:
         pair.inverse_inertia_b = angular_response(visit.share * joints.response[visit.b])
-    old = contact.impulse_of(c, contact.ANGULAR_IMPULSE, rows.contacts)
-    load = contact.impulse_of(c, contact.IMPULSE, rows.contacts)[0]
-    pair = contact.solve_rolling(c, load, row, pair, rows.contacts)
-    new = contact.impulse_of(c, contact.ANGULAR_IMPULSE, rows.contacts)
+    old = contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
+    load = contact.impulse_of(c, contact.IMPULSE, contacts)[0]
+    pair = contact.solve_rolling(c, load, row, pair, contacts)
+    new = contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
     # An angular impulse on a body of a mechanism moves its centre of mass, too.
     return turned(world_vector(row.normal, row.tangent, new - old), visit, joints)
 
 
 @wp.func
-def touch(c: int, visit: Visit, rows: Rows, joints: Joints):
+def touch(c: int, visit: Visit, contacts: Contacts, joints: Joints):
     """The visit after the solution of a contact."""
-    row = with_responses(contact.read_contact(c, rows.contacts.rows), visit, joints)
-    old = contact.impulse_of(c, contact.IMPULSE, rows.contacts)
+    row = with_responses(contact.read_contact(c, contacts.rows), visit, joints)
+    old = contact.impulse_of(c, contact.IMPULSE, contacts)
     new = contact.next_impulse(old, 1.0, 1.0, row, visit.pair)
-    contact.set_impulse(c, contact.IMPULSE, new, rows.contacts)
+    contact.set_impulse(c, contact.IMPULSE, new, contacts)
     visit.change = wp.max(visit.change, contact.velocity_change(new - old, 1.0, 1.0, row))
     visit = pushed(row, world_vector(row.normal, row.tangent, new - old), visit, joints)
     if row.rolling_friction + row.spinning_friction > 0.0:
-        visit = roll(c, row, visit, rows, joints)
+        visit = roll(c, row, visit, contacts, joints)
     return visit
 
 
@@ -376,14 +376,14 @@ def open_visit(entry: OrderRecord, motions: Motions, joints: Joints):
 
 
 @wp.func
-def warm_started(entry: OrderRecord, visit: Visit, rows: Rows, joints: Joints):
+def warm_started(entry: OrderRecord, visit: Visit, contacts: Contacts, joints: Joints):
     """The visit after the initial impulses of a pair."""
-    distribute_load(entry.kind, entry.begin, entry.end, rows)
+    distribute_contact_load(entry.begin, entry.end, contacts)
     for c in range(entry.begin, entry.end):
-        row = contact.read_contact(c, rows.contacts.rows)
-        impulse = contact.impulse_of(c, contact.IMPULSE, rows.contacts)
+        row = contact.read_contact(c, contacts.rows)
+        impulse = contact.impulse_of(c, contact.IMPULSE, contacts)
         visit = pushed(row, world_vector(row.normal, row.tangent, impulse), visit, joints)
-        angular_impulse = contact.impulse_of(c, contact.ANGULAR_IMPULSE, rows.contacts)
+        angular_impulse = contact.impulse_of(c, contact.ANGULAR_IMPULSE, contacts)
         visit = turned(world_vector(row.normal, row.tangent, angular_impulse), visit, joints)
     return visit
 
@@ -398,7 +398,7 @@ def store_impulses(visit: Visit, joints: Joints):
 
 
 @wp.func
-def solve_alone(start: int, entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
+def solve_alone(start: int, entry: OrderRecord, motions: Motions, contacts: Contacts, joints: Joints):
     """Solve a pair with its responses, or apply its initial impulses (`start`). Returns the largest change [m/s].
 
     One lane does this; `push_mechanisms` then applies the impulses to the mechanisms.
@@ -406,13 +406,13 @@ def solve_alone(start: int, entry: OrderRecord, motions: Motions, rows: Rows, jo
     visit = open_visit(entry, motions, joints)
     first = float(0.0)
     if start == 1:
-        visit = warm_started(entry, visit, rows, joints)
+        visit = warm_started(entry, visit, contacts, joints)
     else:
         left = int(PAIR_ROUNDS)
         while left > 0:
             visit.change = 0.0
             for c in range(entry.begin, entry.end):
-                visit = touch(c, visit, rows, joints)
+                visit = touch(c, visit, contacts, joints)
             first = wp.max(first, visit.change)
             left = wp.where(visit.change > CONVERGED, left - 1, 0)
     store_bodies(visit.a, visit.b, visit.pair, motions)
@@ -446,7 +446,7 @@ def push_mechanisms(entry: OrderRecord, which: int, team: Team, motions: Motions
 
 
 @wp.func
-def visit_pair(start: int, entry: OrderRecord, team: Team, motions: Motions, rows: Rows, joints: Joints):
+def visit_pair(start: int, entry: OrderRecord, team: Team, motions: Motions, contacts: Contacts, joints: Joints):
     """A team solves a pair with its responses, or applies its initial impulses (`start`).
 
     Returns a lane's largest change [m/s].
@@ -454,7 +454,7 @@ def visit_pair(start: int, entry: OrderRecord, team: Team, motions: Motions, row
     answer_pair(entry, team, joints)
     change = float(0.0)
     if team.lane == 0:
-        change = solve_alone(start, entry, motions, rows, joints)
+        change = solve_alone(start, entry, motions, contacts, joints)
     push_mechanisms(entry, VELOCITY, team, motions, joints)
     return change
 

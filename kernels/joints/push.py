@@ -10,7 +10,6 @@ from warp_rigid.kernels.common.arithmetic import quotient
 from warp_rigid.kernels.common.solver_body import PUSH, BodyPair, store_velocity, with_velocities
 from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, part_of_team, sync_team
 from warp_rigid.kernels.constraints import contact
-from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import (
     PAIR_ROUNDS,
@@ -23,90 +22,89 @@ from warp_rigid.kernels.joints.loads import (
     with_responses,
 )
 from warp_rigid.kernels.joints.turns import begin_of_turn, end_of_turn, visited_pair
-from warp_rigid.kernels.schema import Motions, Order, OrderRecord
+from warp_rigid.kernels.schema import Contacts, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.push_out import ENOUGH
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
-def wants_push(entry: OrderRecord, rows: Rows):
+def wants_push(entry: OrderRecord, contacts: Contacts):
     """Whether a contact of a pair requires a separation speed."""
-    if entry.kind == contact.KIND:
-        for c in range(entry.begin, entry.end):
-            if contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)[3] > 0.0:
-                return True
+    for c in range(entry.begin, entry.end):
+        if contact.read_impulse(contacts.impulses, c, contact.IMPACT_IMPULSE)[3] > 0.0:
+            return True
     return False
 
 
 @wp.func
-def targets_of(entry: OrderRecord, along: BodyPair, rows: Rows):
+def targets_of(entry: OrderRecord, along: BodyPair, contacts: Contacts):
     """Sum over the contacts of a pair of the squares of required separation speeds, and of these times present ones."""
     sums = wp.vec2(0.0, 0.0)
     for c in range(entry.begin, entry.end):
-        target = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)[3]
-        row = contact.read_contact(c, rows.contacts.rows)
+        target = contact.read_impulse(contacts.impulses, c, contact.IMPACT_IMPULSE)[3]
+        row = contact.read_contact(c, contacts.rows)
         sums += target * wp.vec2(target, wp.dot(contact.contact_velocity(row, along), row.normal))
     return sums
 
 
 @wp.func
-def push_all(entry: OrderRecord, share: float, visit: Visit, rows: Rows, joints: Joints):
+def push_all(entry: OrderRecord, share: float, visit: Visit, contacts: Contacts, joints: Joints):
     """The visit after pseudo-impulses of all contacts of a pair: `share` [kg] times the speeds that they require."""
     for c in range(entry.begin, entry.end):
-        target = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)[3]
+        target = contact.read_impulse(contacts.impulses, c, contact.IMPACT_IMPULSE)[3]
         if target > 0.0:
-            row = contact.read_contact(c, rows.contacts.rows)
+            row = contact.read_contact(c, contacts.rows)
             visit = pushed(row, share * target * row.normal, visit, joints)
     return visit
 
 
 @wp.func
-def push_together(entry: OrderRecord, visit: Visit, rows: Rows, joints: Joints):
+def push_together(entry: OrderRecord, visit: Visit, contacts: Contacts, joints: Joints):
     """The visit after the best pseudo-impulses in proportion to the required speeds, as in a method of descent.
 
     One contact after the other would turn a light foot to and fro below a heavy leg.
     """
-    before = targets_of(entry, visit.pair, rows)
-    trial = push_all(entry, 1.0, visit, rows, joints)
-    gained = targets_of(entry, trial.pair, rows)[1] - before[1]
+    before = targets_of(entry, visit.pair, contacts)
+    trial = push_all(entry, 1.0, visit, contacts, joints)
+    gained = targets_of(entry, trial.pair, contacts)[1] - before[1]
     share = wp.max(quotient(before[0] - before[1], wp.max(gained, 1.0e-30)), 0.0)
     for c in range(entry.begin, entry.end):
-        stored = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)
+        stored = contact.read_impulse(contacts.impulses, c, contact.IMPACT_IMPULSE)
         new = stored[0] + share * stored[3]
-        contact.set_target_impulse(c, wp.vec3(new, 0.0, 0.0), stored[3], rows.contacts)
-    return push_all(entry, share, visit, rows, joints)
+        contact.set_target_impulse(c, wp.vec3(new, 0.0, 0.0), stored[3], contacts)
+    return push_all(entry, share, visit, contacts, joints)
 
 
 @wp.func
-def push_touch(c: int, visit: Visit, rows: Rows, joints: Joints):
+def push_touch(c: int, visit: Visit, contacts: Contacts, joints: Joints):
     """The visit after the pseudo-impulse of a contact, as `push_contact`."""
-    stored = contact.read_impulse(rows.contacts.impulses, c, contact.IMPACT_IMPULSE)
+    stored = contact.read_impulse(contacts.impulses, c, contact.IMPACT_IMPULSE)
     if stored[3] <= 0.0:
         return visit
-    row = with_responses(contact.read_contact(c, rows.contacts.rows), visit, joints)
+    row = with_responses(contact.read_contact(c, contacts.rows), visit, joints)
     k = row.normal_a + row.normal_b
     if k <= 0.0:
         return visit
     missing = stored[3] - wp.dot(contact.contact_velocity(row, visit.pair), row.normal)
     new = wp.max(stored[0] + quotient(missing, k), 0.0)
-    contact.set_target_impulse(c, wp.vec3(new, 0.0, 0.0), stored[3], rows.contacts)
+    contact.set_target_impulse(c, wp.vec3(new, 0.0, 0.0), stored[3], contacts)
     visit.change = wp.max(visit.change, k * wp.abs(new - stored[0]))
     return pushed(row, (new - stored[0]) * row.normal, visit, joints)
 
 
 @wp.func
-def push_alone(entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints):
+def push_alone(entry: OrderRecord, motions: Motions, contacts: Contacts, joints: Joints):
     """Separate a pair with its responses, as `solve_alone`. Returns the largest change of a pseudo-velocity [m/s]."""
     visit = open_visit(entry, motions, joints)
     visit.pair = with_velocities(visit.a, visit.b, PUSH, visit.pair, motions)
-    visit = push_together(entry, visit, rows, joints)
+    visit = push_together(entry, visit, contacts, joints)
     first = float(0.0)
     left = int(PAIR_ROUNDS)
     while left > 0:
         visit.change = 0.0
         for c in range(entry.begin, entry.end):
-            visit = push_touch(c, visit, rows, joints)
+            visit = push_touch(c, visit, contacts, joints)
         first = wp.max(first, visit.change)
         left = wp.where(visit.change > ENOUGH, left - 1, 0)
     if visit.pair.inverse_mass_a > 0.0:
@@ -118,18 +116,18 @@ def push_alone(entry: OrderRecord, motions: Motions, rows: Rows, joints: Joints)
 
 
 @wp.func
-def push_visited(entry: OrderRecord, team: Team, motions: Motions, rows: Rows, joints: Joints):
+def push_visited(entry: OrderRecord, team: Team, motions: Motions, contacts: Contacts, joints: Joints):
     """A team separates a pair with its responses. Returns a lane's largest change of a pseudo-velocity [m/s]."""
     answer_pair(entry, team, joints)
     change = float(0.0)
     if team.lane == 0:
-        change = push_alone(entry, motions, rows, joints)
+        change = push_alone(entry, motions, contacts, joints)
     push_mechanisms(entry, PUSH, team, motions, joints)
     return change
 
 
 @wp.func
-def push_touching(team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints, visits: VisitOrder):
+def push_touching(team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints, visits: VisitOrder):
     """Separate all pairs of mechanisms, turn by turn, as `solve_touching`. Returns a lane's largest change [m/s]."""
     change = float(0.0)
     part = part_of_team(team, MECHANISM_LANES)
@@ -137,7 +135,7 @@ def push_touching(team: Team, order: Order, motions: Motions, rows: Rows, joints
         first = begin_of_turn(team.env, turn, order, visits) + team.lane / part.lanes
         for place in range(first, end_of_turn(team.env, turn, order, visits), team.lanes / part.lanes):
             entry = visited_pair(place, order, visits)
-            if wants_push(entry, rows):
-                change = wp.max(change, push_visited(entry, part, motions, rows, joints))
+            if wants_push(entry, contacts):
+                change = wp.max(change, push_visited(entry, part, motions, contacts, joints))
         sync_team(team)
     return change

@@ -12,11 +12,10 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import inverse_mass_of
 from warp_rigid.kernels.common.team import MECHANISM_LANES, Team, any_of_team, lowest_bit, part_of_team, sync_team
-from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.graph.coloring import NO_BID
 from warp_rigid.kernels.joints.arrays import TURN_WORDS, Joints, VisitOrder
 from warp_rigid.kernels.joints.loads import is_visited, solved_mechanism, visit_pair
-from warp_rigid.kernels.schema import Graph, Motions, Order
+from warp_rigid.kernels.schema import Contacts, Graph, Motions, Order
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -219,7 +218,7 @@ def visited_pair(place: int, order: Order, visits: VisitOrder):
 
 @wp.func
 def solve_touching(
-    start: int, team: Team, order: Order, motions: Motions, rows: Rows, joints: Joints, visits: VisitOrder
+    start: int, team: Team, order: Order, motions: Motions, contacts: Contacts, joints: Joints, visits: VisitOrder
 ):
     """Visit all contacts of mechanisms, turn by turn. Returns a lane's largest change [m/s].
 
@@ -231,6 +230,6 @@ def solve_touching(
         first = begin_of_turn(team.env, turn, order, visits) + team.lane / part.lanes
         for place in range(first, end_of_turn(team.env, turn, order, visits), team.lanes / part.lanes):
             entry = visited_pair(place, order, visits)
-            change = wp.max(change, visit_pair(start, entry, part, motions, rows, joints))
+            change = wp.max(change, visit_pair(start, entry, part, motions, contacts, joints))
         sync_team(team)
     return change

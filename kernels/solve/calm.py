@@ -17,10 +17,9 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import START, VELOCITY, inverse_mass_of, load_velocity, store_velocity
 from warp_rigid.kernels.common.team import Team, any_of_team, raise_to, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import extrapolate_row, store_start
-from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.graph.islands import MOST_CALM
-from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.gauss_seidel import SWEEPS, solve_constraint
 from warp_rigid.kernels.solve.rounds import momentum
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry, first_of_color, stride_of_color
@@ -61,7 +60,7 @@ def any_calm(team: Team, envs: Environments, graph: Graph, motions: Motions):
 
 
 @wp.func
-def any_other(team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def any_other(team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """Whether an environment has constraints of other islands. Stores the impulses of calm islands."""
     others = int(0)
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
@@ -70,12 +69,12 @@ def any_other(team: Team, order: Order, graph: Graph, motions: Motions, rows: Ro
             others = 1
         else:
             for c in range(entry.begin, entry.end):
-                store_start(c, rows.contacts)
+                store_start(c, contacts)
     return any_of_team(others, team)
 
 
 @wp.func
-def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """Solve all constraints of calm islands once. Returns a lane's largest change [m/s].
 
     Where an island reaches its limit, the change is its residual.
@@ -87,7 +86,7 @@ def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motio
             entry = entry_at(k, order)
             limit = limit_of(entry, motions, graph)
             if turn <= limit:
-                change = wp.max(change, solve_constraint(entry, motions, rows))
+                change = wp.max(change, solve_constraint(entry, motions, contacts))
             if turn == limit:
                 raise_to(team.env, change, graph.residual)
         sync_team(team)
@@ -95,7 +94,9 @@ def sweep_calm(turn: int, team: Team, order: Order, graph: Graph, motions: Motio
 
 
 @wp.func
-def extrapolate(turn: int, team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def extrapolate(
+    turn: int, team: Team, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+):
     """Extrapolate velocities and impulses from their change since the sweep before."""
     env = team.env
     for b in range(envs.first_body[env] + team.lane, envs.first_body[env + 1], team.lanes):
@@ -111,12 +112,14 @@ def extrapolate(turn: int, team: Team, envs: Environments, order: Order, graph: 
         limit = limit_of(entry, motions, graph)
         if turn <= limit:
             for c in range(entry.begin, entry.end):
-                extrapolate_row(c, momentum(turn, limit, MOST_MOMENTUM), rows.contacts)
+                extrapolate_row(c, momentum(turn, limit, MOST_MOMENTUM), contacts)
     sync_team(team)
 
 
 @wp.kernel(module=SWEEPS)
-def sweep_calm_islands(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def sweep_calm_islands(
+    lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+):
     """One team per environment: sweep over the calm islands that have not converged.
 
     If the largest change has not halved within half of the sweeps, the rest is left to the next step.
@@ -127,7 +130,7 @@ def sweep_calm_islands(lanes: int, envs: Environments, order: Order, graph: Grap
         return
     if any_calm(team, envs, graph, motions) == 0:
         return
-    others = any_other(team, order, graph, motions, rows)
+    others = any_other(team, order, graph, motions, contacts)
     most = MOST_CALM * envs.contact_iterations[env]
     goal = float(graph.residual[env])
     sync_team(team)
@@ -140,13 +143,13 @@ def sweep_calm_islands(lanes: int, envs: Environments, order: Order, graph: Grap
     unsolved = int(1)
     while unsolved == 1 and turn < most and 2 * (turn - halved) < most:
         turn += 1
-        change = sweep_calm(turn, team, order, graph, motions, rows)
+        change = sweep_calm(turn, team, order, graph, motions, contacts)
         unsolved = any_of_team(wp.where(change > STILL, 1, 0), team)
         if any_of_team(wp.where(change > goal, 1, 0), team) == 0:
             goal *= 0.5
             halved = turn
         if unsolved == 1 and turn < most:
-            extrapolate(turn, team, envs, order, graph, motions, rows)
+            extrapolate(turn, team, envs, order, graph, motions, contacts)
     if team.lane == 0:
         graph.sweeps[env] += turn
     raise_to(env, change, graph.residual)

@@ -8,10 +8,11 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import load_bodies, store_bodies
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
-from warp_rigid.kernels.constraints.rows import Rows, apply_row, distribute_load, solve_row
+from warp_rigid.kernels.constraints.contact import apply_row, solve_row
+from warp_rigid.kernels.constraints.load_distribution import distribute_contact_load
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.graph.islands import PATIENCE
-from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import CONVERGED, entry_at, first_of_color, stride_of_color
 
 wp.set_module_options({"enable_backward": False})
@@ -48,27 +49,27 @@ def nearly_solved(change: float, team: Team, graph: Graph):
 
 
 @wp.func
-def solve_constraint(entry: OrderRecord, motions: Motions, rows: Rows):
+def solve_constraint(entry: OrderRecord, motions: Motions, contacts: Contacts):
     """Solve the rows of a constraint, one after another. Returns the largest velocity change [m/s]."""
     pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
     for row in range(entry.begin, entry.end):
-        pair = solve_row(entry.kind, row, 1.0, 1.0, pair, rows)
+        pair = solve_row(row, 1.0, 1.0, pair, contacts)
     store_bodies(entry.body_a, entry.body_b, pair, motions)
     return pair.change
 
 
 @wp.func
-def warm_start_pair(entry: OrderRecord, motions: Motions, rows: Rows):
+def warm_start_pair(entry: OrderRecord, motions: Motions, contacts: Contacts):
     """Apply the initial impulses of a constraint."""
     pair = load_bodies(entry.body_a, entry.body_b, 1.0, 1.0, motions)
-    distribute_load(entry.kind, entry.begin, entry.end, rows)
+    distribute_contact_load(entry.begin, entry.end, contacts)
     for row in range(entry.begin, entry.end):
-        pair = apply_row(entry.kind, row, pair, rows)
+        pair = apply_row(row, pair, contacts)
     store_bodies(entry.body_a, entry.body_b, pair, motions)
 
 
 @wp.kernel
-def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """One team per environment: apply the initial impulses of the rows."""
     team = team_of(wp.tid(), lanes)
     env = team.env
@@ -77,12 +78,12 @@ def warm_start(lanes: int, envs: Environments, order: Order, graph: Graph, motio
     for color in range(order.color_count[env]):
         stride = stride_of_color(color, team)
         for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-            warm_start_pair(entry_at(k, order), motions, rows)
+            warm_start_pair(entry_at(k, order), motions, contacts)
         sync_team(team)
 
 
 @wp.func
-def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """Solve all constraints once, or those of one level if `level` is not 0. Returns a lane's largest change [m/s]."""
     change = float(0.0)
     for color in range(order.color_count[team.env]):
@@ -90,7 +91,7 @@ def sweep(level: int, team: Team, order: Order, graph: Graph, motions: Motions, 
         for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
             entry = entry_at(k, order)
             if level == 0 or wp.max(graph.level[entry.body_a], graph.level[entry.body_b]) == level:
-                change = wp.max(change, solve_constraint(entry, motions, rows))
+                change = wp.max(change, solve_constraint(entry, motions, contacts))
         sync_team(team)
     return change
 
@@ -151,7 +152,7 @@ def sweep_constraints(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """One team per environment: half of the contact iterations, before or after the two passes of shock propagation.
 
@@ -179,7 +180,7 @@ def sweep_constraints(
     while left > 0:
         change = float(0.0)
         for level in range(layered, layered * graph.level_count[env] + 1):
-            change = wp.max(change, sweep(level, team, order, graph, motions, rows))
+            change = wp.max(change, sweep(level, team, order, graph, motions, contacts))
         done += 1
         residual = change
         unsolved = any_of_team(wp.where(change > CONVERGED, 1, 0), team)

@@ -13,9 +13,9 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import START, load_bodies, store_velocity, with_velocities
 from warp_rigid.kernels.common.team import Team, sync_team, team_of
-from warp_rigid.kernels.constraints.rows import Rows, blend_row, energy_terms, store_start
+from warp_rigid.kernels.constraints.contact import blend_row, energy_terms, store_start
 from warp_rigid.kernels.enums import ShockMode
-from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
 from warp_rigid.kernels.solve.shock import island_of
 
@@ -39,7 +39,7 @@ def store_before_shock(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """One team per environment: store the velocities and impulses before the passes."""
     team = team_of(wp.tid(), lanes)
@@ -53,17 +53,17 @@ def store_before_shock(
     for k in range(first_entry(team, order), end_of_entries(env, order), lanes):
         entry = entry_at(k, order)
         for row in range(entry.begin, entry.end):
-            store_start(entry.kind, row, rows)
+            store_start(row, contacts)
 
 
 @wp.func
-def energy_of(entry: OrderRecord, motions: Motions, rows: Rows):
+def energy_of(entry: OrderRecord, motions: Motions, contacts: Contacts):
     """Contribution of a constraint to the two sums [J]: -(v0.M dv + b.dl) and dv.M dv."""
     now = load_bodies(entry.body_a, entry.body_b, 0.0, 0.0, motions)
     then = with_velocities(entry.body_a, entry.body_b, START, now, motions)
     sums = wp.vec2(0.0, 0.0)
     for row in range(entry.begin, entry.end):
-        sums += energy_terms(entry.kind, row, then, now, rows)
+        sums += energy_terms(row, then, now, contacts)
     return sums
 
 
@@ -86,11 +86,11 @@ def clear_sums(first: int, last: int, team: Team, graph: Graph):
 
 
 @wp.func
-def store_terms(team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def store_terms(team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """Store the summands of all constraints, and the largest one of each island."""
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
-        sums = energy_of(entry, motions, rows)
+        sums = energy_of(entry, motions, contacts)
         graph.energy_terms[k] = sums
         island = island_of(entry, motions, graph)
         wp.atomic_max(graph.largest, island, wp.max(wp.abs(sums[0]), wp.abs(sums[1])))
@@ -123,7 +123,7 @@ def sum_energy(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """One team per environment: the two sums of the line search for each island, and its largest velocity change."""
     team = team_of(wp.tid(), lanes)
@@ -140,7 +140,7 @@ def sum_energy(
         wp.atomic_max(
             graph.max_velocity_change, graph.island[body], wp.length(solver_body.linear - solver_body.start_linear)
         )
-    store_terms(team, order, graph, motions, rows)
+    store_terms(team, order, graph, motions, contacts)
     add_terms(team, order, graph, motions)
 
 
@@ -153,7 +153,7 @@ def accepted_share(island: int, graph: Graph):
 
 
 @wp.kernel
-def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """One team per environment: apply the accepted step length of each island."""
     team = team_of(wp.tid(), lanes)
     env = team.env
@@ -170,4 +170,4 @@ def accept(lanes: int, envs: Environments, order: Order, graph: Graph, motions: 
         entry = entry_at(k, order)
         t = accepted_share(island_of(entry, motions, graph), graph)
         for row in range(entry.begin, entry.end):
-            blend_row(entry.kind, row, t, rows)
+            blend_row(row, t, contacts)

@@ -23,14 +23,12 @@ from warp_rigid.kernels.common.symmetry import turn_of_surface
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
-    KIND,
     carrier_velocity,
     contact_velocity,
     read_contact,
     read_impulse,
     set_target_impulse,
 )
-from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import (
     Bodies,
@@ -169,10 +167,8 @@ def push_contact(c: int, share_a: float, share_b: float, pull: wp.vec3, pair: Bo
 
 
 @wp.func
-def push_pair(entry: OrderRecord, freeze: int, motions: Motions, rows: Rows):
+def push_pair(entry: OrderRecord, freeze: int, motions: Motions, contacts: Contacts):
     """Update the contacts of a pair, with pseudo-velocities in place of velocities. Returns 1 if one changed."""
-    if entry.kind != KIND:
-        return 0
     a = entry.body_a
     b = entry.body_b
     share_a = wp.where(freeze == 1, float(entry.upper_a), 1.0)
@@ -181,7 +177,7 @@ def push_pair(entry: OrderRecord, freeze: int, motions: Motions, rows: Rows):
     pair = load_bodies(a, b, 1.0, 1.0, motions)
     pair = with_velocities(a, b, PUSH, pair, motions)
     for c in range(entry.begin, entry.end):
-        pair = push_contact(c, share_a, share_b, pull, pair, rows.contacts)
+        pair = push_contact(c, share_a, share_b, pull, pair, contacts)
     if pair.inverse_mass_a > 0.0:
         store_velocity(a, PUSH, pair.linear_a, pair.angular_a, motions)
     if pair.inverse_mass_b > 0.0:
@@ -200,23 +196,23 @@ def find_overlaps(
     pairs: Pairs,
     motions: Motions,
     graph: Graph,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """The threads share the contacts: the separation speed that each requires, and the environments that need push-out.
 
     Environments that consist of heaps only are left out (push_rounds.py).
     """
     for c in range(wp.tid(), pairs.contact_start[pairs.start[pairs.start.shape[0] - 1]], threads):
-        env = bodies.env[pairs.body_a[rows.contacts.pair[c]]]
+        env = bodies.env[pairs.body_a[contacts.pair[c]]]
         if graph.swept[env] == 1:
-            target = wanted_speed(c, dt, shapes, bodies, state, pairs, motions, rows.contacts)
-            set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, rows.contacts)
+            target = wanted_speed(c, dt, shapes, bodies, state, pairs, motions, contacts)
+            set_target_impulse(c, wp.vec3(0.0, 0.0, 0.0), target, contacts)
             if target > 0.0 and envs.contact_iterations[env] > 0 and graph.overlapping[env] == 0:
                 graph.overlapping[env] = 1
 
 
 @wp.func
-def separate(freeze: int, most: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def separate(freeze: int, most: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts):
     """Sweep over all pairs, at most `most` times. Returns 1 if the pseudo-velocities have not converged by then."""
     left = most
     changed = int(0)
@@ -225,7 +221,7 @@ def separate(freeze: int, most: int, team: Team, order: Order, graph: Graph, mot
         for color in range(order.color_count[team.env]):
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
-                changed |= push_pair(entry_at(k, order), freeze, motions, rows)
+                changed |= push_pair(entry_at(k, order), freeze, motions, contacts)
             sync_team(team)
         changed = any_of_team(changed, team)
         left = changed * (left - 1)
@@ -241,7 +237,7 @@ def push_apart(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """One team per environment: separate all pairs, with the lower body frozen where the upper one rests on it.
 
@@ -254,6 +250,6 @@ def push_apart(
         return
     caught = int(1)
     if envs.shock_propagation[env] != ShockMode.OFF:
-        caught = separate(1, PUSH_OUT_SWEEPS + graph.max_depth[env], team, order, graph, motions, rows)
+        caught = separate(1, PUSH_OUT_SWEEPS + graph.max_depth[env], team, order, graph, motions, contacts)
     if caught == 1:
-        separate(0, PUSH_OUT_SWEEPS, team, order, graph, motions, rows)
+        separate(0, PUSH_OUT_SWEEPS, team, order, graph, motions, contacts)

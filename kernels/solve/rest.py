@@ -21,7 +21,6 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import VELOCITY, inverse_mass_of, load_velocity
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import IMPULSE, impulse_of, read_contact
-from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
 from warp_rigid.kernels.graph.support import UNSUPPORTED
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order, OrderRecord
@@ -97,12 +96,12 @@ def find_held(upper: int, entry: OrderRecord, far: float, graph: Graph, contacts
 
 
 @wp.func
-def moves_on(b: int, entry: OrderRecord, motions: Motions, rows: Rows):
+def moves_on(b: int, entry: OrderRecord, motions: Motions, contacts: Contacts):
     """Whether a body of a constraint is not dynamic, but moves."""
     if inverse_mass_of(b, motions) > 0.0:
         return False
     speed = wp.length(load_velocity(b, VELOCITY, motions)) + wp.length(load_velocity(b, VELOCITY + 1, motions))
-    return speed + wp.length(read_contact(entry.begin, rows.contacts.rows).surface) > 0.0
+    return speed + wp.length(read_contact(entry.begin, contacts.rows).surface) > 0.0
 
 
 @wp.func
@@ -134,18 +133,18 @@ def find_slow(slow: float, first: int, last: int, team: Team, graph: Graph, moti
 
 @wp.func
 def leave_out_free(
-    far: float, first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, rows: Rows
+    far: float, first: int, last: int, team: Team, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """Leave out the islands with moving ground, or with a body that those below it do not hold."""
     for k in range(first_entry(team, order), end_of_entries(team.env, order), team.lanes):
         entry = entry_at(k, order)
         island = island_of(entry, motions, graph)
         if graph.resting[island] == 1:
-            if moves_on(entry.body_a, entry, motions, rows) or moves_on(entry.body_b, entry, motions, rows):
+            if moves_on(entry.body_a, entry, motions, contacts) or moves_on(entry.body_b, entry, motions, contacts):
                 graph.resting[island] = 0
             elif entry.upper_a + entry.upper_b == 1:
                 upper = wp.where(entry.upper_a == 1, entry.body_a, entry.body_b)
-                find_held(upper, entry, far, graph, rows.contacts)
+                find_held(upper, entry, far, graph, contacts)
     sync_team(team)
     for b in range(first + team.lane, last, team.lanes):
         if is_swept(b, graph, motions) and graph.pressed[b] * graph.stuck[b] == 0:
@@ -155,7 +154,7 @@ def leave_out_free(
 
 @wp.kernel(module=SWEEPS)
 def stop_resting_islands(
-    dt: float, lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, rows: Rows
+    dt: float, lanes: int, envs: Environments, order: Order, graph: Graph, motions: Motions, contacts: Contacts
 ):
     """One team per environment: stop the islands at rest. If there are no others, nothing is left to solve."""
     team = team_of(wp.tid(), lanes)
@@ -167,7 +166,7 @@ def stop_resting_islands(
     slow = SLOW * dt * wp.length(envs.gravity[env])
     if find_slow(slow, first, last, team, graph, motions) == 0:
         return
-    leave_out_free(FAR * slow, first, last, team, order, graph, motions, rows)
+    leave_out_free(FAR * slow, first, last, team, order, graph, motions, contacts)
     others = int(0)
     for b in range(first + team.lane, last, lanes):
         if is_swept(b, graph, motions):

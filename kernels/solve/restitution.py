@@ -22,14 +22,12 @@ from warp_rigid.kernels.common.tangents import world_vector
 from warp_rigid.kernels.common.team import any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import (
     IMPACT_IMPULSE,
-    KIND,
     contact_velocity,
     friction_impulse,
     read_contact,
     read_impulse,
     set_target_impulse,
 )
-from warp_rigid.kernels.constraints.rows import Rows
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
@@ -180,21 +178,21 @@ def solve_impact(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """Solve the impacts of all contacts of a pair together. Returns 1 if there was any."""
     entry = entry_at(k, order)
-    if entry.kind != KIND or is_done(entry, graph):
+    if is_done(entry, graph):
         return 0
     order.entries[k].visited = solved
     a = entry.body_a
     b = entry.body_b
     before = load_bodies(a, b, 1.0, 1.0, motions)
     relative_pull = float(first) * (motions.acceleration[a] - motions.acceleration[b])
-    if set_targets(entry.begin, entry.end, before, relative_pull, dt, rows.contacts) == 0:
+    if set_targets(entry.begin, entry.end, before, relative_pull, dt, contacts) == 0:
         return 0
     lag = 0.5 * dt * relative_pull
-    after = after_impact(entry.begin, entry.end, 1.0, 1.0, lag, before, rows.contacts)
+    after = after_impact(entry.begin, entry.end, 1.0, 1.0, lag, before, contacts)
     store_bodies(a, b, after, motions)
     order.entries[k].visited = turn - 1
     note_change(a, turn, motions, graph)
@@ -210,7 +208,7 @@ def solve_impacts(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """One team per environment: sweeps of pairwise impacts until there are none, at most `collision_iterations`."""
     team = team_of(wp.tid(), lanes)
@@ -228,6 +226,6 @@ def solve_impacts(
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-                collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, rows)
+                collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
             sync_team(team)
         left = any_of_team(collided, team) * (left - 1)

@@ -29,9 +29,9 @@ from warp_rigid.kernels.common.solver_body import (
     store_velocity,
 )
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
-from warp_rigid.kernels.constraints.rows import Rows, solve_row
+from warp_rigid.kernels.constraints.contact import solve_row
 from warp_rigid.kernels.enums import IslandSolver, ShockMode
-from warp_rigid.kernels.schema import Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.schema import Contacts, Environments, Graph, Motions, Order, OrderRecord
 from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
     end_of_entries,
@@ -127,7 +127,9 @@ def rounds_of(entry: OrderRecord, graph: Graph):
 
 
 @wp.func
-def visit_frozen(k: int, turn: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, rows: Rows):
+def visit_frozen(
+    k: int, turn: int, solved: int, down: int, order: Order, graph: Graph, motions: Motions, contacts: Contacts
+):
     """Solve a constraint with its lower body frozen, if one is lower. Returns 1 if a velocity changed."""
     entry = entry_at(k, order)
     if is_done(entry, graph):
@@ -142,7 +144,7 @@ def visit_frozen(k: int, turn: int, solved: int, down: int, order: Order, graph:
     while left > 0:
         pair.change = 0.0
         for row in range(entry.begin, entry.end):
-            pair = solve_row(entry.kind, row, share_a, share_b, pair, rows)
+            pair = solve_row(row, share_a, share_b, pair, contacts)
         left = wp.where(pair.change > CONVERGED, left - 1, 0)
         changed |= wp.where(pair.change > CONVERGED, 1, 0)
     if down == 1:
@@ -171,7 +173,7 @@ def solve_levels(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """One pass: iterate all levels together until convergence."""
     forget_visits(first, last, team, order, graph)
@@ -188,7 +190,7 @@ def solve_levels(
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[team.env, color + 1], stride):
-                changed |= visit_frozen(k, turn, solved_turn(color, turn), down, order, graph, motions, rows)
+                changed |= visit_frozen(k, turn, solved_turn(color, turn), down, order, graph, motions, contacts)
             sync_team(team)
         left = any_of_team(changed, team) * (left - 1)
     if team.lane == 0:
@@ -203,7 +205,7 @@ def propagate(
     order: Order,
     graph: Graph,
     motions: Motions,
-    rows: Rows,
+    contacts: Contacts,
 ):
     """One team per environment: the upward pass and, with two_pass, the downward pass."""
     team = team_of(wp.tid(), lanes)
@@ -222,7 +224,7 @@ def propagate(
                 solver_body = motions.solver_bodies[b]
                 linear = solver_body.linear + solver_body.loaded_linear
                 store_velocity(b, LOADED, linear, solver_body.angular + solver_body.loaded_angular, motions)
-        solve_levels(mode, down, first, last, team, order, graph, motions, rows)
+        solve_levels(mode, down, first, last, team, order, graph, motions, contacts)
     if mode == ShockMode.TWO_PASS:
         for b in range(first + team.lane, last, lanes):
             motions.solver_bodies[b].linear = motions.solver_bodies[b].loaded_linear

@@ -157,7 +157,7 @@ def check_energy(env: int, shapes: Shapes, bodies: Bodies, motions: Motions, sta
     gained = wp.float64(0.0)
     kinetic = wp.float64(0.0)
     lift = wp.float64(0.0)
-    driven = wp.max(1 - envs.passive[env], envs.driven[env])
+    driven = envs.driven[env]
     envs.driven[env] = 0
     fastest = int(0)
     most = wp.float64(-1.0)

@@ -108,15 +108,15 @@ def wake_neighbors(history: History, sleep_state: SleepState):
 
 @wp.func
 def wake_partner(a: int, b: int, motions: Motions, sleep_state: SleepState):
-    """Name the island of a sleeping body b that is constrained to a body which moves or was changed from outside."""
+    """Mark the island of a sleeping body b that is joined to a body which moves or was changed from outside."""
     awake = motions.role[a] == Role.FREE and sleep_state.asleep[a] == 0
     if sleep_state.asleep[b] == 1 and (awake or sleep_state.disturbed[a] == 1):
         sleep_state.wake[sleep_state.island[b]] = 1
 
 
 @wp.kernel
-def wake_constrained(body_a: wp.array[int], body_b: wp.array[int], motions: Motions, sleep_state: SleepState):
-    """One thread a constraint of another kind than contact: name the islands that wake because of it."""
+def wake_joined(body_a: wp.array[int], body_b: wp.array[int], motions: Motions, sleep_state: SleepState):
+    """One thread per joint: mark islands to wake because of it."""
     k = wp.tid()
     wake_partner(body_a[k], body_b[k], motions, sleep_state)
     wake_partner(body_b[k], body_a[k], motions, sleep_state)

@@ -59,14 +59,13 @@ def plan(layout: Layout, capacity: dict[str, int], device: Any) -> list[Range]:
     total = int(weight[-1])
     ends = [int(np.searchsorted(weight, total * k // count, side="right")) - 1 for k in range(1, count)]
     bounds = sorted({0, *ends, layout.num_envs})
-    others = layout.others_before()
 
     def sizes(first: int, end: int) -> dict[str, int]:
         low, high = int(weight[first]), int(weight[end])
         part = {name: max(1, all_ * high // total - all_ * low // total) for name, all_ in capacity.items()}
         own = {symbol: last - begin for symbol, (begin, last) in layout.ranges(first, end).items()}
         own |= grid_sizes(layout.bodies_per_env[first:end])
-        return sizes_for(int(others[end] - others[first]), part["pairs"], part["contacts"], own)
+        return sizes_for(part["pairs"], part["contacts"], own)
 
     return [Range(first, end, sizes(first, end)) for first, end in zip(bounds, bounds[1:], strict=False)]
 

@@ -137,7 +137,7 @@ def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict
 
 def _whole(world: World) -> dict[str, wp.array]:
     """Device arrays of all environments that are stored as they are."""
-    jointless = None if world.layout.sizes[joints.NAME] else world.model.constraint_rows[joints.NAME]
+    jointless = None if world.layout.sizes[joints.NAME] else world.model.joints
     kept = [arrays for arrays in world.lasting if arrays is not world.watches and arrays is not jointless]
     return {
         f"{arrays._cls.key}.{name}": array

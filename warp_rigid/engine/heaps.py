@@ -26,7 +26,7 @@ class HeapStages:
         self.dt, self.device = stages.dt, stages.device
         self._step = stages
         self.parts: StepParts = stages.parts
-        self.bodies, self.most_pairs = stages.rows, stages.pools.sizes["constraints"]
+        self.bodies, self.most_pairs = stages.rows, stages.pools.sizes["pairs"]
 
     def list_pairs(self) -> None:
         """List the pairs that are solved in rounds, and give them slots."""

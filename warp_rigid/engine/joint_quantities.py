@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid import rotations
 from warp_rigid.checks import LARGEST, flags, numbers_of_shape
-from warp_rigid.engine.joints import NAME, definitions
+from warp_rigid.engine.joints import NAME
 from warp_rigid.engine.layout import concatenated, spread_rows
 from warp_rigid.engine.selection import existing
 from warp_rigid.engine.world import World
@@ -81,18 +81,18 @@ def write(world: World, name: str, value: Any, rows: np.ndarray) -> None:
         host[rows[present], NUMBERS[name]] = values
         if (host[:, JointNumber.LOWER] > host[:, JointNumber.UPPER]).any():
             raise ValueError(f"{name}: the lower limit must be at most the upper one")
-    getattr(world.model.constraint_rows[NAME], column).assign(host)
+    getattr(world.model.joints, column).assign(host)
 
 
 def bodies_of(world: World, rows: np.ndarray) -> np.ndarray:
     """Rows of the bodies of joints by their rows (n, m), (n, 2 m); LACKING where there is no joint."""
-    both = [getattr(world.model.constraint_rows[NAME], name).numpy() for name in ("body_a", "body_b")]
+    both = [getattr(world.model.joints, name).numpy() for name in ("body_a", "body_b")]
     return np.concatenate([spread_rows(some, rows) for some in both], axis=1)
 
 
 def _array(world: World, name: str) -> np.ndarray:
     """A copy of an array of the joints, (joints, ...)."""
-    return getattr(world.model.constraint_rows[NAME], name).numpy()[: world.layout.sizes[NAME]].copy()
+    return getattr(world.model.joints, name).numpy()[: world.layout.sizes[NAME]].copy()
 
 
 class _Motion:
@@ -105,7 +105,7 @@ class _Motion:
     def __init__(self, world: World) -> None:
         """Compute the frames and velocities of both sides."""
         self._world = world
-        entries, lengths = concatenated(definitions, world.layout.scenes)
+        entries, lengths = concatenated(lambda scene: scene.joints, world.layout.scenes)
         source = world.layout.copies(lengths)
         self._coordinate = np.array([int(entry.joint.coordinate) for entry in entries], int)[source]
         fixed = np.array([entry.body_b is None for entry in entries], bool)[source]

@@ -17,15 +17,9 @@ from warp_rigid.scene.joints.joint import Drive, JointEntry
 from warp_rigid.scene.scene import Motion, Scene
 
 NAME = "joints"
-ROWS = Joints
 
 FROM_BODIES = "joined"
 """The symbol of the bodies that joints may join: all bodies if any environment has joints."""
-
-
-def definitions(scene: Scene) -> list[JointEntry]:
-    """The joints of a scene."""
-    return scene.joints
 
 
 def mechanisms_of(scene: Scene) -> Mechanisms:
@@ -185,7 +179,7 @@ class JointStages:
         """Look up the arrays."""
         self._step = of_step
         model = of_step.model
-        self.arrays = model.constraint_rows[NAME]
+        self.arrays = model.joints
         sizes = model.layout.sizes
         self._joints, self._mechanisms = sizes["joints"], sizes["mechanisms"]
         self.present = self._joints > 0
@@ -220,7 +214,7 @@ class JointStages:
         `otherwise`: the kernel where there are no joints.
         """
         step = self._step
-        inputs = [step.pools.order, step.pools.graph, step.motions, step.constraint_rows]
+        inputs = [step.pools.order, step.pools.graph, step.motions, step.pools.contacts]
         if self.present:
             inputs = [step.pools.constraints, *inputs, self.arrays, step.pools.visits]
             self._per_team(self.kernels.warm_start_with_joints, inputs)
@@ -233,7 +227,7 @@ class JointStages:
         if after_shock == 0:
             self.settle(after_push=0)
         inputs = [step.pools.order, step.pools.graph, step.motions]
-        inputs = [*inputs, step.constraint_rows, self.arrays, step.pools.visits]
+        inputs = [*inputs, step.pools.contacts, self.arrays, step.pools.visits]
         self._per_team(self.kernels.sweep_with_joints, inputs, [after_shock, step.dt])
 
     def before_shock(self) -> None:
@@ -271,7 +265,7 @@ class JointStages:
         """Separate the contacts of mechanisms."""
         step = self._step
         if self.present:
-            inputs = [step.pools.order, step.pools.graph, step.motions, step.constraint_rows]
+            inputs = [step.pools.order, step.pools.graph, step.motions, step.pools.contacts]
             self._per_team(self.kernels.push_joined, [*inputs, self.arrays, step.pools.visits])
             self.settle(after_push=1)
 

@@ -1,7 +1,7 @@
 """Layout: the scene of each environment, and the ranges of its rows in the arrays of all environments.
 
 Environments are stored one after another without gaps, also where their scenes differ in the number of bodies, fields,
-filtered pairs or constraints. An array of distinct scenes is computed once per scene and copied to its environments.
+filtered pairs or joints. An array of distinct scenes is computed once per scene and copied to its environments.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,14 +12,10 @@ import numpy as np
 
 from warp_rigid.checks import shown, whole_in
 from warp_rigid.engine import joints
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Sphere
 
 MOST_ENVIRONMENTS = 10_000_000
-
-KINDS = (*OTHER_KINDS, joints)
-"""Everything besides contacts that connects bodies: modules with NAME, ROWS and `definitions`."""
 
 LACKING = -1
 """Row index, and integer value, of a body that an environment lacks."""
@@ -167,13 +163,6 @@ class Layout:
         used, scene_of = np.unique(self.scene_of[first:end], return_inverse=True)
         return Layout([self.scenes[index] for index in used], scene_of)
 
-    def others_before(self) -> np.ndarray:
-        """Constraints of other kinds than contact in all environments before each one, (envs + 1,) int32."""
-        total = np.zeros(self.num_envs + 1, np.int64)
-        for kind in OTHER_KINDS:
-            total += self.starts[kind.NAME]
-        return total.astype(np.int32)
-
 
 def layout_of(scene: Any, num_envs: int) -> Layout:
     """The layout of the arguments of a Simulator.
@@ -201,21 +190,11 @@ def layout_of(scene: Any, num_envs: int) -> Layout:
 
 
 def counts(scene: Scene) -> dict[str, int]:
-    """Rows of an environment, by the symbol that counts them.
-
-    Raises:
-        ValueError: a constraint of the scene is of no known kind.
-    """
-    kinds = {kind.NAME: kind.definitions(scene) for kind in OTHER_KINDS}
-    known = {id(definition) for definitions in kinds.values() for definition in definitions}
-    for index, constraint in enumerate(scene.constraints):
-        if id(constraint) not in known:
-            raise ValueError(f"scene.constraints: number {index} is of no known kind, got {shown(constraint)}")
+    """Rows of an environment, by the symbol that counts them."""
     return {
         "bodies": len(scene.bodies),
         "filtered": 2 * len(scene.filtered_pairs),
         "fields": len(scene.force_fields),
-        **{name: len(definitions) for name, definitions in kinds.items()},
         **joints.counts(scene),
     }
 

@@ -12,7 +12,7 @@ from warp_rigid.engine.cores import usable_cores
 from warp_rigid.kernel_cache import load_module
 from warp_rigid.kernels.collide import bake, broadphase, candidates, ccd, narrowphase, overlap
 from warp_rigid.kernels.common import capacity, team
-from warp_rigid.kernels.constraints import build_contacts, records, rows
+from warp_rigid.kernels.constraints import build_contacts, records
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
     effectiveness,
@@ -49,7 +49,6 @@ STEP = (
     build_contacts,
     records,
     capacity,
-    *rows.OTHER_KINDS,
 )
 """Kernel modules that every step requires; the slowest to compile come first."""
 

@@ -7,13 +7,13 @@ from typing import Any
 import warp as wp
 
 from warp_rigid.checks import number_in, whole_in
-from warp_rigid.engine.layout import KINDS, Layout
+from warp_rigid.engine.layout import Layout
 from warp_rigid.engine.shape_pool import distinct_shapes
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide.near_samples import NearSamples, Suspects
 from warp_rigid.kernels.graph import heap_arrays
-from warp_rigid.kernels.joints.arrays import VisitOrder
+from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
 from warp_rigid.scene.shapes.triangle_tree import tree_bytes
 
 LARGEST_LIMIT = 2**50
@@ -41,9 +41,9 @@ def pool_bytes(sizes: dict[str, int]) -> int:
 
 
 def body_bytes(sizes: dict[str, int]) -> int:
-    """Bytes of all arrays sized with bodies, environments or constraints besides contacts, and of their copies."""
+    """Bytes of all arrays sized with bodies, environments or joints, and of their copies."""
     structs = [schema.Bodies, *[schema.State] * 3, *[schema.SleepState] * 2, schema.Motions, schema.Environments]
-    structs += [struct for kind in KINDS for struct in [kind.ROWS] * 2]
+    structs += [Joints] * 2
     return sum(declare.byte_size(struct, sizes) for struct in structs)
 
 

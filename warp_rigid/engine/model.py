@@ -4,16 +4,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import warp as wp
 
 from warp_rigid.engine import joints
-from warp_rigid.engine.layout import KINDS, Layout, concatenated, exclusive_sums
+from warp_rigid.engine.layout import Layout, concatenated, exclusive_sums
 from warp_rigid.engine.moving_ground import build_surfaces
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
 from warp_rigid.engine.shape_pool import UNBOUNDED, Pool, build_pool
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import ccd
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS
 from warp_rigid.kernels.enums import OutOfBounds
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import COMBINE_RULES, Body, Motion, Scene
@@ -50,9 +48,7 @@ class Model:
         bodies: bodies of all environments.
         fields: force fields of all environments.
         size_groups: for each scene, its bodies by size.
-        constraint_rows: arrays of the joints and of the kinds of constraints other than contacts, by name.
-        constraint_offsets: for each of these kinds, (envs,) what to add to a row's number for its index among the
-            constraints of its environment other than contacts.
+        joints: joints of all environments.
     """
 
     layout: Layout
@@ -63,8 +59,7 @@ class Model:
     bodies: Any
     fields: Any
     size_groups: dict[Scene, SizeGroups]
-    constraint_rows: dict[str, Any]
-    constraint_offsets: dict[str, Any]
+    joints: Any
 
     @property
     def surface_vertices(self) -> int:
@@ -75,10 +70,9 @@ class Model:
         """The model of the environments `first` to `end - 1`, over the same arrays."""
         ranges = self.layout.ranges(first, end)
         vertices = (int(self.vertex_start[first]), int(self.vertex_start[end]))
-        layout = self.layout.part(first, end)
         return replace(
             self,
-            layout=layout,
+            layout=self.layout.part(first, end),
             bodies=declare.part(self.bodies, ranges),
             fields=declare.part(self.fields, ranges),
             surfaces=declare.part(self.surfaces, {"vertices": vertices, "envs": (first, end)})
@@ -86,8 +80,7 @@ class Model:
             else self.surfaces,
             vertex_start=self.vertex_start[first : end + 1],
             surface_node=self.surface_node + vertices[0] - int(self.vertex_start[0]),
-            constraint_rows={kind.NAME: declare.part(self.constraint_rows[kind.NAME], ranges) for kind in KINDS},
-            constraint_offsets=_constraint_offsets(layout, self.bodies.env.device),
+            joints=declare.part(self.joints, ranges),
         )
 
 
@@ -104,11 +97,7 @@ def build_model(layout: Layout, device: Any) -> Model:
         bodies=_upload_bodies(layout, pool, device),
         fields=_upload_fields(layout, device),
         size_groups=groups,
-        constraint_rows={
-            **{kind.NAME: _upload_constraints(kind, layout, device) for kind in OTHER_KINDS},
-            joints.NAME: joints.upload(layout, device),
-        },
-        constraint_offsets=_constraint_offsets(layout, device),
+        joints=joints.upload(layout, device),
     )
 
 
@@ -131,7 +120,6 @@ def initial_environments(layout: Layout, settings: Settings, device: Any) -> Any
         "friction_rule": [COMBINE_RULES.index(scene.friction_combine) for scene in layout.scenes],
         "restitution_rule": [COMBINE_RULES.index(scene.restitution_combine) for scene in layout.scenes],
         "out_of_bounds": [_out_of_bounds(scene) for scene in layout.scenes],
-        "passive": [not scene.constraints for scene in layout.scenes],
         "impact_rounds": [impact_rounds(scene) for scene in layout.scenes],
         "lower": np.array([lower for lower, _ in bounds], np.float32),
         "upper": np.array([upper for _, upper in bounds], np.float32),
@@ -252,30 +240,3 @@ def _masses(bodies: list[Body]) -> dict[str, np.ndarray]:
         for name, value in mass_arrays(bodies[own[0]].shape, mass).items():
             host[name][own] = value
     return host
-
-
-def _upload_constraints(kind: Any, layout: Layout, device: Any) -> Any:
-    """The arrays of a kind of constraints: those of each scene, copied to its environments."""
-    rows = declare.allocate(kind.ROWS, layout.sizes, device)
-    if not layout.sizes[kind.NAME]:
-        return rows
-    parts = [kind.upload(scene, "cpu") for scene in layout.scenes]
-    lengths = [len(kind.definitions(scene)) for scene in layout.scenes]
-    source = layout.copies(lengths)
-    first_body = np.repeat(layout.first_body[:-1], np.diff(layout.starts[kind.NAME]))
-    for name, field in declare.LAYOUTS[kind.ROWS.key].items():
-        values = [getattr(part, name).numpy()[:length] for part, length in zip(parts, lengths, strict=True)]
-        column = np.concatenate(values)[source]
-        getattr(rows, name).assign((column + first_body).astype(np.int32) if field.index_of == "bodies" else column)
-    return rows
-
-
-def _constraint_offsets(layout: Layout, device: Any) -> dict[str, Any]:
-    """See Model.constraint_offsets."""
-    found = {}
-    before = np.zeros(layout.num_envs, np.int64)
-    for kind in OTHER_KINDS:
-        start = layout.starts[kind.NAME]
-        found[kind.NAME] = wp.array((before - start[:-1]).astype(np.int32), dtype=int, device=device)
-        before += np.diff(start)
-    return found

@@ -75,8 +75,6 @@ class Pools:
     @classmethod
     def allocate(cls, layout: Layout, sizes: dict[str, int], device: Any) -> "Pools":
         """Allocate empty pools of these sizes (see `sizes_for`)."""
-        constraints = declare.allocate(schema.Constraints, sizes, device)
-        constraints.other_start.assign(layout.others_before())
         return cls(
             layout=layout,
             sizes=sizes,
@@ -85,7 +83,7 @@ class Pools:
             suspects=declare.allocate(Suspects, sizes, device),
             contacts=declare.allocate(schema.Contacts, sizes, device),
             history=declare.allocate(schema.History, sizes, device),
-            constraints=constraints,
+            constraints=declare.allocate(schema.Constraints, sizes, device),
             graph=declare.allocate(schema.Graph, sizes, device),
             order=declare.allocate(schema.Order, sizes, device),
             visits=declare.allocate(VisitOrder, sizes, device),
@@ -141,7 +139,7 @@ class Pools:
     def larger_sizes(self, shortage: dict[str, int]) -> dict[str, int]:
         """Sizes enlarged to the required numbers of entries, times HEADROOM."""
         larger = {name: min(int(n * HEADROOM) + 1, LARGEST) for name, n in shortage.items()}
-        return with_constraints({**self.sizes, **larger})
+        return with_lists({**self.sizes, **larger})
 
     def grown(self, sizes: dict[str, int]) -> "Pools":
         """Larger pools with the same history."""
@@ -153,26 +151,23 @@ class Pools:
         return pools
 
 
-def sizes_for(others: int, pairs: int, contacts: int, layout: dict[str, int]) -> dict[str, int]:
+def sizes_for(pairs: int, contacts: int, layout: dict[str, int]) -> dict[str, int]:
     """Symbols of the data layout and their values.
 
     Args:
-        others: constraints of other kinds than contact, in all environments.
         pairs: capacity for pairs.
         contacts: capacity for contacts.
         layout: sizes of the layout, with those of `grid_sizes`.
     """
     near = min(max(NEAR_PER_PAIR * pairs, LEAST_NEAR), LARGEST)
-    own = {"others": others, "pairs": pairs, "contacts": contacts, "near_samples": near}
-    return with_constraints({**layout, **own})
+    return with_lists({**layout, "pairs": pairs, "contacts": contacts, "near_samples": near})
 
 
-def with_constraints(sizes: dict[str, int]) -> dict[str, int]:
-    """Sizes of the data layout with those of the lists of constraints."""
-    count = sizes["pairs"] + sizes["others"]
+def with_lists(sizes: dict[str, int]) -> dict[str, int]:
+    """Sizes of the data layout with those of the lists of pairs."""
+    count = sizes["pairs"]
     return {
         **sizes,
-        "constraints": count,
         "crowd_pairs": count if sizes["crowd"] > 0 else 0,
         "visits": count if sizes["joints"] > 0 else 0,
     }

@@ -184,7 +184,7 @@ class Shard:
 
     def _kept_arrays(self, pools: Pools, sleeping: bool) -> list[tuple[wp.array, wp.array]]:
         """What a step leaves to the next one or to users, with the copies that undo it."""
-        lasting = [self._state, self._envs, pools.history, pools.graph, *self._model.constraint_rows.values()]
+        lasting = [self._state, self._envs, pools.history, pools.graph, self._model.joints]
         lasting += [self._sleep_state] if sleeping else []
         lasting += [] if self.watches is None else [self.watches]
         arrays = [array for some in lasting for _, _, array in declare.arrays_of(some, Lifetime.REMEMBERED)]

@@ -356,8 +356,8 @@ class Simulator:
           by 5 % between checks, four times in a row.
         - "energy": the bodies gained more energy than gravity, force fields, forces and torques gave them, by 2 % of
           their kinetic energy and 1 % of the energy that lifts each by its size. The body is the one with the largest
-          kinetic energy. Environments with kinematic bodies that move, moving ground, joints, or constraints other than
-          contacts are not checked.
+          kinetic energy. Environments with kinematic bodies that move, moving ground, or joints with springs, motors or
+          armature are not checked.
         - "precision": neighbouring positions at a body are farther apart than 0.5 % of its largest or 100 % of its
           smallest extent, because it is far from the origin.
         - "load": the force of another body on a body is more than 100 000 times its weight, as under a body that is so

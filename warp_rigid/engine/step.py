@@ -3,7 +3,6 @@
 import functools
 import weakref
 from collections.abc import Callable, Sequence
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from warp_rigid.engine import loading, teams
 from warp_rigid.engine.hash_grid import HashGrid
 from warp_rigid.engine.heaps import HeapStages
 from warp_rigid.engine.joints import JointStages
-from warp_rigid.engine.layout import KINDS
 from warp_rigid.engine.model import Model
 from warp_rigid.engine.pools import Pools
 from warp_rigid.engine.step_parts import StepParts, useful_workers
@@ -21,7 +19,6 @@ from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import broadphase, ccd, narrowphase, overlap, pair_contacts, touches
 from warp_rigid.kernels.common import capacity, crowd, team
 from warp_rigid.kernels.constraints import build_contacts, records
-from warp_rigid.kernels.constraints.rows import OTHER_KINDS, Rows
 from warp_rigid.kernels.enums import IslandSolver
 from warp_rigid.kernels.graph import coloring, islands, support
 from warp_rigid.kernels.solve import (
@@ -109,10 +106,6 @@ class Stages:
         self.moving = [dt, model.shapes, model.bodies, state, self.motions]
         self.kept: Any = declare.allocate(schema.History, pools.sizes, self.device) if sleeping else None
         self.grid = HashGrid(model, pools.sizes, self.device)
-        self.constraint_rows = Rows()
-        self.constraint_rows.contacts = pools.contacts
-        for kind in OTHER_KINDS:
-            setattr(self.constraint_rows, kind.NAME, model.constraint_rows[kind.NAME])
         self.parts = StepParts(self.device, useful_workers(workers, layout.most_bodies) if self.crowded else 1)
         # A cycle of references would keep all arrays until the garbage collector runs.
         of_step = weakref.proxy(self)
@@ -227,7 +220,7 @@ class Stages:
         size, inputs = self.pools.sizes["pairs"], [*self.moving, self.envs, pairs, self.pools.history]
         with self.parts.shared():
             self._divide(build_contacts.build_contacts, size, inputs, [contacts], lanes=teams.BUILD_LANES)
-        self._list_constraints()
+        self._per_constraint(records.list_pairs, [self.envs, pairs], [self.pools.constraints])
 
     @stage
     def wake_changed_islands(self) -> None:
@@ -238,8 +231,9 @@ class Stages:
     def wake_disturbed_islands(self) -> None:
         """Wake the islands of the bodies marked as disturbed, and those in contact with them."""
         self._per_body(sleep.wake_neighbors, [self.pools.history], [self.sleep_state])
-        for kind in KINDS:
-            self._wake_constrained(kind)
+        joints = self.model.joints
+        inputs = [joints.body_a, joints.body_b, self.motions]
+        self._launch(sleep.wake_joined, self.model.layout.sizes["joints"], inputs, [self.sleep_state])
         self._per_body(sleep.wake_islands, [self.model.bodies], [self.motions, self.sleep_state, self.envs])
 
     @stage
@@ -247,7 +241,7 @@ class Stages:
         """Contact graph: supports, islands and how each is solved, levels, and colouring for the solving order."""
         bodies, constraints, graph = self.model.bodies, self.pools.constraints, self.pools.graph
         self._per_env(support.start_graph, [], [graph])
-        found = [bodies, self.motions, self.constraint_rows, constraints]
+        found = [bodies, self.motions, self.pools.contacts, constraints]
         self._per_constraint(support.find_support, found, [graph])
         self._per_env(support.compare_graph, [], [graph])
         self._per_body(islands.start_islands, [bodies], [graph])
@@ -319,7 +313,7 @@ class Stages:
         """Push-out: separate remaining overlaps without adding velocity."""
         model, pools = self.model, self.pools
         inputs = [model.shapes, model.bodies, self.state, self.envs, pools.pairs]
-        changed = [self.motions, pools.graph, self.constraint_rows]
+        changed = [self.motions, pools.graph, pools.contacts]
         self._shared(push_out.find_overlaps, pools.sizes["contacts"], [self.dt], inputs, changed)
         self._color_by_color(push_out.push_apart)
         if self.crowded:
@@ -426,14 +420,14 @@ class Stages:
         """Launch a solver kernel that processes the constraints colour by colour."""
         pools = self.pools
         inputs = [*before, self.lanes, self.envs, pools.order]
-        self._per_team(kernel, inputs, [pools.graph, self.motions, self.constraint_rows])
+        self._per_team(kernel, inputs, [pools.graph, self.motions, pools.contacts])
 
     def _per_body(self, kernel: Any, inputs: list, outputs: list) -> None:
         self._launch(kernel, self.rows, inputs, outputs)
 
     def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share all constraints."""
-        self._shared(kernel, self.pools.sizes["constraints"], [], inputs, outputs)
+        self._shared(kernel, self.pools.sizes["pairs"], [], inputs, outputs)
 
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
         self._launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
@@ -552,17 +546,3 @@ class Stages:
         block = loading.block_of(kernel.module.name, self.lanes)
         kernel = loading.kernel_for(kernel, self.device, self.lanes)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, block_dim=block, device=self.device)
-
-    def _list_constraints(self) -> None:
-        """List the constraints of this step: pairs with contacts, then constraints of other kinds."""
-        pairs, constraints = self.pools.pairs, self.pools.constraints
-        count = max(self.pools.sizes["pairs"], self.num_envs + 1)
-        self._shared(records.list_pairs, count, [], [self.envs, self.model.bodies, pairs], [constraints])
-        for kind in OTHER_KINDS:
-            kind.build(self, constraints, self.model.constraint_offsets[kind.NAME])
-
-    def _wake_constrained(self, kind: ModuleType) -> None:
-        """Name the islands that wake because of joints, or of constraints of another kind."""
-        rows = self.model.constraint_rows[kind.NAME]
-        inputs = [rows.body_a, rows.body_b, self.motions]
-        self._launch(sleep.wake_constrained, self.model.layout.sizes[kind.NAME], inputs, [self.sleep_state])

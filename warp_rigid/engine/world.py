@@ -86,9 +86,9 @@ class World:
     @property
     def lasting(self) -> list[Any]:
         """The structs of all environments whose arrays outlast a step: what a reset and a checkpoint work on."""
-        rows = self.model.constraint_rows.values()
         watches = [] if self.watches is None else [self.watches]
-        return [self.model.bodies, self.model.fields, self.state, self.sleep_state, self.envs, *rows, *watches]
+        model = self.model
+        return [model.bodies, model.fields, self.state, self.sleep_state, self.envs, model.joints, *watches]
 
     def choose_step(self) -> None:
         """Choose what the step consists of, as the settings require; it is recorded when it is first needed."""

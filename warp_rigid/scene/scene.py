@@ -84,8 +84,6 @@ class Scene:
         force_fields: list of fields that act on the dynamic bodies besides gravity.
         filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
         joints: list of JointEntry, in the order in which they were added.
-        constraints: constraints besides contacts and joints, empty at first: each an object of a kind that is listed
-            in kernels/constraints/rows.py. A scene with such constraints cannot be saved yet.
         import_report: what import_usd left out or changed; None for a scene that was not imported.
         gravity: as given.
         friction_combine: as given.
@@ -117,7 +115,6 @@ class Scene:
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.joints: list[JointEntry] = []
-        self.constraints: list[Any] = []
         self.import_report: ImportReport | None = None
 
     def __repr__(self) -> str:
@@ -128,7 +125,7 @@ class Scene:
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
         found = copy(self)
-        for name in ("bodies", "force_fields", "filtered_pairs", "joints", "constraints"):
+        for name in ("bodies", "force_fields", "filtered_pairs", "joints"):
             setattr(found, name, copy(getattr(self, name)))
         return found
 

@@ -18,11 +18,7 @@ VELOCITIES = ("linear_velocity", "angular_velocity")
 
 
 def scenes_to_data(scenes: Sequence[Scene]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return plain data for JSON with the keys "shapes" and "scenes", and arrays by name; equal shapes are stored once.
-
-    Raises:
-        ValueError: A scene has constraints besides contacts and joints.
-    """
+    """Return plain data for JSON, "shapes" and "scenes", and arrays by name; equal shapes are stored once."""
     arrays: dict[str, np.ndarray] = {}
     shapes: list[dict[str, Any]] = []
     places: dict[str, int] = {}
@@ -31,18 +27,12 @@ def scenes_to_data(scenes: Sequence[Scene]) -> tuple[dict[str, Any], dict[str, n
 
 
 def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return plain data of one scene for JSON, with its shapes under "shapes", and arrays by name.
-
-    Raises:
-        ValueError: The scene has constraints besides contacts and joints.
-    """
+    """Return plain data of one scene for JSON, with its shapes under "shapes", and arrays by name."""
     data, arrays = scenes_to_data([scene])
     return {**data["scenes"][0], "shapes": data["shapes"]}, arrays
 
 
 def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, int]) -> dict[str, Any]:
-    if scene.constraints:
-        raise ValueError(f"scene.constraints: must be empty to save the scene, got {len(scene.constraints)}")
     bodies = []
     for body in scene.bodies:
         numbers = {

@@ -53,7 +53,7 @@ def footprint_of(scene: Scene, known: dict[str, int] | None = None) -> Footprint
     layout = layout_of(scene, 1)
     pairs = int(expected_pairs(layout.dynamic_per_env)[0])
     own = {**layout.sizes, **grid_sizes(layout.bodies_per_env)}
-    sizes = sizes_for(int(layout.others_before()[-1]), pairs, 6 * pairs, own)
+    sizes = sizes_for(pairs, 6 * pairs, own)
     return Footprint(_bytes_of_sizes(tuple(sizes.items())), bytes_by_shape(layout, known))
 
 

@@ -12,6 +12,6 @@ def structure(scene: Scene) -> Hashable:
     bodies = tuple((body.shape.key, int(body.motion), body.name) for body in scene.bodies)
     fields = tuple(repr(field) for field in scene.force_fields)
     apart = tuple(sorted(scene.filtered_pairs))
-    constraints = tuple(repr(constraint) for constraint in (*scene.joints, *scene.constraints))
+    joints = tuple(repr(joint) for joint in scene.joints)
     limits = repr(scene.bounds), scene.out_of_bounds
-    return bodies, fields, apart, constraints, limits, scene.friction_combine, scene.restitution_combine
+    return bodies, fields, apart, joints, limits, scene.friction_combine, scene.restitution_combine
