@@ -86,6 +86,14 @@ def test_make_targets_and_files_exist():
     assert asked and asked <= set(extras)
 
 
+def test_files_named_in_the_pages_on_the_code_exist():
+    files = [f"/{path.relative_to(ROOT)}" for top in ("kernels", "warp_rigid") for path in (ROOT / top).rglob("*.py")]
+    for page in ("architecture", "life_of_a_contact"):
+        named = re.findall(r"`([\w/]+\.py)`", (DOCS / f"{page}.md").read_text())
+        assert len(named) > 5
+        assert [name for name in named if not any(file.endswith(f"/{name}") for file in files)] == []
+
+
 def test_pictures_are_small_and_made_by_a_command_or_program():
     for picture in (DOCS / "pictures").iterdir():
         assert any(f"out/{picture.name}" in maker for maker in OWN_COMMANDS + PROGRAMS), picture.name
