@@ -87,7 +87,11 @@ def test_make_targets_and_files_exist():
 
 
 def test_files_named_in_the_pages_on_the_code_exist():
-    files = [f"/{path.relative_to(ROOT)}" for top in ("kernels", "warp_rigid") for path in (ROOT / top).rglob("*.py")]
+    files = [
+        f"/{path.relative_to(ROOT)}"
+        for top in ("kernels", "warp_rigid", "tests")
+        for path in (ROOT / top).rglob("*.py")
+    ]
     for page in ("architecture", "life_of_a_contact"):
         named = re.findall(r"`([\w/]+\.py)`", (DOCS / f"{page}.md").read_text())
         assert len(named) > 5
