@@ -24,7 +24,7 @@ from tests.random_scenes import (
 from warp_rigid.kernels import declare
 from warp_rigid.kernels.declare import LAYOUTS, Lifetime
 
-SCENES = int(os.environ.get("FORGETTING_SCENES", "100"))
+SCENES = int(os.environ.get("FORGETTING_SCENES", "50"))
 """Random scenes of the long tests; `make fuzz` takes 200."""
 
 FEW = pytest.param(range(6), marks=pytest.mark.short, id="few")
