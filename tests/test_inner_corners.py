@@ -60,6 +60,20 @@ def test_a_ball_on_a_flat_face_has_one_contact(device):
         np.testing.assert_allclose(found["gap"][of_ball], -0.03, atol=1e-6)
 
 
+def before_a_corner(body):
+    """A body near a corner of the room, into which gravity pulls."""
+    scene = wr.Scene(gravity=(-5, -5, -9.81))
+    scene.add_static(ROOM)
+    scene.add_body(BODIES[body], position=(-0.2, -0.2, -0.3))
+    return scene
+
+
+def throw(sim, speed):
+    """Let the body of each environment start in a random direction towards the corner."""
+    way = np.random.default_rng(1).uniform((0.5, 0.5, 0.1), (1.0, 1.0, 0.3), (sim.num_envs, 3))
+    sim.set("linear_velocity", (-speed * way / np.linalg.norm(way, axis=1, keepdims=True))[:, None], bodies=[1])
+
+
 @pytest.mark.parametrize("speed", [0.0, 5.0, 8.0, 12.0])
 @pytest.mark.parametrize("body", BODIES)
 def test_bodies_thrown_into_a_corner_stay_and_rest(device, body, speed):
@@ -67,14 +81,8 @@ def test_bodies_thrown_into_a_corner_stay_and_rest(device, body, speed):
 
     Swept detection stops a body at a depth of 2 % of its size, here up to 4 mm.
     """
-    scene = wr.Scene(gravity=(-5, -5, -9.81))
-    scene.add_static(ROOM)
-    shape = BODIES[body]
-    scene.add_body(shape, position=(-0.2, -0.2, -0.3))
-    generator = np.random.default_rng(1)
-    sim = wr.Simulator(scene, num_envs=4, device=device)
-    way = generator.uniform((0.5, 0.5, 0.1), (1.0, 1.0, 0.3), (4, 3))
-    sim.set("linear_velocity", (-speed * way / np.linalg.norm(way, axis=1, keepdims=True))[:, None], bodies=[1])
+    sim = wr.Simulator(before_a_corner(body), num_envs=4, device=device)
+    throw(sim, speed)
     deepest = np.zeros(4)
     for _ in range(48):
         sim.step(20)
@@ -87,13 +95,8 @@ def test_bodies_thrown_into_a_corner_stay_and_rest(device, body, speed):
 
 def test_a_contact_that_is_gone_acts_at_its_body(device):
     """A disc that tumbles in a corner: a sample of the last step has no point in this one, and its row stays finite."""
-    scene = wr.Scene(gravity=(-5, -5, -9.81))
-    scene.add_static(ROOM)
-    disc = scene.add_body(BODIES["disc"], position=(-0.2, -0.2, -0.3))
-    sim, stages = opened(scene, device, num_envs=16)
-    way = np.random.default_rng(1).uniform((0.5, 0.5, 0.1), (1.0, 1.0, 0.3), (16, 3))
-    velocity = -5.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
-    sim.set("linear_velocity", velocity[:, None], bodies=[disc])
+    sim, stages = opened(before_a_corner("disc"), device, num_envs=16)
+    throw(sim, 5.0)
     gone = 0
     for _ in range(40):
         sim.step()
