@@ -503,6 +503,7 @@ Graph = layout(
     stuck=Field(int, "bodies", "", "1: two contacts with a body below stick (rest.py)"),
     resting=Field(int, "bodies", "", "at an island's index: 1 if it is stopped, without shock propagation (rest.py)"),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
+    rebounding=Field(int, "envs", "", "1: at least one contact has restitution"),
     further_sweeps=Field(int, "bodies", "", "maximum sweeps with momentum of the body's island (calm.py)"),
     sweeps=Field(int, "envs", "", "solver sweeps in the last step"),
     shock_sweeps=Field(int, "envs", "", "sweeps of shock propagation in the last step"),

@@ -54,6 +54,8 @@ ROUNDS, ROUNDS_PER_BODY = wp.constant(4.0), wp.constant(0.3)
 """Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body that load
 passes on its way to the ground: along the edge of a cube of as many bodies, or along the height if that is larger."""
 
+CALM_ROUNDS = wp.constant(6.0)
+
 RESTING = wp.constant(0.01)
 """Largest speed of a body in an island that is swept until it has converged (calm.py), in sizes of the body per second.
 Most of its bodies must have been placed where they are: a pile of fallen bodies converges over several steps."""
@@ -218,7 +220,8 @@ def most_rounds(island: int, iterations: int, graph: Graph):
     """Maximum number of rounds for an island."""
     width = wp.pow(float(graph.island_bodies[island]), 1.0 / 3.0)
     height = (graph.island_low[island] + graph.island_high[island]) / graph.island_size[island]
-    return int(float(iterations) * (ROUNDS + ROUNDS_PER_BODY * wp.max(width, height)))
+    calm = wp.where(graph.island_speed[island] < CALM, CALM_ROUNDS, 1.0)
+    return int(float(iterations) * calm * (ROUNDS + ROUNDS_PER_BODY * wp.max(width, height)))
 
 
 @wp.func
