@@ -256,8 +256,10 @@ def _groups(packed: Any) -> dict[int, list[tuple[str, int]]]:
 
 def _from_words(packed: Any, key: str, word: int) -> str:
     """Native expression that reads a member from the words `p` of its record."""
-    size = WORDS[RECORDS[packed.key][key].dtype]
-    words = ", ".join(f"p[{word + k}]" for k in range(size))
+    dtype = RECORDS[packed.key][key].dtype
+    size = WORDS[dtype]
+    source = "((const int*)p)" if dtype is int else "p"
+    words = ", ".join(f"{source}[{word + k}]" for k in range(size))
     return words if size == 1 else f"wp::vec{size}({words})"
 
 

@@ -6,7 +6,7 @@ from warp_rigid.kernels.schema import Environments
 
 wp.set_module_options({"enable_backward": False})
 
-CROWDED = wp.constant(8)
+CROWDED = wp.constant(128)
 """Bodies above which an environment is crowded. There, sweeps and shock propagation of many islands, colour by colour,
 would take longer than rounds. With few bodies sweeps converge faster: three boxes are at rest after half the time."""
 

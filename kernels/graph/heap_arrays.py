@@ -16,6 +16,7 @@ RoundRecord = packed_record(
     end=Field(int, "", "", "one past the last contact"),
     env=Field(int, "", "", "environment"),
     limit=Field(int, "", "", "maximum number of rounds"),
+    tolerance=Field(float, "", "m/s", "largest velocity change with which rounds end"),
     sharing_a=Field(int, "", "", "contacts that share the first body's mass"),
     sharing_b=Field(int, "", "", "contacts that share the second body's mass"),
     first_a=Field(int, "", "", "first slot of the first body"),

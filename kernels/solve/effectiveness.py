@@ -4,7 +4,7 @@ import warp as wp
 
 from warp_rigid.kernels.enums import IslandSolver, Motion, Role
 from warp_rigid.kernels.graph.heap_arrays import Rounds
-from warp_rigid.kernels.graph.islands import FLIGHT, LANDED, PATIENCE
+from warp_rigid.kernels.graph.islands import FLIGHT, PATIENCE
 from warp_rigid.kernels.schema import Bodies, Environments, Graph, Motions, State
 from warp_rigid.kernels.solve.line_search import accepted_share, searched
 
@@ -45,13 +45,10 @@ def count_ineffective_steps(
         return
     steps = graph.ineffective_steps[b]
     if graph.solver[b] == IslandSolver.ROUNDS:
-        if rounds.last_change[env] == graph.rounds[env]:
-            steps += 1
+        steps = 0
     elif searched(env, envs, graph):
         if graph.solver[b] == IslandSolver.SHOCK:
             steps = steps_after_shock(steps, graph.island[b], graph)
         else:
             steps += 1
-        if graph.ineffective_steps[b] < LANDED and steps >= LANDED:
-            steps = int(PATIENCE)
     state.heap_steps[b] = steps

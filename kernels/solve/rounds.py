@@ -49,7 +49,7 @@ from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.declare import record_reader
 from warp_rigid.kernels.enums import Motion
 from warp_rigid.kernels.graph.heap_arrays import RoundRecord, Rounds, Slots
-from warp_rigid.kernels.graph.islands import most_rounds
+from warp_rigid.kernels.graph.islands import most_rounds, tolerance_of
 from warp_rigid.kernels.graph.support import is_swept
 from warp_rigid.kernels.schema import (
     Bodies,
@@ -69,7 +69,7 @@ wp.set_module_options({"enable_backward": False})
 read_round_pair = record_reader(RoundRecord)
 """Reads a pair that is solved in rounds: (k, pairs)."""
 
-MOST_MOMENTUM = wp.constant(0.9)
+MOST_MOMENTUM = wp.constant(0.98)
 """Maximum momentum. Values from 0.85 to 0.95 converge equally fast; without a limit, rounds diverge after about 80."""
 
 PLAIN_ROUNDS = wp.constant(3)
@@ -77,9 +77,6 @@ PLAIN_ROUNDS = wp.constant(3)
 
 LANES = wp.constant(4)
 """Lanes that visit a pair on a GPU."""
-
-SETTLED = wp.constant(1.0e-5)
-"""Rounds end when no contact changes the velocity of a body by more than this [m/s]."""
 
 NOTICEABLE = wp.constant(0.25)
 """A pair is solved again if the last round changed the velocity of one of its bodies by more than this share of the
@@ -358,6 +355,7 @@ def add_member(b: int, constraint: int, motions: Motions, slots: Slots):
 
 @wp.kernel
 def list_heaps(
+    dt: float,
     threads: int,
     bodies: Bodies,
     envs: Environments,
@@ -378,7 +376,9 @@ def list_heaps(
             entry.env = bodies.env[entry.body_a]
             entry.constraint = k
             dynamic = wp.where(bodies.motion[entry.body_a] == Motion.DYNAMIC, entry.body_a, entry.body_b)
-            entry.limit = most_rounds(graph.island[dynamic], envs.contact_iterations[entry.env], graph)
+            island = graph.island[dynamic]
+            entry.limit = most_rounds(island, envs.contact_iterations[entry.env], graph)
+            entry.tolerance = tolerance_of(island, dt * wp.length(envs.gravity[entry.env]), graph)
             add_member(entry.body_a, k, motions, slots)
             add_member(entry.body_b, k, motions, slots)
             list_round_pair(entry, entry.end - entry.begin, rounds, motions)
@@ -510,7 +510,7 @@ def solve_pair(
     wrench = Wrench()
     for c in range(entry.begin + lane, entry.end, lanes):
         wrench = solve_contact(c, entry, beta, pair, wrench, bodies, contacts)
-    return store_changes(entry, turn % 2, lane, lanes, wrench, SETTLED, slots, bodies)
+    return store_changes(entry, turn % 2, lane, lanes, wrench, entry.tolerance, slots, bodies)
 
 
 @wp.kernel
@@ -534,8 +534,8 @@ def solve_round(
                 pair = velocities_of(entry, 1.0, (share.turn - 1) % 2, lane, lanes, slots, bodies)
                 if is_stirred(pair, share.turn):
                     change = solve_pair(entry, share.turn, lane, lanes, pair, slots, bodies, contacts)
-                    record_change(k, entry, share.turn, change, SETTLED, rounds)
-                    if change <= SETTLED or share.turn == entry.limit:
+                    record_change(k, entry, share.turn, change, entry.tolerance, rounds)
+                    if change <= entry.tolerance or share.turn == entry.limit:
                         raise_to(entry.env, change, residual)
                 else:
                     keep_changes(k, entry, share.turn, lane, lanes, rounds, slots)

@@ -34,7 +34,7 @@ class HeapStages:
         self._shared(rounds.open_rounds, self.bodies, [0], [], [solved])
         self._shared(rounds.open_slots, self.bodies, [], [], [pools.slots])
         found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
-        self._shared(rounds.list_heaps, self.most_pairs, [], found, [solved, pools.slots])
+        self._shared(rounds.list_heaps, self.most_pairs, [self.dt], found, [solved, pools.slots])
         self._shared(rounds.assign_slots, self.bodies, [], [], [pools.slots])
         self._per_round_pair(rounds.place_pairs, solved, [], [pools.slots, pools.contacts])
 

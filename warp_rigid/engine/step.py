@@ -247,7 +247,7 @@ class Stages:
         self._per_body(islands.start_islands, [bodies], [graph])
         self._per_constraint(islands.join_islands, [bodies, constraints], [graph])
         self.joints.join_islands()
-        self._per_body(islands.vote, [self.dt, self.model.shapes, bodies, self.envs, self.state], [graph])
+        self._per_body(islands.vote, [self.model.shapes, bodies, self.envs, self.state], [graph])
         self._per_body(islands.choose_solver, [self.dt, bodies, self.envs], [graph])
         if self.crowded:
             self.heaps.list_pairs()
