@@ -20,27 +20,28 @@ PAGE = Path(__file__).parent / "arrays.md"
 INTRODUCTION = """
 # Arrays
 
-All arrays on the device, as declared in `kernels/schema.py`. The Warp structs, the allocation and the packing of
-records follow from the same declarations. The rows of all environments are in one array: the bodies of environment `e`
-are rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` generates this page.
+All device arrays, as declared in `kernels/schema.py`; the Warp structs, the allocation and the packing of records
+follow from the same declarations. The rows of all environments are in one array: the bodies of environment `e` are
+rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` generates this page.
 
 ## Sizes
 
-The first dimension of a shape is a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
+A type is followed by the shape in parentheses and the unit in brackets. The first dimension of a shape is a symbol, or
+a symbol plus a number. No array is empty: a size of 0 becomes 1.
 """
 
 LIFETIMES = """
 ## Lifetimes
 
-How long the values of an array are valid, and who writes them. From this follows what a reset, a checkpoint and the
-undoing of a step work on. Tests overwrite all arrays of the lifetime `step` between steps, and get the same bits.
+The lifetime of an array states who writes its values and how long they are valid. It decides what a reset, a checkpoint
+and the undoing of a step work on.
 """
 
 RECORDS = """
 ## Records
 
 Records are elements of arrays. A packed record consists of groups of 16 bytes, each of which a GPU reads or writes
-with one request; unused bytes at the end of a group are not listed.
+with one request. Unused bytes at the end of a group are not listed.
 """
 
 ENUMERATIONS = """
@@ -78,12 +79,20 @@ def section(name: str, content: str) -> str:
 
 
 def struct_table(fields: dict[str, declare.Field]) -> str:
-    """The arrays of a struct."""
-    lines = [
-        (code(key), type_name(f.dtype), f"({f.shape})", f.lifetime.name.lower(), f.unit, f.description)
-        for key, f in fields.items()
-    ]
-    return table("array", "type", "shape", "lifetime", "unit", "description", rows=lines)
+    """The arrays of a struct. A shape or lifetime that all of them share is stated once, above the table."""
+    shapes, lifetimes = {f.shape for f in fields.values()}, {f.lifetime for f in fields.values()}
+    above = [f"shape ({shape})" for shape in shapes if len(shapes) == 1]
+    above += [f"lifetime {lifetime.name.lower()}" for lifetime in lifetimes if len(lifetimes) == 1]
+    columns = {
+        "array": [code(key) for key in fields],
+        "type": [type_and_unit(f, shape=len(shapes) > 1) for f in fields.values()],
+        "lifetime": [f.lifetime.name.lower() for f in fields.values()],
+        "description": [f.description for f in fields.values()],
+    }
+    if len(lifetimes) == 1:
+        columns.pop("lifetime")
+    rows = table(*columns, rows=list(zip(*columns.values(), strict=True)))
+    return f"{', '.join(above).capitalize()}.\n\n{rows}" if above else rows
 
 
 def record_table(name: str, fields: dict[str, declare.Field]) -> str:
@@ -91,12 +100,22 @@ def record_table(name: str, fields: dict[str, declare.Field]) -> str:
     layout = declare.STRUCTS[name].numpy_dtype()
     offsets = dict(zip(layout["names"], layout["offsets"], strict=True))
     lines = [
-        (code(key), type_name(f.dtype), str(offsets[key]), f.unit, f.description)
+        (code(key), type_and_unit(f, shape=False), str(offsets[key]), f.description)
         for key, f in fields.items()
         if not key.startswith(declare.PADDING)
     ]
-    size = f"{layout['itemsize']} bytes{', packed' if name in declare.PACKED else ''}."
-    return size + "\n\n" + table("member", "type", "offset [bytes]", "unit", "description", rows=lines)
+    size = f"{layout['itemsize']} bytes{', packed' if name in declare.PACKED else ''}; offsets in bytes."
+    return size + "\n\n" + table("member", "type", "offset", "description", rows=lines)
+
+
+def type_and_unit(field: declare.Field, shape: bool) -> str:
+    """As in "float32 (bodies) [kg]"."""
+    parts = [type_name(field.dtype)]
+    if shape:
+        parts.append(f"({field.shape})")
+    if field.unit:
+        parts.append(f"[{field.unit}]")
+    return " ".join(parts)
 
 
 def enumerations() -> Iterator[str]:
@@ -107,22 +126,24 @@ def enumerations() -> Iterator[str]:
 
 
 def enumeration(node: ast.ClassDef, declared: type[IntEnum]) -> str:
-    """One enumeration; the column of descriptions is left out if no member has one."""
+    """One enumeration: a list if a member has a description, else a line."""
     described = {
         above.targets[0].id: below.value.value
         for above, below in zip(node.body, node.body[1:], strict=False)
         if isinstance(above, ast.Assign) and isinstance(below, ast.Expr)
     }
-    lines = [(code(name), str(int(value)), described.get(name, "")) for name, value in declared.__members__.items()]
-    width = 3 if described else 2
-    columns = ("member", "value", "description")[:width]
-    return f"### {node.name}\n\n{inspect.getdoc(declared)}\n\n{table(*columns, rows=[line[:width] for line in lines])}"
+    members = [f"{code(name)}: {int(value)}" for name, value in declared.__members__.items()]
+    line = ", ".join(members) + "."
+    if described:
+        texts = [f", {described[name]}" if name in described else "." for name in declared.__members__]
+        line = "\n".join(f"- {member}{text}" for member, text in zip(members, texts, strict=True))
+    return f"### {node.name}\n\n{inspect.getdoc(declared)}\n\n{line}"
 
 
 def table(*columns: str, rows: list[tuple[str, ...]]) -> str:
     """A table in Markdown."""
     lines = [columns, ("---",) * len(columns), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines)
+    return "\n".join(" | ".join(cell.replace("|", r"\|") for cell in line).rstrip() for line in lines)
 
 
 def code(text: str) -> str:
