@@ -26,8 +26,8 @@ rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` genera
 
 ## Sizes
 
-A type is followed by the shape in parentheses and the unit in brackets. The first dimension of a shape is a symbol, or
-a symbol plus a number. No array is empty: a size of 0 becomes 1.
+A type is followed by the shape in parentheses, the unit in brackets and the lifetime. The first dimension of a shape is
+a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
 """
 
 LIFETIMES = """
@@ -83,15 +83,12 @@ def struct_table(fields: dict[str, declare.Field]) -> str:
     shapes, lifetimes = {f.shape for f in fields.values()}, {f.lifetime for f in fields.values()}
     above = [f"shape ({shape})" for shape in shapes if len(shapes) == 1]
     above += [f"lifetime {lifetime.name.lower()}" for lifetime in lifetimes if len(lifetimes) == 1]
-    columns = {
-        "array": [code(key) for key in fields],
-        "type": [type_and_unit(f, shape=len(shapes) > 1) for f in fields.values()],
-        "lifetime": [f.lifetime.name.lower() for f in fields.values()],
-        "description": [f.description for f in fields.values()],
-    }
-    if len(lifetimes) == 1:
-        columns.pop("lifetime")
-    rows = table(*columns, rows=list(zip(*columns.values(), strict=True)))
+    lines = []
+    for key, f in fields.items():
+        told = type_and_unit(f, shape=len(shapes) > 1)
+        told += f", {f.lifetime.name.lower()}" if len(lifetimes) > 1 else ""
+        lines.append((code(key), told, f.description))
+    rows = table("array", "type", "description", rows=lines)
     return f"{', '.join(above).capitalize()}.\n\n{rows}" if above else rows
 
 

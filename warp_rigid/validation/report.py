@@ -69,8 +69,8 @@ def markdown(findings: Sequence[CheckResult]) -> str:
     lines = [" | ".join(COLUMNS), " | ".join(["---"] * len(COLUMNS))]
     last: tuple[Any, str] = (None, "")
     for finding in findings:
-        if (finding.case, finding.device) != last:
-            lines.append(f"{_heading(finding, new=finding.case is not last[0])} |")
+        if (finding.case, finding.device) != last and (heading := _heading(finding, new=finding.case is not last[0])):
+            lines.append(f"{heading} |")
         last = finding.case, finding.device
         lines += [" | ".join(map(_cell, cells)) for cells in _joined(rows(finding, with_device))]
         if finding.note:
@@ -79,11 +79,11 @@ def markdown(findings: Sequence[CheckResult]) -> str:
 
 
 def _heading(finding: CheckResult, new: bool) -> str:
-    """The case with its oracle if it is a new one, and the work of the last step on the device."""
+    """The case with its oracle if it is a new one, and the contacts of the last step on the device if there are any."""
     case, parts = finding.case, []
     if new:
         parts.append(f"**{case.id} {_cell(case.title)}** (oracle: {_cell(case.source)})")
-    if finding.contacts is not None:
+    if finding.contacts:
         parts.append(f"{finding.device}: {finding.contacts} contacts, residual {finding.residual:.2g} m/s")
     return "; ".join(parts)
 
