@@ -8,7 +8,6 @@ OPTIONS = """\
       show_root_toc_entry: false
       show_signature: false
       separate_signature: false
-      heading_level: 3
 """
 
 

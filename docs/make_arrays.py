@@ -26,8 +26,8 @@ rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` genera
 
 ## Sizes
 
-A type is followed by the shape in parentheses, the unit in brackets and the lifetime. The first dimension of a shape is
-a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
+The name of an array is followed by its type, its shape in parentheses, its unit in brackets and its lifetime. The first
+dimension of a shape is a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
 """
 
 LIFETIMES = """
@@ -85,29 +85,27 @@ def struct_table(fields: dict[str, declare.Field]) -> str:
     above += [f"lifetime {lifetime.name.lower()}" for lifetime in lifetimes if len(lifetimes) == 1]
     lines = []
     for key, f in fields.items():
-        told = type_and_unit(f, shape=len(shapes) > 1)
-        told += f", {f.lifetime.name.lower()}" if len(lifetimes) > 1 else ""
-        lines.append((code(key), told, f.description))
-    rows = table("array", "type", "description", rows=lines)
+        told = declaration(key, f, shape=len(shapes) > 1)
+        told += f" {f.lifetime.name.lower()}" if len(lifetimes) > 1 else ""
+        lines.append((told, f.description))
+    rows = table("array", "description", rows=lines)
     return f"{', '.join(above).capitalize()}.\n\n{rows}" if above else rows
 
 
 def record_table(name: str, fields: dict[str, declare.Field]) -> str:
-    """The members of a record, with their place in it."""
-    layout = declare.STRUCTS[name].numpy_dtype()
-    offsets = dict(zip(layout["names"], layout["offsets"], strict=True))
+    """The members of a record, in the order of their place in it."""
     lines = [
-        (code(key), type_and_unit(f, shape=False), str(offsets[key]), f.description)
+        (declaration(key, f, shape=False), f.description)
         for key, f in fields.items()
         if not key.startswith(declare.PADDING)
     ]
-    size = f"{layout['itemsize']} bytes{', packed' if name in declare.PACKED else ''}; offsets in bytes."
-    return size + "\n\n" + table("member", "type", "offset", "description", rows=lines)
+    size = f"{declare.STRUCTS[name].numpy_dtype()['itemsize']} bytes{', packed' if name in declare.PACKED else ''}."
+    return size + "\n\n" + table("member", "description", rows=lines)
 
 
-def type_and_unit(field: declare.Field, shape: bool) -> str:
-    """As in "float32 (bodies) [kg]"."""
-    parts = [type_name(field.dtype)]
+def declaration(name: str, field: declare.Field, shape: bool) -> str:
+    """As in "`mass` float32 (bodies) [kg]"."""
+    parts = [code(name), type_name(field.dtype)]
     if shape:
         parts.append(f"({field.shape})")
     if field.unit:

@@ -49,9 +49,9 @@ def test_the_page_names_every_array_and_every_member():
     sections = dict(part.split("\n", 1) for part in (ROOT / "docs" / "arrays.md").read_text().split("\n### ")[1:])
     for struct, name, field in fields():
         if not name.startswith("padding_"):
-            (row,) = [line for line in sections[struct].splitlines() if line.startswith(f"`{name}` | ")]
+            (row,) = [line for line in sections[struct].splitlines() if line.startswith(f"`{name}` ")]
             assert row.endswith(f" | {field.description}")
-            assert re.findall(r" \[([^]]*)\],? ?\w* \|", row) == ([field.unit] if field.unit else [])
+            assert re.findall(r" \[([^]]*)\] ?\w* \|", row) == ([field.unit] if field.unit else [])
     for name, kind in vars(enums).items():
         if isinstance(kind, type) and kind.__module__ == enums.__name__:
             for member, value in kind.__members__.items():
