@@ -84,7 +84,7 @@ def _heading(finding: CheckResult, new: bool) -> str:
     if new:
         parts.append(f"**{case.id} {_cell(case.title)}** (oracle: {_cell(case.source)})")
     if finding.contacts:
-        parts.append(f"{finding.device}: {finding.contacts} contacts, residual {finding.residual:.2g} m/s")
+        parts.append(f"{finding.contacts} contacts, residual {finding.residual:.2g} m/s on {finding.device}")
     return "; ".join(parts)
 
 
