@@ -5,6 +5,7 @@ Run it from the top of the repository: `.venv/bin/python docs/make_arrays.py`.
 
 import ast
 import inspect
+from collections import Counter
 from collections.abc import Iterator
 from enum import IntEnum
 from pathlib import Path
@@ -79,17 +80,17 @@ def section(name: str, content: str) -> str:
 
 
 def struct_table(fields: dict[str, declare.Field]) -> str:
-    """The arrays of a struct. A shape or lifetime that all of them share is stated once, above the table."""
-    shapes, lifetimes = {f.shape for f in fields.values()}, {f.lifetime for f in fields.values()}
-    above = [f"shape ({shape})" for shape in shapes if len(shapes) == 1]
-    above += [f"lifetime {lifetime.name.lower()}" for lifetime in lifetimes if len(lifetimes) == 1]
+    """The arrays of a struct. The most frequent shape and lifetime are stated once, above the table."""
+    shape = Counter(f.shape for f in fields.values()).most_common(1)[0][0]
+    lifetime = Counter(f.lifetime for f in fields.values()).most_common(1)[0][0]
     lines = []
     for key, f in fields.items():
-        told = declaration(key, f, shape=len(shapes) > 1)
-        told += f" {f.lifetime.name.lower()}" if len(lifetimes) > 1 else ""
+        told = declaration(key, f, shape=f.shape != shape)
+        told += f" {f.lifetime.name.lower()}" if f.lifetime != lifetime else ""
         lines.append((told, f.description))
-    rows = table("array", "description", rows=lines)
-    return f"{', '.join(above).capitalize()}.\n\n{rows}" if above else rows
+    same = all((f.shape, f.lifetime) == (shape, lifetime) for f in fields.values())
+    above = f"Shape ({shape}), lifetime {lifetime.name.lower()}{'' if same else ' unless stated'}."
+    return f"{above}\n\n{table('array', 'description', rows=lines)}"
 
 
 def record_table(name: str, fields: dict[str, declare.Field]) -> str:
