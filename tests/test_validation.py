@@ -220,7 +220,7 @@ def test_files_of_a_run(one_run):
     assert all(line.count("|") == 5 or line.endswith(" |") for line in lines)
     assert sum(line.endswith("| MISS") for line in lines) == 1
     (case,) = [line for line in lines if line.startswith("**V23 ")]
-    assert "(oracle: Coulomb's law, closed form); 32 contacts, residual " in case and case.endswith(" m/s on cpu |")
+    assert "(oracle: Coulomb's law, closed form); 32 contacts, residual " in case and case.endswith(" m/s |")
 
 
 def test_table_shows_value_reference_error_tolerance_and_verdict(capsys, monkeypatch):

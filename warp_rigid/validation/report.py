@@ -69,7 +69,7 @@ def markdown(findings: Sequence[CheckResult]) -> str:
     lines = [" | ".join(COLUMNS), " | ".join(["---"] * len(COLUMNS))]
     last: tuple[Any, str] = (None, "")
     for finding in findings:
-        if (finding.case, finding.device) != last and (heading := _heading(finding, new=finding.case is not last[0])):
+        if (finding.case, finding.device) != last and (heading := _heading(finding, last[0], with_device)):
             lines.append(f"{heading} |")
         last = finding.case, finding.device
         lines += [" | ".join(map(_cell, cells)) for cells in _joined(rows(finding, with_device))]
@@ -78,13 +78,15 @@ def markdown(findings: Sequence[CheckResult]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _heading(finding: CheckResult, new: bool) -> str:
-    """The case with its oracle if it is a new one, and the contacts of the last step on the device if there are any."""
+def _heading(finding: CheckResult, last: ValidationCase | None, with_device: bool) -> str:
+    """The case if it is not the last one, its oracle if it has another, and the contacts of the last step if any."""
     case, parts = finding.case, []
-    if new:
-        parts.append(f"**{case.id} {_cell(case.title)}** (oracle: {_cell(case.source)})")
+    if case is not last:
+        oracle = "" if last is not None and case.source == last.source else f" (oracle: {_cell(case.source)})"
+        parts.append(f"**{case.id} {_cell(case.title)}**{oracle}")
     if finding.contacts:
-        parts.append(f"{finding.contacts} contacts, residual {finding.residual:.2g} m/s on {finding.device}")
+        device = f" on {finding.device}" if with_device else ""
+        parts.append(f"{finding.contacts} contacts, residual {finding.residual:.2g} m/s{device}")
     return "; ".join(parts)
 
 
