@@ -130,7 +130,7 @@ def test_a_scene_in_motion_is_counted_at_its_time(device, tmp_path):
     """A cube that starts at 0.25 m touches the floor after 0.2 s, and is searched in each step until it rests."""
     page = tmp_path / "page.md"
     roofline.main(["pile_box:2:2@0.3", "--device", str(device), "--write", str(page)])
-    assert "## pile_box:2 × 2, 0.3 s after the start" in page.read_text()
+    assert "stage | pile_box:2 × 2, 0.3 s\n" in page.read_text()
     moving, rest = (roofline.measure(f"pile_box:2:2@{time}", device, steps=2).counts for time in (0.3, 3))
     assert moving.searched > 0 and moving.samples > 0
     assert rest.searched == rest.samples == 0
