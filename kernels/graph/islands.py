@@ -4,11 +4,13 @@ Islands are the connected components of the dynamic bodies: trees of bodies are 
 the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so that the root of an island is its
 lowest body, in whatever order the threads run.
 
-An island is a heap if it consists of bodies that have landed after a free flight, in an environment of many bodies.
-Heaps are solved in rounds (rounds.py), all other islands in sweeps, with shock propagation where it is effective
-(shock.py). Islands merge and split, so each body stores for how many steps shock propagation has been ineffective for
-its island, and the majority of the bodies decides; landed bodies count as if it had been long. Once the bodies of a
-heap of moderate size are nearly at rest, shock propagation is tried again.
+In environments of many bodies, islands are solved in rounds (rounds.py), unless their masses differ much, they have
+joints, or a body has very many pairs. All other islands are solved in sweeps, with shock propagation where it is
+effective (shock.py). Islands merge and split, so each body stores for how many steps shock propagation has been
+ineffective for its island, and the majority of the bodies decides.
+
+An island is a pile if most of its bodies have fallen there, and a structure if they were placed where they are. The
+impulses of a pile converge over several steps. Those of a structure must balance its load in each step.
 """
 
 import warp as wp
