@@ -500,6 +500,7 @@ Graph = layout(
     ),
     pressed=Field(int, "bodies", "", "1: three contacts with a body below, not on a line, press (rest.py)"),
     stuck=Field(int, "bodies", "", "1: two contacts with a body below stick (rest.py)"),
+    restless=Field(int, "bodies", "", "at an island's index: 1 if it is solved in rounds and not at rest (rest.py)"),
     resting=Field(int, "bodies", "", "at an island's index: 1 if it is stopped, without shock propagation (rest.py)"),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
     rebounding=Field(int, "envs", "", "1: at least one contact has restitution"),

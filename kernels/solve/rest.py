@@ -21,10 +21,12 @@ import warp as wp
 from warp_rigid.kernels.common.solver_body import VELOCITY, inverse_mass_of, load_velocity
 from warp_rigid.kernels.common.team import Team, any_of_team, sync_team, team_of
 from warp_rigid.kernels.constraints.contact import IMPULSE, impulse_of, read_contact
-from warp_rigid.kernels.enums import IslandSolver, ShockMode
-from warp_rigid.kernels.graph.support import UNSUPPORTED
-from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order, OrderRecord
+from warp_rigid.kernels.enums import IslandSolver, Motion, ShockMode
+from warp_rigid.kernels.graph.heap_arrays import Rounds
+from warp_rigid.kernels.graph.support import A_ON_B, B_ON_A, UNSUPPORTED
+from warp_rigid.kernels.schema import Bodies, ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.gauss_seidel import SWEEPS
+from warp_rigid.kernels.solve.rounds import read_round_pair
 from warp_rigid.kernels.solve.schedule import end_of_entries, entry_at, first_entry
 from warp_rigid.kernels.solve.shock import island_of
 
@@ -38,6 +40,9 @@ FAR = wp.constant(10.0)
 
 DEEP_ENOUGH = wp.constant(4)
 """Depth in bodies from which islands are stopped. In shallower ones, sweeps reduce the error fast."""
+
+AT_ONCE = wp.constant(6)
+"""Round from which a change shows that the impulses of the last step did not solve an island."""
 
 NOT_ON_A_LINE = wp.constant(0.1)
 """Sine of the smallest angle between the directions from a contact to two others."""
@@ -72,13 +77,13 @@ def sticks(row: ContactRecord, impulse: wp.vec3, far: float):
 
 
 @wp.func
-def find_held(upper: int, entry: OrderRecord, far: float, graph: Graph, contacts: Contacts):
+def find_held(upper: int, begin: int, end: int, far: float, graph: Graph, contacts: Contacts):
     """Mark the upper body of a pair if three contacts that are not on a line press, and if two stick."""
     pressing = int(0)
     sticking = int(0)
     start = wp.vec3(0.0, 0.0, 0.0)
     side = wp.vec3(0.0, 0.0, 0.0)
-    for c in range(entry.begin, entry.end):
+    for c in range(begin, end):
         row = read_contact(c, contacts.rows)
         impulse = impulse_of(c, IMPULSE, contacts)
         if presses(row, impulse, far):
@@ -96,12 +101,12 @@ def find_held(upper: int, entry: OrderRecord, far: float, graph: Graph, contacts
 
 
 @wp.func
-def moves_on(b: int, entry: OrderRecord, motions: Motions, contacts: Contacts):
+def moves_on(b: int, begin: int, motions: Motions, contacts: Contacts):
     """Whether a body of a constraint is not dynamic, but moves."""
     if inverse_mass_of(b, motions) > 0.0:
         return False
     speed = wp.length(load_velocity(b, VELOCITY, motions)) + wp.length(load_velocity(b, VELOCITY + 1, motions))
-    return speed + wp.length(read_contact(entry.begin, contacts.rows).surface) > 0.0
+    return speed + wp.length(read_contact(begin, contacts.rows).surface) > 0.0
 
 
 @wp.func
@@ -140,11 +145,13 @@ def leave_out_free(
         entry = entry_at(k, order)
         island = island_of(entry, motions, graph)
         if graph.resting[island] == 1:
-            if moves_on(entry.body_a, entry, motions, contacts) or moves_on(entry.body_b, entry, motions, contacts):
+            if moves_on(entry.body_a, entry.begin, motions, contacts) or moves_on(
+                entry.body_b, entry.begin, motions, contacts
+            ):
                 graph.resting[island] = 0
             elif entry.upper_a + entry.upper_b == 1:
                 upper = wp.where(entry.upper_a == 1, entry.body_a, entry.body_b)
-                find_held(upper, entry, far, graph, contacts)
+                find_held(upper, entry.begin, entry.end, far, graph, contacts)
     sync_team(team)
     for b in range(first + team.lane, last, team.lanes):
         if is_swept(b, graph, motions) and graph.pressed[b] * graph.stuck[b] == 0:
@@ -178,3 +185,49 @@ def stop_resting_islands(
     others = any_of_team(others, team)
     if team.lane == 0 and others == 0:
         graph.converged[env] = 1
+
+
+@wp.kernel
+def find_held_bodies(
+    dt: float, threads: int, envs: Environments, rounds: Rounds, graph: Graph, motions: Motions, contacts: Contacts
+):
+    """The threads share the pairs that are solved in rounds: mark the bodies that those below hold."""
+    for k in range(wp.tid(), rounds.count[0], threads):
+        entry = read_round_pair(k, rounds.pairs)
+        supports = graph.supports[entry.constraint]
+        if moves_on(entry.body_a, entry.begin, motions, contacts) or moves_on(
+            entry.body_b, entry.begin, motions, contacts
+        ):
+            graph.restless[graph.island[wp.where(entry.slot_a >= 0, entry.body_a, entry.body_b)]] = 1
+        elif supports == A_ON_B or supports == B_ON_A:
+            upper = wp.where(supports == A_ON_B, entry.body_a, entry.body_b)
+            far = FAR * SLOW * dt * wp.length(envs.gravity[entry.env])
+            find_held(upper, entry.begin, entry.end, far, graph, contacts)
+
+
+@wp.kernel
+def find_restless_islands(
+    dt: float, bodies: Bodies, envs: Environments, rounds: Rounds, graph: Graph, motions: Motions
+):
+    """One thread per body that is solved in rounds: mark its island if the body is not held, or is not slow.
+
+    If the rounds have ended at once, the bodies must also have been at rest at the start of the step.
+    """
+    b = wp.tid()
+    if graph.solver[b] != IslandSolver.ROUNDS or bodies.motion[b] != Motion.DYNAMIC:
+        return
+    island = graph.island[b]
+    slow = SLOW * dt * wp.length(envs.gravity[bodies.env[b]])
+    started = rounds.last_change[bodies.env[b]] >= AT_ONCE or graph.island_speed[island] == 0.0
+    if not started or graph.pressed[b] * graph.stuck[b] == 0 or speed_of(b, graph, motions) > slow:
+        graph.restless[island] = 1
+
+
+@wp.kernel
+def stop_resting_bodies(bodies: Bodies, envs: Environments, graph: Graph, motions: Motions):
+    """One thread per body that is solved in rounds: stop it if its island is at rest."""
+    b = wp.tid()
+    if graph.solver[b] == IslandSolver.ROUNDS and bodies.motion[b] == Motion.DYNAMIC and graph.touching[b] > 0:
+        if graph.restless[graph.island[b]] == 0 and envs.warm_starting[bodies.env[b]] == 1:
+            motions.solver_bodies[b].linear = wp.vec3(0.0, 0.0, 0.0)
+            motions.solver_bodies[b].angular = wp.vec3(0.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ import warp as wp
 from warp_rigid.engine import teams
 from warp_rigid.engine.step_parts import StepParts
 from warp_rigid.kernels.common import team
-from warp_rigid.kernels.solve import impact_rounds, push_rounds, rounds
+from warp_rigid.kernels.solve import impact_rounds, push_rounds, rest, rounds
 from warp_rigid.kernels.solve.round_sharing import ROUNDS_OF_A_GROUP
 
 
@@ -64,6 +64,15 @@ class HeapStages:
         self._repeat_rounds(rounds.solve_round, solved, [pools.contacts, pools.graph.residual])
         self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph.rounds])
         self._shared(rounds.finish_bodies, self.bodies, [], [pools.slots], [self.motions])
+        self._stop_resting_islands()
+
+    def _stop_resting_islands(self) -> None:
+        """Stop the islands at rest, whose velocities are errors of the solver."""
+        pools, bodies = self.pools, self.model.bodies
+        inputs, changed = [self.envs, pools.rounds], [pools.graph, self.motions, pools.contacts]
+        self._shared(rest.find_held_bodies, self.most_pairs, [self.dt], inputs, changed)
+        self._step._per_body(rest.find_restless_islands, [self.dt, bodies, *inputs], changed[:2])
+        self._step._per_body(rest.stop_resting_bodies, [bodies, self.envs], changed[:2])
 
     def push_out(self) -> None:
         """Push-out of heaps, in rounds."""
