@@ -503,7 +503,6 @@ Graph = layout(
     restless=Field(int, "bodies", "", "at an island's index: 1 if it is solved in rounds and not at rest (rest.py)"),
     resting=Field(int, "bodies", "", "at an island's index: 1 if it is stopped, without shock propagation (rest.py)"),
     overlapping=Field(int, "envs", "", "1: at least one contact needs push-out"),
-    rebounding=Field(int, "envs", "", "1: at least one contact has restitution"),
     further_sweeps=Field(int, "bodies", "", "maximum sweeps with momentum of the body's island (calm.py)"),
     sweeps=Field(int, "envs", "", "solver sweeps in the last step"),
     shock_sweeps=Field(int, "envs", "", "sweeps of shock propagation in the last step"),

@@ -208,12 +208,6 @@ def direction_and_approach(c: int, pair: BodyPair, contacts: Contacts):
 
 
 @wp.func
-def rebounds(c: int, contacts: Contacts):
-    """Whether a contact has restitution. All contacts of a pair have the same coefficient."""
-    return contacts.rows[c].restitution > 0.0
-
-
-@wp.func
 def store_start(c: int, contacts: Contacts):
     """Store the impulses at the start of the line search."""
     set_impulse(c, START_IMPULSE, impulse_of(c, IMPULSE, contacts), contacts)

@@ -20,7 +20,7 @@ import warp as wp
 
 from warp_rigid.kernels.common.solver_body import BodyPair, first_three, load_bodies
 from warp_rigid.kernels.common.team import Team, add_together, any_of_team, sync_team, team_of
-from warp_rigid.kernels.constraints.contact import direction_and_approach, rebounds
+from warp_rigid.kernels.constraints.contact import direction_and_approach
 from warp_rigid.kernels.constraints.records import is_active
 from warp_rigid.kernels.enums import IslandSolver, Motion
 from warp_rigid.kernels.schema import Bodies, Constraints, Contacts, Environments, Graph, Motions
@@ -80,7 +80,6 @@ def start_graph(graph: Graph):
     graph.altered[env] = 0
     graph.swept[env] = 0
     graph.overlapping[env] = 0
-    graph.rebounding[env] = 0
     graph.sweeps[env] = 0
     graph.residual[env] = 0.0
     graph.shock_sweeps[env] = 0
@@ -102,8 +101,6 @@ def find_support(
             pair = load_bodies(a, constraints.body_b[k], 0.0, 0.0, motions)
             supports = supports_of(k, pair, bodies, motions, constraints, contacts)
             add_together(graph.active, env, 1)
-            if rebounds(constraints.first_row[k], contacts) and graph.rebounding[env] == 0:
-                graph.rebounding[env] = 1
             if not is_unchanged(k, env, supports, constraints, graph):
                 graph.altered[env] = 1
         graph.supports[k] = supports

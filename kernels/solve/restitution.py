@@ -26,10 +26,8 @@ from warp_rigid.kernels.constraints.contact import (
     friction_impulse,
     read_contact,
     read_impulse,
-    rebounds,
     set_target_impulse,
 )
-from warp_rigid.kernels.enums import ShockMode
 from warp_rigid.kernels.schema import ContactRecord, Contacts, Environments, Graph, Motions, Order
 from warp_rigid.kernels.solve.schedule import (
     CONVERGED,
@@ -176,23 +174,17 @@ def solve_impact(
     turn: int,
     solved: int,
     dt: float,
-    inelastic: int,
     first: int,
     order: Order,
     graph: Graph,
     motions: Motions,
     contacts: Contacts,
 ):
-    """Solve the impacts of all contacts of a pair together. Returns 1 if there was any.
-
-    Those of a pair without restitution are solved only if `inelastic` is 1.
-    """
+    """Solve the impacts of all contacts of a pair together. Returns 1 if there was any."""
     entry = entry_at(k, order)
     if is_done(entry, graph):
         return 0
     order.entries[k].visited = solved
-    if inelastic == 0 and not rebounds(entry.begin, contacts):
-        return 0
     a = entry.body_a
     b = entry.body_b
     before = load_bodies(a, b, 1.0, 1.0, motions)
@@ -221,8 +213,7 @@ def solve_impacts(
     """One team per environment: sweeps of pairwise impacts until there are none, at most `collision_iterations`."""
     team = team_of(wp.tid(), lanes)
     env = team.env
-    inelastic = wp.where(envs.shock_propagation[env] == ShockMode.TWO_PASS, 0, 1)
-    if order.color_count[env] == 0 or inelastic + graph.rebounding[env] == 0:
+    if order.color_count[env] == 0:
         return
     first = envs.collision_first[env]
     left = int(envs.collision_iterations[env])
@@ -235,8 +226,6 @@ def solve_impacts(
             turn += 1
             stride = stride_of_color(color, team)
             for k in range(first_of_color(color, team, order), order.color_start[env, color + 1], stride):
-                collided |= solve_impact(
-                    k, turn, solved_turn(color, turn), dt, inelastic, first, order, graph, motions, contacts
-                )
+                collided |= solve_impact(k, turn, solved_turn(color, turn), dt, first, order, graph, motions, contacts)
             sync_team(team)
         left = any_of_team(collided, team) * (left - 1)
