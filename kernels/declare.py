@@ -215,7 +215,7 @@ def record_reader(packed: Any, flag: str = "", optional_from: str = "") -> Any:
 
 
 def record_writer(packed: Any, flag: str = "", optional_from: str = "") -> Any:
-    """Return a device function (row, value, records) that writes a packed record of floats group by group.
+    """Return a device function (row, value, records) that writes a packed record group by group.
 
     `flag` is written as 1 where a member from `optional_from` on is not 0, else as 0; see `record_reader`.
     """
@@ -230,7 +230,8 @@ def record_writer(packed: Any, flag: str = "", optional_from: str = "") -> Any:
         optional = [text for word, text in words.items() if word >= first_word(packed, optional_from)]
         words[first_word(packed, flag)] = f"({' || '.join(f'{text} != 0.0f' for text in optional)}) ? 1.0f : 0.0f"
     lines = [IN_BOUNDS, "float* p = (float*)__builtin_assume_aligned((float*)(records.data + row), 16);"]
-    lines += [f"p[{word}] = {text};" for word, text in words.items()]
+    integers = {first_word(packed, key) for key, field in RECORDS[packed.key].items() if field.dtype is int}
+    lines += [f"{'((int*)p)' if word in integers else 'p'}[{word}] = {text};" for word, text in words.items()]
 
     @wp.func_native("\n".join(lines))
     def write_record(row: int, value: packed, records: wp.array[packed]):

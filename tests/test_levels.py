@@ -86,7 +86,7 @@ class HandMadeGraph:
         state.position = wp.zeros(rows, dtype=wp.vec3, device=self.device)
         state.linear_velocity = wp.zeros(rows, dtype=wp.vec3, device=self.device)
         shapes.shapes = wp.zeros(1, dtype=schema.ShapeRecord, device=self.device)
-        inputs = [0.01, shapes, self.bodies, self.envs, state, self.graph]
+        inputs = [shapes, self.bodies, self.envs, state, self.graph]
         wp.launch(islands.vote, rows, inputs=inputs, device=self.device)
         shape = (self.count, self.per_env)
         return self.graph.level.numpy().reshape(shape), self.graph.island.numpy().reshape(shape)

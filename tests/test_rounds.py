@@ -46,7 +46,7 @@ def visit(impulse, slip, k, bias, friction):
 
 
 def rounds_in_float64(problem, free, impulse, count):
-    """The method of rounds.py: split masses, momentum (k - 1) / (k + 2) up to 0.9, none in the last three rounds."""
+    """The method of rounds.py: split masses, momentum (k - 1) / (k + 2) up to 0.98, none in the last three rounds."""
     contacts = problem.contacts
     a, b = contacts["body_a"], contacts["body_b"]
     sharing = np.bincount(np.concatenate([a, b]), minlength=len(free))
@@ -58,7 +58,7 @@ def rounds_in_float64(problem, free, impulse, count):
     for turn in range(1, count + 1):
         slip = problem.slip(free + problem.change(ahead))
         now = visit(ahead, slip, k, problem.bias, contacts["friction"].astype(np.float64))
-        beta = 0.0 if turn + 3 > count else min((turn - 1) / (turn + 2), 0.9)
+        beta = 0.0 if turn + 3 > count else min((turn - 1) / (turn + 2), 0.98)
         before, ahead = now, now + beta * (now - before)
     return free + problem.change(before)
 

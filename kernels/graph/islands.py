@@ -5,7 +5,7 @@ the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so
 lowest body, in whatever order the threads run.
 
 In environments of many bodies, islands are solved in rounds (rounds.py), unless their masses differ much, they have
-joints, or a body has very many pairs. All other islands are solved in sweeps, with shock propagation where it is
+joints, a body has very many pairs, or bodies with restitution were placed in a row, which pass impacts on one by one. All other islands are solved in sweeps, with shock propagation where it is
 effective (shock.py). Islands merge and split, so each body stores for how many steps shock propagation has been
 ineffective for its island, and the majority of the bodies decides.
 
@@ -169,7 +169,8 @@ def vote(shapes: Shapes, bodies: Bodies, envs: Environments, state: State, graph
     raise_to(island, -depth, graph.island_high)
     raise_to(island, bodies.mass[b], graph.island_mass)
     raise_to(island, bodies.inverse_mass[b], graph.island_inverse_mass)
-    if graph.tied[b] == 1 or graph.touching[b] > MOST_PAIRS:
+    chained = bodies.restitution[b] > 0.0 and state.fallen[b] == 0
+    if graph.tied[b] == 1 or graph.touching[b] > MOST_PAIRS or chained:
         graph.needs_sweeps[island] = 1
 
 
