@@ -259,10 +259,13 @@ def heap_beside_a_tower(device):
     return sim, heap, tower
 
 
-def test_a_heap_that_it_does_not_help_is_solved_in_rounds(device, tmp_path):
-    """The tower in the same environment never is; a checkpoint continues with the same choice."""
+def test_a_large_environment_is_solved_in_rounds_but_for_heavy_on_light(device, tmp_path):
+    """A tower with a top of 1000 times the mass beside a heap; a checkpoint continues with the same choice."""
     sim, heap, tower = heap_beside_a_tower(device)
     graph = stages_of(sim).pools.graph
+    sim.step(5)
+    assert (graph.solver.numpy()[[*heap, *tower]] == IslandSolver.ROUNDS).mean() > 0.9
+    sim.set("mass", 1000.0 * sim.get("mass")[0, tower[0]], bodies=[tower[-1]])
     for _ in range(90):
         sim.step()
         solver = graph.solver.numpy()
