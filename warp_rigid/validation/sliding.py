@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import Curve, ReferenceCheck, ValidationCase, each, relative
+from warp_rigid.validation.case import Check, Curve, ValidationCase, each, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
@@ -125,7 +125,7 @@ def stop_checks(bodies, experiments):
         return lambda _: exact()[k]
 
     return tuple(
-        ReferenceCheck(name, unit, measure(k), reference(k), relative(0.02), labels)
+        Check(name, unit, measure(k), relative(0.02), reference(k), labels=labels)
         for k, (name, unit) in enumerate(kinds)
     )
 
