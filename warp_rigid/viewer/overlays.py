@@ -1,5 +1,7 @@
 """Overlays of the simulator's data: boxes, cells, contacts, joints, samples and clusters."""
 
+from collections.abc import Callable
+
 import numpy as np
 import trimesh
 
@@ -75,18 +77,17 @@ class Overlays:
         """
         if self._size is None:
             self._size = _typical_size(sim)
-        size = self._size
         draw = {
-            BOXES: lambda: self._boxes(sim, rows, offsets, size),
-            CELLS: lambda: self._cells(sim, rows, offsets, size),
-            CONTACTS: lambda: self._contacts(sim, rows, offsets, size),
-            JOINTS: lambda: self._joints(sim, rows, offsets, size),
-            SAMPLES: lambda: self._samples(sim, rows, offsets, size),
-            CLUSTERS: lambda: self._clusters(sim, rows, offsets, chosen),
+            BOXES: self._boxes,
+            CELLS: self._cells,
+            CONTACTS: self._contacts,
+            JOINTS: self._joints,
+            SAMPLES: self._samples,
+            CLUSTERS: lambda sim, rows, offsets, _: self._clusters(sim, rows, offsets, chosen),
         }
         for name, action in draw.items():
             if name in self.shown:
-                action()
+                action(sim, rows, offsets, self._size)
 
     def _boxes(self, sim, rows, offsets, size) -> None:
         boxes = sim.swept_boxes()[rows] + offsets[:, None, None]
@@ -182,41 +183,25 @@ class Overlays:
         )
 
     def _lines(self, name: str, segments: np.ndarray, color, size: float) -> None:
-        if not len(segments):
-            self._hide(name)
-        elif name in self._nodes:
-            self._nodes[name].points = segments.astype(np.float32)
-            self._nodes[name].visible = True
-        else:
-            node = f"/overlay/{name}"
-            self._nodes[name] = self._scene.add_line_segments(node, segments, color, thickness=0.012 * size)
+        self._draw(name, segments, self._scene.add_line_segments, color, thickness=0.012 * size)
 
     def _points(self, name: str, points: np.ndarray, color, size: float) -> None:
+        look = {"point_size": size, "point_shape": "circle", "precision": "float32"}
+        self._draw(name, points, self._scene.add_point_cloud, color, **look)
+
+    def _arrows(self, name: str, arrows: np.ndarray, size: float) -> None:
+        look = {"shaft_radius": 0.018 * size, "head_radius": 0.05 * size, "head_length": 0.12 * size}
+        self._draw(name, arrows, self._scene.add_arrows, CONTACT_COLOR, **look)
+
+    def _draw(self, name: str, points: np.ndarray, add: Callable, color, **look) -> None:
+        """Show points in the node of a name, which is added with the first ones; none hide it."""
         if not len(points):
             self._hide(name)
         elif name in self._nodes:
             self._nodes[name].points = points.astype(np.float32)
             self._nodes[name].visible = True
         else:
-            self._nodes[name] = self._scene.add_point_cloud(
-                f"/overlay/{name}", points, color, point_size=size, point_shape="circle", precision="float32"
-            )
-
-    def _arrows(self, name: str, arrows: np.ndarray, size: float) -> None:
-        if not len(arrows):
-            self._hide(name)
-        elif name in self._nodes:
-            self._nodes[name].points = arrows.astype(np.float32)
-            self._nodes[name].visible = True
-        else:
-            self._nodes[name] = self._scene.add_arrows(
-                f"/overlay/{name}",
-                arrows,
-                CONTACT_COLOR,
-                shaft_radius=0.018 * size,
-                head_radius=0.05 * size,
-                head_length=0.12 * size,
-            )
+            self._nodes[name] = add(f"/overlay/{name}", points, color, **look)
 
     def _hide(self, name: str) -> None:
         if name in self._nodes:
