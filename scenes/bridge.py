@@ -102,5 +102,4 @@ DEMO = Demo(
     build=build,
     outcome=BridgeOutcome,
     duration=12.0,
-    variants={"default": {}},
 )

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 from warp_rigid.scenes.builders import assortment, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, indices, start_apart
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, indices, vary_starts
 
 EXTENT = 30.0
 VERTICES = 61
@@ -102,18 +102,12 @@ class CarpetOutcome(OverlapOutcome):
         ]
 
 
-def vary(sim, bodies, amplitude, seed, **_):
-    """Give environment e the starts of the scene with seed + e; the shapes are those of environment 0."""
-    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env, amplitude))
-
-
 DEMO = Demo(
     name="carpet",
     summary="a travelling wave of the ground throws and transports bodies",
     build=build,
     outcome=CarpetOutcome,
     duration=4.0,
-    variants={"default": {}},
-    vary=vary,
+    vary=vary_starts("body_", starts),
     view=(-67.0, 30.0),
 )

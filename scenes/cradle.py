@@ -68,5 +68,4 @@ DEMO = Demo(
     build=build,
     outcome=CradleOutcome,
     duration=2.0,
-    variants={"default": {}},
 )

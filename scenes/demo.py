@@ -83,7 +83,7 @@ class Demo:
         outcome: function(scene) -> Outcome.
         duration: default duration of a run, after which all verdicts are available [s].
         variants: settings to compare, by name; each lists the differences from `Settings()`. A comparison runs each
-            variant in one environment of one simulator. "default" is the first.
+            variant in one environment of one simulator. "default" is the first, and the only one where none are given.
         events: function(scene) -> list of (time [s], function(sim)); a run calls each function when it reaches that
             simulated time. The function may return the event that follows it.
         settings: differences from `Settings()` that all variants of this scene need.
@@ -99,7 +99,7 @@ class Demo:
     build: Callable[..., Scene]
     outcome: Callable[[Scene], Outcome]
     duration: float
-    variants: dict[str, dict[str, Any]]
+    variants: dict[str, dict[str, Any]] = field(default_factory=lambda: {"default": {}})
     events: Callable[[Scene], list[tuple[float, Callable[[Any], None]]]] = no_events
     settings: dict[str, Any] = field(default_factory=dict)
     vary: Callable[..., None] | None = None
@@ -125,6 +125,22 @@ def start_apart(sim: Any, bodies: list[int], starts: Callable[[int], tuple[np.nd
     columns = zip(*(starts(env) for env in range(sim.num_envs)), strict=True)
     for name, values in zip(("position", "orientation", "linear_velocity"), columns, strict=False):
         sim.set(name, np.array(values), bodies=bodies)
+
+
+def vary_starts(prefix: str, starts: Callable[..., tuple[np.ndarray, ...]]) -> Callable[..., None]:
+    """A `vary` of Demo: environment e gets the starts of the scene with seed + e. Shapes are those of environment 0.
+
+    Args:
+        prefix: of the names of the bodies that are set.
+        starts: function of `seed` and other parameters of the scene that returns the starts, as for `start_apart`.
+    """
+    others = set(inspect.signature(starts).parameters) - {"seed"}
+
+    def vary(sim: Any, seed: int, **parameters: Any) -> None:
+        given = {name: parameters[name] for name in others}
+        start_apart(sim, indices(sim.scene, prefix), lambda env: starts(seed=seed + env, **given))
+
+    return vary
 
 
 def indices(scene: Scene, prefix: str) -> list[int]:
@@ -154,6 +170,12 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
         distance, _ = target.signed_distance(local.reshape(-1, 3))
         smallest = np.minimum(smallest, (distance.reshape(world.shape[:2]) - ball).min(axis=1))
     return smallest
+
+
+def outside(sim: Any, bodies: list[int], half: float) -> np.ndarray:
+    """Whether bodies are below z = 0 or outside a square of half a width [m], (envs, bodies); true where NaN."""
+    place = sim.get("center_of_mass")[:, bodies]
+    return ~((np.abs(place[..., :2]).max(axis=-1) < half) & (place[..., 2] > 0.0))
 
 
 def below(

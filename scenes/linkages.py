@@ -115,5 +115,4 @@ DEMO = Demo(
     build=build,
     outcome=LinkageOutcome,
     duration=4.0,
-    variants={"default": {}},
 )

@@ -118,6 +118,5 @@ DEMO = Demo(
     build=build,
     outcome=NutOutcome,
     duration=2.0,
-    variants={"default": {}},
     view=(-60.0, 18.0),
 )

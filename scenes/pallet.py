@@ -73,5 +73,4 @@ DEMO = Demo(
     build=build,
     outcome=PalletOutcome,
     duration=3.0,
-    variants={"default": {}},
 )

@@ -18,7 +18,7 @@ from warp_rigid.scenes.demo import (
     contacts_verdict,
     indices,
     resting_verdict,
-    start_apart,
+    vary_starts,
 )
 
 PLANET_RADIUS = 5.0
@@ -103,18 +103,12 @@ class PlanetOutcome(OverlapOutcome):
         ]
 
 
-def vary(sim, bodies, seed, **_):
-    """Give environment e the starts of the scene with seed + e; the shapes are those of environment 0."""
-    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
-
-
 DEMO = Demo(
     name="planet",
     summary="bodies fall from all sides on a small planet and settle all around it",
     build=build,
     outcome=PlanetOutcome,
     duration=8.0,
-    variants={"default": {}},
-    vary=vary,
+    vary=vary_starts("body_", starts),
     view=(-67.0, 20.0),
 )

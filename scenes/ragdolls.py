@@ -59,5 +59,4 @@ DEMO = Demo(
     build=build,
     outcome=RagdollOutcome,
     duration=5.0,
-    variants={"default": {}},
 )

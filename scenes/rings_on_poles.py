@@ -15,14 +15,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Cylinder
 from warp_rigid.scenes.builders import assortment, grounds, meshes
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import (
-    ONE_PASS_2003,
-    Demo,
-    OverlapOutcome,
-    Verdict,
-    indices,
-    start_apart,
-)
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, OverlapOutcome, Verdict, indices, start_apart
 
 MASS = 10.0
 SURFACE: dict[str, Any] = {"friction": 0.6, "restitution": 0.3}

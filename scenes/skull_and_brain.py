@@ -10,15 +10,7 @@ from warp_rigid.files import mesh_files
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Mesh
 from warp_rigid.scenes.builders import grounds, meshes
-from warp_rigid.scenes.demo import (
-    ONE_PASS_2003,
-    Demo,
-    OverlapOutcome,
-    below,
-    clearance,
-    indices,
-    rest_verdict,
-)
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, OverlapOutcome, below, clearance, indices, rest_verdict
 
 SKULL_SIZE = 0.25
 BRAIN_SIZE = 0.18

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices, start_apart
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices, vary_starts
 
 EXTENT = 20.0
 VERTICES = 81
@@ -101,18 +101,12 @@ class SlideOutcome(OverlapOutcome):
         ]
 
 
-def vary(sim, bodies, seed, **_):
-    """Give environment e the starts of the scene with seed + e; shapes and terrain are those of environment 0."""
-    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
-
-
 DEMO = Demo(
     name="terrain",
     summary="bodies slide without friction over a concave terrain",
     build=build,
     outcome=SlideOutcome,
     duration=5.0,
-    variants={"default": {}},
-    vary=vary,
+    vary=vary_starts("body_", starts),
     view=(-67.0, 34.0),
 )

@@ -119,6 +119,5 @@ DEMO = Demo(
     build=build,
     outcome=WreckOutcome,
     duration=5.0,
-    variants={"default": {}},
     view=(-165.0, 24.0),
 )
