@@ -40,17 +40,9 @@ def opened(trace: Trace) -> np.ndarray:
     largest = np.zeros(trace.position.shape[1])
     for entry in trace.scene.joints:
         if entry.joint.coordinate not in (Coordinate.LENGTH, Coordinate.SLIDE):
-            apart = _point(trace, entry.body_a, entry.frame_a) - _point(trace, entry.body_b, entry.frame_b)
-            largest = np.maximum(largest, np.linalg.norm(apart, axis=-1).max(axis=0))
+            first, second = entry.anchors(trace.position, trace.orientation)
+            largest = np.maximum(largest, np.linalg.norm(first - second, axis=-1).max(axis=0))
     return largest
-
-
-def _point(trace, body, frame):
-    """The origin of a joint's frame, (records, envs, 3) [m]."""
-    local = np.array(frame.position)
-    if body is None:
-        return np.broadcast_to(local, (*trace.position.shape[:2], 3))
-    return trace.position[:, :, body] + rotations.rotate(trace.orientation[:, :, body], local)
 
 
 def below(name: str, measure, limit: float, unit: str = "m") -> Check:

@@ -46,13 +46,9 @@ def rows_of(trace: Trace) -> np.ndarray:
     place, turn, center = (values[:, 0] for values in (trace.position, trace.orientation, trace.center))
     rows = []
     for entry in trace.scene.joints:
-        points, frame = [], None
-        for body, local in ((entry.body_a, entry.frame_a), (entry.body_b, entry.frame_b)):
-            point, frame = np.array(local.position), np.array(local.orientation)
-            if body is not None:
-                point = place[:, body] + rotations.rotate(turn[:, body], point)
-                frame = rotations.multiply(turn[:, body], frame)
-            points.append(np.broadcast_to(point, center[:, 0].shape))
+        points = entry.anchors(place, turn)
+        frame = np.array(entry.frame_b.orientation)
+        frame = frame if entry.body_b is None else rotations.multiply(turn[:, entry.body_b], frame)
         axes = np.swapaxes(np.broadcast_to(rotations.matrix(frame), (len(place), 3, 3)), 1, 2)
         prevented = [k for k in range(6) if entry.joint.locked >> k & 1]
         if entry.joint.coordinate == Coordinate.LENGTH:

@@ -9,7 +9,6 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.rotations import inverse, rotate
-from warp_rigid.scene.joints.joint import JointFrame
 from warp_rigid.scene.scene import Motion
 
 __all__ = ["CONTACTS", "JOINTS", "OVERLAYS", "Overlays"]
@@ -215,20 +214,15 @@ def joint_lines(sim: Simulator, rows: np.ndarray, size: float) -> tuple[np.ndarr
     """
     position, orientation = sim.get("position")[rows], sim.get("orientation")[rows]
 
-    def ends(body: int | None, frame: JointFrame) -> tuple[np.ndarray, np.ndarray]:
-        point, axis = np.array(frame.position), rotate(np.array(frame.orientation), np.array([1.0, 0, 0]))
-        if body is None:
-            return tuple(np.broadcast_to(some, (len(rows), 3)) for some in (point, axis))
-        return position[:, body] + rotate(orientation[:, body], point), rotate(orientation[:, body], axis)
-
     points = np.zeros((len(rows), len(sim.scene.joints), 2, 3))
     axes = points.copy()
     for k, entry in enumerate(sim.scene.joints):
-        (first, _), (second, axis) = ends(entry.body_a, entry.frame_a), ends(entry.body_b, entry.frame_b)
-        points[:, k] = np.stack([first, second], axis=1)
+        points[:, k] = np.stack(entry.anchors(position, orientation), axis=1)
+        axis = rotate(np.array(entry.frame_b.orientation), np.array([1.0, 0, 0]))
+        axis = axis if entry.body_b is None else rotate(orientation[:, entry.body_b], axis)
         turning = entry.joint.coordinate in (Coordinate.ANGLE, Coordinate.SLIDE)
         half = 0.5 * size * axis
-        axes[:, k] = np.stack([first - half, first + half], axis=1) if turning else points[:, k]
+        axes[:, k] = np.stack([points[:, k, 0] - half, points[:, k, 0] + half], axis=1) if turning else points[:, k]
     return points, axes
 
 
