@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import OUTCOME, Check, Curve, ValidationCase, at_most, measured
+from warp_rigid.validation.case import OUTCOME, Check, Curve, ValidationCase, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment, Trace
 from warp_rigid.validation.towers import pyramid_scene
 
@@ -58,21 +58,15 @@ def arches(rates, duration):
     experiments = tuple(experiment(*cell) for cell in cells)
     must_fall = np.array([cell[4] for cell in cells])
     standing, falling = np.flatnonzero(~must_fall), np.flatnonzero(must_fall)
-    return ValidationCase(
+    return case(
         "V70",
         f"semicircular arches over the range of time steps, {duration:g} s",
         "limit analysis of rigid stones (linear programming)",
-        (
-            measured(
-                "largest displacement of the crown",
-                "m",
-                lambda t: [np.abs(crown(t)).max()],
-                at_most(1e-3),
-                rows=standing,
-            ),
-            measured("falls", "", lambda t: [crown(t).min() < -0.25 * RADIUS], OUTCOME, 1, rows=falling, itemized=True),
+        measured(
+            "largest displacement of the crown", "m", lambda t: [np.abs(crown(t)).max()], at_most(1e-3), rows=standing
         ),
-        experiments,
+        measured("falls", "", lambda t: [crown(t).min() < -0.25 * RADIUS], OUTCOME, 1, rows=falling, itemized=True),
+        of=experiments,
         curve=Curve("displacement of the crown", "m", crown),
     )
 
@@ -105,20 +99,18 @@ def climbing(quick):
         return (height - np.minimum.accumulate(height)).max() / size
 
     return [
-        ValidationCase(
+        case(
             "V71",
             f"structures at rest do not climb, {duration:g} s",
             "statics: the centre of mass does not rise by itself",
-            (
-                Check(
-                    "rise of the centre of mass over the size",
-                    "",
-                    lambda s: [rise(trace, cell[2]) for trace, cell in zip(s, cells, strict=True)],
-                    at_most(1e-5),
-                    labels=[f"{name}, dt 1/{rate}" for name, _, _, rate in cells],
-                ),
+            Check(
+                "rise of the centre of mass over the size",
+                "",
+                lambda s: [rise(trace, cell[2]) for trace, cell in zip(s, cells, strict=True)],
+                at_most(1e-5),
+                labels=[f"{name}, dt 1/{rate}" for name, _, _, rate in cells],
             ),
-            tuple(
+            of=tuple(
                 Experiment(scene, duration, dt=1 / rate, every=max(1, rate // 30), label=f"{name}, dt 1/{rate}")
                 for name, scene, _, rate in cells
             ),

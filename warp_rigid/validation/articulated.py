@@ -10,7 +10,7 @@ from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.scene.joints import DistanceJoint, FixedJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
-from warp_rigid.validation.case import OUTCOME, Check, ValidationCase, absolute, at_most, measured, relative
+from warp_rigid.validation.case import OUTCOME, Check, ValidationCase, absolute, at_most, case, measured, relative
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
 GRAVITY = 9.81
@@ -94,15 +94,13 @@ def pendulums(duration: float) -> ValidationCase:
         return np.abs(total / total[0] - 1.0).max(axis=0)
 
     labels = tuple(f"{a:g} degrees" for a in AMPLITUDES)
-    return ValidationCase(
+    return case(
         "V90",
         "Simple pendulum",
         "arithmetic-geometric mean; conservation of energy",
-        (
-            measured("period", "s", period_of, relative(1e-3), [exact_period(a) for a in AMPLITUDES], labels=labels),
-            measured("change of energy", "", energy, at_most(1e-3), labels=labels),
-        ),
-        experiments,
+        measured("period", "s", period_of, relative(1e-3), [exact_period(a) for a in AMPLITUDES], labels=labels),
+        measured("change of energy", "", energy, at_most(1e-3), labels=labels),
+        of=experiments,
     )
 
 
@@ -110,7 +108,7 @@ def chain(links: int, duration: float) -> ValidationCase:
     """A chain that swings with a ball a thousand times heavier than a link."""
     experiment = Experiment(partial(scenes.load, "chain", links=links), duration, every=4)
     checks = (below("largest gap of a joint", opened, 1e-4),)
-    return ValidationCase("V91", f"Chain of {links} links, 1000 : 1", "closed joints", checks, (experiment,))
+    return case("V91", f"Chain of {links} links, 1000 : 1", "closed joints", *checks, of=experiment)
 
 
 def pallet(duration: float) -> ValidationCase:
@@ -124,7 +122,7 @@ def pallet(duration: float) -> ValidationCase:
 
     experiment = Experiment(partial(scenes.load, "pallet"), duration)
     checks = (below("displacement of a box relative to the first", drift, 4e-5),)
-    return ValidationCase("V92", "Pallet of twelve welded boxes", "mujoco_warp#1510", checks, (experiment,))
+    return case("V92", "Pallet of twelve welded boxes", "mujoco_warp#1510", *checks, of=experiment)
 
 
 def crane(duration: float) -> ValidationCase:
@@ -135,7 +133,7 @@ def crane(duration: float) -> ValidationCase:
 
     experiment = Experiment(partial(scenes.load, "crane"), duration)
     checks = (below("displacement of the other boxes", others, 1e-4),)
-    return ValidationCase("V93", "Crane", "bodies at rest", checks, (experiment,))
+    return case("V93", "Crane", "bodies at rest", *checks, of=experiment)
 
 
 def bridge(planks: int, duration: float) -> ValidationCase:
@@ -147,7 +145,7 @@ def bridge(planks: int, duration: float) -> ValidationCase:
     experiment = Experiment(partial(scenes.load, "bridge", planks=planks), duration, every=4)
     checks = (below("largest gap of a joint", opened, 1e-4), below("speed at the end", speed, 0.05, "m/s"))
     title = f"Rope bridge of {planks} planks, 1000 : 1"
-    return ValidationCase("V94", title, "closed joints, rest", checks, (experiment,))
+    return case("V94", title, "closed joints, rest", *checks, of=experiment)
 
 
 def cradle() -> ValidationCase:
@@ -163,9 +161,7 @@ def cradle() -> ValidationCase:
     checks = (
         Check("speed after the impact", "", lambda s: speeds(s[0]), absolute(0.02), [0, 0, 0, 0, 1], labels=labels),
     )
-    return ValidationCase(
-        "V95", "Newton's cradle on strings", "conservation of momentum and energy", checks, (experiment,)
-    )
+    return case("V95", "Newton's cradle on strings", "conservation of momentum and energy", *checks, of=experiment)
 
 
 def welds() -> ValidationCase:
@@ -185,4 +181,4 @@ def welds() -> ValidationCase:
         return displaced(trace, slice(0, 1)) > 1e-3
 
     checks = (measured("weld breaks", "", broken, OUTCOME, [float(share > 1.0) for share in LOADS], labels=labels),)
-    return ValidationCase("V96", "Weld under a load", "its limit", checks, (experiment,))
+    return case("V96", "Weld under a load", "its limit", *checks, of=experiment)

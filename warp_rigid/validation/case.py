@@ -172,6 +172,14 @@ class ValidationCase:
         return tuple(experiment.run(device) for experiment in self.experiments)
 
 
+def case(
+    id: str, title: str, source: str, *checks: Check, of: Experiment | Sequence[Experiment] = (), **options: Any
+) -> ValidationCase:
+    """A case of some checks, of an experiment or several; the other arguments are those of ValidationCase."""
+    experiments = (of,) if isinstance(of, Experiment) else tuple(of)
+    return ValidationCase(id, title, source, checks, experiments, **options)
+
+
 @dataclass(frozen=True)
 class CheckResult:
     """A check's result on a device; arrays have one entry for each variant.

@@ -17,6 +17,7 @@ from warp_rigid.validation.case import (
     ValidationCase,
     absolute,
     at_most,
+    case,
     measured,
     relative,
 )
@@ -66,15 +67,13 @@ def sliding_tips():
 
         return Experiment(scene, 1.0, dt=0.01, label=name)
 
-    return ValidationCase(
+    return case(
         "V49",
         "spike and wedge that slide on their tip, 10 m/s, no gravity",
         ERLEBEN,
-        (
-            measured("distance in 1 s", "m", lambda t: t.position[-1, :, 1, 0], absolute(1e-4), 10.0),
-            measured("turn", "rad/s", lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1), at_most(1e-4)),
-        ),
-        (experiment("spike", spike_mesh), experiment("wedge", wedge_mesh)),
+        measured("distance in 1 s", "m", lambda t: t.position[-1, :, 1, 0], absolute(1e-4), 10.0),
+        measured("turn", "rad/s", lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1), at_most(1e-4)),
+        of=(experiment("spike", spike_mesh), experiment("wedge", wedge_mesh)),
     )
 
 
@@ -90,15 +89,13 @@ def tips_on_tips():
 
         return Experiment(scene, 1.25, dt=0.01, label=name, watch_overlap=True)
 
-    return ValidationCase(
+    return case(
         "V49",
         "spikes and wedges dropped tip on tip, 1.25 s",
         ERLEBEN,
-        (
-            measured("deepest overlap, 1 % of the width allowed", "m", lambda t: t.overlap.max(axis=0), at_most(0.01)),
-            measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(0.0), 20.0),
-        ),
-        (
+        measured("deepest overlap, 1 % of the width allowed", "m", lambda t: t.overlap.max(axis=0), at_most(0.01)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(0.0), 20.0),
+        of=(
             experiment("spike on spike", spike_mesh, spike_mesh),
             experiment("wedge on wedge", wedge_mesh, wedge_mesh),
             experiment("spike on wedge", wedge_mesh, spike_mesh),
@@ -128,17 +125,15 @@ def internal_edges(duration):
 
         return Experiment(scene, duration, label=name, every=2)
 
-    return ValidationCase(
+    return case(
         "V49",
         "cube dropped on a slab with interior edges, and flush with its rim",
         ERLEBEN,
-        (
-            measured("height error at the end", "m", rest_height, absolute(1e-3)),
-            measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1), at_most(1e-3)),
-            measured("tilt", "deg", tilt, at_most(0.1)),
-            measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
-        ),
-        (
+        measured("height error at the end", "m", rest_height, absolute(1e-3)),
+        measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1), at_most(1e-3)),
+        measured("tilt", "deg", tilt, at_most(0.1)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=(
             experiment("12 triangles", (0.5, 0.5, 0.5), 1),
             experiment("192 triangles", (0.5, 0.5, 0.5), 2),
             experiment("flush with the rim", (1.0, 1.0, 0.5), 2),
@@ -197,19 +192,17 @@ def push_out():
         rows = slice(first, end)
         return measured("overlap after 0.5 s", "m", lambda t: t.overlap[-1], at_most(4e-5), rows=rows, miss=miss)
 
-    return ValidationCase(
+    return case(
         "V63",
         "bodies that start with overlap",
         "they separate within 0.5 s and are at rest",
-        (
-            measured("overlap at the start", "m", lambda t: t.overlap[0], AT_LEAST, 0.005, rows=slice(count)),
-            check(0, count - of_bunnies),
-            check(count - of_bunnies, count, Miss(BETWEEN_SAMPLES, 4.2e-4)),
-            check(count, count + 1),
-            check(count + 1, count + 2),
-            measured("speed after 0.5 s", "m/s or rad/s", lambda t: t.speed[-1], at_most(1e-6)),
-        ),
-        (*experiments, stuck, crossing),
+        measured("overlap at the start", "m", lambda t: t.overlap[0], AT_LEAST, 0.005, rows=slice(count)),
+        check(0, count - of_bunnies),
+        check(count - of_bunnies, count, Miss(BETWEEN_SAMPLES, 4.2e-4)),
+        check(count, count + 1),
+        check(count + 1, count + 2),
+        measured("speed after 0.5 s", "m/s or rad/s", lambda t: t.speed[-1], at_most(1e-6)),
+        of=(*experiments, stuck, crossing),
     )
 
 
@@ -246,15 +239,13 @@ def random_overlaps(count):
         begun = (s[0].overlap[0] > 1e-3) & (s[0].overlap[0] < 0.02)
         return [(s[0].overlap[-1, begun] < PARTED).mean()]
 
-    return ValidationCase(
+    return case(
         "V63",
         f"{count} random pairs of boxes, those that start with an overlap of 1 to 20 mm",
         "they separate within 0.5 s",
-        (
-            Check("share of separated pairs", "", parted, AT_LEAST, 1.0, labels=("all",)),
-            measured("speed after 0.5 s", "m/s or rad/s", lambda t: t.speed[-1], at_most(1e-5)),
-        ),
-        (Experiment(scene, 0.5, tuple(f"pair {k}" for k in range(count)), starts, every=60, watch_overlap=True),),
+        Check("share of separated pairs", "", parted, AT_LEAST, 1.0, labels=("all",)),
+        measured("speed after 0.5 s", "m/s or rad/s", lambda t: t.speed[-1], at_most(1e-5)),
+        of=Experiment(scene, 0.5, tuple(f"pair {k}" for k in range(count)), starts, every=60, watch_overlap=True),
     )
 
 
@@ -295,22 +286,20 @@ def bypass(dt):
         dt=dt,
     )
     above, struck, beside = slice(2 * phases), slice(2 * phases, 3 * phases), slice(3 * phases, None)
-    return ValidationCase(
+    return case(
         "V56",
         f"square 0.2 m deep at 75 m/s against a bar 0.1 m thick, dt 1/{1 / dt:.3g}",
         "rigid-ipc bypass, extruded; eccentric impact of a plate",
-        (
-            measured("goes through the bar", "", passed, OUTCOME, rows=above),
-            Check(
-                "speed past the end after it was struck 0.8 m off its centre",
-                "m/s",
-                lambda s: -s[0].linear_velocity[-1, struck, 1, 2],
-                relative(0.01),
-                kept * speed,
-                labels=experiment.variants[struck],
-            ),
-            measured("goes past the bar's end", "", passed, OUTCOME, 1, rows=beside),
+        measured("goes through the bar", "", passed, OUTCOME, rows=above),
+        Check(
+            "speed past the end after it was struck 0.8 m off its centre",
+            "m/s",
+            lambda s: -s[0].linear_velocity[-1, struck, 1, 2],
+            relative(0.01),
+            kept * speed,
+            labels=experiment.variants[struck],
         ),
-        (experiment,),
+        measured("goes past the bar's end", "", passed, OUTCOME, 1, rows=beside),
+        of=experiment,
         curve=Curve("height", "m", lambda t: t.position[:, :, 1, 2]),
     )

@@ -11,7 +11,7 @@ from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.validation.articulated import GRAVITY, exact_period, pendulum, period_of
-from warp_rigid.validation.case import Check, Miss, ValidationCase, at_most, measured, relative
+from warp_rigid.validation.case import Check, Miss, ValidationCase, at_most, case, measured, relative
 from warp_rigid.validation.experiment import Experiment, Trace
 
 ANGLES = (10.0, 90.0, 150.0, 178.0)
@@ -137,7 +137,7 @@ def pendulums(duration: float, rates: tuple[int, ...]) -> ValidationCase:
     source = "arithmetic-geometric mean; conservation of energy"
     high = [k for k, option in enumerate(options) if option[0] >= 150 and option[1] == RATES[0] and duration > SHORT]
     kept = _kept(experiments, {k: Miss(NEAR_TOP, 2e-3) for k in high})
-    return ValidationCase("V102", "Pendulums", source, (*checks, *kept), experiments)
+    return case("V102", "Pendulums", source, *checks, *kept, of=experiments)
 
 
 def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> ValidationCase:
@@ -156,7 +156,7 @@ def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> Validatio
         for rate in rates
     )
     title = f"Double pendulum, chains of up to {links}, closed loops"
-    return ValidationCase("V102", title, "conservation of energy", _kept(experiments), experiments)
+    return case("V102", title, "conservation of energy", *_kept(experiments), of=experiments)
 
 
 def _time(duration: float, rate: int) -> float:

@@ -19,6 +19,7 @@ from warp_rigid.validation.case import (
     ValidationCase,
     absolute,
     at_most,
+    case,
     measured,
     relative,
 )
@@ -116,16 +117,14 @@ def heavy_on_light(duration):
     def top(t):
         return t.position[0, :, 2, 2] - t.position[-1, :, 2, 2]
 
-    return ValidationCase(
+    return case(
         "V35",
         "heavy cube on a light one, 1 m, dt 1/60",
         f"{STATICS}; other engines: 2 to 98 mm at 1000 : 1",
-        (
-            measured("height lost by the top", "m", top, at_most(5e-4), rows=kept),
-            measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3), rows=kept),
-            measured("height lost without shock propagation", "m", top, AT_LEAST, 5e-3, rows=cold),
-        ),
-        (experiment,),
+        measured("height lost by the top", "m", top, at_most(5e-4), rows=kept),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3), rows=kept),
+        measured("height lost without shock propagation", "m", top, AT_LEAST, 5e-3, rows=cold),
+        of=experiment,
         curve=Curve("height lost", "m", lambda t: t.position[0, :, 2, 2] - t.position[:, :, 2, 2]),
     )
 
@@ -139,15 +138,13 @@ def heavy_dropped_on_light(duration):
         made.add_body(Box((5.0,) * 3), position=(0, 0, 6.5))
         return made
 
-    return ValidationCase(
+    return case(
         "V35",
         "cube of 10 m dropped on one of 1 m, 1000 : 1, dt 1/100",
         "statics; rigid-ipc large-mass-ratio",
-        (
-            measured("height of the top cube", "m", lambda t: t.position[-1, :, 2, 2], absolute(5e-4), 6.0),
-            measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
-        ),
-        (Experiment(scene, duration, dt=0.01, every=5),),
+        measured("height of the top cube", "m", lambda t: t.position[-1, :, 2, 2], absolute(5e-4), 6.0),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=Experiment(scene, duration, dt=0.01, every=5),
         curve=Curve("height of the top cube", "m", lambda t: t.position[:, :, 2, 2]),
     )
 
@@ -166,33 +163,29 @@ def column(counts, duration):
         )
 
     weight = np.repeat([count * 1000.0 * G for count in counts], 2)
-    return ValidationCase(
+    return case(
         "V37",
         "column of unit cubes",
         f"{STATICS}; other engines sink by 0.5 to 58 mm",
-        (
-            measured("force on the ground", "N", load_on_ground, relative(1e-3), weight),
-            measured("sink", "m", sink, at_most(OWN)),
-            measured("drift", "m", drift, at_most(OWN)),
-            measured("tilt", "deg", tilt, at_most(0.1)),
-        ),
-        tuple(experiment(count) for count in counts),
+        measured("force on the ground", "N", load_on_ground, relative(1e-3), weight),
+        measured("sink", "m", sink, at_most(OWN)),
+        measured("drift", "m", drift, at_most(OWN)),
+        measured("tilt", "deg", tilt, at_most(0.1)),
+        of=tuple(experiment(count) for count in counts),
     )
 
 
 def tall_stack(count, duration):
     """Fifty cubes of 0.2 m."""
-    return ValidationCase(
+    return case(
         "V37",
         f"straight stack of {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
-        (
-            measured("drift", "m", drift, at_most(OWN)),
-            measured("sink", "m", sink, at_most(OWN)),
-            measured("rise", "m", rise, at_most(OWN)),
-            measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
-        ),
-        (Experiment(lambda: stack_scene(count), duration, every=24),),
+        measured("drift", "m", drift, at_most(OWN)),
+        measured("sink", "m", sink, at_most(OWN)),
+        measured("rise", "m", rise, at_most(OWN)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=Experiment(lambda: stack_scene(count), duration, every=24),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
@@ -205,15 +198,13 @@ def spheres(duration):
         stacks.add_stack(made, 5, Sphere(1.0))
         return made
 
-    return ValidationCase(
+    return case(
         "V37",
         "column of five spheres, R 1",
         "Chrono's SMC stacking",
-        (
-            measured("drift from the axis", "m", drift, at_most(1e-6)),
-            measured("sink", "m", sink, at_most(OWN)),
-        ),
-        (Experiment(scene, duration, every=24),),
+        measured("drift from the axis", "m", drift, at_most(1e-6)),
+        measured("sink", "m", sink, at_most(OWN)),
+        of=Experiment(scene, duration, every=24),
     )
 
 
@@ -295,19 +286,17 @@ def leaning_towers(duration):
         rows = [list(WAYS).index(way) * len(OFFSETS) + k for k, due in enumerate(statics) if not due]
         return measured("displacement of standing towers", "m", farthest, at_most(limit), rows=rows)
 
-    return ValidationCase(
+    return case(
         "V61",
         "leaning towers of ten cubes",
         "statics: whether the centre of mass above each joint lies over the joint",
-        (
-            *(falls(way) for way in WAYS if way != "off"),
-            # Without shock propagation, whether a tower that leans so far falls hangs on rounding.
-            falls("off", decided),
-            leans("off", [k for k in range(len(OFFSETS)) if k not in decided]),
-            moves("default", 3e-6),
-            moves("two_pass, cold", 3e-5),
-        ),
-        (experiment,),
+        *(falls(way) for way in WAYS if way != "off"),
+        # Without shock propagation, whether a tower that leans so far falls hangs on rounding.
+        falls("off", decided),
+        leans("off", [k for k in range(len(OFFSETS)) if k not in decided]),
+        moves("default", 3e-6),
+        moves("two_pass, cold", 3e-5),
+        of=experiment,
         curve=Curve("height of the top cube", "m", lambda t: t.position[:, :, 10, 2]),
     )
 
@@ -315,17 +304,15 @@ def leaning_towers(duration):
 def pyramid(rows, duration):
     """A pyramid stays in place, at rest, without a gain of energy."""
     count = rows * (rows + 1) // 2
-    return ValidationCase(
+    return case(
         "V43",
         f"pyramid of {rows} rows, {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
-        (
-            measured("largest displacement", "m", farthest, at_most(OWN)),
-            measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
-            measured("energy gained, relative to a fall", "", gained(lambda t: t.energy), at_most(1e-6)),
-            measured("force on the ground", "N", load_on_ground, relative(1e-3), count * 8.0 * G),
-        ),
-        (Experiment(lambda: pyramid_scene(rows), duration, every=24),),
+        measured("largest displacement", "m", farthest, at_most(OWN)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        measured("energy gained, relative to a fall", "", gained(lambda t: t.energy), at_most(1e-6)),
+        measured("force on the ground", "N", load_on_ground, relative(1e-3), count * 8.0 * G),
+        of=Experiment(lambda: pyramid_scene(rows), duration, every=24),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
@@ -363,12 +350,12 @@ def falling_towers(duration):
     """Shock propagation in falling structures: impulses must not add energy."""
     offsets = [offset for offset in (0.15, 0.25, 0.4) for _ in range(2)]
     experiment = leaning(offsets, ["default", "two_pass, cold"] * 3, duration)
-    return ValidationCase(
+    return case(
         "V62",
         "energy of falling towers of ten cubes",
         "conservation",
-        energy_checks([0, 2, 4], [1, 3, 5], 1e-6),
-        (experiment,),
+        *energy_checks([0, 2, 4], [1, 3, 5], 1e-6),
+        of=experiment,
         curve=Curve("energy", "J", lambda t: t.energy),
     )
 
@@ -394,17 +381,15 @@ def falling_piles(duration, count):
     def late_speed(t):
         return np.linalg.norm(t.linear_velocity[-120:], axis=-1).max(axis=(0, 2))
 
-    return ValidationCase(
+    return case(
         "V62",
         f"piles of {count} boxes and balls that fall into a box",
         "conservation; a pile comes to rest",
-        (
-            # A body that is hit is stopped at its time of impact, but gravity acts for the whole step: 5e-5.
-            *energy_checks(warm, [3], 1e-4),
-            measured("largest speed in the last half second", "m/s", late_speed, at_most(1e-6), rows=warm),
-            measured("deepest overlap at the end", "m", lambda t: t.overlap[-1], at_most(5e-5), rows=warm),
-        ),
-        (Experiment(lambda: pile_scene(count), duration, names, starts),),
+        # A body that is hit is stopped at its time of impact, but gravity acts for the whole step: 5e-5.
+        *energy_checks(warm, [3], 1e-4),
+        measured("largest speed in the last half second", "m/s", late_speed, at_most(1e-6), rows=warm),
+        measured("deepest overlap at the end", "m", lambda t: t.overlap[-1], at_most(5e-5), rows=warm),
+        of=Experiment(lambda: pile_scene(count), duration, names, starts),
         curve=Curve("energy", "J", lambda t: t.energy),
     )
 
@@ -420,12 +405,12 @@ def card_house(levels, duration):
     def dropped(t):
         return (1 - t.position[-1][:, t.dynamic, 2] / t.position[0][:, t.dynamic, 2]).max(axis=1)
 
-    return ValidationCase(
+    return case(
         "V39",
         f"card house of {levels} storeys, 65 degrees, thickness 0.02 of the length",
         "rigid-ipc and box3d: no card drops by 5 % of its height in 2 s",
-        (measured("largest drop relative to the height", "", dropped, at_most(0.05)),),
-        (Experiment(scene, duration, every=4),),
+        measured("largest drop relative to the height", "", dropped, at_most(0.05)),
+        of=Experiment(scene, duration, every=4),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
@@ -438,12 +423,12 @@ def beams(duration):
         stacks.add_crossed_layers(made, 30, rolling_friction=0.05)
         return made
 
-    return ValidationCase(
+    return case(
         "V45",
         "tower of thirty crossed layers of two beams, 10 s",
         "box3d: the tower stands",
-        (measured("largest displacement", "m", farthest, at_most(0.01)),),
-        (Experiment(scene, duration, every=24),),
+        measured("largest displacement", "m", farthest, at_most(0.01)),
+        of=Experiment(scene, duration, every=24),
     )
 
 
@@ -464,10 +449,10 @@ def balls_that_spread(duration):
             sums.append((inside**2).sum() + (np.minimum(place[:, 2] - 0.1, 0.0) ** 2).sum())
         return [np.mean(sums)]
 
-    return ValidationCase(
+    return case(
         "V44",
         "216 frictionless balls that collapse, 10 s, dt 1/1000",
         "SimBenchmark 666; other engines: 1.35e-4 to 0.38 m^2",
-        (measured("sum of squared overlaps, mean over time", "m^2", squares, at_most(1e-3)),),
-        (Experiment(scene, duration, dt=1e-3, every=20),),
+        measured("sum of squared overlaps, mean over time", "m^2", squares, at_most(1e-3)),
+        of=Experiment(scene, duration, dt=1e-3, every=20),
     )

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
-from warp_rigid.validation.case import Check, ValidationCase, absolute, at_most, measured, relative
+from warp_rigid.validation.case import Check, ValidationCase, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import NO_GRAVITY
 from warp_rigid.validation.experiment import Experiment, Start
 
@@ -80,18 +80,16 @@ def vessels(kinds, shares, bodies, count=6):
         place = trace.center[:, :, 1]
         return (np.abs(place[..., :2]).max(axis=(0, 2)) > 0.5 * SIZE) | (place[..., 2].min(axis=0) < 0.0)
 
-    return ValidationCase(
+    return case(
         "V72",
         "bodies dropped into vessels with walls of a share of the width",
         "what is inside a closed wall stays inside",
-        (
-            measured("outside at any time", "", outside, at_most(0.0)),
-            *(
-                measured(f"deepest overlap of the {body} at any time", "m", deepest, at_most(DEEPEST), rows=rows)
-                for body, rows in ((body, np.repeat([cell[2] == body for cell in cells], count)) for body in bodies)
-            ),
+        measured("outside at any time", "", outside, at_most(0.0)),
+        *(
+            measured(f"deepest overlap of the {body} at any time", "m", deepest, at_most(DEEPEST), rows=rows)
+            for body, rows in ((body, np.repeat([cell[2] == body for cell in cells], count)) for body in bodies)
         ),
-        experiments,
+        of=experiments,
     )
 
 
@@ -126,15 +124,13 @@ def plates():
         ),
         watch_overlap=True,
     )
-    return ValidationCase(
+    return case(
         "V72",
         "a plate of 1 mm thrown onto another, as meshes",
         "solids do not pass through each other",
-        (
-            measured("passed", "", lambda t: t.position[:, :, 1, 2].min(axis=0) < 0.0, at_most(0.0)),
-            measured("deepest overlap at any time", "m", deepest, at_most(DEEPEST)),
-        ),
-        (experiment,),
+        measured("passed", "", lambda t: t.position[:, :, 1, 2].min(axis=0) < 0.0, at_most(0.0)),
+        measured("deepest overlap at any time", "m", deepest, at_most(DEEPEST)),
+        of=experiment,
     )
 
 
@@ -202,15 +198,13 @@ def unions(names):
         wrong = ((distance < 0.0) != inside[some]) & (np.abs(distance) > 1e-5)
         return mesh.volume, volume, np.abs(mesh.inertia - inertia).max() / np.abs(inertia).max(), wrong.sum()
 
-    return ValidationCase(
+    return case(
         "V73",
         "meshes of closed shells that overlap",
         "stratified points inside any of the shells, half-space tests in float64",
-        (
-            Check("volume", "m^3", lambda s: [row[0] for row in s], relative(0.01), lambda s: [row[1] for row in s]),
-            Check("inertia error relative to the largest entry", "", lambda s: [row[2] for row in s], at_most(0.01)),
-            Check("points with the wrong sign", "", lambda s: [row[3] for row in s], absolute(0)),
-        ),
+        Check("volume", "m^3", lambda s: [row[0] for row in s], relative(0.01), lambda s: [row[1] for row in s]),
+        Check("inertia error relative to the largest entry", "", lambda s: [row[2] for row in s], at_most(0.01)),
+        Check("points with the wrong sign", "", lambda s: [row[3] for row in s], absolute(0)),
         compute=compute,
         labels=names,
         on_device=False,
