@@ -16,7 +16,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment, grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, OverlapOutcome, Verdict, indices, outside, vary_starts
+from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, Demo, OverlapOutcome, Verdict, indices, outside, vary_starts
 
 SURFACE: dict[str, Any] = {"friction": 0.4, "restitution": 0.3, "rolling_friction": 0.003}
 DENSITY = 1500.0
@@ -117,12 +117,11 @@ class BonesOutcome(OverlapOutcome):
         """Bones that left the plot, bones still in the funnel, and overlap."""
         above = sim.get("center_of_mass")[:, self.bones, 2] > self.opening
         left, waiting = (outside(sim, self.bones, self.inner) & ~above).sum(axis=1), above.sum(axis=1)
-        sound = {"default": True}
-        through = sound if len(self.bones) <= 100 else {}
+        through = SOUND if len(self.bones) <= 100 else {}
         return [
-            Verdict("escaped", left, "no bone outside the plot", left == 0, sound),
+            Verdict("escaped", left, "no bone outside the plot", left == 0),
             Verdict("waiting", waiting, "no bone above the funnel's lower opening", waiting == 0, through),
-            *self.overlap_verdicts(sim, 5e-4, 0.035, sound),
+            *self.overlap_verdicts(sim, 5e-4, 0.035),
         ]
 
 

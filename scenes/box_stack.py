@@ -96,8 +96,8 @@ class StackOutcome(OverlapOutcome):
             hit = {"default": True, "one_pass": True}
             verdicts += [
                 Verdict("thrown", moved, "hit moves the top box by > 0.2 m", moved > 0.2, hit, "m"),
-                *self.overlap_verdicts(sim, 5e-5, 0.01, {"default": True}),
-                rest_verdict(sim, self.movable, {"default": True}),
+                *self.overlap_verdicts(sim, 5e-5, 0.01),
+                rest_verdict(sim, self.movable),
             ]
         return verdicts
 

@@ -47,13 +47,12 @@ class PileOutcome(OverlapOutcome):
     def verdicts(self, sim):
         """Bunnies outside the box, overlap, and speed at the end."""
         left = outside(sim, self.bunnies, self.inner).sum(axis=1)
-        sound = {"default": True}
         return [
-            Verdict("escaped", left, "no bunny outside the box", left == 0, sound),
+            Verdict("escaped", left, "no bunny outside the box", left == 0),
             # Six seeds: 2.3 to 5.1 mm while the bunnies land, in steps of up to 17 mm. At rest, 0.06 to 0.15 mm remain
             # between the samples at which contacts are made.
-            *self.overlap_verdicts(sim, 2e-4, 0.01, sound),
-            rest_verdict(sim, self.bunnies, sound),
+            *self.overlap_verdicts(sim, 2e-4, 0.01),
+            rest_verdict(sim, self.bunnies),
         ]
 
 

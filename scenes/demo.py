@@ -23,6 +23,9 @@ AT_REST = 0.05
 LASTING = 0.25
 """Time for which an overlap must last to count as lasting [s]: an impact overlaps for a few steps."""
 
+SOUND = {"default": True}
+"""What is expected of a condition where nothing else is said: that it holds with the default settings."""
+
 SCALES = {"mm": 1e3, "%": 100.0}
 """Factors from SI units to units of conditions; 1 for the others."""
 
@@ -37,7 +40,7 @@ class Verdict:
         limit: the condition as text, with its unit.
         passed: (envs,) bool, whether the condition holds.
         expected: for variants of the demo by name, whether the condition must hold. Variants that are not listed
-            have no expectation.
+            have no expectation. SOUND if not given.
         unit: in which the values are shown, that of the condition; `values` are in SI units nevertheless.
     """
 
@@ -45,7 +48,7 @@ class Verdict:
     values: np.ndarray
     limit: str
     passed: np.ndarray
-    expected: dict[str, bool]
+    expected: dict[str, bool] = field(default_factory=SOUND.copy)
     unit: str = ""
 
 
@@ -179,7 +182,7 @@ def outside(sim: Any, bodies: list[int], half: float) -> np.ndarray:
 
 
 def below(
-    name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool], unit: str = "mm"
+    name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool] = SOUND, unit: str = "mm"
 ) -> Verdict:
     """Verdict: the values are below `limit`; NaN is not."""
     return Verdict(name, values, text, values < limit, expected, unit)
@@ -208,7 +211,9 @@ class OverlapOutcome:
         if time - self.recent[0][0] > LASTING - 1e-6:
             self.lasting = np.maximum(self.lasting, np.min([overlap for _, overlap in self.recent], axis=0))
 
-    def overlap_verdicts(self, sim: Any, lasting: float, deepest: float, expected: dict[str, bool]) -> list[Verdict]:
+    def overlap_verdicts(
+        self, sim: Any, lasting: float, deepest: float, expected: dict[str, bool] = SOUND
+    ) -> list[Verdict]:
         """Verdicts: no overlap exceeds `lasting` [m] now or for LASTING, and none ever exceeds `deepest` [m]."""
         now = sim.penetration()
         text = f"overlap < {1e3 * lasting:g} mm at the end, and never more for {LASTING:g} s"
@@ -228,20 +233,20 @@ def surface_speed(sim: Any, bodies: list[int]) -> np.ndarray:
     return linear + spin * np.array([radius[shape] for shape in shapes])
 
 
-def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
     """Verdict: no point of a body moves faster than AT_REST now."""
     speed = surface_speed(sim, bodies).max(axis=1)
     return below("speed", speed, AT_REST, f"no point faster than {AT_REST:g} m/s at the end", expected, "m/s")
 
 
-def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
     """Verdict: all bodies are at rest now; the value is the number of resting bodies."""
     resting = (surface_speed(sim, bodies) < AT_REST).sum(axis=1)
     text = f"all {len(bodies)} bodies at rest at the end, no point faster than {AT_REST:g} m/s"
     return Verdict("resting", resting, text, resting == len(bodies), expected)
 
 
-def contacts_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+def contacts_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
     """Verdict: there are at least as many contacts as bodies now."""
     contacts = np.bincount(sim.contacts()["env"], minlength=sim.num_envs)
     return Verdict("contacts", contacts, "at least one contact per body at the end", contacts >= len(bodies), expected)

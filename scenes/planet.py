@@ -12,6 +12,7 @@ from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
+    SOUND,
     Demo,
     OverlapOutcome,
     Verdict,
@@ -92,14 +93,13 @@ class PlanetOutcome(OverlapOutcome):
         lost = (~((distance > PLANET_RADIUS) & (distance < NEAREST + SPREAD))).sum(axis=1)
         octant = ((position > 0.0) * [1, 2, 4]).sum(axis=-1)
         sides = np.array([len(np.unique(row)) for row in octant])
-        sound = {"default": True}
-        around = sound if len(self.bodies) > 30 else {}
+        around = SOUND if len(self.bodies) > 30 else {}
         return [
-            Verdict("lost", lost, "no body inside the planet or far from it", lost == 0, sound),
+            Verdict("lost", lost, "no body inside the planet or far from it", lost == 0),
             Verdict("octants", sides, "bodies in all 8 octants around the planet", sides == 8, around),
-            resting_verdict(sim, self.bodies, sound),
-            contacts_verdict(sim, self.bodies, sound),
-            *self.overlap_verdicts(sim, 5e-3, 0.015, sound),
+            resting_verdict(sim, self.bodies),
+            contacts_verdict(sim, self.bodies),
+            *self.overlap_verdicts(sim, 5e-3, 0.015),
         ]
 
 

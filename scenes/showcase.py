@@ -81,12 +81,11 @@ class RainOutcome(OverlapOutcome):
     def verdicts(self, sim):
         """Bodies off the slab, bodies at rest, contacts at the end, overlap."""
         off = outside(sim, self.bodies, self.half).sum(axis=1)
-        sound = {"default": True}
         return [
-            Verdict("off_slab", off, "no body off the slab", off == 0, sound),
-            resting_verdict(sim, self.bodies, sound),
-            contacts_verdict(sim, self.bodies, sound),
-            *self.overlap_verdicts(sim, 7e-4, 0.03, sound),
+            Verdict("off_slab", off, "no body off the slab", off == 0),
+            resting_verdict(sim, self.bodies),
+            contacts_verdict(sim, self.bodies),
+            *self.overlap_verdicts(sim, 7e-4, 0.03),
         ]
 
 

@@ -91,13 +91,12 @@ class SlideOutcome(OverlapOutcome):
         """Bodies below the surface, energy gained, overlap."""
         if self.last is None:
             return []
-        sound = {"default": True}
         sunk = np.broadcast_to(self.sunk, sim.num_envs)
         gain = np.broadcast_to(self.gain, sim.num_envs)
         return [
-            Verdict("sunk", sunk, "no body below the surface or beyond its edge at any time", sunk == 0, sound),
-            below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", sound, "%"),
-            *self.overlap_verdicts(sim, 5e-3, 0.025, sound),
+            Verdict("sunk", sunk, "no body below the surface or beyond its edge at any time", sunk == 0),
+            below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", unit="%"),
+            *self.overlap_verdicts(sim, 5e-3, 0.025),
         ]
 
 

@@ -47,7 +47,7 @@ class ClosedJointsOutcome:
     def closed_verdict(self, limit: float) -> Verdict:
         """Verdict: no joint has opened by `limit` [m]."""
         assert self.opened is not None
-        return below("opened", self.opened, limit, f"no joint open by {1e3 * limit:g} mm", {"default": True})
+        return below("opened", self.opened, limit, f"no joint open by {1e3 * limit:g} mm")
 
 
 def add_ragdoll(scene: Scene, place: Any, name: str, damping: float = PASSIVE) -> None:
