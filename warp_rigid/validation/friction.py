@@ -76,10 +76,7 @@ def block_on_incline(block, degrees, friction, start=None, restitution=0.0, grav
         Start("linear_velocity", (start[:, None] * down)[:, None], bodies=[1]),
     ]
     if mesh:
-        starts += [
-            Start("position", (-0.5 * up)[:, None], bodies=[0]),
-            Start("orientation", turn[:, None], bodies=[0]),
-        ]
+        starts += [Start("position", (-0.5 * up)[:, None], bodies=[0]), Start("orientation", turn[:, None], bodies=[0])]
     else:
         starts.append(Start("gravity", [downhill(angle, gravity) for angle in degrees]))
     name = f"{'cube' if block is CUBE else 'slab'}{' on a mesh' if mesh else ''}"

@@ -229,10 +229,7 @@ def random_overlaps(count):
         made.add_body(Box((0.035, 0.04, 0.04)))
         return made
 
-    starts = (
-        Start("position", away[:, None], bodies=[1]),
-        Start("orientation", rotations.random(draw, count, 2)),
-    )
+    starts = (Start("position", away[:, None], bodies=[1]), Start("orientation", rotations.random(draw, count, 2)))
 
     def parted(s):
         """Share of the pairs with an initial overlap of 1 to 20 mm that no longer overlap."""

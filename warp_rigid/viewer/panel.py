@@ -28,11 +28,7 @@ VELOCITIES = ("linear_velocity", "angular_velocity")
 PARAMETER_SPAN = 3
 """Upper end of the slider for a parameter of a scene, as a multiple of its default."""
 
-SLIDERS = {
-    "collision_iterations": (0, 40, 1),
-    "contact_iterations": (0, 40, 1),
-    "shock_iterations": (0, 8, 1),
-}
+SLIDERS = {"collision_iterations": (0, 40, 1), "contact_iterations": (0, 40, 1), "shock_iterations": (0, 8, 1)}
 """Smallest value, largest value and step of the sliders for settings."""
 
 COEFFICIENT_STEPS = {name: 10.0 ** (math.floor(math.log10(c.typical_max)) - 2) for name, c in COEFFICIENTS.items()}
