@@ -1,4 +1,4 @@
-"""Environments with many bodies, in which some stages do more: rounds for heaps, and longer chains of impacts."""
+"""Environments with many bodies, in which some stages differ: rounds, and longer chains of impacts."""
 
 import warp as wp
 

@@ -1,11 +1,11 @@
-"""Device arrays of heaps, whose pairs are solved all at once in rounds (rounds.py)."""
+"""Device arrays of islands whose pairs are solved all at once in rounds (rounds.py)."""
 
 import warp as wp
 
 from warp_rigid.kernels.declare import Field, layout, packed_record
 
 MOST_SHARING = 32
-"""Maximum number of pairs that share a body's mass in a heap. With more, rounds converge too slowly."""
+"""Maximum number of pairs that share a body's mass in rounds. With more, rounds converge too slowly."""
 
 RoundRecord = packed_record(
     "RoundRecord",
@@ -31,7 +31,7 @@ RoundRecord = packed_record(
 
 Rounds = layout(
     "Rounds",
-    "Pairs of heaps, which are solved all at once in rounds (rounds.py): all, or those with impacts or overlaps.",
+    "Pairs of bodies that are solved all at once in rounds (rounds.py): all, or those with impacts or overlaps.",
     pairs=Field(RoundRecord, "crowd_pairs", "", "the pairs, in any order"),
     count=Field(int, "1", "", "number of pairs"),
     sharing=Field(int, "crowd", "", "contacts that share the body's mass"),
@@ -54,7 +54,7 @@ ChangeRecord = packed_record(
 
 Slots = layout(
     "Slots",
-    "Velocity changes of the bodies of heaps by each of their pairs. A dynamic body has a slot for each pair.",
+    "Velocity changes of bodies by each of their pairs. A dynamic body has a slot for each pair.",
     used=Field(int, "1", "", "number of slots of all bodies"),
     count=Field(int, "crowd", "", "slots of the body"),
     first=Field(int, "crowd", "", "first slot of the body; its slots are in the order of the constraints"),

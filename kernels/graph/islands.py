@@ -4,10 +4,11 @@ Islands are the connected components of the dynamic bodies: trees of bodies are 
 the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so that the root of an island is its
 lowest body, in whatever order the threads run.
 
-In environments of many bodies, islands are solved in rounds (rounds.py), unless their masses differ much, they have
-joints, a body has very many pairs, or bodies with restitution were placed in a row, which pass impacts on one by one. All other islands are solved in sweeps, with shock propagation where it is
-effective (shock.py). Islands merge and split, so each body stores for how many steps shock propagation has been
-ineffective for its island, and the majority of the bodies decides.
+In environments of many bodies, islands are solved in rounds (rounds.py). Those of other environments, and those for
+which rounds converge slowly, are solved in sweeps, with shock propagation where it is effective (shock.py): islands
+with joints, with masses that differ much, with a body in very many pairs, and with bodies in a row that pass impacts
+on one by one. Islands merge and split, so each body stores for how many steps shock propagation has been ineffective
+for its island, and the majority of the bodies decides.
 
 An island is a pile if most of its bodies have fallen there, and a structure if they were placed where they are. The
 impulses of a pile converge over several steps. Those of a structure must balance its load in each step.
@@ -25,7 +26,7 @@ from warp_rigid.kernels.schema import Bodies, Constraints, Environments, Graph, 
 wp.set_module_options({"enable_backward": False})
 
 MOST_PAIRS = wp.constant(MOST_SHARING)
-"""Maximum number of pairs that share a body's mass in a heap."""
+"""Maximum number of pairs that share a body's mass in rounds."""
 
 PATIENCE = wp.constant(8)
 """Consecutive ineffective steps after which an island is solved without shock propagation. Where it must be solved in
@@ -149,7 +150,7 @@ def join_islands(threads: int, bodies: Bodies, constraints: Constraints, graph: 
 
 @wp.kernel
 def vote(shapes: Shapes, bodies: Bodies, envs: Environments, state: State, graph: Graph):
-    """One thread per body: the label of its island, and its vote on whether the island is a heap."""
+    """One thread per body: the label of its island, and its part in what decides how the island is solved."""
     b = wp.tid()
     if bodies.motion[b] != Motion.DYNAMIC:
         return

@@ -1,4 +1,4 @@
-"""Effectiveness of shock propagation: which islands are heaps in the next step (islands.py)."""
+"""Effectiveness of shock propagation: which islands do without it in the next steps (islands.py)."""
 
 import warp as wp
 

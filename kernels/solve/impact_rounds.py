@@ -1,9 +1,9 @@
-"""Restitution in heaps: impacts are solved in rounds, all pairs at once (rounds.py).
+"""Restitution in large environments: impacts are solved in rounds, all pairs at once (rounds.py).
 
 A pair with an impact is solved as in restitution.py, with the mass of each body divided by the number of its pairs with
 an impact, and the new velocity of a body is the mean over these copies. No pair increases the energy of its copies, and
 the energy of a mean is at most the mean of the energies, so a round never increases the energy. Impacts without
-rebound are left to the contact solver, which solves all contacts of a heap together.
+rebound are left to the contact solver, which solves all contacts of an island together.
 """
 
 import warp as wp
@@ -51,7 +51,7 @@ def find_impacts(
     contacts: Contacts,
     slots: Slots,
 ):
-    """The threads share the pairs of heaps: list those with an impact, and set the target velocities."""
+    """The threads share the pairs: list those with an impact, and set the target velocities."""
     for k in range(wp.tid(), solved.count[0], threads):
         entry = read_round_pair(k, solved.pairs)
         clear_slots(entry, slots)

@@ -200,7 +200,7 @@ def find_overlaps(
 ):
     """The threads share the contacts: the separation speed that each requires, and the environments that need push-out.
 
-    Environments that consist of heaps only are left out (push_rounds.py).
+    Environments that are solved in rounds only are left out (push_rounds.py).
     """
     for c in range(wp.tid(), pairs.contact_start[pairs.start[pairs.start.shape[0] - 1]], threads):
         env = bodies.env[pairs.body_a[contacts.pair[c]]]

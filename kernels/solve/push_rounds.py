@@ -1,4 +1,4 @@
-"""Push-out in heaps: the overlaps that remain are removed in rounds, as the velocities are solved (rounds.py).
+"""Push-out in large environments: overlaps that remain are removed in rounds, as velocities are solved (rounds.py).
 
 The problem is that of push_out.py without a frozen body: each contact that would end the step deeper than the slop
 requires a separation speed, and pseudo-impulses along the normals produce it. A body takes part with its mass divided
@@ -61,7 +61,7 @@ def tolerance(env: int, rounds: Rounds):
 
 
 @wp.kernel
-def find_overlaps_in_heaps(
+def find_overlaps_of_rounds(
     dt: float,
     threads: int,
     shapes: Shapes,
@@ -74,7 +74,7 @@ def find_overlaps_in_heaps(
     rounds: Rounds,
     slots: Slots,
 ):
-    """The threads share the pairs of heaps: the separation speed of each contact; list the pairs that need one.
+    """The threads share the pairs: the separation speed of each contact; list the pairs that need one.
 
     The pseudo-impulses of the last two rounds are stored in the first two components of the impact impulse.
     """

@@ -1,4 +1,4 @@
-"""Slots: the velocity changes of the bodies of heaps by each of their pairs (heap_arrays.py), in two buffers.
+"""Slots: the velocity changes of bodies by each of their pairs (heap_arrays.py), in two buffers.
 
 A round reads the slots that the last one wrote, and writes those of the other buffer.
 """

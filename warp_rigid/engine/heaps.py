@@ -1,4 +1,4 @@
-"""Heaps: the launches of the kernels that solve their pairs in rounds."""
+"""Rounds: the launches of the kernels that solve the islands of large environments."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from warp_rigid.kernels.solve.round_sharing import ROUNDS_OF_A_GROUP
 
 
 class HeapStages:
-    """What the stages of a step launch for heaps, which exist in environments of many bodies only.
+    """What the stages of a step launch for islands that are solved in rounds, in environments of many bodies only.
 
     Args:
         stages: the stages of the step.
@@ -34,7 +34,7 @@ class HeapStages:
         self._step.share(rounds.open_rounds, self.bodies, [], [solved], before=[0])
         self._step.share(rounds.open_slots, self.bodies, [], [pools.slots])
         found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
-        self._step.share(rounds.list_heaps, self.most_pairs, found, [solved, pools.slots], before=[self.dt])
+        self._step.share(rounds.list_pairs, self.most_pairs, found, [solved, pools.slots], before=[self.dt])
         self._step.share(rounds.assign_slots, self.bodies, [], [pools.slots])
         self._per_round_pair(rounds.place_pairs, solved, [], [pools.slots, pools.contacts])
 
@@ -57,7 +57,7 @@ class HeapStages:
         wp.capture_while(hit.again, solve)
 
     def solve(self) -> None:
-        """Rounds: solve all pairs of heaps at once, until nothing changes."""
+        """Solve all pairs at once in rounds, until nothing changes; then stop the islands at rest."""
         pools, solved = self.pools, self.pools.rounds
         changed = [pools.slots, self.motions, pools.contacts]
         self._per_round_pair(rounds.start_rounds, solved, [], changed)
@@ -75,12 +75,12 @@ class HeapStages:
         self._step._per_body(rest.stop_resting_bodies, [bodies, self.envs], changed[:2])
 
     def push_out(self) -> None:
-        """Push-out of heaps, in rounds."""
+        """Push-out in rounds."""
         model, pools, pushed = self.model, self.pools, self.pools.selected
         self._step.share(rounds.open_rounds, self.bodies, [], [pushed], before=[0])
         inputs = [model.shapes, model.bodies, self.state, pools.pairs, self.motions, pools.contacts, pools.rounds]
         found = [pushed, pools.slots]
-        self._step.share(push_rounds.find_overlaps_in_heaps, self.most_pairs, inputs, found, before=[self.dt])
+        self._step.share(push_rounds.find_overlaps_of_rounds, self.most_pairs, inputs, found, before=[self.dt])
         self._step.share(push_rounds.share_masses, self.most_pairs, [], [pushed])
         changed = [pools.slots, self.motions, pools.contacts]
         self._repeat_rounds(push_rounds.push_round, pushed, [pools.contacts])
