@@ -3,7 +3,6 @@
 import contextlib
 import importlib
 import logging
-import os
 import shlex
 import sys
 import tempfile
@@ -12,7 +11,6 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import warp as wp
 from rich.console import Console
 from rich.progress import Progress
 
@@ -138,27 +136,6 @@ def _progress_lines(name: str, total: int):
             note(f"{name}: {100.0 * done / total:.0f} % after {now - start:.0f} s, about {left:.0f} s left")
 
     return show
-
-
-def start_warp() -> None:
-    """Initialise Warp without its banner and without the warning about a missing CUDA driver."""
-    wp.config.log_level = wp.LOG_WARNING
-    with tempfile.TemporaryFile() as captured:
-        sys.stderr.flush()
-        kept = os.dup(2)
-        os.dup2(captured.fileno(), 2)
-        try:
-            wp.init()
-        except OSError as error:
-            advice = f"{error.strerror}; WARP_CACHE_PATH must be a writable folder"
-            raise OSError(error.errno, advice, error.filename) from None
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-        captured.seek(0)
-        for line in captured.read().decode(errors="replace").splitlines():
-            if "Could not find or load the NVIDIA CUDA driver" not in line:
-                note(line)
 
 
 def explain(error: Exception) -> str:

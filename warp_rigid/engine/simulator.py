@@ -19,6 +19,7 @@ from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
 from warp_rigid.scene.scene import Scene
 from warp_rigid.threads import exclusive, on_stream
+from warp_rigid.warp_start import start_warp
 
 log = logging.getLogger("warp_rigid")
 
@@ -442,6 +443,7 @@ def choose_device(device: Any) -> Any:
     Raises:
         ValueError: there is no such device, or its driver is too old.
     """
+    start_warp()
     too_old = wp.is_cuda_available() and not wp.is_conditional_graph_supported()
     if device is None:
         chosen = wp.get_cuda_device() if wp.is_cuda_available() and not too_old else wp.get_device("cpu")

@@ -15,6 +15,7 @@ from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["cluster_of_file", "run_on_cluster"]
 
@@ -100,7 +101,7 @@ def _on_this_worker(job: Job) -> Job:
     """
     from distributed import get_worker
 
-    wp.config.log_level = wp.LOG_WARNING
+    start_warp()
     gpus = wp.get_cuda_device_count()
     name = str(get_worker().name)
     if job.device is None and gpus > 1 and name.isdigit():

@@ -31,6 +31,7 @@ from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
 from warp_rigid.version import __version__
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["sweep"]
 
@@ -259,6 +260,7 @@ def _machines(device: Any, cluster: Any, workers: int | None) -> _Machines:
     if device == "all":
         if cluster is not None or workers is not None:
             raise ValueError("device: all must not be combined with cluster or workers")
+        start_warp()
         gpus = wp.get_cuda_device_count()
         return _Machines(None, "local", gpus) if gpus > 1 else _Machines(None, None, None)
     if workers is not None:

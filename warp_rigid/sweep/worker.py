@@ -16,6 +16,7 @@ from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import free_memory, max_environments
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["accept", "begin", "run"]
 
@@ -33,7 +34,7 @@ def begin(number: int, count: int) -> None:
     _number, _sharers = number, count
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started this one ends it
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
-    wp.config.log_level = wp.LOG_WARNING
+    start_warp()
     with shared_by(count):
         load_kernels(wp.get_device(_device(None)), [*STEP, *OVERLAP], [WARP])
 

@@ -12,6 +12,7 @@ from warp_rigid.sweep import worker
 from warp_rigid.sweep.batch_run import Batch, failed_batch
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["MAX_WORKERS", "WorkerProcesses"]
 
@@ -35,6 +36,7 @@ class WorkerProcesses:
 
     def __init__(self, count: int | None) -> None:
         """Start the processes."""
+        start_warp()
         self.count = (wp.get_cuda_device_count() or WORKERS_WITHOUT_GPU) if count is None else count
         self._job: Job | None = None
         self._workers = [self._started(number) for number in range(self.count)]
