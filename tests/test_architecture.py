@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "warp_rigid"
 
 LAYERS = (
-    ("version", "errors", "checks", "rotations", "interruption", "warp_start"),
+    ("version", "errors", "checks", "rotations", "interruption", "display", "extras", "progress_bar", "warp_start"),
     ("threads",),
     ("kernels",),
     ("files",),
@@ -23,6 +23,7 @@ LAYERS = (
     ("usd",),
     ("diagnostics",),
     ("sweep", "bench", "validation", "viewer"),
+    ("notebook",),
     ("commands",),
     ("__main__",),
     (PACKAGE,),

@@ -23,6 +23,7 @@ from warp_rigid.commands.validate import validate_command
 from warp_rigid.commands.view import view_command
 from warp_rigid.commands.warmup import warmup_command
 from warp_rigid.errors import CapacityError, NonFiniteError
+from warp_rigid.progress_bar import lines_if_redirected
 from warp_rigid.version import __version__
 from warp_rigid.warp_start import start_warp
 
@@ -53,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(argv: list[str] | None) -> int:
     try:
-        with messages_on_stderr():
+        with messages_on_stderr(), lines_if_redirected():
             start_warp()
             given = sys.argv[1:] if argv is None else argv
             _refuse_empty(given)

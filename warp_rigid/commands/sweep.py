@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from warp_rigid.commands.terminal import check_writable, console, continued, note, progress, told_if_interrupted
+from warp_rigid.commands.terminal import check_writable, console, continued, note, told_if_interrupted
+from warp_rigid.progress_bar import progress
 
 FAILED_RUNS = 5
 

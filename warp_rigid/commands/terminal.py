@@ -1,4 +1,4 @@
-"""Helpers shared by the commands: console, progress bar, messages and one-line errors."""
+"""Helpers shared by the commands: console, messages and one-line errors."""
 
 import contextlib
 import importlib
@@ -6,15 +6,14 @@ import logging
 import shlex
 import sys
 import tempfile
-import time
 import warnings
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress
 
 from warp_rigid import interruption
+from warp_rigid.extras import advice
 from warp_rigid.files.atomic import check_replaceable
 
 _LIBRARIES = {
@@ -25,23 +24,6 @@ _LIBRARIES = {
     ".glb": ("pygltflib",),
 }
 """Optional modules required to write a file, by its suffix."""
-_EXTRAS = {
-    "PIL": "picture",
-    "matplotlib": "picture",
-    "imageio_ffmpeg": "picture",
-    "viser": "viewer",
-    "pygltflib": "gltf",
-    "loky": "sweep",
-    "pyarrow": "sweep",
-    "scipy": "sweep",
-    "zarr": "trajectories",
-    "distributed": "cluster",
-    "optuna": "opt",
-}
-"""The extra that installs an optional module."""
-
-LINE_PERIOD = 10.0
-"""Time between lines of progress if stderr is not a terminal [s]."""
 PLAIN_WIDTH = 120
 """Width of tables if the output is not a terminal [characters]."""
 
@@ -109,41 +91,10 @@ def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> N
             importlib.import_module(module)
 
 
-@contextlib.contextmanager
-def progress(name: str, total: int):
-    """Show the progress on stderr: a bar, or a line every LINE_PERIOD seconds if stderr is not a terminal.
-
-    Yields a function (done, total) that updates it.
-    """
-    terminal = console(stderr=True)
-    if not terminal.is_terminal:
-        yield _progress_lines(name, total)
-        return
-    with Progress(console=terminal, transient=True) as bar:
-        task = bar.add_task(name, total=total)
-        yield lambda done, total=total: bar.update(task, completed=done, total=total)
-
-
-def _progress_lines(name: str, total: int):
-    start = last = time.monotonic()
-
-    def show(done, total=total):
-        nonlocal last
-        now = time.monotonic()
-        if now - last >= LINE_PERIOD and done < total:
-            last = now
-            left = (now - start) * (total - done) / done if done else float("inf")
-            note(f"{name}: {100.0 * done / total:.0f} % after {now - start:.0f} s, about {left:.0f} s left")
-
-    return show
-
-
 def explain(error: Exception) -> str:
     """Describe an error in one line."""
     if isinstance(error, ModuleNotFoundError):
-        extra = _EXTRAS.get((error.name or "").partition(".")[0])
-        package = f"'warp-rigid[{extra}]'" if extra else "--force-reinstall warp-rigid"
-        return f"{error.name} is not installed; install it with: pip install {package}"
+        return advice(error.name or str(error))
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split())

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
+from warp_rigid.display import html_of
 from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, step_reports, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
@@ -122,6 +123,9 @@ class Simulator:
         """Show the size, the device and the time."""
         size = f"{self.num_envs} environments of {self.num_bodies} bodies"
         return f"Simulator({size} on {self.device}, dt {self.settings.dt:.6g} s, at {self.time:.6g} s)"
+
+    def _repr_html_(self) -> str:
+        return html_of(self)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be pickled or copied, as device memory and recorded steps cannot be.
