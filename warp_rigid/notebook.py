@@ -219,7 +219,9 @@ def _end_with_motion(recording: Recording) -> Recording:
     last = recording.position[-1:]
     moves = is_moving(recording.motion)[:, None]
     before = np.where(moves, np.nextafter(last, np.float32(np.inf)), last)
-    twice = {name: np.repeat(getattr(recording, name)[-1:], 2, axis=0) for name in ("orientation", "asleep", "level")}
+    twice: dict[str, Any] = {
+        name: np.repeat(getattr(recording, name)[-1:], 2, axis=0) for name in ("orientation", "asleep", "level")
+    }
     return replace(recording, time=recording.time[-1] + np.arange(2), position=np.concatenate([before, last]), **twice)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_rigid import progress_bar
 from warp_rigid.checks import number_in
 from warp_rigid.display import Inline, film_of, html_of
 from warp_rigid.engine.quantities import is_of_bodies
@@ -351,6 +352,7 @@ def record(
     *,
     velocities: bool = False,
     contacts: bool = False,
+    progress: bool = True,
 ) -> Recording:
     """Step a simulation and record the poses of every frame.
 
@@ -362,6 +364,7 @@ def record(
         envs: indices of the environments to record, which must have the same scene; None records all.
         velocities: whether to record velocities.
         contacts: whether to record the contacts of the last step of each frame.
+        progress: show a bar in terminals and notebooks.
 
     Returns:
         A Recording of frames + 1 frames; the first is the state before the first step.
@@ -373,12 +376,14 @@ def record(
         raise ValueError(f"frames: must be >= 0, got {frames}")
     steps = steps_per_frame(sim.settings.dt, fps)
     recorder = Recorder(sim, fps, envs, velocities=velocities, contacts=contacts)
-    for index in range(frames + 1):
-        if index > 0:
-            sim.step(steps)
-        recorder.capture(sim)
-        if on_frame is not None:
-            on_frame(index, sim)
+    with progress_bar.progress("recording", frames, progress) as advance:
+        for index in range(frames + 1):
+            if index > 0:
+                sim.step(steps)
+            recorder.capture(sim)
+            if on_frame is not None:
+                on_frame(index, sim)
+            advance(index)
     return recorder.recording()
 
 
