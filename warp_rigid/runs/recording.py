@@ -16,6 +16,7 @@ from warp_rigid.checks import number_in
 from warp_rigid.display import Inline, film_of, html_of
 from warp_rigid.engine.quantities import is_of_bodies
 from warp_rigid.engine.step_reports import CONTACT_RECORD
+from warp_rigid.extras import need
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.runs.drawn_surface import DrawnSurface, surfaces_of
@@ -35,6 +36,7 @@ CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "
 """Quantities recorded in every frame, by their name in the simulator."""
 VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
 """Quantities recorded on request."""
+RECORDED_UNITS = {"time": "s", "position": "m", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
 TAILS = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
 START = (*VELOCITIES, "mass", *COEFFICIENTS, "gravity")
 """Quantities recorded in the first frame only."""
@@ -129,6 +131,33 @@ class Recording:
         if missing:
             raise ValueError(f"envs: {missing} were not recorded; recorded: {self.envs.tolist()}")
         return np.array([int(np.flatnonzero(self.envs == env)[0]) for env in envs])
+
+    def to_xarray(self) -> Any:
+        """All frames as an xarray.Dataset with units; its dimensions are time [s], env, body and the components.
+
+        Raises:
+            ModuleNotFoundError: xarray is not installed.
+        """
+        xarray = need("xarray")
+        inner = {"position": "axis", "orientation": "component", "linear_velocity": "axis", "angular_velocity": "axis"}
+        found = xarray.Dataset(
+            {
+                name: (("time", "env", "body", *([inner[name]] if name in inner else [])), getattr(self, name))
+                for name in self._kept
+            },
+            {
+                "time": self.time,
+                "env": self.envs,
+                "body": list(self.names),
+                "axis": list("xyz"),
+                "component": list("xyzw"),
+            },
+            {"fps": self.fps},
+        )
+        for name, unit in RECORDED_UNITS.items():
+            if name in found:
+                found[name].attrs["units"] = unit
+        return found
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write all frames to one .npz file of plain arrays and text.

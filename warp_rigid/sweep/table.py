@@ -146,8 +146,8 @@ class SweepResult:
     def to_xarray(self) -> Any:
         """The rows as an xarray.Dataset, with units as attrs["units"] of its variables.
 
-        A grid has one dimension for each axis, and `repeat` if there are repeats; what a missing run lacks is NaN or
-        None. Other designs have the dimension `run`, along which the axes are coordinates.
+        A grid has one dimension for each axis, and `repeat` if there are repeats; what a missing run lacks is NaN.
+        Other designs have the dimension `run`, along which the axes are coordinates.
 
         Raises:
             ModuleNotFoundError: xarray is not installed.

@@ -4,8 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from warp_rigid.checks import shown, whole_in
+from warp_rigid.checks import one_of, shown, whole_in
 from warp_rigid.progress_bar import progress
+from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.render.film import Film, colored, film_from_recording, film_from_usd
 from warp_rigid.render.strings import with_strings
 from warp_rigid.runs.recording import Recording
@@ -27,6 +28,7 @@ def film_to_draw(recording: Recording, color: str = "body", usd: Any = None) -> 
     Raises:
         ValueError: The colouring is unknown, or its quantity was not recorded.
     """
+    one_of("color", color, COLORINGS)
     film = film_from_usd(usd) if usd else colored(film_from_recording(recording), recording, color)
     return with_strings(film, recording)
 
