@@ -57,10 +57,9 @@ SILENT = {
     ".signed_distance([(0.0, 0.0, 0.0)])",
     "sweep": "wr.sweep('incline', {'friction': [0.2, 0.3]}, duration=0.1, device='all')",
     "workers": "wr.sweep('incline', {'friction': [0.2, 0.3]}, duration=0.1, cluster='local', workers=1)",
-    "picture": "recording = wr.record(wr.Simulator(wr.scenes.load('incline'), device='cpu'), frames=0)\n"
-    "from warp_rigid.render.film import film_from_recording\n"
-    "from warp_rigid.render.images import save_picture\n"
-    "save_picture(film_from_recording(recording), 'a.png', width=32)",
+    "films": "recording = wr.record(wr.Simulator(wr.scenes.load('incline'), device='cpu'), frames=1)\n"
+    "recording.to_gif('a.gif', width=32)\nrecording.to_html()\nrecording._repr_html_()",
+    "scene": "wr.scenes.load('incline')._repr_html_()",
 }
 """Programs by what starts Warp in them."""
 

@@ -122,14 +122,12 @@ class _TooLarge(ValueError):
     """A film does not fit into a notebook."""
 
 
-def _write(
-    recording: Recording, suffix: str, path: Any, envs: Any = None, color: str = "body", **size: int | None
-) -> None:
+def _write(recording: Recording, suffix: str, path: Any, envs: Any = None, color: str = "body", **drawn: Any) -> None:
     """Write a film to a file."""
     from warp_rigid.viewer.film_files import check_suffix, film_to_draw, selected, write_film
 
     check_suffix(path, suffix)
-    write_film(film_to_draw(selected(recording, envs), color), path, **size)
+    write_film(film_to_draw(selected(recording, envs), color), path, **drawn)
 
 
 def _inline(recording: Recording, suffix: str, **options: Any) -> Inline:
@@ -138,7 +136,8 @@ def _inline(recording: Recording, suffix: str, **options: Any) -> Inline:
     Raises:
         ValueError: It is larger than MAX_INLINE.
     """
-    content = _bytes_of(lambda path: _write(recording, suffix, path, **options), suffix)
+    name = f"a {suffix} film"
+    content = _bytes_of(lambda path: _write(recording, suffix, path, **options, name=name), suffix)
     if len(content) > MAX_INLINE:
         raise _TooLarge(
             f"to_{suffix[1:]}: the film has {len(content) / 1e6:.0f} MB, and a notebook shows at most "

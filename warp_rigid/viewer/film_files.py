@@ -62,7 +62,7 @@ def check_suffix(path: Any, suffix: str) -> None:
         raise ValueError(f"path: must end in {suffix}, got {shown(path)}")
 
 
-def write_film(film: Film, path: Any, width: int | None = None, height: int | None = None) -> None:
+def write_film(film: Film, path: Any, width: int | None = None, height: int | None = None, name: Any = None) -> None:
     """Write a film to a .html, .gif or .mp4 file.
 
     Args:
@@ -70,6 +70,7 @@ def write_film(film: Film, path: Any, width: int | None = None, height: int | No
         path: the file; missing folders are created.
         width: width of a panel of .gif and .mp4 [pixel]; None for 1280 pixels in all, or 640 for .gif.
         height: height of a panel [pixel]; None for 9/16 of its width.
+        name: what the progress bar says is drawn; None for the path.
 
     Raises:
         ValueError: The width or height is out of range.
@@ -85,5 +86,5 @@ def write_film(film: Film, path: Any, width: int | None = None, height: int | No
         return
     from warp_rigid.render.images import save_film
 
-    with progress(f"drawing {path}", film.num_frames) as advance:
+    with progress(f"drawing {name or path}", film.num_frames) as advance:
         save_film(film, path, width, height, on_frame=advance)
