@@ -10,6 +10,7 @@ import pytest
 
 import warp_rigid as wr
 from warp_rigid import progress_bar
+from warp_rigid.commands import cli
 from warp_rigid.sweep import batch_run, worker_processes
 
 AXES = {"friction": [0.2, 0.3, 0.4]}
@@ -98,3 +99,22 @@ def test_nothing_is_shown_elsewhere(capsys):
     wr.record(wr.Simulator(wr.scenes.load("incline"), device="cpu"), frames=3)
     wr.sweep("incline", AXES, **OPTIONS)
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_command_with_redirected_output_prints_lines_within_a_batch(monkeypatch, capsys):
+    monkeypatch.setattr(progress_bar, "LINE_PERIOD", 0.0)
+    arguments = [
+        "sweep",
+        "incline",
+        "--vary",
+        "friction=0.2,0.4",
+        "--duration",
+        "0.1",
+        "--fps",
+        "40",
+        "--device",
+        "cpu",
+    ]
+    assert cli.main(arguments) == 0
+    lines = [line.partition(" after")[0] for line in capsys.readouterr().err.splitlines() if "%" in line]
+    assert lines == ["incline: 25 %", "incline: 50 %", "incline: 75 %"]

@@ -1,34 +1,13 @@
 """Result tables as tables of pyarrow, pandas and polars, and as datasets of xarray, with units."""
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from warp_rigid.extras import need
+from warp_rigid.sweep.columns import Table
 
 __all__ = ["to_arrow", "to_pandas", "to_polars", "to_xarray"]
-
-
-class Table(Protocol):
-    """Interface of a table; SweepResult implements it."""
-
-    rows: list[dict[str, Any]]
-    about: dict[str, Any]
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the columns."""
-
-    @property
-    def axes(self) -> list[str]:
-        """Names of the axes."""
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Units by the names of the columns that have one."""
-
-    def column(self, name: str) -> np.ndarray:
-        """Values of a column, one per row."""
 
 
 def to_arrow(result: Table) -> Any:

@@ -1,13 +1,14 @@
 """Plots of a sweep: lines over one axis, a heat map over two, or a scatter matrix over more."""
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from warp_rigid.checks import one_of
 from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file
+from warp_rigid.sweep.columns import Table
 from warp_rigid.sweep.units import unit_of
 
 __all__ = ["KINDS", "plot"]
@@ -17,31 +18,6 @@ SUFFIXES = (".png", ".svg", ".pdf")
 MAX_LINES = 12
 FEW = 4
 """Values of a second axis up to which lines are drawn instead of a heat map."""
-
-
-class Table(Protocol):
-    """Interface of a table to plot; SweepResult implements it."""
-
-    rows: list[dict[str, Any]]
-    about: dict[str, Any]
-
-    def __len__(self) -> int:
-        """Number of rows."""
-
-    @property
-    def axes(self) -> list[str]:
-        """Names of the axes."""
-
-    @property
-    def metrics(self) -> list[str]:
-        """Names of the metric columns."""
-
-    @property
-    def failed(self) -> list[dict[str, Any]]:
-        """Rows of runs that did not complete."""
-
-    def column(self, name: str) -> np.ndarray:
-        """Values of a column, one per row."""
 
 
 def check_plot(path: Any, kind: str | None = None) -> None:
