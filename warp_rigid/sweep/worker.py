@@ -22,7 +22,7 @@ from warp_rigid.warp_start import start_warp
 __all__ = ["accept", "begin", "open_parts", "run"]
 
 PARENT_PERIOD = 1.0
-"""Time between looks at whether the process that started this one still exists [s]."""
+"""Time between checks whether the process that started this one still exists [s]."""
 
 _number = 0
 _sharers = 1
