@@ -76,9 +76,9 @@ def write_film(film: Film, path: Any, width: int | None = None, height: int | No
         ValueError: The width or height is out of range.
         ModuleNotFoundError: The extra "picture", or for .html "viewer", is not installed.
     """
-    for name, value in (("width", width), ("height", height)):
+    for side, value in (("width", width), ("height", height)):
         if value is not None:
-            whole_in(name, value, 16, MAX_WIDTH)
+            whole_in(side, value, 16, MAX_WIDTH)
     if Path(path).suffix == ".html":
         from warp_rigid.viewer.playback import save_html
 
