@@ -174,6 +174,25 @@ def test_wrong_arguments_are_named(call, message, recording, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("suffix", "module", "extra"),
+    [("gif", "PIL", "picture"), ("mp4", "imageio_ffmpeg", "picture"), ("html", "viser", "viewer")],
+)
+def test_a_missing_package_is_one_line_that_names_the_extra(suffix, module, extra, recording, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ModuleNotFoundError) as error:
+        getattr(recording, f"to_{suffix}")()
+    assert str(error.value) == f"{module} is not installed; install it with: pip install 'warp-rigid[{extra}]'"
+
+
+def test_the_film_of_many_environments_has_those_that_fit(recording, monkeypatch):
+    page = Page(recording)
+    assert page.all("iframe") and "film environments" not in page.text
+    monkeypatch.setattr(notebook, "MAX_ENVS", 2)
+    page = Page(recording)
+    assert page.all("iframe") and "film environments 0, 1" in page.text
+
+
 def test_a_film_too_large_for_a_notebook_is_refused(recording, monkeypatch):
     monkeypatch.setattr(notebook, "MAX_INLINE", 1000)
     with pytest.raises(ValueError, match="to_gif: the film has .* give a path"):

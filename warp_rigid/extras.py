@@ -1,9 +1,11 @@
 """Optional packages: the extra that installs each, and one line for a package that is missing."""
 
 import importlib
+from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-__all__ = ["advice", "need"]
+__all__ = ["advice", "need", "need_for_file"]
 
 EXTRAS = {
     "PIL": "picture",
@@ -23,6 +25,15 @@ EXTRAS = {
 }
 """The extra that installs an optional module."""
 
+WRITERS = {
+    ".png": ("matplotlib", "PIL"),
+    ".gif": ("PIL",),
+    ".mp4": ("PIL", "imageio_ffmpeg"),
+    ".html": ("viser",),
+    ".glb": ("pygltflib",),
+}
+"""The optional modules that write a file, by its suffix."""
+
 
 def advice(module: str) -> str:
     """What to do about a module that is not installed."""
@@ -41,3 +52,13 @@ def need(module: str) -> ModuleType:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(advice(error.name or module), name=error.name) from None
+
+
+def need_for_file(path: Any) -> None:
+    """Check that the optional modules that write a file of this suffix are installed.
+
+    Raises:
+        ModuleNotFoundError: See need.
+    """
+    for module in WRITERS.get(Path(path).suffix, ()):
+        need(module)

@@ -24,6 +24,8 @@ MAX_INLINE = 16_000_000
 """Maximum size of a film in a notebook [bytes]."""
 MAX_ENVS = 16
 """Maximum number of environments in the film that a recording shows by itself."""
+POSE_BYTES = 28
+"""Size of the pose of a body in one frame of a page [bytes]."""
 PICTURE_WIDTH = 320
 """Width of a picture of a scene [pixel]."""
 MAX_TRIANGLES = 200_000
@@ -67,22 +69,29 @@ def _recording_html(recording: Recording) -> str:
     optional = ("linear_velocity", "angular_velocity", "contacts")
     quantities = [name for name in optional if getattr(recording, name) is not None]
     named = zip(recording.envs.tolist(), recording.labels, strict=True)
+    drawn = _environments_that_fit(recording)
     rows = [
         ("frames", f"{len(recording.time)}, {recording.fps:g} per second"),
         ("time", f"{recording.time[0]:.6g} to {recording.time[-1]:.6g} s"),
         ("environments", _listed([label or str(env) for env, label in named])),
         ("bodies", f"{len(recording.names)}: {_listed(recording.names)}"),
         ("also recorded", ", ".join(quantities)),
+        ("film", f"environments {_listed(drawn)}" if 0 < len(drawn) < len(recording.envs) else ""),
     ]
     summary = _summary("Recording", rows)
-    if not len(recording.envs) or not recording.names or not np.isfinite(recording.position).all():
+    if not recording.position.size or not np.isfinite(recording.position).all():
         return summary
-    shown = recording.envs[:MAX_ENVS].tolist()
     try:
-        film = _inline(recording, ".html", envs=shown).html
+        film = _inline(recording, ".html", envs=drawn).html if drawn else _picture(lambda: recording, recording.scene)
     except (ValueError, ModuleNotFoundError):
         film = _picture(lambda: recording, recording.scene)
     return f"{summary}{film}"
+
+
+def _environments_that_fit(recording: Recording) -> list[int]:
+    """The environments of the film that a recording shows by itself: the first ones; none if one is too large."""
+    size = POSE_BYTES * len(recording.time) * max(1, len(recording.names))
+    return recording.envs[: min(MAX_ENVS, MAX_INLINE // size)].tolist()
 
 
 @html_of.register

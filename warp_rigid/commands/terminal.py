@@ -1,7 +1,6 @@
 """Helpers shared by the commands: console, messages and one-line errors."""
 
 import contextlib
-import importlib
 import logging
 import shlex
 import sys
@@ -13,17 +12,9 @@ from typing import Any
 from rich.console import Console
 
 from warp_rigid import interruption
-from warp_rigid.extras import advice
+from warp_rigid.extras import advice, need_for_file
 from warp_rigid.files.atomic import check_replaceable
 
-_LIBRARIES = {
-    ".png": ("matplotlib", "PIL"),
-    ".gif": ("PIL",),
-    ".mp4": ("PIL", "imageio_ffmpeg"),
-    ".html": ("viser",),
-    ".glb": ("pygltflib",),
-}
-"""Optional modules required to write a file, by its suffix."""
 PLAIN_WIDTH = 120
 """Width of tables if the output is not a terminal [characters]."""
 
@@ -87,8 +78,7 @@ def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> N
             raise ValueError(f"{path}: must end in {' or '.join(endings)}")
     for path in (output, *pictures) if output else pictures:
         check_writable(path)
-        for module in _LIBRARIES.get(Path(path).suffix, ()):
-            importlib.import_module(module)
+        need_for_file(path)
 
 
 def explain(error: Exception) -> str:

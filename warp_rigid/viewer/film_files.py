@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from warp_rigid.checks import one_of, shown, whole_in
+from warp_rigid.extras import need_for_file
 from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.render.film import Film, colored, film_from_recording, film_from_usd
@@ -79,6 +80,7 @@ def write_film(film: Film, path: Any, width: int | None = None, height: int | No
     for side, value in (("width", width), ("height", height)):
         if value is not None:
             whole_in(side, value, 16, MAX_WIDTH)
+    need_for_file(path)
     if Path(path).suffix == ".html":
         from warp_rigid.viewer.playback import save_html
 
