@@ -11,7 +11,8 @@ from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
 from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.pose_path import PosePath
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
 VELOCITIES = ("linear_velocity", "angular_velocity")
@@ -37,8 +38,10 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
     for body in scene.bodies:
         numbers = {
             name: getattr(body, name)
-            for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS)
+            for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS, *SURFACE_VELOCITIES)
         }
+        if body.path is not None:
+            numbers["path"] = _path_data(body.path)
         shape = _place_shape(body.shape, shapes, arrays, places)
         bodies.append({"shape": shape, "motion": body.motion.name, "name": body.name, **numbers})
     return {
@@ -97,6 +100,12 @@ def _joint_data(entry: JointEntry) -> dict[str, Any]:
     return {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
 
 
+def _path_data(path: PosePath) -> dict[str, Any]:
+    """A path as plain data."""
+    names = ("times", "positions", "orientations")
+    return {**{name: getattr(path, name).tolist() for name in names}, "loop": path.loop}
+
+
 def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
     """Add a joint with all checks."""
     frames: dict[str, Any] = {name: JointFrame(**entry[name]) for name in ("frame_a", "frame_b")}
@@ -116,7 +125,14 @@ def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     }[Motion[entry["motion"]]]  # fmt: skip
     given = {name: entry[name] for name in ("position", "orientation", "name", "active")}
     given |= {name: entry[name] for name in COEFFICIENTS if name in entry}  # older files have fewer
-    if entry["motion"] != Motion.STATIC.name:
+    if entry["motion"] == Motion.DYNAMIC.name and any(np.any(entry.get(name, 0.0)) for name in SURFACE_VELOCITIES):
+        raise ValueError("only the surface of a static or kinematic body runs")
+    if entry["motion"] != Motion.DYNAMIC.name:
+        given |= {name: entry[name] for name in SURFACE_VELOCITIES if name in entry}
+    if "path" in entry:
+        given = {name: given[name] for name in given if name not in ("position", "orientation")}
+        given["path"] = PosePath(**entry["path"])
+    elif entry["motion"] != Motion.STATIC.name:
         given |= {name: entry[name] for name in VELOCITIES}
     if entry["motion"] == Motion.DYNAMIC.name:
         given["mass"] = entry["mass"]
