@@ -80,7 +80,8 @@ def has_changed(b: int, state: State, motions: Motions, sleep_state: SleepState)
 def find_changed(bodies: Bodies, state: State, motions: Motions, sleep_state: SleepState, envs: Environments):
     """One thread per body: mark bodies that were changed since the last step, and those whose surface runs.
 
-    A moved static body counts as kinematic. Only in environments with sleeping enabled, so that others do not depend on the settings of these.
+    A moved static body counts as kinematic. Only in environments with sleeping enabled, so that others do not depend on
+    the settings of these.
     """
     b = wp.tid()
     role = motions.role[b]

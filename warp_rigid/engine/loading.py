@@ -54,7 +54,7 @@ STEP = (
 
 GRIDS, OVERLAP, SLEEP, GROUND = (bake,), (overlap,), (sleep,), (ground_motion,)
 CANDIDATES, WATCH, PATHS = (candidates,), (watch,), (paths,)
-"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground and running surfaces, large environments,
+"""Kernel modules for distance grids, `deepest_overlap`, sleeping, moving ground or surfaces, large environments,
 watches and paths."""
 
 JOINTS = "warp_rigid.kernels.joints.joint_stages"

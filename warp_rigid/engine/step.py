@@ -175,7 +175,7 @@ class Stages:
 
     @stage
     def set_surface_velocity(self, before_step: bool) -> None:
-        """Surface velocity: that of running surfaces and of the ground, in the previous (`before_step`) or this step."""
+        """Surface velocity: that of running surfaces and of the ground, which is that before or after the step."""
         if self.has_surface_velocity:
             model, contacts = self.model, self.pools.contacts
             inputs = [int(before_step), model.surface_node, self.dt, model.shapes, model.bodies, self.state]

@@ -95,7 +95,7 @@ class PosePath:
         i = min(int(np.searchsorted(self.times, time, side="right")) - 1, len(self.times) - 2)
         share = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
         position = self.positions[i] + share * (self.positions[i + 1] - self.positions[i])
-        return position, _turned(*self.orientations[i : i + 2], share)
+        return position, _turned(self.orientations[i], self.orientations[i + 1], share)
 
 
 def _turned(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:

@@ -226,8 +226,8 @@ class Scene:
             shape: a shape.
             position: as for add_body.
             orientation: as for add_body.
-            surface_velocity: (3,) velocity of the surface relative to the body, in the shape's frame [m/s]. At a contact
-                only the part along the surface counts.
+            surface_velocity: (3,) velocity of the surface relative to the body, in the shape's frame [m/s]. At a
+                contact only the part along the surface counts.
             surface_angular_velocity: (3,) the same for a surface that turns about the origin of that frame [rad/s].
             name: as for add_body.
             active: as for add_body.

@@ -123,19 +123,18 @@ def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     add: Callable[..., int] = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip
+    motion = Motion[entry["motion"]]
     given = {name: entry[name] for name in ("position", "orientation", "name", "active")}
-    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}  # older files have fewer
-    if entry["motion"] == Motion.DYNAMIC.name and any(np.any(entry.get(name, 0.0)) for name in SURFACE_VELOCITIES):
-        raise ValueError("only the surface of a static or kinematic body runs")
-    if entry["motion"] != Motion.DYNAMIC.name:
-        given |= {name: entry[name] for name in SURFACE_VELOCITIES if name in entry}
-    if "path" in entry:
-        given = {name: given[name] for name in given if name not in ("position", "orientation")}
-        given["path"] = PosePath(**entry["path"])
-    elif entry["motion"] != Motion.STATIC.name:
+    # Older files have fewer coefficients, and no surfaces that run.
+    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}
+    given |= {n: entry[n] for n in SURFACE_VELOCITIES if any(entry.get(n, ()))}
+    if motion != Motion.STATIC:
         given |= {name: entry[name] for name in VELOCITIES}
-    if entry["motion"] == Motion.DYNAMIC.name:
+    if motion == Motion.DYNAMIC:
         given["mass"] = entry["mass"]
+    if "path" in entry:
+        given = {name: given[name] for name in given if name not in ("position", "orientation", *VELOCITIES)}
+        given["path"] = PosePath(**entry["path"])
     index = add(shape, **given)
     x, y, z, w = (float(number) for number in entry["orientation"])
     orientation = (x, y, z, w)
