@@ -1,6 +1,6 @@
 """Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -120,7 +120,7 @@ def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
 
 def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     """Add a body with all checks, and keep its orientation unscaled, bit for bit."""
-    add: Callable[..., int] = {
+    add: Any = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip
     motion = Motion[entry["motion"]]
