@@ -16,7 +16,7 @@ SIZES = {"small": 0.07, "medium": 0.1, "large": 0.13}
 """Half of the edges of the parcels, in the order in which they come [m]."""
 PITCH, FIRST = 1.3, -1.0
 """Distance of the parcels at the start, and place of the first one along the belt; the arm turns at x = 0 [m]."""
-HALF_WIDTH, END, TOP, THICKNESS = 0.35, 1.5, 0.6, 0.1
+HALF_WIDTH, END, TOP = 0.35, 1.5, 0.6
 PIVOT = -0.4
 """Place of the arm's hinge across the belt [m]."""
 ARM_HALF = (0.5, 0.02, 0.1)
@@ -43,8 +43,8 @@ def build(parcels: int = 6, speed: float = 1.5, friction: float = 0.5) -> Scene:
     grounds.add_ground(scene, name="ground")
     begin = FIRST - PITCH * (parcels - 1) - 0.3
     scene.add_static(
-        Box((0.5 * (END - begin), HALF_WIDTH, 0.5 * THICKNESS)),
-        position=(0.5 * (begin + END), 0.0, TOP - 0.5 * THICKNESS),
+        Box((0.5 * (END - begin), HALF_WIDTH, 0.5 * TOP)),
+        position=(0.5 * (begin + END), 0.0, 0.5 * TOP),
         surface_velocity=(speed, 0, 0),
         friction=friction,
         name="belt",
@@ -130,12 +130,8 @@ class SortingOutcome:
             return []
         sound = {"default": True, "one_pass": True}
         x, y, z = np.moveaxis(sim.get("position")[:, self.parcels].astype(np.float64), -1, 0)
-        side = self.large[None]
-        where = (
-            np.where(side, BINS["side"][0], BINS["straight"][0]),
-            np.where(side, BINS["side"][1], BINS["straight"][1]),
-        )
-        inside = (np.abs(x - where[0]) < BIN_HALF) & (np.abs(y - where[1]) < BIN_HALF) & (z < TOP)
+        place = np.where(self.large[:, None], BINS["side"], BINS["straight"])
+        inside = (np.abs(x - place[:, 0]) < BIN_HALF) & (np.abs(y - place[:, 1]) < BIN_HALF) & (z < TOP)
         count = inside.sum(axis=1)
         found = [
             Verdict("way_error", self.error, "way on the belt within 1 %", np.asarray(self.error) < 0.01, sound, "%")
@@ -158,5 +154,5 @@ DEMO = Demo(
     outcome=SortingOutcome,
     duration=8.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
-    view=(-70.0, 30.0),
+    view=(50.0, 30.0),
 )
