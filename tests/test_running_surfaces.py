@@ -5,6 +5,7 @@ import pytest
 
 import warp_rigid as wr
 from tests.oracles import rotate_about, stages_of
+from warp_rigid.runs.runner import execute, find_scene, plan_run
 
 G = 9.81
 HALF = 0.1
@@ -276,3 +277,30 @@ def test_bad_velocities_are_refused(device):
         sim.set("surface_velocity", 1.0)
     sim.set("surface_velocity", (1, 0, 0))
     assert not sim.get("surface_velocity")[0, 1].any()
+
+
+def test_a_sweep_and_a_run_vary_the_velocity():
+    """With and without a selection: by default of the bodies whose surface runs, not of the ground beside them."""
+    quiet = {"duration": 0.5, "device": "cpu"}
+    axis = {"surface_velocity": [(0.5, 0, 0), (1.0, 0, 0)]}
+    rows = wr.sweep("sorting_line", axis, **quiet).rows
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    demo = find_scene("sorting_line")
+    plan = plan_run(demo, ["surface_velocity=(0.5,0,0),(1,0,0)"], frames=30, device="cpu")
+    recording = execute(plan, [0, 1]).recording
+    moved = recording.position[-1] - recording.position[0]
+    parcel, ground = recording.names.index("parcel_0_small"), recording.names.index("ground")
+    accelerating = np.array([0.5, 1.0]) / (0.5 * G)
+    np.testing.assert_allclose(moved[:, parcel, 0], [0.5, 1.0] * (0.5 - 0.5 * accelerating), rtol=0.01)
+    assert recording.start["surface_velocity"][:, ground].any() == 0.0
+    for text, message in (
+        ("surface_velocity[parcel_0_small]=(1,0,0)", "must be 0 for parcel_0_small"),
+        ("surface_velocity[nothing]=(1,0,0)", "selects no body"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            execute(plan_run(demo, [text], frames=1, device="cpu"), [0])
+        name, _, _ = text.partition("=")
+        with pytest.raises(ValueError, match=message):
+            wr.sweep("sorting_line", {name: [(1, 0, 0)]}, **quiet)
+    with pytest.raises(ValueError, match="selects no body"):
+        wr.sweep("box_stack", axis, **quiet)

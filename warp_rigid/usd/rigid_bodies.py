@@ -19,7 +19,7 @@ from warp_rigid.usd.geometry import FOLLOWS_PATH, MARK, gf_quaternion, precise_q
 from warp_rigid.usd.joint_prims import write_joint
 from warp_rigid.usd.library import Library, simple_shapes, write_pose
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
-from warp_rigid.usd.surfaces import SURFACE_SCHEMA, write_surface_motion
+from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, write_surface_motion
 
 __all__ = ["Bodies"]
 
