@@ -88,7 +88,9 @@ def test_a_gate_holds_parcels_back(device):
     assert place[2] == pytest.approx(0.85, abs=0.01) and place.max() < 0.86
     assert place[1] == pytest.approx(0.65, abs=0.02)
     sim.step(360)
-    np.testing.assert_allclose(sim.get("position")[0, parcels[1:], 0], place[1:] + 0.5 * 2.4, atol=0.15)
+    # The gate clears a parcel when it has risen by 0.18 m; the way to the speed v costs v^2 / (2 mu g).
+    way = 0.5 * (3.0 - 0.5 * 0.18 / 0.7) - 0.5**2 / (2 * 0.5 * 9.81)
+    np.testing.assert_allclose(sim.get("position")[0, parcels[1:], 0] - place[1:], way, rtol=0.01)
 
 
 def test_a_body_on_a_lift_at_rest_sleeps_and_wakes(device):
@@ -123,8 +125,6 @@ def test_environments_are_reset_and_restarted_on_the_path(device, tmp_path):
 
 def test_scenes_with_different_paths_are_simulated_together(device):
     """Those without a path, too."""
-    plain = lift_scene()
-    plain.bodies[1] = wr.Scene.copy(plain).bodies[1]
     other = wr.PosePath(UP.times, UP.positions * [1, 1, 0.5])
     flat = wr.Scene()
     flat.add_static(wr.Plane())
