@@ -211,22 +211,20 @@ def _upload_fields(layout: Layout, device: Any) -> Any:
 
 def _upload_paths(layout: Layout, device: Any) -> Any:
     """Write the distinct paths once, and which body of each environment follows which."""
-    own, lengths = concatenated(
-        lambda scene: [body.path for body in scene.bodies if body.path is not None], layout.scenes
-    )
-    distinct: dict[PosePath, int] = dict.fromkeys(own, 0)
+    found, lengths = concatenated(lambda scene: [body.path for body in scene.bodies if body.path], layout.scenes)
+    distinct: list[PosePath] = list(dict.fromkeys(found))
     first = exclusive_sums(np.array([len(path.times) for path in distinct], np.int64))
-    distinct = dict(zip(distinct, first.tolist(), strict=False))
-    rows: dict[str, Any] = {"body": np.flatnonzero([layout.scene_bodies[k].path is not None for k in layout.source])}
-    rows |= {
-        "first": [distinct[path] for path in own],
-        "count": [len(path.times) for path in own],
-        "loop": [int(path.loop) for path in own],
+    which, source = np.array([distinct.index(path) for path in found], np.int64), layout.copies(lengths)
+    follows = np.array([body.path is not None for body in layout.scene_bodies])
+    rows: dict[str, Any] = {
+        "body": np.flatnonzero(follows[layout.source]).astype(np.int32),
+        "first": first[which][source].astype(np.int32),
+        "count": np.diff(first)[which][source].astype(np.int32),
+        "loop": np.array([path.loop for path in found], np.int32)[source],
     }
-    source = layout.copies(lengths)
-    rows |= {name: np.array(rows[name], np.int32)[source] for name in ("first", "count", "loop")}
     for name in ("times", "positions", "orientations"):
-        rows[name.removesuffix("s")] = np.concatenate([getattr(path, name) for path in distinct]) if distinct else []
+        keyframes = [getattr(path, name) for path in distinct]
+        rows[name.removesuffix("s")] = np.concatenate(keyframes) if keyframes else []
     return declare.upload(schema.Paths, rows, device)
 
 
