@@ -9,7 +9,7 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Compound, Sphere
-from warp_rigid.validation.case import Curve, ReferenceCheck, ValidationCase, absolute, each, relative
+from warp_rigid.validation.case import Check, Curve, ValidationCase, absolute, case, measured, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import DT, Experiment, Start, Trace
 
@@ -73,22 +73,15 @@ def parcels(steps):
     def slip(trace: Trace) -> np.ndarray:
         return speed * trace.time[-1] - trace.position[-1, :, 1, 0]
 
+    in_time = np.tile(speed / (friction * G), len(steps))
     by_steps = [slip_by_steps(v, mu, dt) for dt in steps for v, mu in BELTS]
-    return ValidationCase(
+    return case(
         "V108",
         "parcel on a belt",
         "Coulomb's law: v / (mu g), and the sum of the steps for v^2 / (2 mu g)",
-        (
-            ReferenceCheck(
-                "time to the speed of the belt",
-                "s",
-                each(arrival),
-                np.tile(speed / (friction * G), len(steps)),
-                relative(0.01),
-            ),
-            ReferenceCheck("slip until then", "m", each(slip), by_steps, relative(0.01)),
-        ),
-        experiments,
+        measured("time to the speed of the belt", "s", arrival, relative(0.01), in_time),
+        measured("slip until then", "m", slip, relative(0.01), by_steps),
+        of=experiments,
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
 
@@ -105,21 +98,15 @@ def stack():
             sim.step(round(STACK_TIME / DT))
         return sim.get("position")[0, boxes].astype(np.float64)
 
-    labels = ("lower", "middle", "upper")
-    return ValidationCase(
+    return case(
         "V108",
         "stack of three on a belt that starts and stops",
         "Coulomb's law: what the start takes from the way, the stop returns",
-        (
-            ReferenceCheck("way", "m", lambda place: place[:, 0], STACK_TIME, relative(0.01), labels),
-            ReferenceCheck(
-                "shift within the stack", "m", lambda place: place[:, 0] - place[0, 0], 0.0, absolute(1e-3), labels
-            ),
-            ReferenceCheck(
-                "height", "m", lambda place: place[:, 2], HALF * np.array([1, 3, 5]), relative(0.01), labels
-            ),
-        ),
+        Check("way", "m", lambda place: place[:, 0], relative(0.01), STACK_TIME),
+        Check("shift within the stack", "m", lambda place: place[:, 0] - place[0, 0], absolute(1e-3)),
+        Check("height", "m", lambda place: place[:, 2], relative(0.01), HALF * np.array([1, 3, 5])),
         compute=compute,
+        labels=("lower", "middle", "upper"),
     )
 
 
@@ -166,16 +153,12 @@ def plate_across_the_edge():
         x, y, _ = trace.position[-1, 0, 2]
         return np.array([x, y, np.trapezoid(trace.angular_velocity[:, 0, 2, 2], trace.time)])
 
-    return ValidationCase(
+    return case(
         "V108",
         "plate on three feet across the edge of a belt",
         "equations of motion with equal loads",
-        (
-            ReferenceCheck(
-                "way along the belt", "m", each(lambda t: motion(t)[1:2]), lambda _: plate_motion()[1], relative(0.02)
-            ),
-            ReferenceCheck("angle", "rad", each(lambda t: motion(t)[2:]), lambda _: plate_motion()[2], relative(0.02)),
-        ),
-        (Experiment(scene, PLATE_TIME),),
+        measured("way along the belt", "m", lambda t: motion(t)[1:2], relative(0.02), lambda _: plate_motion()[1]),
+        measured("angle", "rad", lambda t: motion(t)[2:], relative(0.02), lambda _: plate_motion()[2]),
+        of=Experiment(scene, PLATE_TIME),
         curve=Curve("angular velocity", "rad/s", lambda t: t.angular_velocity[:, :, 2, 2]),
     )
