@@ -41,6 +41,7 @@ from warp_rigid.scene.joints import (
     RevoluteJoint,
     SphericalJoint,
 )
+from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Body, Motion, Scene
 from warp_rigid.scene.shapes import (
     Box,
@@ -81,6 +82,7 @@ __all__ = [
     "NonFiniteError",
     "Normal",
     "Plane",
+    "PosePath",
     "PrismaticJoint",
     "Recording",
     "RevoluteJoint",

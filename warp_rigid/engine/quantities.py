@@ -15,21 +15,30 @@ from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.world import World
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion, check_mass
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, check_mass
 
 STATE_NAMES = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque")
 VECTOR_LENGTHS = {
-    name: 4 if name == "orientation" else 3 for name in (*STATE_NAMES, "gravity", *field_values.vector_names())
+    name: 4 if name == "orientation" else 3
+    for name in (*STATE_NAMES, *SURFACE_VELOCITIES, "gravity", *field_values.vector_names())
 }
 """Numbers of components of the quantities that are vectors."""
 VELOCITIES = ("linear_velocity", "angular_velocity")
-ZEROABLE = (*VELOCITIES, "force", "torque")
+ZEROABLE = (*VELOCITIES, *SURFACE_VELOCITIES, "force", "torque")
+OF_PATH = ("position", "orientation", *VELOCITIES)
+"""What a path prescribes."""
 MASS_NAMES = ("mass", "inverse_mass", "inertia", "inverse_inertia")
 REMAINDER_OF = {"orientation": "orientation_remainder", "angular_velocity": "angular_velocity_remainder"}
 """Where the device keeps what rounding left over of a quantity."""
 
+LACKED = {
+    **dict.fromkeys(VELOCITIES, "a kinematic body moves"),
+    **dict.fromkeys(SURFACE_VELOCITIES, "the surface of a static or kinematic body runs"),
+}
+"""Quantities that are always 0 for bodies of a kind, and for which bodies they are not."""
+
 DERIVED = ("inertia", "center_of_mass", "kinetic_energy", "potential_energy", "asleep", "level")
-WRITABLE = (*STATE_NAMES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
+WRITABLE = (*STATE_NAMES, *SURFACE_VELOCITIES, "active", *COEFFICIENTS, "mass", "gravity", *PER_ENVIRONMENT)
 
 
 def owner_of(name: str) -> str:
@@ -54,7 +63,7 @@ def read(world: World, name: str) -> np.ndarray:
         raise ValueError(f"name: must be a quantity, got {shown(name)}{known}")
     if name in STATE_NAMES:
         return _rows(world, getattr(world.state, name))
-    if name in COEFFICIENTS or name == "mass":
+    if name in COEFFICIENTS or name in SURFACE_VELOCITIES or name == "mass":
         return _rows(world, getattr(world.model.bodies, name))
     if name == "gravity":
         return world.envs.gravity.numpy().copy()
@@ -121,13 +130,15 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         _write_field(world, name, value, chosen)
     else:
         touched = body_rows(world.layout, chosen, bodies)
-        if name in VELOCITIES and bodies is not None:
-            _refuse_velocity_of_static(world, name, value, touched)
+        if bodies is not None:
+            _refuse_of_chosen(world, name, value, touched)
         writer = {"mass": _write_mass, "active": _write_active}.get(name)
         if writer is None:
             write_rows(world, name, value, touched)
         else:
             writer(world, value, touched)
+        if name in SURFACE_VELOCITIES:
+            world.choose_step()
     wake(world, chosen, touched)
 
 
@@ -139,19 +150,25 @@ def _refuse_dt(name: str) -> None:
         )
 
 
-def _refuse_velocity_of_static(world: World, name: str, value: Any, rows: np.ndarray) -> None:
-    """Refuse to move static bodies that were chosen."""
-    moving = _broadcast(name, value, (*rows.shape, VECTOR_LENGTHS[name])).any(axis=-1)
-    found = rows[moving & _is_static(world, rows)]
-    if len(found):
+def _refuse_of_chosen(world: World, name: str, value: Any, rows: np.ndarray) -> None:
+    """Refuse what bodies that were chosen cannot have, although others can."""
+    if name in OF_PATH:
         layout = world.layout
-        body = layout.scene_bodies[layout.source[found[0]]]
-        raise ValueError(f"{name}: must be 0 for {body.name}, which is static; a kinematic body moves")
+        for index in np.unique(layout.source[rows[existing(rows)]]).tolist() if layout.sizes["paths"] else ():
+            if layout.scene_bodies[index].path is not None:
+                raise ValueError(f"{name}: {layout.scene_bodies[index].name} follows a path, which prescribes it")
+    if name in LACKED:
+        moving = _broadcast(name, value, (*rows.shape, VECTOR_LENGTHS[name])).any(axis=-1)
+        found = rows[moving & _lacks(world, name, rows)]
+        if len(found):
+            body = world.layout.scene_bodies[world.layout.source[found[0]]]
+            raise ValueError(f"{name}: must be 0 for {body.name}, which is {body.motion.name.lower()}; {LACKED[name]}")
 
 
-def _is_static(world: World, rows: np.ndarray) -> np.ndarray:
-    """Mask of the rows that are static bodies."""
-    return (world.model.bodies.motion.numpy()[np.maximum(rows, 0)] == Motion.STATIC) & existing(rows)
+def _lacks(world: World, name: str, rows: np.ndarray) -> np.ndarray:
+    """Mask of the rows that are bodies for which a quantity is always 0."""
+    motion = Motion.DYNAMIC if name in SURFACE_VELOCITIES else Motion.STATIC
+    return (world.model.bodies.motion.numpy()[np.maximum(rows, 0)] == motion) & existing(rows)
 
 
 def wake(world: World, chosen: np.ndarray, rows: np.ndarray) -> None:
@@ -258,8 +275,8 @@ def checked_rows(world: World, name: str, value: Any, rows: np.ndarray) -> np.nd
         if not ((length >= 1e-6) & (length <= LARGEST)).all():
             raise ValueError("orientation: must be quaternions (x, y, z, w) of finite length > 0")
         new = new / length
-    if name in VELOCITIES:
-        new[_is_static(world, rows)] = 0.0
+    if name in LACKED:
+        new[_lacks(world, name, rows)] = 0.0
     return new
 
 

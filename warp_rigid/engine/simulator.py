@@ -198,25 +198,28 @@ class Simulator:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
         Quantities of bodies are "position", "orientation", "linear_velocity", "angular_velocity", "force", "torque",
-        "active", "friction", "restitution", "rolling_friction", "spinning_friction" and "mass"; those of environments
-        are "gravity" and "collision_iterations", "contact_iterations", "shock_iterations", "shock_propagation",
-        "collision_first", "warm_starting", "edge_samples" and "sleeping"; those of force fields, (envs, fields, ...),
-        are "field_acceleration", "field_center", "field_strength", "field_drag" and "field_velocity".
-        For quantities of joints the value broadcasts to (envs, joints): "joint_target_position",
-        "joint_target_velocity", "joint_stiffness", "joint_damping", "joint_max_force", "joint_friction", "joint_lower",
-        "joint_upper", "joint_break_force", "joint_break_torque", "joint_armature" and "joint_broken".
+        "active", "friction", "restitution", "rolling_friction", "spinning_friction", "mass", "surface_velocity" and
+        "surface_angular_velocity"; those of environments are "gravity" and "collision_iterations",
+        "contact_iterations", "shock_iterations", "shock_propagation", "collision_first", "warm_starting",
+        "edge_samples" and "sleeping"; those of force fields, (envs, fields, ...), are "field_acceleration",
+        "field_center", "field_strength", "field_drag" and "field_velocity". For quantities of joints the value
+        broadcasts to (envs, joints): "joint_target_position", "joint_target_velocity", "joint_stiffness",
+        "joint_damping", "joint_max_force", "joint_friction", "joint_lower", "joint_upper", "joint_break_force",
+        "joint_break_torque", "joint_armature" and "joint_broken".
 
         Args:
             name: the quantity.
             value: number, array, mode name, or list of mode names.
             envs: different indices of environments, or a mask (envs,) of booleans; None for all.
             bodies: indices or names of the bodies, which all these environments must have; None for all bodies, where
-                the values of bodies that an environment lacks, and velocities of static bodies, are not read.
+                the values of bodies that an environment lacks, velocities of static bodies, and velocities of the
+                surfaces of dynamic bodies are not read.
             joints: indices or names of the joints, for quantities of joints; None for all, as for the bodies.
 
         Raises:
-            ValueError: unknown name, wrong shape, a value out of range, a body or joint that an environment lacks, or
-                a velocity for a static body.
+            ValueError: unknown name, wrong shape, a value out of range, a body or joint that an environment lacks, a
+                velocity for a static body or for the surface of a dynamic one, or a pose or velocity for a body that
+                follows a path.
         """
         quantities.write(self._world, name, value, envs, bodies, joints)
 

@@ -21,7 +21,8 @@ from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.runs.drawn_surface import DrawnSurface, surfaces_of
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
+from warp_rigid.scene.shapes.heightfield import moves
 
 if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
@@ -38,7 +39,7 @@ VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
 """Quantities recorded on request."""
 RECORDED_UNITS = {"time": "s", "position": "m", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
 TAILS = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
-START = (*VELOCITIES, "mass", *COEFFICIENTS, "gravity")
+START = (*VELOCITIES, "mass", *COEFFICIENTS, *SURFACE_VELOCITIES, "gravity")
 """Quantities recorded in the first frame only."""
 CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
 """Archive members for the contact fields, concatenated over frames."""

@@ -20,12 +20,11 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.runs.assignments import SELECTING, Assignments, sort_assignments
 from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_file
-from warp_rigid.runs.following import follow_paths
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.runs.user_code import UserCodeError
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.usd import import_usd
 from warp_rigid.usd.load import film_duration
@@ -261,7 +260,6 @@ def _scene_of_usd(path: Path) -> Demo:
         outcome=NoOutcome,
         duration=film_duration(path) or FILE_SCENE_DURATION,
         variants={},
-        events=follow_paths,
     )
 
 
@@ -336,7 +334,8 @@ def set_each(sim: Simulator, name: str, values: list) -> None:
         sim: the simulator.
         name: a name accepted by Simulator.set. A property of bodies or joints may select them by name, pattern or
             index: "mass[box_3]", "mass[box_*]", "mass[4]", "joint_friction[elbow]". Without a selection, a coefficient
-            applies to all bodies, a property of joints to all joints, any other property to the dynamic bodies.
+            applies to all bodies, a property of joints to all joints, a velocity of surfaces to the bodies whose
+            surface runs in the scene, any other property to the dynamic bodies.
         values: one value per environment, shared by what is selected.
 
     Raises:
@@ -369,12 +368,18 @@ def selected(scene: Scene, name: str, plain: str, choice: str) -> list[int]:
     elif choice:
         found = [index for index, entry in entries if fnmatch.fnmatchcase(entry.name, choice)]
     else:
-        anyone = owner == "joints" or plain in COEFFICIENTS
-        found = [index for index, entry in entries if anyone or entry.motion == Motion.DYNAMIC]
+        found = [index for index, entry in entries if _is_meant(entry, plain)]
     if not found:
         noun = {"bodies": "body", "joints": "joint"}[owner]
         raise ValueError(f"{name}: selects no {noun}; {owner} are {listed([entry.name for _, entry in entries])}")
     return found
+
+
+def _is_meant(entry: Any, plain: str) -> bool:
+    """Whether a property without a selection applies to a body or joint."""
+    if plain in SURFACE_VELOCITIES:
+        return any(any(getattr(entry, name)) for name in SURFACE_VELOCITIES)
+    return owner_of(plain) == "joints" or plain in COEFFICIENTS or entry.motion == Motion.DYNAMIC
 
 
 def _labels(given: Assignments, count: int) -> tuple[str, ...]:

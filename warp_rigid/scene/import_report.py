@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass, field
 
-from warp_rigid.scene.pose_path import PosePath
-
 __all__ = ["ImportFinding", "ImportReport"]
 
 
@@ -35,8 +33,6 @@ class ImportReport:
         findings: the differences, in file order.
         root: path of the prim below which was read; None for the whole stage.
         prims: indices of the movable bodies in the scene, by the paths of their prims.
-        paths: motion of the kinematic bodies that the file animates, by their indices; `run`, `view` and `sweep`
-            follow it.
         files: paths of all files that were read, with those that the imported file refers to.
     """
 
@@ -44,7 +40,6 @@ class ImportReport:
     findings: tuple[ImportFinding, ...] = ()
     root: str | None = None
     prims: dict[str, int] = field(default_factory=dict)
-    paths: dict[int, PosePath] = field(default_factory=dict)
     files: tuple[str, ...] = ()
 
     @property

@@ -18,19 +18,25 @@ from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coe
 from warp_rigid.scene.fields import FIELDS, ForceField
 from warp_rigid.scene.joints.joint import Drive, Joint, JointEntry, JointFrame
 from warp_rigid.scene.joints.placing import place_joint
+from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield
 
 if TYPE_CHECKING:
     from warp_rigid.scene.import_report import ImportReport
 
-__all__ = ["COMBINE_RULES", "Body", "Motion", "Scene"]
+__all__ = ["COMBINE_RULES", "SURFACE_VELOCITIES", "Body", "Motion", "Scene"]
 
 Vector = Sequence[float] | np.ndarray
 
 COMBINE_RULES = tuple(rule.name.lower() for rule in CombineRule)
 
+SURFACE_VELOCITIES = ("surface_velocity", "surface_angular_velocity")
+
 OUT_OF_BOUNDS = ("report", "remove")
+
+STILL, UNTURNED = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+"""Velocity and orientation of a body for which none is given."""
 
 MOST_IN_A_POOL = 1_000_000
 
@@ -54,6 +60,9 @@ class Body(Coefficients):
         mass: [kg]; 0 for static and kinematic bodies, on which impulses have no effect.
         name: selects the body in a simulation and labels it in tables and files; unique in its scene.
         active: whether it is simulated from the start.
+        surface_velocity: (3,) velocity with which the surface runs along the body, in the shape's frame [m/s].
+        surface_angular_velocity: (3,) the same for a surface that turns about the origin of that frame [rad/s].
+        path: PosePath that the body follows; None for a body that follows none.
     """
 
     shape: Shape
@@ -65,6 +74,9 @@ class Body(Coefficients):
     mass: float
     name: str
     active: bool = True
+    surface_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    surface_angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    path: PosePath | None = None
 
 
 class Scene:
@@ -206,20 +218,42 @@ class Scene:
         *,
         position: Vector = (0.0, 0.0, 0.0),
         orientation: Vector = (0.0, 0.0, 0.0, 1.0),
+        surface_velocity: Vector = (0.0, 0.0, 0.0),
+        surface_angular_velocity: Vector = (0.0, 0.0, 0.0),
         name: str | None = None,
         active: bool = True,
         **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
-        """Add a body that never moves. Arguments, result and errors are those of add_body."""
+        """Add a body that never moves; its surface can run, as that of a conveyor belt or a turntable.
+
+        Args:
+            shape: a shape.
+            position: as for add_body.
+            orientation: as for add_body.
+            surface_velocity: (3,) velocity of the surface relative to the body, in the shape's frame [m/s]. At a
+                contact only the part along the surface counts.
+            surface_angular_velocity: (3,) the same for a surface that turns about the origin of that frame [rad/s].
+            name: as for add_body.
+            active: as for add_body.
+            **coefficients: coefficients of the body by name; see Coefficients.
+
+        Returns:
+            The body's index.
+
+        Raises:
+            ValueError: A value has the wrong type or is outside its range.
+            TypeError: A keyword is unknown.
+        """
         self._check_shape(shape, Motion.STATIC)
         return self._add(
             shape,
             Motion.STATIC,
-            (position, orientation, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+            (position, orientation, STILL, STILL),
             0.0,
             name,
             active,
             coefficients,
+            (surface_velocity, surface_angular_velocity),
         )
 
     @list_coefficients
@@ -231,23 +265,46 @@ class Scene:
         orientation: Vector = (0.0, 0.0, 0.0, 1.0),
         linear_velocity: Vector = (0.0, 0.0, 0.0),
         angular_velocity: Vector = (0.0, 0.0, 0.0),
+        surface_velocity: Vector = (0.0, 0.0, 0.0),
+        surface_angular_velocity: Vector = (0.0, 0.0, 0.0),
+        path: PosePath | None = None,
         name: str | None = None,
         active: bool = True,
         **coefficients: Unpack[CoefficientKeywords],
     ) -> int:
-        """Add a body that moves with a prescribed velocity; contacts do not change it.
+        """Add a body that moves with a prescribed velocity, or along a path; contacts do not change it.
 
-        Arguments, result and errors are those of add_body.
+        Args:
+            shape: a shape, no Plane.
+            position: as for add_body; not together with a path.
+            orientation: as for add_body; not together with a path.
+            linear_velocity: as for add_body; not together with a path.
+            angular_velocity: as for add_body; not together with a path.
+            surface_velocity: as for add_static.
+            surface_angular_velocity: as for add_static.
+            path: a PosePath, which gives the pose at each time of the simulation, and with it the velocity.
+            name: as for add_body.
+            active: as for add_body.
+            **coefficients: coefficients of the body by name; see Coefficients.
+
+        Returns:
+            The body's index.
+
+        Raises:
+            ValueError: A value has the wrong type or is outside its range.
+            TypeError: A keyword is unknown.
         """
         self._check_shape(shape, Motion.KINEMATIC)
         return self._add(
             shape,
             Motion.KINEMATIC,
-            (position, orientation, linear_velocity, angular_velocity),
+            _start((position, orientation, linear_velocity, angular_velocity), path),
             0.0,
             name,
             active,
             coefficients,
+            (surface_velocity, surface_angular_velocity),
+            path,
         )
 
     def add_force_field(self, field: ForceField) -> None:
@@ -401,9 +458,11 @@ class Scene:
             kind = type(shape).__name__
             raise ValueError(f"shape: a {kind} can only be static, not {motion.name.lower()}")
 
-    def _add(self, shape, motion, state, mass, name, active, coefficients):
+    def _add(self, shape, motion, state, mass, name, active, coefficients, surface=(STILL, STILL), path=None):
         position, orientation, linear_velocity, angular_velocity = state
         for keyword in coefficients:
+            if keyword in SURFACE_VELOCITIES:
+                raise ValueError(f"{keyword}: must be of a static or kinematic body, not of a dynamic one")
             if keyword not in COEFFICIENTS:
                 raise TypeError(f"unexpected keyword argument {keyword!r}")
         if name is not None and not isinstance(name, str):
@@ -420,10 +479,26 @@ class Scene:
             mass=mass,
             name=_unique(name or f"{type(shape).__name__.lower()}_{len(self.bodies)}", self._copies),
             active=active,
+            surface_velocity=finite_vector("surface_velocity", surface[0]),
+            surface_angular_velocity=finite_vector("surface_angular_velocity", surface[1]),
+            path=path,
             **coefficients,
         )
         self.bodies.append(body)
         return len(self.bodies) - 1
+
+
+def _start(state: tuple, path: PosePath | None) -> tuple:
+    """Pose and velocities of a kinematic body as given, or those of the start of its path."""
+    if path is None:
+        return state
+    if not isinstance(path, PosePath):
+        raise ValueError(f"path: must be a PosePath, got {shown(path)}")
+    names = ("position", "orientation", "linear_velocity", "angular_velocity")
+    for name, value, start in zip(names, state, (STILL, UNTURNED, STILL, STILL), strict=True):
+        if not np.array_equal(value, start):
+            raise ValueError(f"{name}: must not be given together with a path, which has it")
+    return (*path.at(0.0), STILL, STILL)
 
 
 def _unique(wanted: str, copies: dict[str, int]) -> str:

@@ -1,6 +1,6 @@
 """Conversion of a Scene to plain data and arrays, and back, bit for bit."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -11,7 +11,8 @@ from warp_rigid.files.archive import shaped
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
 from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
-from warp_rigid.scene.scene import Motion, Scene
+from warp_rigid.scene.pose_path import PosePath
+from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
 VELOCITIES = ("linear_velocity", "angular_velocity")
@@ -31,8 +32,10 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
     for body in scene.bodies:
         numbers = {
             name: getattr(body, name)
-            for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS)
+            for name in ("position", "orientation", *VELOCITIES, "mass", "active", *COEFFICIENTS, *SURFACE_VELOCITIES)
         }
+        if body.path is not None:
+            numbers["path"] = _path_data(body.path)
         shape = _place_shape(body.shape, shapes, arrays, places)
         bodies.append({"shape": shape, "motion": body.motion.name, "name": body.name, **numbers})
     return {
@@ -82,6 +85,12 @@ def _joint_data(entry: JointEntry) -> dict[str, Any]:
     return {**asdict(entry), "kind": type(entry.joint).__name__, "joint": entry.joint.values()}
 
 
+def _path_data(path: PosePath) -> dict[str, Any]:
+    """A path as plain data."""
+    names = ("times", "positions", "orientations")
+    return {**{name: getattr(path, name).tolist() for name in names}, "loop": path.loop}
+
+
 def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
     """Add a joint with all checks."""
     frames: dict[str, Any] = {name: JointFrame(**entry[name]) for name in ("frame_a", "frame_b")}
@@ -96,15 +105,21 @@ def _add_joint(scene: Scene, entry: dict[str, Any]) -> None:
 
 def _add_body(scene: Scene, entry: dict[str, Any], shape: Shape) -> None:
     """Add a body with all checks, and keep its orientation unscaled, bit for bit."""
-    add: Callable[..., int] = {
+    add: Any = {
         Motion.DYNAMIC: scene.add_body, Motion.KINEMATIC: scene.add_kinematic, Motion.STATIC: scene.add_static,
     }[Motion[entry["motion"]]]  # fmt: skip
+    motion = Motion[entry["motion"]]
     given = {name: entry[name] for name in ("position", "orientation", "name", "active")}
-    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}  # older files have fewer
-    if entry["motion"] != Motion.STATIC.name:
+    # Older files have fewer coefficients, and no surfaces that run.
+    given |= {name: entry[name] for name in COEFFICIENTS if name in entry}
+    given |= {n: entry[n] for n in SURFACE_VELOCITIES if any(entry.get(n, ()))}
+    if motion != Motion.STATIC:
         given |= {name: entry[name] for name in VELOCITIES}
-    if entry["motion"] == Motion.DYNAMIC.name:
+    if motion == Motion.DYNAMIC:
         given["mass"] = entry["mass"]
+    if "path" in entry:
+        given = {name: given[name] for name in given if name not in ("position", "orientation", *VELOCITIES)}
+        given["path"] = PosePath(**entry["path"])
     index = add(shape, **given)
     x, y, z, w = (float(number) for number in entry["orientation"])
     orientation = (x, y, z, w)
