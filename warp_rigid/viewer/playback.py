@@ -23,6 +23,15 @@ PAGE_RATE = 60.0
 """Largest frame rate of a standalone page [1/s]."""
 END_PAUSE = 1.0
 """Time for which a standalone page shows the last frame before it starts again [s]."""
+LOADER = "e.textContent=code;"
+"""Where the page of viser starts its program, which it has unpacked as text."""
+LOADER_WITHOUT_RESET = r'e.textContent=code.replace(/[\w$]+\.useEnvironment\.set\([\w$]+\(\)\);/,"return;");'
+"""The same, with an empty function `resetScene`.
+
+Viser calls it before every loop and after every step back. It hides all bodies and brings back viser's own lights and
+a faded picture, until the messages of the first frame are handled. A film shows the same bodies in the same light from
+its first to its last frame, so that nothing has to be reset.
+"""
 
 
 def load_film(path: str) -> Film:
@@ -168,6 +177,11 @@ def save_html(film: Film, path, fast: bool = False) -> None:
         # The page starts again at once: the end is shown for a while, so that the loop is no jump in the motion.
         page.insert_sleep(END_PAUSE)
         with atomic_file(path) as beside:
-            beside.write_text(own_title(page.as_html()), encoding="utf-8")
+            beside.write_text(own_title(_without_reset(page.as_html())), encoding="utf-8")
     finally:
         stop_server(server)
+
+
+def _without_reset(page: str) -> str:
+    """The text of a standalone page of viser that does not reset the scene before each loop."""
+    return page.replace(LOADER, LOADER_WITHOUT_RESET, 1)
