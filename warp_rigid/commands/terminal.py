@@ -27,6 +27,10 @@ _LIBRARIES = {
     ".glb": ("pygltflib",),
 }
 """Optional modules required to write a file, by its suffix."""
+CAMERA_HELP = (
+    'Camera of pictures, such as "position=3,0,2 look_at=0,0,0.5 field_of_view=40", "azimuth=-60 elevation=20", '
+    '"follow=ball distance=2", or the name of a camera of a USD file.'
+)
 _EXTRAS = {
     "PIL": "picture",
     "matplotlib": "picture",

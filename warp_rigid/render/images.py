@@ -192,10 +192,9 @@ class _Studio:
         from PIL import Image
 
         width, height = self._size
-        camera = self._path.at(frame)
         images = []
-        for caster, label in zip(self._casters, self._labels, strict=True):
-            images.append(Image.fromarray(caster.draw(frame, width, height, camera)))
+        for panel, (caster, label) in enumerate(zip(self._casters, self._labels, strict=True)):
+            images.append(Image.fromarray(caster.draw(frame, width, height, self._path.at(frame, panel))))
             _write(images[-1], label, (width / 2, height - 10), "ms")
         return images
 

@@ -21,7 +21,7 @@ from warp_rigid.threads import exclusive
 
 wp.set_module_options({"enable_backward": False})
 
-__all__ = ["Camera", "RayCaster"]
+__all__ = ["RayCaster", "View"]
 
 FAR = wp.constant(1.0e6)
 HORIZON_COLOR = wp.constant(wp.vec3(0.76, 0.80, 0.84))
@@ -57,8 +57,8 @@ EDGE_RAYS = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
 
 
 @wp.struct
-class Camera:
-    """A camera and a lamp.
+class View:
+    """A camera, as the rays see it, and a lamp.
 
     `right` and `up` extend from the centre of the image to its borders, at unit distance from the eye.
     """
@@ -246,7 +246,7 @@ def disc_point(index: int) -> wp.vec2:
 
 
 @wp.func
-def visible_lamp(instances: InstanceArrays, camera: Camera, point: wp.vec3, first: int, rays: int) -> float:
+def visible_lamp(instances: InstanceArrays, camera: View, point: wp.vec3, first: int, rays: int) -> float:
     """Visible part of the lamp, from `rays` rays of the sequence."""
     right = any_tangent(camera.light)
     up = wp.cross(camera.light, right)
@@ -259,7 +259,7 @@ def visible_lamp(instances: InstanceArrays, camera: Camera, point: wp.vec3, firs
 
 @wp.func
 def visible_sky(
-    instances: InstanceArrays, camera: Camera, point: wp.vec3, normal: wp.vec3, first: int, rays: int
+    instances: InstanceArrays, camera: View, point: wp.vec3, normal: wp.vec3, first: int, rays: int
 ) -> float:
     """Part of the sky that is not occluded nearby, weighted by the cosine, from `rays` rays of the sequence."""
     if camera.shade_reach <= 0.0:
@@ -275,7 +275,7 @@ def visible_sky(
 
 
 @wp.func
-def lit_color(camera: Camera, color: wp.vec3, normal: wp.vec3, sun: float, sky: float) -> wp.vec3:
+def lit_color(camera: View, color: wp.vec3, normal: wp.vec3, sun: float, sky: float) -> wp.vec3:
     """Light that a surface sends back, from the lamp and the sky."""
     ambient = wp.lerp(GROUND_GLOW, SKY_GLOW, 0.5 + 0.5 * normal[2]) * (0.22 + 0.78 * sky)
     direct = wp.max(wp.dot(normal, camera.light), 0.0) * sun * LAMP_COLOR
@@ -285,7 +285,7 @@ def lit_color(camera: Camera, color: wp.vec3, normal: wp.vec3, sun: float, sky: 
 @wp.kernel
 def trace(
     first: int,
-    camera: Camera,
+    camera: View,
     instances: InstanceArrays,
     at: wp.array[wp.vec2],
     seed: wp.array[int],
@@ -327,7 +327,7 @@ def trace(
 
 
 @wp.kernel
-def compose(first: int, width: int, radius: int, camera: Camera, seen: Surfaces, color: wp.array[wp.vec3]):
+def compose(first: int, width: int, radius: int, camera: View, seen: Surfaces, color: wp.array[wp.vec3]):
     """Colour of each ray; the visible parts of lamp and sky are averaged over neighbours on the same surface.
 
     The window is 2 radius wide, so that with radius TILE / 2 it holds every direction once; 0 averages nothing.
@@ -382,12 +382,12 @@ class RayCaster:
             are cut open.
     """
 
-    def __init__(self, film: Film, camera: Camera):
+    def __init__(self, film: Film, camera: View):
         """Build the data shared by all frames."""
         with exclusive():  # it changes the default device of all threads
             self._upload(film, camera)
 
-    def _upload(self, film: Film, camera: Camera) -> None:
+    def _upload(self, film: Film, camera: View) -> None:
         load_module(wp.get_device("cpu"), __name__, 1)
         self._film, self._camera = film, camera
         self._threads = min(usable_cores(), 16)
@@ -518,7 +518,7 @@ class RayCaster:
             )
         self._instances.tree = self._tree.id
 
-    def _cast(self, camera: Camera, places: np.ndarray, seeds: np.ndarray, width: int, radius: int) -> np.ndarray:
+    def _cast(self, camera: View, places: np.ndarray, seeds: np.ndarray, width: int, radius: int) -> np.ndarray:
         """Linear RGB colours of rays through image points in rows of `width`."""
         count = len(places)
         if count == 0:

@@ -45,6 +45,8 @@ def with_strings(film: Film, recording: Recording) -> Film:
         position=np.concatenate([film.position, place], axis=1),
         orientation=np.concatenate([film.orientation, still], axis=1),
         env=np.concatenate([film.env, np.arange(count)]),
+        body=np.concatenate([film.body, np.full(count, -1)]),
+        dynamic=np.concatenate([film.dynamic, np.zeros(count, bool)]),
     )
 
 

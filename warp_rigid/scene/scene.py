@@ -13,6 +13,7 @@ import numpy as np
 
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
 from warp_rigid.kernels.enums import CombineRule, Coordinate, Motion
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coefficients, list_coefficients
 from warp_rigid.scene.fields import FIELDS, ForceField
 from warp_rigid.scene.joints.joint import Drive, Joint, JointEntry, JointFrame
@@ -78,6 +79,8 @@ class Scene:
             None for no bounds. Simulator.status reports a moving body whose centre leaves the box.
         out_of_bounds: what happens to such a body: "report" changes nothing else, "remove" switches it off (`active`
             becomes False).
+        camera: where pictures, films, pages and USD files show the scene from; None for one that keeps the moving
+            bodies in view.
 
     Attributes:
         bodies: list of Body, in the order in which they were added.
@@ -90,9 +93,11 @@ class Scene:
         restitution_combine: as given.
         bounds: as given, or None.
         out_of_bounds: as given.
+        camera: as given; may be set.
 
     Raises:
-        ValueError: gravity is not three finite numbers, a rule is unknown, or the bounds are not a box.
+        ValueError: gravity is not three finite numbers, a rule is unknown, the bounds are not a box, or the camera is
+            not a Camera.
     """
 
     def __init__(
@@ -102,8 +107,10 @@ class Scene:
         restitution_combine: str = "min",
         bounds: tuple[Vector, Vector] | None = None,
         out_of_bounds: str = "report",
+        camera: Camera | None = None,
     ) -> None:
         """Start an empty scene."""
+        self.camera = camera
         self.bounds = None if bounds is None else box_corners("bounds", bounds)
         self.out_of_bounds = one_of("out_of_bounds", out_of_bounds, OUT_OF_BOUNDS)
         self.gravity = finite_vector("gravity", gravity)
@@ -121,6 +128,17 @@ class Scene:
         """Return the number of bodies of each kind as text."""
         counts = [sum(body.motion == motion for body in self.bodies) for motion in Motion]
         return f"Scene({counts[2]} dynamic, {counts[1]} kinematic, {counts[0]} static bodies)"
+
+    @property
+    def camera(self) -> Camera | None:
+        """Where the scene is seen from; None for a camera that keeps the moving bodies in view."""
+        return self._camera
+
+    @camera.setter
+    def camera(self, camera: Camera | None) -> None:
+        if camera is not None and not isinstance(camera, Camera):
+            raise ValueError(f"camera: must be a Camera or None, got {shown(camera)}")
+        self._camera = camera
 
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""

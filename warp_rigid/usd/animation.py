@@ -13,6 +13,8 @@ from pxr import Sdf, Tf, Vt
 from warp_rigid.render.appearance import bound_corners, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
 from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
+from warp_rigid.scene.scene import Motion
+from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 
@@ -90,6 +92,8 @@ class Instancers:
     def _define_group(self, samples: SampleWriter, path: str, group: _Group, library: Library, frame: Frame) -> None:
         layer = samples.layer
         prim = define(layer, path, "PointInstancer")
+        motion = Motion(int(self._film.motion[group.bodies[0]]))
+        prim.SetInfo("customData", {MARK: {"motion": motion.name.lower()}})
         define(layer, f"{path}/Prototypes", "Scope")
         prototype = define(layer, f"{path}/Prototypes/shape", "Mesh")
         library.add_reference(prototype, library.mesh_path(self._film.surface[group.bodies[0]]))
@@ -165,12 +169,11 @@ def _center(film: Recording, body: int) -> np.ndarray:
 
 
 def _groups(film: Recording) -> dict[str, np.ndarray]:
-    """Bodies grouped by surface, static and moving ones separately, by prim name."""
+    """Bodies grouped by surface and motion, by prim name."""
     groups = {}
-    moving = is_moving(film.motion)
     for index in range(len(film.surfaces)):
-        for moves in (False, True):
-            bodies = np.flatnonzero((film.surface == index) & (moving == moves))
+        for motion in Motion:
+            bodies = np.flatnonzero((film.surface == index) & (film.motion == motion))
             if len(bodies):
                 name = Tf.MakeValidIdentifier(film.names[bodies[0]])
                 groups[name if name not in groups else f"{name}_{bodies[0]}"] = bodies

@@ -45,7 +45,7 @@ def import_usd(
         reader = Reader(path, root, sdf_resolution)
         scene = reader.scene()
     scene.import_report = ImportReport(
-        str(path), tuple(reader.findings), root, reader.prims, reader.paths, reader.files
+        str(path), tuple(reader.findings), root, reader.prims, reader.paths, reader.files, reader.cameras
     )
     lost = len(scene.import_report.left_out)
     if strict and reader.findings:

@@ -11,11 +11,13 @@ from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from warp_rigid import rotations
 from warp_rigid.render.appearance import continuous_signs
+from warp_rigid.scene.camera import Camera, with_body_index
 from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.actuators import ACTUATOR
+from warp_rigid.usd.cameras import read_camera
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs, linked
 from warp_rigid.usd.geometry import polar, quaternion_of_matrix
@@ -86,6 +88,7 @@ class Reader:
         findings: differences between the file and the scene.
         prims: indices of the movable bodies by the paths of their prims.
         paths: motion of the animated kinematic bodies by their indices.
+        cameras: cameras by the paths of their prims.
         files: paths of the file and of all that it refers to.
 
     Raises:
@@ -97,6 +100,7 @@ class Reader:
         self.path, self.findings = path, []
         self.prims: dict[str, int] = {}
         self.paths: dict[int, PosePath] = {}
+        self.cameras: dict[str, Camera] = {}
         self._sdf_resolution = sdf_resolution
         self._stage = open_stage(path)
         self.files = tuple(layer.realPath for layer in self._stage.GetUsedLayers() if layer.realPath)
@@ -150,6 +154,7 @@ class Reader:
             self._leave_out,
             self._change,
         ).read(objects)
+        self._read_cameras(scene)
         if not scene.bodies:
             reason = f"; {self.findings[0]}" if self.findings else ""
             raise ValueError(
@@ -157,6 +162,22 @@ class Reader:
                 "profile='scene' to include them"
             )
         return scene
+
+    def _read_cameras(self, scene: Scene) -> None:
+        """Read the cameras of the file; the scene gets the only one."""
+        middle = np.median([body.position for body in scene.bodies], axis=0) if scene.bodies else np.zeros(3)
+        for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
+            if prim.IsA(UsdGeom.Camera):
+                try:
+                    position, rotation, _ = self._frame(prim, self._transforms)
+                    matrix = np.eye(4)
+                    matrix[:3, :3], matrix[:3, 3] = rotation, position
+                    camera = read_camera(prim, matrix, self._meter, middle, self._change)
+                    self.cameras[str(prim.GetPath())] = with_body_index(camera, [body.name for body in scene.bodies])
+                except ValueError as error:
+                    self._leave_out(prim.GetPath(), str(error))
+        if len(self.cameras) == 1:
+            scene.camera = next(iter(self.cameras.values()))
 
     def _leave_out(self, prim, reason: str) -> None:
         self.findings.append(ImportFinding(str(prim), "left out", reason))

@@ -388,9 +388,10 @@ class LiveViewer:
     def _show_scene(self) -> None:
         """Put the bodies of the shown environments on the page."""
         session = self.session
-        recorder = Recorder(session.sim, 1.0 / PERIOD, self.rows, [session.plan.labels[row] for row in self.rows])
+        labels = [session.plan.labels[row] for row in self.rows]
+        recorder = Recorder(session.sim, 1.0 / PERIOD, self.rows, labels, camera=session.plan.camera)
         recorder.capture(session.sim)
-        self._film: Film = replace(film_from_recording(recorder.recording()), view=session.plan.demo.view)
+        self._film: Film = film_from_recording(recorder.recording())
         motion = np.array([body.motion for body in session.plan.scene.bodies])
         self._plain = bytes_of_light(self._film.color)
         self._walls = np.where(np.tile(motion == Motion.STATIC, len(self.rows)), opacity_of_walls(self._film), 1.0)

@@ -3,12 +3,20 @@
 import contextlib
 import io
 import math
+from dataclasses import replace
 
 import numpy as np
 import viser
 
-from warp_rigid.render.camera import FIELD_OF_VIEW as FITTED_FIELD
-from warp_rigid.render.camera import TOWARD_LIGHT, fit_camera, points_to_see
+from warp_rigid.render.camera import (
+    TOWARD_LIGHT,
+    camera_directions,
+    fit_camera,
+    is_placed,
+    place_camera,
+    points_to_see,
+    shifted,
+)
 from warp_rigid.render.film import Film
 from warp_rigid.render.raycast import WALL_THICKNESS
 from warp_rigid.rotations import rotate
@@ -34,11 +42,14 @@ ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
 """Colours of the sky and of infinite grounds."""
 LAMP_LIGHT, SKY_LIGHT = 2.1, 1.4
 """Strengths with which a white surface that faces the lamp is about white on the page."""
-FIELD_OF_VIEW = math.radians(40.0)
 USUAL_SIZE = (1280, 900)
 """Width and height of the view that is assumed until a page reports its own [pixel]."""
-ROOM = 1.5
+ROOM = 1.25
 """Distance of the camera, relative to the one at which the bodies fill the view: they will move."""
+FALL = 4.0
+"""Height above the ground, relative to the size of all bodies together, up to which the ground below is in view."""
+STEEPEST = 89.9
+"""Largest elevation of the camera: viser loses the horizon where it looks straight up or down [degree]."""
 
 
 def start_server(host: str, port: int) -> CheckedServer:
@@ -135,6 +146,13 @@ def opacity_of_walls(film: Film) -> np.ndarray:
     return np.where(thin & upright & ~flat & ~film.moving, 0.35, 1.0)
 
 
+def _below(film: Film, points: np.ndarray) -> np.ndarray:
+    """Where points that are not too high above a level ground will land, (n, 3) [m]: bodies are seen to fall."""
+    middle, size = points.mean(axis=0), float(np.linalg.norm(np.ptp(points, axis=0)))
+    heights = [height for height in ground_heights(film) if middle[2] - FALL * size < height < middle[2]]
+    return points * (1.0, 1.0, 0.0) + (0.0, 0.0, max(heights)) if heights else points[:0]
+
+
 def look_at_film(server: viser.ViserServer, film: Film) -> None:
     """Place the camera so that the film's bodies are seen: for pages opened later, and for those open now."""
     for client in server.get_clients().values():
@@ -151,27 +169,36 @@ def look_from_page(client: viser.ClientHandle, film: Film) -> None:
         look_from(client.camera, film, *(size if usable else USUAL_SIZE))
 
 
-def look_from(view, film: Film, width: int, height: int) -> None:
-    """Place a camera so that the film's bodies fill the view.
+def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None:
+    """Place a camera of the page where the camera of the film is.
 
     Args:
         view: viser's camera.
         film: the film.
         width: width of the view, without the panel [pixel].
         height: height of the view [pixel].
+        frame: index of the frame, for a camera that follows a body.
     """
-    points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
-    camera = fit_camera(points, width / height, height, film.view)
-    eye, ahead = np.array(camera.eye), np.array(camera.forward)
-    target = eye + ahead * float(np.median((points - eye) @ ahead))
-    half = math.tan(0.5 * FIELD_OF_VIEW)
-    room = ROOM if film.num_frames == 1 else 1.0
-    eye = target + room * math.tan(0.5 * FITTED_FIELD) / half * (eye - target)
-    view.fov = FIELD_OF_VIEW
+    camera = shifted(film.camera, film.offset[0])
+    if abs(camera.elevation) > STEEPEST:
+        camera = replace(camera, position=None, elevation=math.copysign(STEEPEST, camera.elevation))
+    back = camera_directions(camera)[0]
+    if is_placed(camera):
+        eye, distance = place_camera(camera, film, frame)
+    else:
+        points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
+        if film.num_frames == 1:
+            points = np.concatenate([points, _below(film, points)])
+        fitted = fit_camera(points, width / height, height, camera)
+        eye = np.array(fitted.eye)
+        distance = float(np.median((eye - points) @ back))
+        room = ROOM if film.num_frames == 1 and camera.distance is None else 1.0
+        eye, distance = eye + (room - 1.0) * distance * back, room * distance
+    view.fov = math.radians(camera.field_of_view)
     # The nearer the first visible distance, the less of the depth's precision is left for the rest.
-    view.near = 0.02 * float(np.linalg.norm(eye - target))
+    view.near = 0.02 * distance
     view.position = tuple(eye)
-    view.look_at = tuple(target)
+    view.look_at = tuple(eye - distance * back)
 
 
 def keep_above_ground(client: viser.ClientHandle, heights: list[float]) -> None:

@@ -11,6 +11,7 @@ from warp_rigid.render.appearance import continuous_signs
 from warp_rigid.render.camera import event_end
 from warp_rigid.render.film import Film, film_from_recording, film_from_usd
 from warp_rigid.runs.recording import Recording
+from warp_rigid.scene.camera import camera_of_text, with_body_index
 from warp_rigid.viewer.branding import own_title
 from warp_rigid.viewer.instances import Instances
 from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
@@ -34,14 +35,24 @@ its first to its last frame, so that nothing has to be reset.
 """
 
 
-def load_film(path: str) -> Film:
+def load_film(path: str, camera: str | None = None) -> Film:
     """A recording (.npz) or a USD film.
+
+    Args:
+        path: of the file.
+        camera: text for camera_of_text, instead of the camera of the film.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: It holds nothing that can be played.
+        ValueError: It holds nothing that can be played, or the camera follows none of its bodies.
     """
-    return film_from_recording(Recording.load(path)) if path.endswith(".npz") else film_from_usd(path)
+    if path.endswith(".npz"):
+        recording = Recording.load(path)
+        film, names = film_from_recording(recording), recording.names
+    else:
+        film = film_from_usd(path)
+        names = tuple(str(index) for index in range(int(film.body.max()) + 1))
+    return film if camera is None else replace(film, camera=with_body_index(camera_of_text(camera), names))
 
 
 class FilmViewer:

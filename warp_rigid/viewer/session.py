@@ -70,7 +70,7 @@ class Session:
 
     Args:
         source: a built-in scene or a .py file, as for `warp-rigid run`.
-        **options: of runner.plan_run: assignments, num_envs, compare, device, seed, substeps.
+        **options: of runner.plan_run: assignments, num_envs, compare, device, seed, substeps, camera.
 
     Attributes:
         plan: the scene with its simulator.
