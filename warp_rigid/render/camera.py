@@ -51,7 +51,7 @@ RAISE, HIGHEST = 10.0, 75.0
 """If the ground hides the view, the camera is raised by steps of this angle, up to an elevation [degree]."""
 STRAY_PART = 0.02
 """An event is over when no more than this fraction of the bodies moves."""
-FRAMED = 1.0
+FRAMED = 2.0
 """Size up to which a fixed body near the moving ones is kept in view, relative to that of all of these together."""
 FOLLOWED_PART = 3.0
 """Height of the picture, relative to the body that a camera follows."""

@@ -3,7 +3,10 @@
 import contextlib
 import io
 import math
+import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import viser
@@ -20,13 +23,16 @@ from warp_rigid.render.camera import (
 from warp_rigid.render.film import Film
 from warp_rigid.render.raycast import WALL_THICKNESS
 from warp_rigid.rotations import rotate
+from warp_rigid.scene.camera import NARROWEST
 from warp_rigid.viewer.server import CheckedServer
 
 __all__ = [
     "add_ground",
     "add_labels",
+    "follow_with_pages",
     "ground_heights",
     "keep_above_ground",
+    "keep_framed",
     "level_planes",
     "look_at_film",
     "look_from",
@@ -44,10 +50,18 @@ LAMP_LIGHT, SKY_LIGHT = 2.1, 1.4
 """Strengths with which a white surface that faces the lamp is about white on the page."""
 USUAL_SIZE = (1280, 900)
 """Width and height of the view that is assumed until a page reports its own [pixel]."""
-ROOM = 1.25
+ROOM = 1.5
 """Distance of the camera, relative to the one at which the bodies fill the view: they will move."""
 FALL = 4.0
 """Height above the ground, relative to the size of all bodies together, up to which the ground below is in view."""
+SETTLING = 10.0
+"""Time after opening in which a page takes its size [s]."""
+STILL = 1.0e-4
+"""Motion of a followed body that moves no camera, relative to its distance."""
+NARROW, UPRIGHT = 576, 0.75
+"""Width, and width relative to the height, below which the panel covers the lower part of a page [pixel]."""
+UNCOVERED = 0.4
+"""Upper part of such a page that the panel does not cover."""
 STEEPEST = 89.9
 """Largest elevation of the camera: viser loses the horizon where it looks straight up or down [degree]."""
 
@@ -160,6 +174,38 @@ def look_at_film(server: viser.ViserServer, film: Film) -> None:
     look_from(server.initial_camera, film, *USUAL_SIZE)
 
 
+def keep_framed(client: viser.ClientHandle, film: Callable[[], Film]) -> None:
+    """Place the camera of an open page, and again while the page takes its final size.
+
+    The panel narrows the view when it appears.
+    """
+    sizes: list[tuple[int, int]] = []
+    end = time.monotonic() + SETTLING
+
+    def place(_: Any = None) -> None:
+        size = client.camera.image_width, client.camera.image_height
+        if size not in sizes[-1:] and time.monotonic() < end:
+            sizes.append(size)
+            look_from_page(client, film())
+
+    client.camera.on_update(place)
+    place()
+
+
+def follow_with_pages(server: viser.ViserServer, film: Film, frame: int) -> None:
+    """Move the cameras of open pages with the body that the camera of a film follows; the user may turn and zoom."""
+    camera = shifted(film.camera, film.offset[0])
+    eye, distance = place_camera(camera, film, frame)
+    target = eye - distance * camera_directions(camera)[0]
+    for client in server.get_clients().values():
+        if np.abs(client.camera.look_at - target).max() > STILL * distance:
+            with contextlib.suppress(ValueError):
+                # What the page reports may be late, but how it looks at the body does not change by following.
+                away = client.camera.position - client.camera.look_at
+                client.camera.position = target + away
+                client.camera.look_at = target
+
+
 def look_from_page(client: viser.ClientHandle, film: Film) -> None:
     """Place the camera of an open page."""
     size = client.camera.image_width, client.camera.image_height
@@ -182,18 +228,23 @@ def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None
     camera = shifted(film.camera, film.offset[0])
     if abs(camera.elevation) > STEEPEST:
         camera = replace(camera, position=None, elevation=math.copysign(STEEPEST, camera.elevation))
-    back = camera_directions(camera)[0]
+    back, _, up = camera_directions(camera)
+    tall = math.tan(0.5 * math.radians(camera.field_of_view))
+    free = UNCOVERED if width < min(NARROW, UPRIGHT * height) else 1.0
     if is_placed(camera):
         eye, distance = place_camera(camera, film, frame)
     else:
         points = points_to_see(film, np.unique(np.linspace(0, film.num_frames - 1, 12).astype(int)))
         if film.num_frames == 1:
             points = np.concatenate([points, _below(film, points)])
-        fitted = fit_camera(points, width / height, height, camera)
+        part = replace(camera, field_of_view=max(NARROWEST, 2.0 * math.degrees(math.atan(free * tall))))
+        fitted = fit_camera(points, width / (free * height), height, part)
         eye = np.array(fitted.eye)
         distance = float(np.median((eye - points) @ back))
         room = ROOM if film.num_frames == 1 and camera.distance is None else 1.0
         eye, distance = eye + (room - 1.0) * distance * back, room * distance
+    # The middle of the uncovered part is above that of the page.
+    eye = eye - (1.0 - free) * tall * distance * up
     view.fov = math.radians(camera.field_of_view)
     # The nearer the first visible distance, the less of the depth's precision is left for the rest.
     view.near = 0.02 * distance

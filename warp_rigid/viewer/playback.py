@@ -14,7 +14,15 @@ from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text, with_body_index
 from warp_rigid.viewer.branding import own_title
 from warp_rigid.viewer.instances import Instances
-from warp_rigid.viewer.page import add_labels, look_at_film, set_light, start_server, stop_server
+from warp_rigid.viewer.page import (
+    add_labels,
+    follow_with_pages,
+    keep_framed,
+    look_at_film,
+    set_light,
+    start_server,
+    stop_server,
+)
 
 __all__ = ["FilmViewer", "load_film", "save_html"]
 
@@ -81,6 +89,10 @@ class FilmViewer:
         self._instances = Instances(self.server, film, film.moving)
         add_labels(self.server, film)
         look_at_film(self.server, film)
+        # In a thread of its own: it waits for the page, and viser's threads are few.
+        self.server.on_client_connect(
+            lambda client: threading.Thread(target=keep_framed, args=(client, lambda: self.film), daemon=True).start()
+        )
         self._add_controls()
 
     @property
@@ -119,6 +131,8 @@ class FilmViewer:
     def _show(self, frame: int) -> None:
         with self.server.atomic():
             self._instances.show(self.film, frame)
+            if self.film.camera.body is not None:
+                follow_with_pages(self.server, self.film, frame)
         if self._scrubber.value != frame:
             self._scrubber.value = frame
         self._time.content = f"{frame / self.film.fps:.2f} s of {(self.film.num_frames - 1) / self.film.fps:.2f} s"
