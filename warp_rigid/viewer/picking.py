@@ -30,9 +30,10 @@ def first_hit(
     """
     ahead = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     bounds = np.array([np.asarray(shape.bounds) for shape in shapes])
+    finite = np.isfinite(bounds).all(axis=(1, 2))
+    bounds = np.where(finite[:, None, None], bounds, 0.0)
     radius = 0.5 * np.linalg.norm(np.ptp(bounds, axis=1), axis=1)
-    finite = np.isfinite(radius)
-    middle = np.where(finite[:, None], bounds.mean(axis=1), 0.0)
+    middle = bounds.mean(axis=1)
     away = rotate(orientation.astype(np.float64), middle) + position - origin
     along = away @ ahead
     near = finite & (np.linalg.norm(away - along[:, None] * ahead, axis=1) <= radius) & (along > -radius)
