@@ -56,7 +56,7 @@ class FunctionOutcome(NoOutcome):
     """Outcome of a user's function, which is called once at the end."""
 
     def __init__(self, function: Callable, scene: Scene):
-        """Remember nothing of the scene; the function sees the simulator."""
+        """Store the function; it receives the simulator, not the scene."""
         self._function = function
 
     def verdicts(self, sim: Any) -> list[Verdict]:
