@@ -9,8 +9,8 @@ from pxr import Gf, Usd, UsdGeom
 
 import warp_rigid as wr
 from warp_rigid.commands.cli import main
-from warp_rigid.render.camera import CameraPath, fit_camera, points_to_see
 from warp_rigid.render.film import film_from_recording, film_from_usd
+from warp_rigid.render.framing import CameraPath, fit_camera, points_to_see
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text
 from warp_rigid.scene.serialization import scene_from_data, scene_to_data

@@ -4,12 +4,14 @@ Shared by the USD writer and the renderer, so that both show the same.
 """
 
 import math
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
 
 from warp_rigid.rotations import rotate
 from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes.plane import DRAWN_HALF_WIDTH
 
@@ -18,6 +20,7 @@ __all__ = [
     "Spread",
     "apply_coloring",
     "body_colors",
+    "body_gloss",
     "bound_corners",
     "continuous_signs",
     "corner_normals",
@@ -82,15 +85,26 @@ def color_map(count: int) -> np.ndarray:
     return linear_light(interpolate(values, "viridis")[1:, :3]).astype(np.float32)
 
 
-def body_colors(motion) -> np.ndarray:
-    """One colour a body, (bodies, 3) float32 in linear light: grey static, bright dynamic."""
+def body_colors(motion, looks: Mapping[int, Look] | None = None) -> np.ndarray:
+    """One colour a body, (bodies, 3) float32 in linear light: that of its look, else grey static, bright dynamic."""
     palette = np.array([linear_color(code) for code in DYNAMIC_COLORS])
     motion = np.asarray(motion)
     dynamic = motion == Motion.DYNAMIC
     colors = palette[(np.cumsum(dynamic) - 1) % len(palette)]
     colors[motion == Motion.STATIC] = linear_color(STATIC_COLOR)
     colors[motion == Motion.KINEMATIC] = linear_color(KINEMATIC_COLOR)
+    for body, look in (looks or {}).items():
+        if look.color is not None:
+            colors[body] = look.color
     return colors.astype(np.float32)
+
+
+def body_gloss(count: int, looks: Mapping[int, Look]) -> np.ndarray:
+    """Roughness and metallic of each body, (bodies, 2) float32; (1, 0), matt, without a look."""
+    gloss = np.tile(np.array((1.0, 0.0), np.float32), (count, 1))
+    for body, look in looks.items():
+        gloss[body] = look.roughness, look.metallic
+    return gloss
 
 
 def environment_colors(env) -> np.ndarray:
@@ -157,7 +171,9 @@ def frame_colors(coloring: str, recording: Recording, row: int, frame: Frame) ->
         values = np.linalg.norm(frame.linear_velocity[row], axis=-1)
     elif coloring != "body":
         values = getattr(frame, coloring)[row]
-    return apply_coloring(coloring, body_colors(recording.motion), recording.motion == Motion.DYNAMIC, values)
+    return apply_coloring(
+        coloring, body_colors(recording.motion, recording.looks), recording.motion == Motion.DYNAMIC, values
+    )
 
 
 def corner_normals(vertices, faces) -> np.ndarray:

@@ -9,6 +9,7 @@ from warp_rigid.checks import one_of
 from warp_rigid.render.appearance import (
     COLORINGS,
     body_colors,
+    body_gloss,
     corner_normals,
     drawn_surfaces,
     environment_offsets,
@@ -60,6 +61,7 @@ class Film:
         labels: one label per environment; may be empty.
         body: (instances,) index of the body in its environment; -1 for what is no body.
         dynamic: (instances,) True for dynamic bodies.
+        gloss: (instances, 2) float32, roughness and metallic as in Look; (1, 0) is matt.
         camera: where pictures are taken from; a body that it follows is given by its index.
     """
 
@@ -74,6 +76,7 @@ class Film:
     labels: tuple[str, ...]
     body: np.ndarray
     dynamic: np.ndarray
+    gloss: np.ndarray
     camera: Camera = field(default_factory=Camera)
 
     @property
@@ -103,6 +106,7 @@ class Film:
             env=np.zeros(np.count_nonzero(kept), dtype=np.int64),
             body=self.body[kept],
             dynamic=self.dynamic[kept],
+            gloss=self.gloss[kept],
             offset=np.zeros((1, 3)),
             labels=(self.labels[env],),
         )
@@ -122,7 +126,7 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
     return Film(
         meshes=tuple(_drawn(surface, recording.time) for surface in surfaces),
         mesh=np.tile(recording.surface, len(rows)),
-        color=np.tile(body_colors(recording.motion), (len(rows), 1)),
+        color=np.tile(body_colors(recording.motion, recording.looks), (len(rows), 1)),
         position=(recording.position[:, rows] + offsets[:, None]).reshape(frames, count, 3),
         orientation=recording.orientation[:, rows].reshape(frames, count, 4),
         fps=recording.fps,
@@ -131,6 +135,7 @@ def film_from_recording(recording: Recording, envs=None) -> Film:
         labels=tuple(recording.labels[row] for row in rows),
         body=np.tile(np.arange(len(recording.surface)), len(rows)),
         dynamic=np.tile(recording.motion == Motion.DYNAMIC, len(rows)),
+        gloss=np.tile(body_gloss(len(recording.surface), recording.looks), (len(rows), 1)),
         camera=recording.camera or Camera(),
     )
 
@@ -199,7 +204,7 @@ def _film_of_stage(stage) -> Film:
     frames = np.arange(codes.first, codes.last + 1)
     offset = np.array([_translation(prim) for prim in envs])
     meshes, mesh_index, mesh, color, position, orientation, env = [], {}, [], [], [], [], []
-    body, dynamic = [], []
+    body, dynamic, gloss = [], [], []
     for index, group in groups:
         read = _read_instancer if group.IsA(UsdGeom.PointInstancer) else _read_body
         drawn, places, turns, group_colors = read(group, frames)
@@ -215,6 +220,7 @@ def _film_of_stage(stage) -> Film:
         ids = group.GetAttribute("ids").Get() if group.IsA(UsdGeom.PointInstancer) else [count[index]]
         body.append(np.array(ids, np.int64))
         dynamic.append(np.full(len(body[-1]), custom_data(group).get("motion") == "dynamic"))
+        gloss.append(_read_gloss(group, len(body[-1])))
         count[index] += 1
     colors = np.concatenate(color, axis=1)
     return Film(
@@ -229,6 +235,7 @@ def _film_of_stage(stage) -> Film:
         labels=tuple(prim.GetDisplayName() for prim in envs),
         body=np.concatenate(body),
         dynamic=np.concatenate(dynamic),
+        gloss=np.concatenate(gloss),
         camera=_camera_of_stage(stage),
     )
 
@@ -294,6 +301,18 @@ def _read_body(prim, frames):
     turns = _read(prim.GetAttribute("xformOp:orient"), frames)
     drawn = DrawnMesh(joined, corners, corner_normals(joined, corners), tuple(shown))
     return drawn, places[:, None], turns[:, None], color
+
+
+def _read_gloss(prim, count: int) -> np.ndarray:
+    """Roughness and metallic of the instances of a prim, (count, 2) float32."""
+    from pxr import UsdGeom
+
+    gloss = body_gloss(count, {})
+    for column, name in enumerate(("roughness", "metallic")):
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
+        if primvar.HasValue():
+            gloss[:, column] = np.array(primvar.Get(), np.float32)
+    return gloss
 
 
 def _translation(prim) -> np.ndarray:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.render.camera import CameraPath, event_end
 from warp_rigid.render.film import Film
+from warp_rigid.render.framing import CameraPath, event_end
 from warp_rigid.render.raycast import RayCaster
 
 __all__ = ["save_contact_sheet", "save_film", "save_picture"]

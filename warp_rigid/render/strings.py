@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_rigid.render.appearance import corner_normals
+from warp_rigid.render.appearance import body_gloss, corner_normals
 from warp_rigid.render.film import DrawnMesh, Film
 from warp_rigid.rotations import rotate
 from warp_rigid.runs.recording import Recording
@@ -47,6 +47,7 @@ def with_strings(film: Film, recording: Recording) -> Film:
         env=np.concatenate([film.env, np.arange(count)]),
         body=np.concatenate([film.body, np.full(count, -1)]),
         dynamic=np.concatenate([film.dynamic, np.zeros(count, bool)]),
+        gloss=np.concatenate([film.gloss, body_gloss(count, {})]),
     )
 
 

@@ -18,6 +18,7 @@ from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
 from warp_rigid.scene.camera import Camera, camera_of_text, with_body_index
 from warp_rigid.scene.coefficients import COEFFICIENTS
+from warp_rigid.scene.look import Look, looks_from_data, looks_to_data
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes.heightfield import moves
 
@@ -117,6 +118,7 @@ class Recording:
         start: (envs, bodies, ...) quantities of the first frame by name (see START); empty if read from a file.
         camera: where pictures are taken from, with the index of the body that it follows; None for a camera that keeps
             the moving bodies in view.
+        looks: Look of bodies by their index.
     """
 
     time: np.ndarray
@@ -137,6 +139,7 @@ class Recording:
     scene: Scene | None = None
     start: dict[str, np.ndarray] = field(default_factory=dict)
     camera: Camera | None = None
+    looks: dict[int, Look] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Show the size."""
@@ -189,6 +192,7 @@ class Recording:
             "endless": [surface.endless for surface in self.surfaces],
             "angular_frequency": [surface.angular_frequency for surface in self.surfaces],
             "camera": None if self.camera is None else str(self.camera),
+            "looks": looks_to_data(self.looks),
         }
         archive.save(path, KIND, VERSION, text, arrays, compress=True)
 
@@ -296,6 +300,7 @@ class Recorder:
             scene=self._scene,
             start=self._start,
             camera=self._camera,
+            looks=dict(self._scene.looks),
         )
 
     def _stacked(self) -> dict[str, np.ndarray]:
@@ -420,6 +425,7 @@ def _checked(text: dict, arrays: Mapping[str, np.ndarray]) -> dict:
     return {
         "time": time, **frames, "fps": fps, "envs": envs, "labels": labels, "names": names, "motion": motion,
         "surface": surface, "surfaces": surfaces, "contacts": contacts, "camera": camera,
+        "looks": looks_from_data(text.get("looks", []), len(names)),
     }  # fmt: skip
 
 

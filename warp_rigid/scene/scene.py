@@ -18,6 +18,7 @@ from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coe
 from warp_rigid.scene.fields import FIELDS, ForceField
 from warp_rigid.scene.joints.joint import Drive, Joint, JointEntry, JointFrame
 from warp_rigid.scene.joints.placing import place_joint
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield
 
@@ -94,6 +95,7 @@ class Scene:
         bounds: as given, or None.
         out_of_bounds: as given.
         camera: as given; may be set.
+        looks: Look of bodies by their index, from the materials of an imported file.
 
     Raises:
         ValueError: gravity is not three finite numbers, a rule is unknown, the bounds are not a box, or the camera is
@@ -122,6 +124,7 @@ class Scene:
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.joints: list[JointEntry] = []
+        self.looks: dict[int, Look] = {}
         self.import_report: ImportReport | None = None
 
     def __repr__(self) -> str:
@@ -143,7 +146,7 @@ class Scene:
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
         found = copy(self)
-        for name in ("bodies", "force_fields", "filtered_pairs", "joints"):
+        for name in ("bodies", "force_fields", "filtered_pairs", "joints", "looks"):
             setattr(found, name, copy(getattr(self, name)))
         return found
 

@@ -12,6 +12,7 @@ from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
 from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
+from warp_rigid.scene.look import looks_from_data, looks_to_data
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Shape
 
@@ -49,6 +50,7 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
         "bounds": scene.bounds,
         "out_of_bounds": scene.out_of_bounds,
         "camera": None if scene.camera is None else asdict(scene.camera),
+        "looks": looks_to_data(scene.looks),
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
@@ -88,6 +90,7 @@ def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
         scene.add_force_field(FIELDS[field["kind"]](**{name: field[name] for name in field if name != "kind"}))
     for index, entry in enumerate(data["bodies"]):
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
+    scene.looks = looks_from_data(data.get("looks", []), len(scene.bodies))
     for a, b in data["filtered_pairs"]:
         scene.filter_pair(a, b)
     for entry in data.get("joints", []):  # older files have none

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Vt
 
-from warp_rigid.render.appearance import bound_corners, frame_colors
+from warp_rigid.render.appearance import body_gloss, bound_corners, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
 from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
 from warp_rigid.scene.scene import Motion
@@ -104,6 +104,10 @@ class Instancers:
         values = {**_pose_values(group), "primvars:displayColor": Vt.Vec3fArray.FromNumpy(group.color)}
         if self._velocities:
             values |= self._velocity_values(group, frame)
+        gloss = body_gloss(len(self._film.motion), self._film.looks)[group.bodies]
+        for column, name in enumerate(("roughness", "metallic") if self._film.looks else ()):
+            value = Vt.FloatArray.FromNumpy(np.ascontiguousarray(gloss[:, column]))
+            set_attribute(prim, f"primvars:{name}", NAMES.FloatArray, value, interpolation="vertex")
         for name, value in values.items():
             vertex = "vertex" if name.startswith("primvars:") else ""
             attribute = set_attribute(prim, name, _TYPES[name], value, interpolation=vertex)

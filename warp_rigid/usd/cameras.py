@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from warp_rigid.render.camera import camera_directions, fit_camera, place_at_body, shifted
+from warp_rigid.render.framing import camera_directions, fit_camera, place_at_body, shifted
 from warp_rigid.runs.recording import Frame, Recording
 from warp_rigid.scene.camera import NARROWEST, WIDEST, Camera, camera_of_text
 from warp_rigid.usd.geometry import MARK

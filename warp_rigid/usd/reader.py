@@ -28,6 +28,7 @@ from warp_rigid.usd.materials import read_material
 from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y_up, kilograms_per_unit, meters_per_unit
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
+from warp_rigid.usd.surfaces import read_look
 
 __all__ = ["Reader"]
 
@@ -344,6 +345,9 @@ class Reader:
             self._leave_out(body.prim.GetPath(), str(error))
             return
         self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
+        look = read_look(body.prim)
+        if look is not None:
+            scene.looks[index] = look
         self._keep_index(body, index)
         if motion is not None:
             self.paths[index] = motion

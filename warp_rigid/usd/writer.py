@@ -16,7 +16,6 @@ from warp_rigid.usd.cameras import CameraWriter
 from warp_rigid.usd.contacts import ContactMarks
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
-from warp_rigid.usd.look import define_look
 from warp_rigid.usd.options import UsdOptions
 from warp_rigid.usd.rigid_bodies import Bodies
 from warp_rigid.usd.specs import (
@@ -29,6 +28,7 @@ from warp_rigid.usd.specs import (
     set_attribute,
     stage_metadata,
 )
+from warp_rigid.usd.stage_look import define_look
 
 __all__ = ["UsdWriter"]
 
@@ -188,7 +188,7 @@ class UsdWriter:
             self._root.GetPrimAtPath(WORLD).referenceList.prependedItems = [Sdf.Reference(self._asset(base), WORLD)]
         else:
             base = self._new_part("shapes", "Shapes") if separate else self._root
-        define_look(self._root, WORLD)
+        define_look(self._root, WORLD, bool(self._film.looks))
         self._camera = CameraWriter(self._root, f"{WORLD}/Camera", self._film, int(self._rows[0]), frame)
         self._library = Library(base, "/Shapes" if separate else f"{WORLD}/Shapes", frame.time)
         if self._profile == "animation":

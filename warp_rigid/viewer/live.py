@@ -14,8 +14,8 @@ import numpy as np
 
 from warp_rigid.commands.terminal import explain, is_device_error
 from warp_rigid.render.appearance import apply_coloring
-from warp_rigid.render.camera import points_to_see
 from warp_rigid.render.film import Film, film_from_recording
+from warp_rigid.render.framing import points_to_see
 from warp_rigid.runs.recording import Recorder
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes import Box, Capsule, Sphere

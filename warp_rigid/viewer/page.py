@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import viser
 
-from warp_rigid.render.camera import (
+from warp_rigid.render.film import Film
+from warp_rigid.render.framing import (
     TOWARD_LIGHT,
     camera_directions,
     fit_camera,
@@ -20,7 +21,6 @@ from warp_rigid.render.camera import (
     points_to_see,
     shifted,
 )
-from warp_rigid.render.film import Film
 from warp_rigid.render.raycast import WALL_THICKNESS
 from warp_rigid.rotations import rotate
 from warp_rigid.scene.camera import NARROWEST

@@ -1,4 +1,4 @@
-"""Cameras of a film: they frame the moving bodies and follow them."""
+"""Where cameras stand: they frame the moving bodies and follow them, or are placed."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,8 @@ import warp as wp
 
 from warp_rigid.render.appearance import bound_corners
 from warp_rigid.render.film import Film
-from warp_rigid.render.raycast import LAMP_RADIUS, View
+from warp_rigid.render.raycast import LAMP_RADIUS
+from warp_rigid.render.shading import CameraView
 from warp_rigid.rotations import rotate
 from warp_rigid.scene.camera import Camera
 
@@ -81,14 +82,14 @@ class CameraPath:
         self._frames = min(frames), max(frames)
         self._fitted = None if is_placed(self._camera) else _FittedPath(films, self._aim, *self._frames)
 
-    def at(self, frame: int, film: int = 0) -> View:
+    def at(self, frame: int, film: int = 0) -> CameraView:
         """The view of a frame of one of the films."""
         if self._fitted is not None:
             return self._fitted.at(frame)
         return self._aim.view(*place_camera(self._camera, self._films[film], frame))
 
     @property
-    def mean(self) -> View:
+    def mean(self) -> CameraView:
         """A view from the middle of the path, to decide what hides the bodies."""
         return self.at(sum(self._frames) // 2) if self._fitted is None else self._fitted.mean
 
@@ -208,9 +209,9 @@ class _Aim:
         above = np.abs((points - eye) @ self._up) / self._tall
         return float(np.max(along + MARGIN * np.maximum(across, above)))
 
-    def view(self, eye: np.ndarray, reach: float, grid: float | None = None) -> View:
+    def view(self, eye: np.ndarray, reach: float, grid: float | None = None) -> CameraView:
         """What is seen from a position, at a distance `reach` from the middle of the picture [m]."""
-        view = View()
+        view = CameraView()
         view.eye, view.forward = wp.vec3(*eye), wp.vec3(*-self.back)
         view.right, view.up = wp.vec3(*(self._wide * self._right)), wp.vec3(*(self._tall * self._up))
         view.light = wp.vec3(*_unit(TOWARD_LIGHT))
@@ -250,7 +251,7 @@ class _FittedPath:
         if self._follows:
             self._smooth(seen, max(1, round(FOLLOW_TIME / FOLLOW_PERIOD)))
 
-    def at(self, frame: int) -> View:
+    def at(self, frame: int) -> CameraView:
         """The view of a frame."""
         if not self._follows:
             return self._aim.view(*self._still, self._grid)
@@ -258,7 +259,7 @@ class _FittedPath:
         return self._aim.view(eye, float(np.interp(frame, self._keys, self._reaches)), self._grid)
 
     @property
-    def mean(self) -> View:
+    def mean(self) -> CameraView:
         """The view of the middle of the path."""
         return self.at(int(self._keys[len(self._keys) // 2]))
 
@@ -287,7 +288,7 @@ class _FittedPath:
         self._eyes = sideways + (center + self._reaches)[:, None] * back
 
 
-def fit_camera(points: np.ndarray, aspect: float, height: int, camera: Camera = DEFAULT) -> View:
+def fit_camera(points: np.ndarray, aspect: float, height: int, camera: Camera = DEFAULT) -> CameraView:
     """The view of the closest camera that has all points in view.
 
     Args:
