@@ -6,8 +6,8 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 import warp_rigid as wr
-from warp_rigid.render.framing import CameraPath
 from warp_rigid.render.film import film_from_recording, film_from_usd
+from warp_rigid.render.framing import CameraPath
 from warp_rigid.render.raycast import RayCaster
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.look import Look
