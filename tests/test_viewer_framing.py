@@ -10,7 +10,7 @@ import warp_rigid as wr
 from warp_rigid.render.film import film_from_recording
 from warp_rigid.viewer.live import LiveViewer
 from warp_rigid.viewer.overlays import CONTACTS
-from warp_rigid.viewer.page import follow_with_pages, keep_framed, look_from
+from warp_rigid.viewer.page import follow_with_pages, keep_framed, look_from, look_from_page, widen_views
 from warp_rigid.viewer.picking import first_hit
 from warp_rigid.viewer.session import Session
 
@@ -68,10 +68,38 @@ class FakeCamera(SimpleNamespace):
         )
 
 
+class FakeClient:
+    """An open page."""
+
+    def __init__(self, **values):
+        self.camera = FakeCamera(**values)
+
+
+def test_views_are_widened_when_bodies_leave_them_unless_the_user_has_moved_the_camera():
+    film = film_from_recording(tower())
+    client = FakeClient(image_width=800, image_height=600)
+    server = SimpleNamespace(get_clients=lambda: {0: client})
+    look_from_page(client, film)
+    camera = client.camera
+    camera.position, camera.look_at = np.array(camera.position), np.array(camera.look_at)
+    first = camera.position.copy()
+    widen_views(server, film)
+    assert np.array_equal(camera.position, first)
+    fallen = film.position.copy()
+    fallen[:, 5] += np.float32((2.0, 0.0, 0.0))
+    widen_views(server, replace(film, position=fallen))
+    assert not np.array_equal(camera.position, first)
+    assert np.abs(on_page(camera, fallen[0, 5], 800, 600)).max() < 1.0
+    camera.position, camera.look_at = first + (0.5, 0.0, 0.0), np.array((0.0, 0.0, 0.5))
+    widen_views(server, replace(film, position=fallen))
+    assert np.array_equal(camera.position, first + (0.5, 0.0, 0.0))
+
+
 def test_a_page_that_the_panel_narrows_is_framed_again():
     film = film_from_recording(tower())
-    camera = FakeCamera(image_width=1100, image_height=600)
-    keep_framed(SimpleNamespace(camera=camera), lambda: film)
+    client = FakeClient(image_width=1100, image_height=600)
+    camera = client.camera
+    keep_framed(client, lambda: film)
     wide = camera.position
     camera.report(300, 600)
     narrow, expected = camera.position, SimpleNamespace()

@@ -421,7 +421,7 @@ def _checked(text: dict, arrays: Mapping[str, np.ndarray]) -> dict:
     fps = number_in("fps", text["fps"], above=0.0)
     contacts = _contacts(arrays, len(time)) if "contact_count" in arrays else None
     camera = text.get("camera")  # older files have none
-    camera = None if camera is None else with_body_index(camera_of_text(camera), names)
+    camera = None if camera is None else with_body_index(camera_of_text(str(camera)), names)
     return {
         "time": time, **frames, "fps": fps, "envs": envs, "labels": labels, "names": names, "motion": motion,
         "surface": surface, "surfaces": surfaces, "contacts": contacts, "camera": camera,

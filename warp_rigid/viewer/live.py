@@ -35,10 +35,11 @@ from warp_rigid.viewer.page import (
     set_light,
     start_server,
     stop_server,
+    widen_views,
 )
 from warp_rigid.viewer.panel import Panel
 from warp_rigid.viewer.picking import first_hit, trace
-from warp_rigid.viewer.session import Session
+from warp_rigid.viewer.session import Paced, Session
 from warp_rigid.viewer.slice_view import SliceView
 
 __all__ = ["LiveViewer"]
@@ -103,6 +104,7 @@ class LiveViewer:
         self._panel = Panel(self)
         set_light(self.server, fast)
         self._stale = True
+        self._widen = Paced(share=0.01, period=0.5)
         self._updates, self._since, self._rate, self._pace = 0, (time.perf_counter(), 0.0), 0.0, 0.0
         self._show_scene()
         # In a thread of its own: it waits for the page, and viser's threads are few.
@@ -440,14 +442,15 @@ class LiveViewer:
     def _picked(self, chosen: np.ndarray, index: Any, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int]:
         """Row and body that the page has picked.
 
-        The page gives no index for what is drawn around a body under the pointer, nor for a body that has gone: then it
-        is the body that the ray hits.
+        The page gives no index for what it draws around the body under the pointer: then the ray tells the body.
 
         Raises:
-            ValueError: There is no body.
+            ValueError: There is no such body, or no longer.
         """
         sim = self.session.sim
-        if isinstance(index, int) and 0 <= index < len(chosen) and chosen[index] < len(self._dynamic):
+        if index is not None:
+            if not isinstance(index, int) or not 0 <= index < len(chosen) or chosen[index] >= len(self._dynamic):
+                raise ValueError("body: the one that was clicked is not on the page")
             return divmod(int(chosen[index]), sim.num_bodies)
         shapes = [body.shape for body in self.session.plan.scene.bodies] * len(self.rows)
         position = sim.get("position")[self.rows] + self._film.offset[:, None]
@@ -524,9 +527,11 @@ class LiveViewer:
             row = env - int(rows[0])
             self._slice.follow(position[row, body], orientation[row, body])
             self._draw_rope()
+            poses = {"position": position.reshape(1, -1, 3), "orientation": orientation.reshape(1, -1, 4)}
             if self._film.camera.body is not None:
-                poses = {"position": position.reshape(1, -1, 3), "orientation": orientation.reshape(1, -1, 4)}
                 follow_with_pages(self.server, replace(self._film, **poses), 0)
+            elif self.session.running or self._looping:
+                self._widen(widen_views, self.server, replace(self._film, **poses))
         self._stale = True
 
     def _colors(self) -> np.ndarray:

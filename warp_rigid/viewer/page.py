@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import viser
@@ -42,6 +43,7 @@ __all__ = [
     "set_light",
     "start_server",
     "stop_server",
+    "widen_views",
 ]
 
 ZENITH, HORIZON, GROUND = (176, 200, 224), (238, 241, 243), (214, 214, 210)
@@ -62,8 +64,14 @@ NARROW, UPRIGHT = 576, 0.75
 """Width, and width relative to the height, below which the panel covers the lower part of a page [pixel]."""
 UNCOVERED = 0.4
 """Upper part of such a page that the panel does not cover."""
+UNTOUCHED = 0.01
+"""Motion of a camera by the user that counts as none, relative to its distance: pages report rounded numbers."""
 STEEPEST = 89.9
 """Largest elevation of the camera: viser loses the horizon where it looks straight up or down [degree]."""
+
+
+_placed: WeakKeyDictionary[viser.ClientHandle, np.ndarray] = WeakKeyDictionary()
+"""Where the cameras of open pages were placed last [m]."""
 
 
 def start_server(host: str, port: int) -> CheckedServer:
@@ -213,6 +221,37 @@ def look_from_page(client: viser.ClientHandle, film: Film) -> None:
     # A page that has reported an impossible camera keeps it.
     with contextlib.suppress(ValueError):
         look_from(client.camera, film, *(size if usable else USUAL_SIZE))
+        _placed[client] = np.array(client.camera.position)
+
+
+def widen_views(server: viser.ViserServer, film: Film) -> None:
+    """Place the cameras of open pages again where bodies have left the view, unless the user has moved the camera.
+
+    Args:
+        server: serves the pages.
+        film: one frame of the bodies as they are now.
+    """
+    if film.camera.body is not None or is_placed(film.camera):
+        return
+    points = points_to_see(film, [0])
+    for client in server.get_clients().values():
+        camera, placed = client.camera, _placed.get(client)
+        away = np.linalg.norm(camera.position - camera.look_at)
+        untouched = placed is not None and np.abs(camera.position - placed).max() < UNTOUCHED * away
+        if untouched and not _in_view(camera, points):
+            look_from_page(client, film)
+
+
+def _in_view(camera: Any, points: np.ndarray) -> bool:
+    """Whether a camera of a page shows all points (n, 3) [m]."""
+    ahead = camera.look_at - camera.position
+    ahead = ahead / max(np.linalg.norm(ahead), 1e-12)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= max(np.linalg.norm(right), 1e-12)
+    to = points - camera.position
+    tall = math.tan(0.5 * camera.fov) * (to @ ahead)
+    wide = tall * camera.image_width / camera.image_height
+    return bool(((np.abs(to @ right) < wide) & (np.abs(to @ np.cross(right, ahead)) < tall)).all())
 
 
 def look_from(view, film: Film, width: int, height: int, frame: int = 0) -> None:
