@@ -149,5 +149,4 @@ DEMO = Demo(
     build=build,
     outcome=BirdOutcome,
     duration=5.0,
-    variants={"default": {}},
 )

@@ -87,5 +87,4 @@ DEMO = Demo(
     build=build,
     outcome=DemolitionOutcome,
     duration=3.0,
-    variants={"default": {}},
 )

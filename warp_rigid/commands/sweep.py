@@ -155,11 +155,12 @@ def print_result(result: Any, files: list[str], as_json: bool, seconds: float | 
 
 def _check_columns(x: str | None, y: str | None, axes: dict[str, Any], measured: tuple) -> None:
     """Check that the table will have the columns to plot."""
-    from warp_rigid.sweep.metrics import OUTCOME, metric_name
+    from warp_rigid.runs.user_code import column_name
+    from warp_rigid.sweep.metrics import OUTCOME
 
     if x is not None and x not in axes:
         raise ValueError(f"--plot-x: must be an axis ({', '.join(axes)}), got {x}")
-    names = [metric_name(metric) for metric in measured]
+    names = [column_name(metric) for metric in measured]
     # The columns of the scene's outcome are known only after the runs.
     if y is not None and y not in names and not (OUTCOME in names and y.startswith("outcome_")):
         raise ValueError(f"--plot-y: must be a metric ({', '.join(names)}), got {y}")

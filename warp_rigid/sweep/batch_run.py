@@ -14,12 +14,13 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step_reports import counts_of_environments
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
+from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
 from warp_rigid.sweep.failures import Failures
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
-from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
+from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure
 from warp_rigid.sweep.observers import Observers
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.structure import structure
@@ -221,11 +222,11 @@ def _measured(prepared: Prepared, metrics: list[Callable], failures: Failures) -
     if not metrics:
         return {}
     views: list[Any] = [prepared.sim] if len(prepared.sim.scenes) == 1 else prepared.views_of_structures()
-    columns = {metric_name(metric): np.full(prepared.sim.num_envs, None, object) for metric in metrics}
+    columns = {column_name(metric): np.full(prepared.sim.num_envs, None, object) for metric in metrics}
     for view in views:
         envs = view.envs if isinstance(view, EnvironmentView) else np.arange(view.num_envs)
         for metric in metrics:
-            name = metric_name(metric)
+            name = column_name(metric)
             with failures.of(metric, f"metric {name}", envs):
                 for env, value in zip(envs, measure(metric, view).tolist(), strict=True):
                     columns[name][env] = value

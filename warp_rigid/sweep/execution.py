@@ -17,6 +17,7 @@ import warp as wp
 
 from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.engine.simulator import choose_device
+from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
@@ -24,8 +25,8 @@ from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
-from warp_rigid.sweep.metrics import check_metrics, metric_name
-from warp_rigid.sweep.observers import check_observers, observer_name
+from warp_rigid.sweep.metrics import check_metrics
+from warp_rigid.sweep.observers import check_observers
 from warp_rigid.sweep.series import open_series
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
@@ -275,7 +276,7 @@ def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], t
         ValueError: An observer is unknown, or a series is neither ready-made nor a function of `observe`.
     """
     columns = check_observers(observe)
-    names = [observer_name(observer) for observer in columns]
+    names = [column_name(observer) for observer in columns]
     kept = list(series) if isinstance(series, list | tuple) else [] if series is None else [series]
     more = check_observers([name for name in kept if name not in names], "series")
     if any(not isinstance(observer, str) for observer in more):
@@ -291,7 +292,7 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
         "fixed": job.fixed,
         "duration": job.duration,
         "fps": job.fps,
-        "metrics": [metric_name(metric) for metric in job.metrics],
+        "metrics": [column_name(metric) for metric in job.metrics],
         "observe": list(job.observe),
         "series": list(job.series),
         "axes": list(axes),
@@ -312,7 +313,7 @@ def _check_names(job: Job, runs: list[Run]) -> None:
     name.
     """
     names = [("axis", name) for name in (runs[0].parameters if runs else ()) if name != "seed"]
-    names += [("metric", metric_name(metric)) for metric in job.metrics]
+    names += [("metric", column_name(metric)) for metric in job.metrics]
     ready_made = [observer for observer in job.observers if observer in job.metrics]
     names += [("observer", name) for name in job.observe if name not in ready_made]
     taken = dict.fromkeys(COLUMNS, "standard column")

@@ -17,7 +17,7 @@ from warp_rigid.sweep.batch_size import free_memory, max_environments
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
 
-__all__ = ["accept", "begin", "run"]
+__all__ = ["accept", "begin", "capacity_of", "device_of", "run"]
 
 PARENT_PERIOD = 1.0
 """Time between checks whether the process that started this one still exists [s]."""
@@ -35,7 +35,7 @@ def begin(number: int, count: int) -> None:
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
     wp.config.log_level = wp.LOG_WARNING
     with shared_by(count):
-        load_kernels(wp.get_device(_device(None)), [*STEP, *OVERLAP], [WARP])
+        load_kernels(wp.get_device(device_of(None, number)), [*STEP, *OVERLAP], [WARP])
 
 
 def accept(job: Job) -> tuple[int, int]:
@@ -45,9 +45,8 @@ def accept(job: Job) -> tuple[int, int]:
         The largest useful batch, and the free memory of the device [bytes].
     """
     global _job
-    _job = replace(job, device=_device(job.device))
-    with shared_by(_sharers):
-        return max_environments(_job.device), free_memory(_job.device)
+    _job = replace(job, device=device_of(job.device, _number))
+    return capacity_of(_job.device, _sharers)
 
 
 def run(part: list[Run]) -> Batch:
@@ -56,10 +55,16 @@ def run(part: list[Run]) -> Batch:
         return run_batch(_job, part)
 
 
-def _device(given: Any) -> Any:
-    """The device that was asked for, else one of the CUDA devices in turn, else the CPU."""
+def capacity_of(device: Any, sharers: int) -> tuple[int, int]:
+    """The largest useful batch, and the free memory [bytes] of a device; `sharers` processes share the cores."""
+    with shared_by(sharers):
+        return max_environments(device), free_memory(device)
+
+
+def device_of(given: Any, number: int) -> Any:
+    """The device that was asked for, else one of the CUDA devices by the number of the worker, else the CPU."""
     gpus = wp.get_cuda_device_count()
-    return given or (f"cuda:{_number % gpus}" if gpus else "cpu")
+    return given or (f"cuda:{number % gpus}" if gpus else "cpu")
 
 
 def _end_with_parent(parent: int) -> None:
