@@ -13,7 +13,7 @@ from warp_rigid.render.film import film_from_recording, film_from_usd
 from warp_rigid.render.framing import CameraPath, fit_camera, points_to_see
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import camera_of_text
-from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 
 WIDTH, HEIGHT = 320, 180
 
@@ -120,7 +120,7 @@ def test_a_single_frame_frames_the_bodies_that_may_move():
 def test_cameras_of_scenes_are_kept_in_files(tmp_path):
     for camera in (None, wr.Camera((1, 2, 3), (0, 0, 0.1), 33.0), wr.Camera.follow("high", 10.0, 20.0, distance=3.0)):
         scene = falling(camera)
-        assert scene.copy().camera == scene_from_data(*scene_to_data(scene)).camera == camera
+        assert scene.copy().camera == scenes_from_data(*scenes_to_data([scene]))[0].camera == camera
         sim = wr.Simulator(scene, device="cpu")
         sim.save(tmp_path / "state.ckpt")
         assert wr.Simulator.load(tmp_path / "state.ckpt", device="cpu").scene.camera == camera

@@ -11,7 +11,7 @@ from warp_rigid.render.framing import CameraPath
 from warp_rigid.render.raycast import RayCaster
 from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.look import Look
-from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 
 
 def recorded(scene, frames=1):
@@ -85,7 +85,7 @@ def painted():
 
 def test_looks_are_kept_in_files(tmp_path):
     scene = painted()
-    assert scene.copy().looks == scene_from_data(*scene_to_data(scene)).looks == scene.looks
+    assert scene.copy().looks == scenes_from_data(*scenes_to_data([scene]))[0].looks == scene.looks
     recording = recorded(scene)
     recording.save(tmp_path / "film.npz")
     assert Recording.load(tmp_path / "film.npz").looks == recording.looks == scene.looks
