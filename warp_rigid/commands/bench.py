@@ -11,8 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from warp_rigid.bench.cases import STANDARD, find_case
-from warp_rigid.commands.terminal import check_outputs, check_writable, console, note, progress
+from warp_rigid.commands.terminal import check_outputs, check_writable, console, note
 from warp_rigid.engine.simulator import choose_device
+from warp_rigid.progress_bar import progress
 
 
 def bench_command(

@@ -16,10 +16,10 @@ from warp_rigid.commands.terminal import (
     console,
     continued,
     note,
-    progress,
     told_if_interrupted,
 )
 from warp_rigid.files.atomic import check_unread
+from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
@@ -154,13 +154,10 @@ def run_command(
     if output and not streamed:
         _export(result.recording, output, usd)
     if picture or film or contact_sheet or html:
-        _draw(
-            _film(result.recording, output if to_usd and not override else None, color),
-            picture,
-            film,
-            contact_sheet,
-            html,
-        )
+        from warp_rigid.viewer.film_files import film_to_draw
+
+        drawn = film_to_draw(result.recording, color, usd=output if to_usd and not override else None)
+        _draw(drawn, picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:
         print(json.dumps(summary))
@@ -257,29 +254,19 @@ def _export(recording, path: str, options: UsdOptions) -> None:
         export_usd(recording, path, **vars(options))
 
 
-def _film(recording, usd: str | None, color: str):
-    """The film to draw: read from the USD file if there is one, so that images show the file's content."""
-    from warp_rigid.render.film import colored, film_from_recording, film_from_usd
-    from warp_rigid.render.strings import with_strings
-
-    film = film_from_usd(usd) if usd else colored(film_from_recording(recording), recording, color)
-    return with_strings(film, recording)
-
-
 def _draw(drawn, picture, film, contact_sheet, html) -> None:
     """Write the requested images, videos and pages."""
-    from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
+    from warp_rigid.render.images import save_contact_sheet, save_picture
+    from warp_rigid.viewer.film_files import write_film
 
-    for save, path in ((save_picture, picture), (save_contact_sheet, contact_sheet)):
+    for save, path in (
+        (save_picture, picture),
+        (save_contact_sheet, contact_sheet),
+        (write_film, film),
+        (write_film, html),
+    ):
         if path:
             save(drawn, path)
-    if film:
-        with progress(f"drawing {film}", drawn.num_frames) as advance:
-            save_film(drawn, film, on_frame=advance)
-    if html:
-        from warp_rigid.viewer.playback import save_html
-
-        save_html(drawn, html)
 
 
 def _print_summary(summary: dict[str, Any]) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warp_rigid.commands.terminal import check_writable, console, continued, note, progress, told_if_interrupted
+from warp_rigid.commands.terminal import check_writable, console, continued, note, told_if_interrupted
 
 FAILED_RUNS = 5
 
@@ -89,14 +89,13 @@ def sweep_command(
 
     def on_progress(done: int, total: int) -> None:
         finished[:] = done, total
-        advance(done, total)
 
     def kept() -> str:
         if output is None:
             return "nothing was kept; to be able to continue, use -o FILE.parquet"
         return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(context)}"
 
-    with told_if_interrupted(kept, lambda: finished[0] > 0), progress(scene, 1) as advance:
+    with told_if_interrupted(kept, lambda: finished[0] > 0):
         result = sweep(
             scene,
             axes,

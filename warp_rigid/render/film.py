@@ -16,7 +16,8 @@ from warp_rigid.render.appearance import (
     frame_colors,
     spread_of,
 )
-from warp_rigid.runs.recording import DrawnSurface, Recording
+from warp_rigid.runs.drawn_surface import DrawnSurface
+from warp_rigid.runs.recording import Recording
 from warp_rigid.scene.camera import Camera, camera_of_text
 from warp_rigid.scene.scene import Motion
 

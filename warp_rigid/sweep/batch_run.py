@@ -121,17 +121,22 @@ def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = No
     return prepare(job, [Run(0, row["id"], parameters, row["seed"])]).sim
 
 
-def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
+def run_batch(job: Job, runs: Sequence[Run], on_part: Callable[[float], object] = lambda done: None) -> Batch:
     """Run a batch. A failed run becomes a row with the reason; an exception fails all runs of the batch.
 
     A batch that does not fit into memory is split in half, and so is one in which a value is refused, so that only the
     runs with that value fail.
+
+    Args:
+        job: data shared by all runs.
+        runs: the runs of the batch.
+        on_part: called after each sample with the part that is done, as a number of runs.
     """
     start = time.perf_counter()
     prepared = None
     try:
         prepared = prepare(job, runs)
-        return _run(job, prepared, start)
+        return _run(job, prepared, start, on_part)
     except Exception as error:
         refused = prepared is None and isinstance(error, ValueError)
         if len(runs) == 1 or not (refused or _is_memory_error(error)):
@@ -141,7 +146,8 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     # The whole batch is freed before its halves are built.
     prepared = None
     middle = len(runs) // 2
-    first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
+    first = run_batch(job, runs[:middle], on_part)
+    second = run_batch(job, runs[middle:], lambda done: on_part(middle + done))
     for row in second.rows:
         row["environment"] += middle
     watch = Stopwatch()
@@ -163,7 +169,7 @@ def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | Non
     return Batch([_row(run, env, status, reason) | {"wall_time": seconds} for env, run in enumerate(runs)])
 
 
-def _run(job: Job, prepared: Prepared, start: float) -> Batch:
+def _run(job: Job, prepared: Prepared, start: float, on_part: Callable[[float], object]) -> Batch:
     sim = prepared.sim
     watch = Stopwatch()
     loading = sim._world.load_seconds
@@ -179,7 +185,7 @@ def _run(job: Job, prepared: Prepared, start: float) -> Batch:
     events = _events(job, prepared.views, failures)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
     frames: dict[str, list] = {"time": [], "position": [], "orientation": []}
-    remaining = round(job.duration / sim.settings.dt)
+    steps = remaining = round(job.duration / sim.settings.dt)
     steps_per_sample = max(1, round(1.0 / (job.fps * sim.settings.dt)))
     _append_frame(job, sim, frames)
     _append_look(sim, observers, looks)
@@ -194,6 +200,7 @@ def _run(job: Job, prepared: Prepared, start: float) -> Batch:
         observers.look()
         _append_look(sim, observers, looks)
         _append_frame(job, sim, frames)
+        on_part(len(prepared.runs) * (1.0 - max(remaining, 0) / steps))
     columns = recorder.values()
     columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)], failures)
     columns |= outcomes.values()

@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import warp as wp
-
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.runs.user_code import errors_of, module_of_file
 from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
@@ -16,6 +14,7 @@ from warp_rigid.sweep.batch_size import SizedRun, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
 from warp_rigid.sweep.worker import capacity_of, device_of
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["cluster_of_file", "run_on_cluster"]
 
@@ -101,7 +100,7 @@ def _here(job: Job, hosts: Counter[str]) -> tuple[Job, int]:
     """
     from distributed import get_worker
 
-    wp.config.log_level = wp.LOG_WARNING
+    start_warp()
     worker = get_worker()
     number = int(worker.name) if str(worker.name).isdigit() else 0
     return replace(job, device=device_of(job.device, number)), max(1, hosts[worker.ip])

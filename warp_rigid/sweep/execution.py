@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from warp_rigid import progress_bar
 from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.engine.simulator import choose_device
+from warp_rigid.progress_bar import Advance
 from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch_run import Batch, run_batch
@@ -32,6 +34,7 @@ from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
 from warp_rigid.version import __version__
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["sweep"]
 
@@ -67,6 +70,7 @@ def sweep(
     cluster: Any = None,
     workers: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
+    progress: bool = True,
     command: Sequence[str] | None = None,
 ) -> SweepResult:
     """Simulate a scene over a range of parameters; one row per run.
@@ -110,6 +114,7 @@ def sweep(
             runs in this process.
         workers: number of worker processes for "local"; None uses one per GPU, or two without a GPU.
         on_progress: called after each batch with the number of finished runs and of all runs.
+        progress: show a bar in terminals and notebooks, which advances within batches (with Dask after each batch).
         command: the command line, stored in PATH.json.
 
     Returns:
@@ -167,7 +172,8 @@ def sweep(
             book.trajectories = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
         if job.series:
             book.series = open_series(output, series_output, about, resume, overwrite)
-        _run_all(job, groups, batch, runner, book, watch, len(runs), on_progress)
+        with progress_bar.progress(job.demo.name, len(runs), progress) as advance:
+            _run_all(job, groups, batch, runner, book, watch, len(runs), on_progress, advance)
     return book.result()
 
 
@@ -180,6 +186,7 @@ def _run_all(
     watch: Stopwatch,
     total: int,
     on_progress: Callable[[int, int], None] | None,
+    advance: Advance,
 ) -> None:
     """Run all batches, and store their results while the next ones run."""
     if book.rows:
@@ -196,9 +203,17 @@ def _run_all(
             if on_progress is not None:
                 on_progress(len(book.rows), total)
 
+    done = len(book.rows)
+
+    def on_part(part: float) -> None:
+        """Show the progress within the running batches."""
+        advance(done + part)
+
     try:
         with ThreadPoolExecutor(1) as writer:
-            for _, result in _results(job, groups, batch, runner, watch):
+            for part, result in _results(job, groups, batch, runner, watch, on_part):
+                done += len(part)
+                on_part(0.0)
                 watch.add(result.seconds)
                 settle()
                 stored = writer.submit(book.store, result)
@@ -221,7 +236,12 @@ def _report_errors(rows: list[dict[str, Any]], reported: set[str]) -> None:
 
 
 def _results(
-    job: Job, groups: list[list[SizedRun]], batch: int | str, runner: Any, watch: Stopwatch
+    job: Job,
+    groups: list[list[SizedRun]],
+    batch: int | str,
+    runner: Any,
+    watch: Stopwatch,
+    on_part: Callable[[float], object],
 ) -> Iterator[tuple[list[Run], Batch]]:
     """Yield the runs of each batch with their results, in order of completion.
 
@@ -232,7 +252,7 @@ def _results(
     if isinstance(runner, WorkerProcesses):
         with watch.of("start"):
             most, memory = runner.start(job)
-        yield from runner.run(split_into_batches(groups, batch, most, memory, runner.count))
+        yield from runner.run(split_into_batches(groups, batch, most, memory, runner.count), on_part)
         return
     if runner is not None:
         yield from run_on_cluster(job, groups, batch, runner)
@@ -240,7 +260,7 @@ def _results(
     device = choose_device(job.device)
     job = replace(job, device=device)
     for part in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
-        yield part, run_batch(job, part)
+        yield part, run_batch(job, part, on_part)
 
 
 class _Machines(NamedTuple):
@@ -260,6 +280,7 @@ def _machines(device: Any, cluster: Any, workers: int | None) -> _Machines:
     if device == "all":
         if cluster is not None or workers is not None:
             raise ValueError("device: all must not be combined with cluster or workers")
+        start_warp()
         gpus = wp.get_cuda_device_count()
         return _Machines(None, "local", gpus) if gpus > 1 else _Machines(None, None, None)
     if workers is not None:

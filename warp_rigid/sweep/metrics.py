@@ -140,9 +140,6 @@ METRICS: dict[str, Callable[[MetricRecorder], Any]] = {
 DEFAULT = tuple(name for name in METRICS if name != "final_pose")
 """Default metrics of a sweep."""
 
-UNITS = {"top_height": "m", "deepest_overlap": "m", "drift": "m", "settle_time": "s", "kinetic_energy": "J"}
-"""Units of the built-in metrics that have one."""
-
 OUTCOME = "outcome"
 
 

@@ -12,7 +12,8 @@ from pxr import Sdf, Tf, Vt
 
 from warp_rigid.render.appearance import body_gloss, bound_corners, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
-from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
+from warp_rigid.runs.drawn_surface import DrawnSurface
+from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.scene.scene import Motion
 from warp_rigid.usd.geometry import MARK
 from warp_rigid.usd.library import Library
