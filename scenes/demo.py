@@ -94,7 +94,6 @@ class Demo:
             environments start alike. A run that compares settings does not call it.
         goes_with: for settings by name and value, further settings that a sweep over that setting applies unless it
             sets them itself, so that the typical effect of the value shows in this scene.
-        view: azimuth and elevation from which pictures are taken [degree]; the azimuth counts from x toward y.
     """
 
     name: str
@@ -107,7 +106,6 @@ class Demo:
     settings: dict[str, Any] = field(default_factory=dict)
     vary: Callable[..., None] | None = None
     goes_with: dict[str, dict[Any, dict[str, Any]]] = field(default_factory=dict)
-    view: tuple[float, float] = (-67.0, 22.0)
 
     @property
     def parameters(self) -> dict[str, Any]:

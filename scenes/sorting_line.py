@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from warp_rigid.checks import number_in, whole_in
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
@@ -42,6 +43,7 @@ def build(parcels: int = 6, speed: float = 1.5, friction: float = 0.5) -> Scene:
     speed = number_in("speed", speed, 0.3, 1.5)
     friction = number_in("friction", friction, 0.3, 0.9)
     scene = Scene(gravity=(0, 0, -GRAVITY))
+    scene.camera = Camera.orbit(50.0, 30.0)
     grounds.add_ground(scene, name="ground")
     begin = FIRST - PITCH * (parcels - 1) - 0.3
     scene.add_static(
@@ -155,5 +157,4 @@ DEMO = Demo(
     outcome=SortingOutcome,
     duration=8.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
-    view=(50.0, 30.0),
 )

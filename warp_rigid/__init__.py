@@ -29,6 +29,7 @@ from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.render.gltf import export_gltf
 from warp_rigid.runs.recording import Recording, record
 from warp_rigid.scene import fields
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import Coefficients
 from warp_rigid.scene.fields import *  # noqa: F403
 from warp_rigid.scene.joints import (
@@ -62,6 +63,7 @@ from warp_rigid.version import __version__ as __version__
 __all__ = [
     "Body",
     "Box",
+    "Camera",
     "CapacityError",
     "Capsule",
     "Choice",

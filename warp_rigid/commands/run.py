@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +9,15 @@ import typer
 from rich.table import Table
 
 from warp_rigid.checks import one_of, whole_in
-from warp_rigid.commands.terminal import check_outputs, check_writable, console, continued, note, told_if_interrupted
+from warp_rigid.commands.terminal import (
+    CAMERA_HELP,
+    check_outputs,
+    check_writable,
+    console,
+    continued,
+    note,
+    told_if_interrupted,
+)
 from warp_rigid.files.atomic import check_unread
 from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
@@ -70,6 +77,7 @@ def run_command(
     film: Annotated[str | None, typer.Option(help="Video, .gif or .mp4.")] = None,
     contact_sheet: Annotated[str | None, typer.Option(help="Image of eight frames, .png.")] = None,
     html: Annotated[str | None, typer.Option(help="Standalone page that plays the animation, .html.")] = None,
+    camera: Annotated[str | None, typer.Option(help=CAMERA_HELP)] = None,
     color: Annotated[str, typer.Option(help="Colour bodies by body, environment, level, speed or asleep.")] = "body",
     checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file. Default: SCENE.ckpt.")] = None,
     checkpoint_every: Annotated[int | None, typer.Option(help="Write a checkpoint every so many frames.")] = None,
@@ -106,6 +114,7 @@ def run_command(
         device=device,
         seed=seed,
         memory_limit=_memory_limit(memory_limit),
+        camera=camera,
     )
     check_unread(kept, plan.scene.import_report.files if plan.scene.import_report else ())
     if checkpoint_every is not None:
@@ -148,7 +157,6 @@ def run_command(
         from warp_rigid.viewer.film_files import film_to_draw
 
         drawn = film_to_draw(result.recording, color, usd=output if to_usd and not override else None)
-        drawn = replace(drawn, view=plan.demo.view)
         _draw(drawn, picture, film, contact_sheet, html)
     summary = {**result.summary, "files": written}
     if as_json:
@@ -204,7 +212,7 @@ def _execute_to_usd(
 ) -> runner.Result:
     """Run and stream each frame to the file, so that memory stays constant and an interrupted run keeps its frames."""
     labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
-    with UsdStream(plan.sim, path, plan.fps, envs, labels, **vars(options)) as stream:
+    with UsdStream(plan.sim, path, plan.fps, envs, labels, plan.camera, **vars(options)) as stream:
         with progress(plan.demo.name, plan.frames) as advance:
 
             def capture(frame: int) -> None:

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from warp_rigid.commands.terminal import note
+from warp_rigid.commands.terminal import CAMERA_HELP, note
 
 FILMS = (".usd", ".usda", ".usdc", ".usdz", ".npz")
 
@@ -26,6 +26,7 @@ def view_command(
     compare: Annotated[
         bool, typer.Option("--compare", help="Simulate all variants of the scene side by side.")
     ] = False,
+    camera: Annotated[str | None, typer.Option(help=CAMERA_HELP)] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen on. The default accepts local connections only.")
     ] = "127.0.0.1",
@@ -42,13 +43,19 @@ def view_command(
     if scene.endswith(FILMS):
         from warp_rigid.viewer.playback import FilmViewer, load_film
 
-        viewer: Any = FilmViewer(load_film(scene), host, port, fast)
+        viewer: Any = FilmViewer(load_film(scene, camera), host, port, fast)
     else:
         from warp_rigid.viewer.live import LiveViewer
         from warp_rigid.viewer.session import Session
 
         session = Session(
-            scene, assignments=assignments or (), num_envs=envs, compare=compare, device=device, seed=seed
+            scene,
+            assignments=assignments or (),
+            num_envs=envs,
+            compare=compare,
+            device=device,
+            seed=seed,
+            camera=camera,
         )
         session.running = not paused
         viewer = LiveViewer(session, host, port, fast)

@@ -23,6 +23,7 @@ from warp_rigid.runs.file_scene import FILE_SCENE_DURATION, NoOutcome, scene_of_
 from warp_rigid.runs.progress import Checkpoints, Progress
 from warp_rigid.runs.recording import Recorder, Recording, steps_per_frame
 from warp_rigid.runs.user_code import UserCodeError
+from warp_rigid.scene.camera import Camera, camera_of_text, with_body_index
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scenes import Demo, Verdict
@@ -50,6 +51,7 @@ class Plan:
         frames: number of frames to simulate.
         parameters: assigned values by name, for the summary.
         setup_seconds: wall-clock time to build the scene and the simulator, including kernel loading [s].
+        camera: where pictures are taken from; None for the camera of the scene.
     """
 
     demo: Demo
@@ -61,6 +63,7 @@ class Plan:
     frames: int
     parameters: dict[str, Any]
     setup_seconds: float = 0.0
+    camera: Camera | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +115,7 @@ def plan_run(
     device: Any = None,
     seed: int | None = None,
     memory_limit: int | float | None = None,
+    camera: str | None = None,
 ) -> Plan:
     """Build the scene and the simulator.
 
@@ -126,6 +130,7 @@ def plan_run(
         device: as in Simulator.
         seed: seed of the scene's random numbers; None uses its default.
         memory_limit: as in Simulator.
+        camera: where pictures are taken from: a text for camera_of_text, or the path or name of a camera of a USD file.
 
     Raises:
         ValueError: An argument is incompatible with the scene or with another argument.
@@ -142,6 +147,7 @@ def plan_run(
     if frames < 0:
         raise ValueError(f"--frames: must be >= 0, got {frames}")
     scene = demo.build(**given.scene)
+    chosen = None if camera is None else _camera(camera, scene)
     sim = Simulator(scene, num_envs=count, settings=settings, device=device, seed=seed or 0, memory_limit=memory_limit)
     if demo.vary and count > 1 and not variants and not given.batched:
         demo.vary(sim, **{**demo.parameters, **given.scene})
@@ -162,7 +168,24 @@ def plan_run(
         frames=frames,
         parameters={**given.scene, **given.settings, **given.properties, **given.batched},
         setup_seconds=time.perf_counter() - start,
+        camera=chosen,
     )
+
+
+def _camera(text: str, scene: Scene) -> Camera:
+    """The camera that a text describes or names.
+
+    Raises:
+        ValueError: There is no such camera, or the text has another form.
+    """
+    known = scene.import_report.cameras if scene.import_report is not None else {}
+    if "=" in text:
+        return with_body_index(camera_of_text(text), [body.name for body in scene.bodies])
+    found = [path for path in known if text in (path, path.rpartition("/")[2])]
+    if len(found) == 1:
+        return known[found[0]]
+    names = f"one of the cameras {listed(list(known))}" if known else "the scene has no cameras of its own"
+    raise ValueError(f"camera: must be values such as position=3,0,2 look_at=0,0,0 or {names}, got {shown(text)}")
 
 
 def execute(
@@ -193,7 +216,7 @@ def execute(
     events = sorted(plan.demo.events(scene), key=lambda event: event[0])
     outcome = plan.demo.outcome(scene)
     labels = [plan.labels[env] for env in envs] if envs is not None else plan.labels
-    recorder = Recorder(sim, plan.fps, envs, labels, velocities, contacts)
+    recorder = Recorder(sim, plan.fps, envs, labels, velocities, contacts, plan.camera)
     progress = Progress(recorder, outcome, events, np.zeros(sim.num_envs))
     if not (checkpoints and checkpoints.resume(plan, progress)):
         recorder.capture(sim)

@@ -14,10 +14,12 @@ import numpy as np
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
 from warp_rigid.display import html_of
 from warp_rigid.kernels.enums import CombineRule, Coordinate, Motion
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coefficients, list_coefficients
 from warp_rigid.scene.fields import FIELDS, ForceField
 from warp_rigid.scene.joints.joint import Drive, Joint, JointEntry, JointFrame
 from warp_rigid.scene.joints.placing import place_joint
+from warp_rigid.scene.look import Look
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.shapes.base import Shape
 from warp_rigid.scene.shapes.heightfield import Heightfield
@@ -91,6 +93,8 @@ class Scene:
             None for no bounds. Simulator.status reports a moving body whose centre leaves the box.
         out_of_bounds: what happens to such a body: "report" changes nothing else, "remove" switches it off (`active`
             becomes False).
+        camera: where pictures, films, pages and USD files show the scene from; None for one that keeps the moving
+            bodies in view.
 
     Attributes:
         bodies: list of Body, in the order in which they were added.
@@ -103,9 +107,12 @@ class Scene:
         restitution_combine: as given.
         bounds: as given, or None.
         out_of_bounds: as given.
+        camera: as given; may be set.
+        looks: Look of bodies by their index, from the materials of an imported file.
 
     Raises:
-        ValueError: gravity is not three finite numbers, a rule is unknown, or the bounds are not a box.
+        ValueError: gravity is not three finite numbers, a rule is unknown, the bounds are not a box, or the camera is
+            not a Camera.
     """
 
     def __init__(
@@ -115,8 +122,10 @@ class Scene:
         restitution_combine: str = "min",
         bounds: tuple[Vector, Vector] | None = None,
         out_of_bounds: str = "report",
+        camera: Camera | None = None,
     ) -> None:
         """Start an empty scene."""
+        self.camera = camera
         self.bounds = None if bounds is None else box_corners("bounds", bounds)
         self.out_of_bounds = one_of("out_of_bounds", out_of_bounds, OUT_OF_BOUNDS)
         self.gravity = finite_vector("gravity", gravity)
@@ -128,6 +137,7 @@ class Scene:
         self.force_fields: list[ForceField] = []
         self.filtered_pairs: set[tuple[int, int]] = set()
         self.joints: list[JointEntry] = []
+        self.looks: dict[int, Look] = {}
         self.import_report: ImportReport | None = None
 
     def __repr__(self) -> str:
@@ -138,10 +148,21 @@ class Scene:
     def _repr_html_(self) -> str:
         return html_of(self)
 
+    @property
+    def camera(self) -> Camera | None:
+        """Where the scene is seen from; None for a camera that keeps the moving bodies in view."""
+        return self._camera
+
+    @camera.setter
+    def camera(self, camera: Camera | None) -> None:
+        if camera is not None and not isinstance(camera, Camera):
+            raise ValueError(f"camera: must be a Camera or None, got {shown(camera)}")
+        self._camera = camera
+
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""
         found = copy(self)
-        for name in ("bodies", "force_fields", "filtered_pairs", "joints"):
+        for name in ("bodies", "force_fields", "filtered_pairs", "joints", "looks"):
             setattr(found, name, copy(getattr(self, name)))
         return found
 

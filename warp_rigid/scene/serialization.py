@@ -8,9 +8,11 @@ import numpy as np
 
 from warp_rigid.checks import unit_quaternion, whole_in
 from warp_rigid.files.archive import shaped
+from warp_rigid.scene.camera import Camera
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.fields import FIELDS
 from warp_rigid.scene.joints import JOINTS, JointEntry, JointFrame
+from warp_rigid.scene.look import looks_from_data, looks_to_data
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import SURFACE_VELOCITIES, Motion, Scene
 from warp_rigid.scene.shapes import Shape
@@ -44,6 +46,8 @@ def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, i
         "restitution_combine": scene.restitution_combine,
         "bounds": scene.bounds,
         "out_of_bounds": scene.out_of_bounds,
+        "camera": None if scene.camera is None else asdict(scene.camera),
+        "looks": looks_to_data(scene.looks),
         "fields": [{"kind": type(field).__name__, **field.values()} for field in scene.force_fields],
         "bodies": bodies,
         "filtered_pairs": [list(pair) for pair in sorted(scene.filtered_pairs)],
@@ -68,11 +72,13 @@ def scenes_from_data(data: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> 
 
 def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:
     rules = {name: data[name] for name in ("friction_combine", "restitution_combine", "bounds", "out_of_bounds")}
-    scene = Scene(data["gravity"], **rules)
+    camera = data.get("camera")  # older files have none
+    scene = Scene(data["gravity"], **rules, camera=None if camera is None else Camera(**camera))
     for field in data["fields"]:
         scene.add_force_field(FIELDS[field["kind"]](**{name: field[name] for name in field if name != "kind"}))
     for index, entry in enumerate(data["bodies"]):
         _add_body(scene, entry, shapes[whole_in(f"body {index} shape", entry["shape"], 0, len(shapes) - 1)])
+    scene.looks = looks_from_data(data.get("looks", []), len(scene.bodies))
     for a, b in data["filtered_pairs"]:
         scene.filter_pair(a, b)
     for entry in data.get("joints", []):  # older files have none

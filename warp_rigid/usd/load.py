@@ -44,7 +44,9 @@ def import_usd(
     with convert_errors(path):
         reader = Reader(path, root, sdf_resolution)
         scene = reader.scene()
-    scene.import_report = ImportReport(str(path), tuple(reader.findings), root, reader.prims, reader.files)
+    scene.import_report = ImportReport(
+        str(path), tuple(reader.findings), root, reader.prims, reader.files, reader.cameras
+    )
     lost = len(scene.import_report.left_out)
     if strict and reader.findings:
         more = f" (and {len(reader.findings) - 1} more)" if len(reader.findings) > 1 else ""

@@ -10,11 +10,13 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from warp_rigid import rotations
+from warp_rigid.scene.camera import Camera, with_body_index
 from warp_rigid.scene.import_report import ImportFinding
 from warp_rigid.scene.pose_path import PosePath
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Compound, Heightfield, Shape
 from warp_rigid.usd.actuators import ACTUATOR
+from warp_rigid.usd.cameras import read_camera
 from warp_rigid.usd.field_data import fields_from_data
 from warp_rigid.usd.filters import filter_pairs, linked
 from warp_rigid.usd.geometry import FOLLOWS_PATH, polar, quaternion_of_matrix
@@ -26,6 +28,7 @@ from warp_rigid.usd.metadata import FROM_Y_UP, animation_codes, first_time, is_y
 from warp_rigid.usd.opening import open_stage
 from warp_rigid.usd.prims import Unreadable, convert_prim, custom_data, matrix_of
 from warp_rigid.usd.surface_motion import SURFACE_SCHEMA, has_surface_motion, read_surface_motion
+from warp_rigid.usd.surfaces import read_look
 
 __all__ = ["Reader"]
 
@@ -85,6 +88,7 @@ class Reader:
     Attributes:
         findings: differences between the file and the scene.
         prims: indices of the movable bodies by the paths of their prims.
+        cameras: cameras by the paths of their prims.
         files: paths of the file and of all that it refers to.
         stage: the stage.
         meter: its length unit [m].
@@ -101,6 +105,7 @@ class Reader:
         """Open the file and expand its instancers in memory."""
         self.path, self.findings = path, []
         self.prims: dict[str, int] = {}
+        self.cameras: dict[str, Camera] = {}
         self._sdf_resolution = sdf_resolution
         self.stage = open_stage(path)
         self.files = tuple(layer.realPath for layer in self.stage.GetUsedLayers() if layer.realPath)
@@ -145,6 +150,7 @@ class Reader:
             members[path] = linked(named & members.keys(), joints.values())
         filter_pairs(self.stage, scene, self.body_of, descriptions, members, self.leave_out)
         JointReader(self, scene).read(objects)
+        self._read_cameras(scene)
         if not scene.bodies:
             reason = f"; {self.findings[0]}" if self.findings else ""
             raise ValueError(
@@ -152,6 +158,22 @@ class Reader:
                 "profile='scene' to include them"
             )
         return scene
+
+    def _read_cameras(self, scene: Scene) -> None:
+        """Read the cameras of the file; the scene gets the only one."""
+        middle = np.median([body.position for body in scene.bodies], axis=0) if scene.bodies else np.zeros(3)
+        for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
+            if prim.IsA(UsdGeom.Camera):
+                try:
+                    position, rotation, _ = self._frame(prim, self._transforms)
+                    matrix = np.eye(4)
+                    matrix[:3, :3], matrix[:3, 3] = rotation, position
+                    camera = read_camera(prim, matrix, self.meter, middle, self.change)
+                    self.cameras[str(prim.GetPath())] = with_body_index(camera, [body.name for body in scene.bodies])
+                except ValueError as error:
+                    self.leave_out(prim.GetPath(), str(error))
+        if len(self.cameras) == 1:
+            scene.camera = next(iter(self.cameras.values()))
 
     def leave_out(self, prim, reason: str) -> None:
         """Report what of a path the scene lacks."""
@@ -333,6 +355,9 @@ class Reader:
             self.leave_out(body.prim.GetPath(), str(error))
             return
         self.body_of |= {str(collider.prim.GetPath()): index for collider in group}
+        look = read_look(body.prim)
+        if look is not None:
+            scene.looks[index] = look
         self._keep_index(body, index)
 
     def _keep_index(self, body: _Body, index: int) -> None:

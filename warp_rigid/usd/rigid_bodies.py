@@ -74,7 +74,7 @@ class Bodies:
             geometry = define(samples.layer, f"{root}/{name}/geometry", "Xform")
             path = library.collider(body.shape, self._coefficients(index))
             if self._color in CONSTANT_COLORINGS:
-                path = library.painted(path, self._colors[index])
+                path = library.painted(path, self._colors[index], self._film.looks.get(index))
             library.add_reference(geometry, path)
             self._assign(prim, geometry, body, f"{root}/{PHYSICS_SCENE}")
             paths.append(f"{root}/{name}")
@@ -131,6 +131,11 @@ class Bodies:
             (self._color_tracks, hue),
         ):
             tracks.append(samples.track(attribute))
+        if index in self._film.looks:
+            for name in ("roughness", "metallic"):
+                value = [getattr(self._film.looks[index], name)]
+                primvar = f"primvars:{name}"
+                set_attribute(prim, primvar, NAMES.FloatArray, Vt.FloatArray(value), interpolation="constant")
         if body.motion == Motion.STATIC:
             return prim
         set_attribute(prim, "physics:velocity", NAMES.Vector3f, self._velocity[index])
