@@ -14,7 +14,6 @@ import numpy as np
 
 from benchmarks import roofline
 from warp_rigid.bench.cases import find_case
-from warp_rigid.bench.stage_times import stage_times
 
 RATE = 118e9
 """Samples that an H200 tests per second."""
@@ -106,7 +105,7 @@ def measure(text: str, device: Any = None, moments: int = MOMENTS) -> Row:
     for _ in range(moments):
         sim.step(STEPS_PER_SECOND // moments)
         c = roofline.count(sim)
-        seconds = stage_times(sim, 3)["find_contacts"]
+        seconds = sim.stage_times(3)["find_contacts"]
         work = (c.clusters, c.samples, c.near + c.distances)
         found.append((c.pairs, c.searched, c.touching, *work, seconds, sim.penetration().max()))
     rows = np.array(found)

@@ -14,8 +14,8 @@ from tests.oracles import opened
 from warp_rigid import Settings, Simulator
 from warp_rigid.bench import measure, peers, phases
 from warp_rigid.bench.cases import STANDARD, BenchmarkCase, find_case, moving
-from warp_rigid.bench.stage_times import STAGES, stage_times, walk
 from warp_rigid.commands import cli
+from warp_rigid.engine.stage_times import STAGES, walk
 from warp_rigid.rotations import rotate
 from warp_rigid.scenes.builders import arms, stacks
 
@@ -241,7 +241,7 @@ def test_stages_are_timed_without_a_trace(device):
     scene = BenchmarkCase("stack", 3).build()
     timed, plain = (Simulator(scene, 2, Settings(sleeping=True), device=device) for _ in range(2))
     timed.step(20), plain.step(20)
-    seconds = stage_times(timed, 3)
+    seconds = timed.stage_times(3)
     assert {"predict", "find_contacts", "solve_contacts", "propagate_shock", "update_sleep"} <= set(seconds)
     assert all(taken > 0.0 for taken in seconds.values())
     timed.step(20), plain.step(20)

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
-from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, step_reports, watching
+from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, stage_times, step_reports, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.settings import Settings, check_settings
@@ -151,11 +151,26 @@ class Simulator:
         """Device memory that the simulator occupies [bytes]."""
         return self._world.shards.memory
 
+    @property
+    def load_seconds(self) -> float:
+        """Wall-clock time to load the kernels, and to compile those that are not in the cache [s]."""
+        return self._world.load_seconds
+
+    @property
+    def internals(self) -> World:
+        """The device arrays and recorded steps, for measurements of the engine; they may change in every version."""
+        return self._world
+
     @contextmanager
     def in_use(self) -> Iterator[None]:
         """Context in which this thread alone uses the simulator, and none records a step."""
         with self._lock, on_stream(self.device, self._stream):
             yield
+
+    @guarded
+    def prepare(self) -> None:
+        """Record the step now, instead of in the first call of `step`, so that timings do not include it."""
+        self._world.shards.record()
 
     @guarded
     def step(self, count: int = 1) -> None:
@@ -398,6 +413,28 @@ class Simulator:
     def counts(self) -> dict[str, int]:
         """Return the numbers of pairs, contacts and levels of the last step, the capacities and their largest use."""
         return step_reports.counts(self._world)
+
+    @guarded
+    def pairs_and_contacts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers of pairs and of contacts of the last step in each environment, (envs,) each."""
+        return step_reports.counts_of_environments(self._world)
+
+    @guarded
+    def stage_times(self, steps: int = 32) -> dict[str, float]:
+        """Return the time that each stage of a step takes in the present state, which is kept [s].
+
+        On a CPU it is processor time, which does not depend on other programs. A first step is not timed.
+
+        Args:
+            steps: number of steps to average over.
+
+        Returns:
+            Stages by name, in their order.
+
+        Raises:
+            ValueError: steps is not a whole number from 1.
+        """
+        return stage_times.stage_times(self._world, whole_in("steps", steps, 1, 2**31))
 
     @guarded
     def stats(self) -> dict[str, np.ndarray]:
