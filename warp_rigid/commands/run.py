@@ -301,7 +301,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
         out.print(line, highlight=False, markup=False)
     if summary["verdicts"]:
         out.print(_verdict_table(summary), highlight=False)
-        out.print(_conclusion(summary["verdicts"]), highlight=False, markup=False)
+        if any(verdict["passed"] is not None for verdict in summary["verdicts"]):
+            out.print(_conclusion(summary["verdicts"]), highlight=False, markup=False)
     for path in summary["files"]:
         out.print(f"wrote {path}", highlight=False, markup=False)
 
@@ -314,7 +315,8 @@ def _frame_seconds(summary: dict[str, Any]) -> float:
 
 def _verdict_table(summary: dict[str, Any]) -> Table:
     """One row per verdict; one column per environment if there are at most MAX_COLUMNS."""
-    table = Table("verdict", "condition", box=None, pad_edge=False)
+    conditions = any(verdict["limit"] for verdict in summary["verdicts"])
+    table = Table("outcome", *(["condition"] if conditions else []), box=None, pad_edge=False)
     few = summary["envs"] <= MAX_COLUMNS
     if few:
         for env, label in enumerate(summary["labels"]):
@@ -324,22 +326,23 @@ def _verdict_table(summary: dict[str, Any]) -> Table:
         table.add_column("from")
         table.add_column("to")
     for verdict in summary["verdicts"]:
-        rows = list(zip(verdict["values"], verdict["passed"], verdict["expected"], strict=True))
+        values, passed, count = verdict["values"], verdict["passed"], summary["envs"]
         if few:
+            rows = zip(values, passed or [None] * count, verdict["expected"], strict=True)
             cells = [_cell(*row, verdict["unit"]) for row in rows]
         else:
-            passed = sum(verdict["passed"])
-            color = "green" if passed == len(rows) else "red"
-            cells = [f"[{color}]{passed} of {len(rows)}[/]"]
-            cells += [shown_value(pick(verdict["values"]), verdict["unit"]) for pick in (min, max)]
-        table.add_row(verdict["name"], verdict["limit"], *cells)
+            holds = "" if passed is None else f"[{'green' if all(passed) else 'red'}]{sum(passed)} of {count}[/]"
+            ends = [] if isinstance(values[0], bool) else [min(values), max(values)]
+            cells = [holds, *(shown_value(value, verdict["unit"]) for value in ends)]
+        table.add_row(verdict["name"], *([verdict["limit"]] if conditions else []), *cells)
     return table
 
 
-def _cell(value: float, passed: bool, expected: bool | None, unit: str) -> str:
-    answer, shown = "yes" if passed else "no", shown_value(value, unit)
+def _cell(value: float | bool, passed: bool | None, expected: bool | None, unit: str) -> str:
+    answer = {None: "", True: "yes", False: "no"}[passed]
+    shown = "" if isinstance(value, bool) else shown_value(value, unit)
     if expected is None:
-        return f"{shown} {answer}"
+        return f"{shown} {answer}".strip()
     if passed == expected:
         return f"{shown} [green]{answer}{'' if passed else ', as expected'}[/]"
     return f"{shown} [red]{answer}, NOT AS EXPECTED[/]"
@@ -350,6 +353,7 @@ def _judged(verdicts: list[dict[str, Any]]) -> list[bool]:
     return [
         passed == expected
         for verdict in verdicts
+        if verdict["passed"] is not None
         for passed, expected in zip(verdict["passed"], verdict["expected"], strict=True)
         if expected is not None
     ]
@@ -359,7 +363,8 @@ def _conclusion(verdicts: list[dict[str, Any]]) -> str:
     """Summarise how many verdicts are as expected."""
     judged = _judged(verdicts)
     if not judged:
-        return "no verdict is expected with changed settings or a shortened run"
+        found = [passed for verdict in verdicts for passed in verdict["passed"] or []]
+        return f"{sum(found)} of {len(found)} verdicts hold; none is expected of this run"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"
 
 

@@ -14,6 +14,7 @@ from warp_rigid.checks import whole_in
 from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, stage_times, step_reports, watching
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
+from warp_rigid.engine.selection import Indices, Members
 from warp_rigid.engine.settings import Settings, check_settings
 from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
@@ -189,22 +190,30 @@ class Simulator:
                 self._raise_if_nonfinite()
 
     @guarded
-    def get(self, name: str) -> np.ndarray:
+    def get(self, name: str, envs: Indices = None, bodies: Members = None, joints: Members = None) -> np.ndarray:
         """Return a copy of a quantity, (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
-        Bodies that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
+        Bodies and joints that an environment lacks (see `exists`) are NaN, False, or -1 for levels.
 
         Quantities are those that `set` changes, and of bodies "inertia", "center_of_mass", "kinetic_energy",
         "potential_energy", "asleep" and "level", and of joints, (envs, joints, ...), "joint_position", "joint_velocity"
         and "joint_force" (force [N] and torque [N m] on the first body in the last step, 6 numbers).
 
+        Args:
+            name: the quantity.
+            envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
+            bodies: indices, a slice, or names of bodies, in the order of the result; None for all. At least one of
+                these environments must have each.
+            joints: the same of joints, for quantities of joints.
+
         Raises:
-            ValueError: unknown name.
+            ValueError: unknown name, an environment, body or joint that does not exist or is given twice, or a choice
+                of bodies or joints for a quantity of something else.
         """
-        return quantities.read(self._world, name)
+        return quantities.select(self._world, name, envs, bodies, joints)
 
     @guarded
-    def set(self, name: str, value: Any, envs: Any = None, bodies: Any = None, joints: Any = None) -> None:
+    def set(self, name: str, value: Any, envs: Indices = None, bodies: Members = None, joints: Members = None) -> None:
         """Change a quantity; the value broadcasts to (envs, bodies, ...), or (envs, ...) for gravity and settings.
 
         Quantities of bodies are "position", "orientation", "linear_velocity", "angular_velocity", "force", "torque",
@@ -219,10 +228,11 @@ class Simulator:
         Args:
             name: the quantity.
             value: number, array, mode name, or list of mode names.
-            envs: different indices of environments, or a mask (envs,) of booleans; None for all.
-            bodies: indices or names of the bodies, which all these environments must have; None for all bodies, where
-                the values of bodies that an environment lacks, and velocities of static bodies, are not read.
-            joints: indices or names of the joints, for quantities of joints; None for all, as for the bodies.
+            envs: different indices of environments, a slice, or a mask (envs,) of booleans; None for all.
+            bodies: indices, a slice or names of the bodies, which all these environments must have; None for all
+                bodies, where the values of bodies that an environment lacks, and velocities of static bodies, are not
+                read.
+            joints: the same of joints, for quantities of joints.
 
         Raises:
             ValueError: unknown name, wrong shape, a value out of range, a body or joint that an environment lacks, or

@@ -449,8 +449,8 @@ def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, An
         "name": verdict.name,
         "limit": verdict.limit,
         "unit": verdict.unit,
-        "values": _numbers(verdict.values),
-        "passed": [bool(passed) for passed in verdict.passed],
+        "values": verdict.values.tolist() if verdict.values.dtype == bool else _numbers(verdict.values),
+        "passed": None if verdict.passed is None else [bool(passed) for passed in verdict.passed],
         "expected": [None if variant is None else verdict.expected.get(variant) for variant in variants],
     }
 

@@ -13,7 +13,7 @@ from warp_rigid.checks import shown
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["UserCodeError", "errors_of", "module_of_file", "scene_function"]
+__all__ = ["UserCodeError", "errors_of", "module_of_file", "scene_function", "takes_parameters"]
 
 
 class UserCodeError(ValueError):
@@ -61,9 +61,44 @@ def scene_function(path: Path, build: Any) -> Callable[..., Scene]:
             made = build(*arguments, **parameters)
             if not isinstance(made, Scene):
                 raise ValueError(f"scene() must return a Scene, got {shown(made)}")
+        given = inspect.signature(build).bind(*arguments, **parameters)
+        given.apply_defaults()
+        made = made.copy()  # a function may return the same scene each time
+        made.parameters = dict(given.arguments)
         return made
 
     return checked
+
+
+def takes_parameters(path: Path, function: Callable, *arguments: str) -> bool:
+    """Whether a function of a file takes the parameters of the scene after its other arguments.
+
+    Args:
+        path: the file.
+        function: the function.
+        arguments: names of its other arguments, for the error message.
+
+    Raises:
+        ValueError: It can be called neither with these arguments nor with these and the parameters.
+    """
+    signature = inspect.signature(function)
+    count = len(arguments)
+    short, long = (_accepts(signature, number) for number in (count, count + 1))
+    if long and (not short or list(signature.parameters)[count : count + 1] == ["parameters"]):
+        return True
+    if not short:
+        name, given = getattr(function, "__name__", "function"), ", ".join(arguments)
+        raise ValueError(f"{path}: must define {name}({given}) or {name}({given}, parameters), got {name}{signature}")
+    return False
+
+
+def _accepts(signature: inspect.Signature, count: int) -> bool:
+    """Whether a function can be called with so many arguments without names."""
+    try:
+        signature.bind(*(None,) * count)
+    except TypeError:
+        return False
+    return True
 
 
 @contextlib.contextmanager

@@ -250,12 +250,15 @@ class _Outcomes:
         self._outcomes = working
 
     def values(self) -> dict[str, np.ndarray]:
-        """The measured value of each verdict as "outcome_NAME", and whether it passed as "outcome_NAME_ok"."""
+        """The measured value of each verdict as "outcome_NAME", and whether a condition holds as "outcome_NAME_ok"."""
         found: dict[str, np.ndarray] = {}
         for outcome, view in self._outcomes:
             with self._failures.of(outcome, "outcome", view.envs):
                 for verdict in outcome.verdicts(view):
-                    for name, values in ((verdict.name, verdict.values), (f"{verdict.name}_ok", verdict.passed)):
+                    columns = {verdict.name: verdict.values, f"{verdict.name}_ok": verdict.passed}
+                    for name, values in columns.items():
+                        if values is None:
+                            continue
                         column = found.setdefault(f"outcome_{name}", np.full(self._num_envs, None, object))
                         column[view.envs] = np.asarray(values)
         return found
