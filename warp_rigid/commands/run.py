@@ -326,7 +326,7 @@ def _verdict_table(summary: dict[str, Any]) -> Table:
         table.add_column("from")
         table.add_column("to")
     for verdict in summary["verdicts"]:
-        values, passed, count = verdict["values"], verdict["passed"], summary["envs"]
+        values, passed, count = verdict["values"], verdict["passed"], len(verdict["values"])
         if few:
             rows = zip(values, passed or [None] * count, verdict["expected"], strict=True)
             cells = [_cell(*row, verdict["unit"]) for row in rows]
@@ -344,8 +344,8 @@ def _cell(value: float | bool, passed: bool | None, expected: bool | None, unit:
     if expected is None:
         return f"{shown} {answer}".strip()
     if passed == expected:
-        return f"{shown} [green]{answer}{'' if passed else ', as expected'}[/]"
-    return f"{shown} [red]{answer}, NOT AS EXPECTED[/]"
+        return f"{shown} [green]{answer}{'' if passed else ', as expected'}[/]".strip()
+    return f"{shown} [red]{answer}, NOT AS EXPECTED[/]".strip()
 
 
 def _judged(verdicts: list[dict[str, Any]]) -> list[bool]:
@@ -364,7 +364,7 @@ def _conclusion(verdicts: list[dict[str, Any]]) -> str:
     judged = _judged(verdicts)
     if not judged:
         found = [passed for verdict in verdicts for passed in verdict["passed"] or []]
-        return f"{sum(found)} of {len(found)} verdicts hold; none is expected of this run"
+        return f"{sum(found)} of {len(found)} verdicts hold; nothing is expected of this run"
     return f"{sum(judged)} of {len(judged)} verdicts as expected"
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from warp_rigid.checks import number_in, shown, suggestion
 from warp_rigid.engine.settings import PER_ENVIRONMENT, Settings, check_setting
-from warp_rigid.runs.user_code import errors_of, module_of_file, scene_function, takes_parameters
+from warp_rigid.runs.user_code import check_call, errors_of, module_of_file, scene_function, takes_parameters
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scenes import Demo, Verdict
 from warp_rigid.scenes.demo import no_events
@@ -96,10 +96,13 @@ def scene_of_file(path: Path) -> Demo:
     """
     module = module_of_file(path)
     build = scene_function(path, getattr(module, "scene", None))
-    for name, parameter in inspect.signature(build).parameters.items():
+    parameters = inspect.signature(build).parameters
+    for name, parameter in parameters.items():
         if parameter.default is inspect.Parameter.empty:
             raise ValueError(f"{path}: parameter {name} of scene() must have a default")
-    events = _function(path, module, "events", "sim", "frame")
+    events, vary = _function(path, module, "events", "sim", "frame"), _function(path, module, "vary")
+    if vary is not None:
+        check_call(path, f"vary({', '.join(['sim', *parameters])})", vary, None, **dict.fromkeys(parameters))
     return Demo(
         name=path.stem,
         summary=(module.__doc__ or "").partition("\n")[0],
@@ -109,7 +112,7 @@ def scene_of_file(path: Path) -> Demo:
         variants=_variants(path, module),
         events=no_events if events is None else partial(_every_frame, events),
         settings=_settings(path, "SETTINGS", getattr(module, "SETTINGS", {}), dt=True),
-        vary=_function(path, module, "vary"),
+        vary=vary,
     )
 
 
@@ -197,6 +200,7 @@ def _class_outcome(path: Path, found: Any) -> type:
     missing = [name for name in ("observe", "verdicts") if not callable(getattr(found, name, None))]
     if missing:
         raise ValueError(f"{path}: class outcome must have a method {missing[0]}")
+    check_call(path, "outcome(scene)", found, None)
     methods = {name: _checked(getattr(found, name)) for name in ("__init__", "observe")}
     methods["verdicts"] = _checked_verdicts(found.verdicts)
     # A subclass, so that checkpoints find the attributes of the user's class.

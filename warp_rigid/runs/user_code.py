@@ -13,7 +13,7 @@ from warp_rigid.checks import shown
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["UserCodeError", "errors_of", "module_of_file", "scene_function", "takes_parameters"]
+__all__ = ["UserCodeError", "check_call", "errors_of", "module_of_file", "scene_function", "takes_parameters"]
 
 
 class UserCodeError(ValueError):
@@ -83,19 +83,28 @@ def takes_parameters(path: Path, function: Callable, *arguments: str) -> bool:
     """
     signature = inspect.signature(function)
     count = len(arguments)
-    short, long = (_accepts(signature, number) for number in (count, count + 1))
+    short, long = (_accepts(signature, (None,) * number, {}) for number in (count, count + 1))
     if long and (not short or list(signature.parameters)[count : count + 1] == ["parameters"]):
         return True
-    if not short:
-        name, given = getattr(function, "__name__", "function"), ", ".join(arguments)
-        raise ValueError(f"{path}: must define {name}({given}) or {name}({given}, parameters), got {name}{signature}")
+    name, given = getattr(function, "__name__", "function"), ", ".join(arguments)
+    check_call(path, f"{name}({given}) or {name}({given}, parameters)", function, *(None,) * count)
     return False
 
 
-def _accepts(signature: inspect.Signature, count: int) -> bool:
-    """Whether a function can be called with so many arguments without names."""
+def check_call(path: Path, form: str, function: Callable, *arguments: Any, **named: Any) -> None:
+    """Check that a function or class of a file can be called with some arguments; `form` shows how it is called.
+
+    Raises:
+        ValueError: Its signature is another one.
+    """
+    signature = inspect.signature(function)
+    if not _accepts(signature, arguments, named):
+        raise ValueError(f"{path}: must define {form}, got {form.partition('(')[0]}{signature}")
+
+
+def _accepts(signature: inspect.Signature, arguments: tuple, named: dict[str, Any]) -> bool:
     try:
-        signature.bind(*(None,) * count)
+        signature.bind(*arguments, **named)
     except TypeError:
         return False
     return True
