@@ -113,6 +113,11 @@ class Demo:
         return {name: parameter.default for name, parameter in known.items()}
 
 
+def shown_settings(changes: dict[str, Any]) -> str:
+    """What a variant sets, as text."""
+    return ", ".join(f"{name}={value}" for name, value in changes.items()) or "changes nothing"
+
+
 def start_apart(sim: Any, bodies: list[int], starts: Callable[[int], tuple[np.ndarray, ...]]) -> None:
     """Give each environment a different start.
 

@@ -139,7 +139,10 @@ def test_compare_has_the_variants(path, capsys):
     assert cli.main(["run", path, "--compare", "--device", "cpu", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["labels"] == ["default", "off"]
+    assert summary["variants"] == {"default": {}, "off": {"shock_propagation": "off"}}
     assert [verdict["name"] for verdict in summary["verdicts"]] == ["travel", "active"]
+    assert cli.main(["run", path, "--compare", "--frames", "1", "--device", "cpu"]) == 0
+    assert "off: shock_propagation=off" in capsys.readouterr().out
 
 
 def test_sweep_applies_events_and_outcome_to_each_scene(path):

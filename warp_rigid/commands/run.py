@@ -24,7 +24,7 @@ from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
 from warp_rigid.runs.user_code import UserCodeError
-from warp_rigid.scenes.demo import shown_value
+from warp_rigid.scenes.demo import shown_settings, shown_value
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
 from warp_rigid.usd.options import UsdOptions
 
@@ -289,6 +289,7 @@ def _print_summary(summary: dict[str, Any]) -> None:
         f"{summary['env_frames_per_second']:.4g} environment frames/s, {_frame_seconds(summary):.3g} s/frame "
         f"(setup {summary['setup_seconds']:.2g} s)",
     ]
+    lines += [f"{name}: {shown_settings(changes)}" for name, changes in summary["variants"].items()]
     lines += [
         f"environment {record['env']}: {record['status']} since step {record['step']}, body {record['body']}"
         for record in summary["failed"] + summary["out_of_bounds"]

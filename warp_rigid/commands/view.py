@@ -5,6 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from warp_rigid.commands.terminal import note
+from warp_rigid.scenes.demo import shown_settings
 
 FILMS = (".usd", ".usda", ".usdc", ".usdz", ".npz")
 
@@ -50,6 +51,8 @@ def view_command(
         session = Session(
             scene, assignments=assignments or (), num_envs=envs, compare=compare, device=device, seed=seed
         )
+        for name, changes in session.plan.demo.variants.items() if compare else ():
+            note(f"{name}: {shown_settings(changes)}")
         session.running = not paused
         viewer = LiveViewer(session, host, port, fast)
     if not is_loopback(host):

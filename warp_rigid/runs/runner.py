@@ -422,6 +422,7 @@ def _summary(
         "set": plan.parameters,
         "settings": asdict(sim.settings),
         "labels": list(plan.labels),
+        "variants": {label: plan.demo.variants[label] for label in plan.labels if label in plan.demo.variants},
         **{name: int(value) for name, value in sim.counts().items()},
         "penetration": _numbers(sim.penetration()),
         "deepest_penetration": _numbers(deepest),
