@@ -6,7 +6,18 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, array_of, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
+from warp_rigid.checks import (
+    LARGEST,
+    array_of,
+    brief,
+    flags,
+    numbers_of_shape,
+    refuse_others,
+    shape_of,
+    shown,
+    suggestion,
+    whole_in,
+)
 from warp_rigid.engine import field_values, joint_quantities
 from warp_rigid.engine.layout import LACKING, spread_rows
 from warp_rigid.engine.model import mass_arrays
@@ -221,8 +232,8 @@ def check_vectors(name: str, value: Any) -> None:
 def _broadcast(name: str, value: Any, shape: tuple[int, ...], needed: np.ndarray | None = None) -> np.ndarray:
     """The value as float32 of a shape, each number finite in float32 where it is `needed`."""
     values = numbers_of_shape(name, value, shape)
-    if not (np.abs(values if needed is None else values[needed]) <= LARGEST).all():
-        raise ValueError(f"{name}: must be finite numbers")
+    checked = values if needed is None else values[needed]
+    refuse_others(name, checked, np.abs(checked) <= LARGEST, "finite numbers")
     return values.astype(np.float32)
 
 

@@ -3,6 +3,7 @@
 import functools
 import logging
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Concatenate, NoReturn, ParamSpec, TypeVar
@@ -12,6 +13,7 @@ import warp as wp
 
 from warp_rigid.checks import whole_in
 from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, stage_times, step_reports, watching
+from warp_rigid.engine.hints import hints_on
 from warp_rigid.engine.layout import LACKING, layout_of
 from warp_rigid.engine.pools import CHUNK
 from warp_rigid.engine.selection import Indices, Members
@@ -48,6 +50,9 @@ class Simulator:
 
     Simulators can be used from several threads. On a CPU their steps run at the same time, on a GPU one after another.
     A simulator works on the stream that was current when it was made.
+
+    Python warnings point out limits of hinges beyond a full turn, which may be in degrees, and bodies that move by more
+    than their size in the first step.
 
     Args:
         scene: the scene, or a list of scenes.
@@ -114,6 +119,8 @@ class Simulator:
             )
         self.scenes, self.scene_of = layout.scenes, layout.scene_of
         self.settings, self.device = self._world.settings, self._world.device
+        for hint in hints_on(layout.scenes, self.settings.dt):
+            warnings.warn(hint, stacklevel=2)
         self.num_envs, self.num_bodies = layout.num_envs, layout.most_bodies
         self.first_body, self.exists = layout.first_body, layout.rows != LACKING
         self.seed, self.on_overflow, self.on_nonfinite = seed, on_overflow, on_nonfinite
