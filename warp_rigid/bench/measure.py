@@ -113,11 +113,13 @@ def rates(case: BenchmarkCase, conditions: Conditions, seconds: float, processor
 
 
 def work(sim: Simulator) -> dict[str, Any]:
-    """Contacts and levels of the last step, and the largest fraction of each pool's capacity used so far."""
+    """Contacts, pairs and levels of the last step, and the largest fraction of each pool's capacity used so far."""
     counts = sim.counts()
+    pairs, _ = sim.pairs_and_contacts()
     return {
         "contacts": counts["contacts"],
         "pairs": counts["pairs"],
+        "pairs_of_environments": [int(pairs.min()), int(pairs.max())],
         "levels": counts["levels"],
         "pair_capacity_used": counts["most_pairs"] / counts["pair_capacity"],
         "contact_capacity_used": counts["most_contacts"] / counts["contact_capacity"],

@@ -55,6 +55,8 @@ def bench_command(
     The overlap of their final states is measured with the same code.
     On the CPU this engine uses all cores and the others one; ratios there compare processor time.
 
+    With several numbers of environments it says why the cost of one environment changes.
+
     With --phases each scene runs from its start until it rests: moving bodies cost more than resting ones.
     """
     from warp_rigid.bench import measure
@@ -163,22 +165,26 @@ def _draw(rows: list[dict[str, Any]], output: str) -> None:
 ENGINES = (
     ("scene", "envs", "steps", "engine", "frames/s", "per core", "body steps/s", "contacts", "used", "overlap")
     + ("error", "lost", "m/s", "ratio"),
-    "frames/s: all environments; per core: per second of processor time; used: largest used share of a "
-    "buffer; overlap: deepest overlap [mm]; error: maximum error of stack height, or gap of a joint [mm]; "
-    "lost: escaped bodies; ratio: speed of warp_rigid over that engine",
+    "steps: of a frame of 1/60 s; frames/s: all environments; per core: per second of processor time; contacts: of all "
+    "environments at the end; used: largest used share of a buffer; overlap: deepest overlap at the end [mm], measured "
+    "independently of contacts; error: maximum error of stack height, or gap of a joint [mm]; lost: escaped bodies; "
+    "m/s: largest speed at the end; ratio: speed of warp_rigid over that engine",
 )
 """Columns of the table of engines, and their explanation."""
 PHASES = (
     ("scene", "envs", "steps", "phase", "frames/s", "per core", "contacts", "used", "overlap", "at end", "median")
     + ("error", "lost", "m/s"),
-    "frames/s: all environments; per core: per second of processor time; used: largest used share of a buffer; "
-    "overlap: deepest overlap during the phase and at its end, and the median over environments at its end [mm]; "
-    "error: maximum error of stack height, or gap of a joint [mm]; lost: escaped bodies",
+    "steps: of a frame of 1/60 s; frames/s: all environments; per core: per second of processor time; contacts: of all "
+    "environments at the end; used: largest used share of a buffer; overlap: deepest overlap during the phase and at "
+    "its end, and the median over environments at its end [mm], measured independently of contacts; error: maximum "
+    "error of stack height, or gap of a joint [mm]; lost: escaped bodies; m/s: largest speed at the end",
 )
 """The same of the table of phases."""
 
 
 def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str], phases: bool) -> None:
+    from warp_rigid.bench.notes import notes
+
     out = console()
     names, explanation = PHASES if phases else ENGINES
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
@@ -190,6 +196,8 @@ def _print(rows: list[dict[str, Any]], started: dict[str, Any], files: list[str]
             table.add_row(*(escape(cells[name]) for name in names))
     out.print(table, highlight=False)
     out.print(explanation, style="dim", markup=False, highlight=False)
+    for line in notes(rows):
+        out.print(line, highlight=False, markup=False)
     for row in rows:
         if "rest" in row:
             out.print(_rest(row), highlight=False, markup=False)
@@ -255,11 +263,13 @@ def _millimetres(length: float | None) -> str:
 
 
 def _stages(row: dict[str, Any]) -> str:
+    from warp_rigid.bench.notes import duration
+
     total = sum(row["stage_seconds"].values())
     largest = sorted(row["stage_seconds"].items(), key=lambda item: -item[1])
     parts = ", ".join(f"{name} {seconds / total:.0%}" for name, seconds in largest if seconds >= 0.02 * total)
     phase = f", {row['phase']}" if "phase" in row else ""
-    return f"{_title(row)}{phase}, {row['levels']} levels: {1e6 * total:.4g} µs/step: {parts}"
+    return f"{_title(row)}{phase}, {row['levels']} levels: {duration(total)}/step: {parts}"
 
 
 def _title(row: dict[str, Any]) -> str:
