@@ -9,6 +9,7 @@ import warp_rigid as wr
 from warp_rigid.commands import cli
 from warp_rigid.runs.progress import Checkpoints
 from warp_rigid.runs.runner import execute, find_scene, plan_run
+from warp_rigid.viewer import hud
 from warp_rigid.viewer.session import Session
 
 SCENE = '''"""A ball is kicked, pellets rain on it."""
@@ -122,6 +123,10 @@ def test_verdicts_are_shown_where_the_outcome_has_some(tmp_path, capsys):
     lines = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines() if line}
     assert (lines["count"], lines["travel"], lines["moved"]) == (["2"], ["500", "mm"], ["yes"])
     assert lines["error"][1:] == ["mm", "yes"]
+    session = Session(str(path), device="cpu")
+    session.step(120)
+    shown = hud._text(session, np.array([0]), 0.0, 0.0, 0.0, session.verdicts).split("\n\n")
+    assert {"count: **2**", "travel: **500 mm**", "moved: **yes**"} <= set(shown)
     path.write_text(LEVERS + '\n\ndef outcome(sim):\n    return {"count": sim.get("mass")[:, 0]}\n')
     assert cli.main(["run", str(path), "--frames", "1", "--device", "cpu"]) == 0
     out = capsys.readouterr().out

@@ -1,8 +1,8 @@
 """`warp-rigid run`: simulate a scene, evaluate its outcome and write animations and images."""
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from warp_rigid.checks import one_of, whole_in
+from warp_rigid.commands.options import AsJson, Device, Envs, Seed, SimulatedScene, takes
 from warp_rigid.commands.terminal import (
     check_outputs,
     check_writable,
@@ -23,6 +24,7 @@ from warp_rigid.files.atomic import check_unread
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
+from warp_rigid.runs.recording import Recording
 from warp_rigid.runs.user_code import UserCodeError
 from warp_rigid.scenes.demo import shown_settings, shown_value
 from warp_rigid.usd import ImportReport, UsdStream, export_usd
@@ -35,17 +37,18 @@ MAX_COLUMNS = 8
 """Maximum number of environments with a column of their own in the table of verdicts."""
 
 
-def run_command(
-    context: typer.Context,
-    scene: Annotated[
-        str, typer.Argument(help="Built-in scene, .py file with a function scene(), or USD, MJCF or URDF file.")
-    ],
-    envs: Annotated[int | None, typer.Option(help="Number of environments.")] = None,
-    frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None,
-    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
-    substeps: Annotated[int | None, typer.Option(help="Steps per frame; sets dt.")] = None,
-    device: Annotated[str | None, typer.Option(help="Device, such as cpu or cuda:0.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the random numbers of the scene.")] = None,
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of `warp-rigid run`."""
+
+    context: typer.Context
+    scene: SimulatedScene
+    envs: Envs = None
+    frames: Annotated[int | None, typer.Option(help="Number of frames. Default: duration of the scene.")] = None
+    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0
+    substeps: Annotated[int | None, typer.Option(help="Steps per frame; sets dt.")] = None
+    device: Device = None
+    seed: Seed = None
     assignments: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,116 +57,165 @@ def run_command(
             help="Scene parameter, setting or body property; repeatable. "
             "A list NAME=A,B,C sets one value per environment.",
         ),
-    ] = None,
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Simulate one environment per variant of the scene.")
-    ] = False,
-    output: Annotated[
-        str | None, typer.Option("-o", "--output", help="Animation: .usdc, .usda, .usdz or .glb.")
-    ] = None,
-    usd_envs: Annotated[str | None, typer.Option(help="Environments in animations and images: 0,5,7 or all.")] = None,
+    ] = None
+    compare: Annotated[bool, typer.Option("--compare", help="Simulate one environment per variant of the scene.")] = (
+        False
+    )
+    output: Annotated[str | None, typer.Option("-o", "--output", help="Animation: .usdc, .usda, .usdz or .glb.")] = None
+    usd_envs: Annotated[str | None, typer.Option(help="Environments in animations and images: 0,5,7 or all.")] = None
     usd_profile: Annotated[
         str, typer.Option(help="animation (instances), scene (with physics) or auto (scene for up to 2000 bodies).")
-    ] = "auto",
+    ] = "auto"
     usd_layout: Annotated[
         str,
         typer.Option(
             help="single (one file), payloads (one file per environment), clips (one file per 24 frames) or override "
             "(a layer over the imported stage that animates its own prims)."
         ),
-    ] = "single",
-    usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Include contact points and impulses.")] = False,
-    picture: Annotated[str | None, typer.Option(help="Image of the last frame, .png.")] = None,
-    film: Annotated[str | None, typer.Option(help="Video, .gif or .mp4.")] = None,
-    contact_sheet: Annotated[str | None, typer.Option(help="Image of eight frames, .png.")] = None,
-    html: Annotated[str | None, typer.Option(help="Standalone page that plays the animation, .html.")] = None,
-    color: Annotated[str, typer.Option(help="Colour bodies by body, environment, level, speed or asleep.")] = "body",
-    checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file. Default: SCENE.ckpt.")] = None,
-    checkpoint_every: Annotated[int | None, typer.Option(help="Write a checkpoint every so many frames.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint if it exists.")] = False,
+    ] = "single"
+    usd_contacts: Annotated[bool, typer.Option("--usd-contacts", help="Include contact points and impulses.")] = False
+    picture: Annotated[str | None, typer.Option(help="Image of the last frame, .png.")] = None
+    film: Annotated[str | None, typer.Option(help="Video, .gif or .mp4.")] = None
+    contact_sheet: Annotated[str | None, typer.Option(help="Image of eight frames, .png.")] = None
+    html: Annotated[str | None, typer.Option(help="Standalone page that plays the animation, .html.")] = None
+    color: Annotated[str, typer.Option(help="Colour bodies by body, environment, level, speed or asleep.")] = "body"
+    checkpoint: Annotated[str | None, typer.Option(help="Checkpoint file. Default: SCENE.ckpt.")] = None
+    checkpoint_every: Annotated[int | None, typer.Option(help="Write a checkpoint every so many frames.")] = None
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint if it exists.")] = False
     memory_limit: Annotated[
         str | None, typer.Option(help="Bytes such as 8000000000, or a fraction of the device memory such as 0.5.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-) -> int:
+    ] = None
+    as_json: AsJson = False
+
+    @property
+    def written(self) -> list[str]:
+        """Paths of the animation and the images."""
+        return [path for path in (self.output, self.picture, self.film, self.contact_sheet, self.html) if path]
+
+    @property
+    def usd(self) -> UsdOptions:
+        """How USD files are written."""
+        return UsdOptions(self.usd_profile, self.color, self.usd_layout, self.usd_contacts)
+
+    @property
+    def to_usd(self) -> str | None:
+        """Path of the USD file."""
+        return None if self.output is None or self.output.endswith(".glb") else self.output
+
+    @property
+    def overrides(self) -> bool:
+        """Whether the USD file is a layer over the imported stage."""
+        return self.usd_layout == "override"
+
+    @property
+    def streamed(self) -> str | None:
+        """Path of the USD file to which frames are written as they are simulated.
+
+        A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
+        """
+        return None if self.overrides or self.checkpoint_every is not None or self.resume else self.to_usd
+
+    def check(self) -> None:
+        """Check what can be checked without the scene.
+
+        Raises:
+            ValueError: An option is out of its range, or does not suit another one.
+            OSError: A file cannot be written.
+        """
+        written = self.written
+        if len(set(written)) < len(written):
+            raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
+        films = {self.picture: (".png",), self.film: (".gif", ".mp4"), self.contact_sheet: (".png",)}
+        pictures = {**films, self.html: (".html",)}
+        check_outputs(self.output, {path: endings for path, endings in pictures.items() if path})
+        self.check_unread([self.scene])
+        one_of("--color", self.color, COLORINGS)
+        usd = self.usd
+        if self.to_usd:
+            usd.check_path(Path(self.to_usd))
+
+    def check_unread(self, read: Iterable[str]) -> None:
+        """Check that no file that is read is overwritten."""
+        check_unread([*self.written, self.checkpoint or ""], read)
+
+    def plan(self) -> runner.Plan:
+        """The run, with checks of the options that need the scene."""
+        plan = runner.plan_run(
+            runner.find_scene(self.scene),
+            self.assignments or (),
+            num_envs=self.envs,
+            compare=self.compare,
+            frames=self.frames,
+            fps=self.fps,
+            substeps=self.substeps,
+            device=self.device,
+            seed=self.seed,
+            memory_limit=_memory_limit(self.memory_limit),
+        )
+        self.check_unread(plan.scene.import_report.files if plan.scene.import_report else ())
+        return plan
+
+    def checkpoints(self, plan: runner.Plan) -> Checkpoints:
+        """When and where checkpoints are written."""
+        path = Path(self.checkpoint or f"{plan.demo.name}.ckpt")
+        if self.checkpoint_every is not None:
+            whole_in("--checkpoint-every", self.checkpoint_every, 1, 10**9)
+            check_writable(path)
+        if self.resume and not path.exists():
+            note(f"{path}: no checkpoint found, starting from the beginning")
+        return Checkpoints(path, self.checkpoint_every, self.resume)
+
+    def recorded(self, plan: runner.Plan) -> list[int] | None:
+        """Environments in animations and images; None for all."""
+        chosen = _recorded_envs(self.usd_envs, plan.sim.num_envs) if self.written else []
+        if self.overrides and plan.scene.import_report is None:
+            raise ValueError(f"--usd-layout: override requires a scene from a USD file, got {self.scene}")
+        if self.overrides and (plan.sim.num_envs if chosen is None else len(chosen)) != 1:
+            raise ValueError("--usd-envs: must name one environment for --usd-layout override")
+        return chosen
+
+
+@takes(RunOptions)
+def run_command(options: RunOptions) -> int:
     """Simulate a scene, evaluate its outcome, and write animations and images.
 
     Exit status 6: a verdict is not as expected.
     """
-    written = [path for path in (output, picture, film, contact_sheet, html) if path]
-    if len(set(written)) < len(written):
-        raise ValueError(f"{max(written, key=written.count)}: is given for two outputs")
-    pictures = {picture: (".png",), film: (".gif", ".mp4"), contact_sheet: (".png",), html: (".html",)}
-    check_outputs(output, {path: endings for path, endings in pictures.items() if path})
-    kept = [*written, checkpoint or ""]
-    check_unread(kept, [scene])
-    one_of("--color", color, COLORINGS)
-    usd = UsdOptions(usd_profile, color, usd_layout, usd_contacts)
-    to_usd = output is not None and not output.endswith(".glb")
-    if output and to_usd:
-        usd.check_path(Path(output))
-    plan = runner.plan_run(
-        runner.find_scene(scene),
-        assignments or (),
-        num_envs=envs,
-        compare=compare,
-        frames=frames,
-        fps=fps,
-        substeps=substeps,
-        device=device,
-        seed=seed,
-        memory_limit=_memory_limit(memory_limit),
-    )
-    check_unread(kept, plan.scene.import_report.files if plan.scene.import_report else ())
-    if checkpoint_every is not None:
-        whole_in("--checkpoint-every", checkpoint_every, 1, 10**9)
-        check_writable(checkpoint or f"{plan.demo.name}.ckpt")
-    checkpoints = Checkpoints(Path(checkpoint or f"{plan.demo.name}.ckpt"), checkpoint_every, resume)
-    if resume and not checkpoints.path.exists():
-        note(f"{checkpoints.path}: no checkpoint found, starting from the beginning")
-    chosen = _recorded_envs(usd_envs, plan.sim.num_envs) if written else []
+    options.check()
+    plan = options.plan()
+    checkpoints = options.checkpoints(plan)
+    chosen = options.recorded(plan)
     _print_import_report(plan.scene.import_report)
-    # A resumed run writes the whole animation, so a run with checkpoints stores its frames in them.
-    override = usd_layout == "override"
-    if override and plan.scene.import_report is None:
-        raise ValueError(f"--usd-layout: override requires a scene from a USD file, got {scene}")
-    if override and (plan.sim.num_envs if chosen is None else len(chosen)) != 1:
-        raise ValueError("--usd-envs: must name one environment for --usd-layout override")
-    streamed = output if to_usd and not override and checkpoint_every is None and not resume else None
-    done, failure = _FramesDone(plan.frames), None
-    with told_if_interrupted(lambda: done.kept(streamed, checkpoints, context), lambda: done.count > 0):
-        try:
-            if streamed:
-                result = _execute_to_usd(plan, streamed, chosen, usd, done)
-            else:
-                with progress(plan.demo.name, plan.frames) as advance:
-                    result = runner.execute(
-                        plan,
-                        chosen,
-                        done.then(advance),
-                        checkpoints,
-                        velocities=color == "speed",
-                        contacts=usd_contacts,
-                    )
-        except UserCodeError as error:
-            if error.kept is None or not error.kept.summary["frames"]:
-                raise
-            result, failure = error.kept, error
-    if output and not streamed:
-        _export(result.recording, output, usd)
-    if picture or film or contact_sheet or html:
-        drawn = replace(
-            _film(result.recording, output if to_usd and not override else None, color), view=plan.demo.view
-        )
-        _draw(drawn, picture, film, contact_sheet, html)
-    summary = {**result.summary, "files": written}
-    if as_json:
+    result, failure = _execute(options, plan, chosen, checkpoints)
+    if options.output and not options.streamed:
+        _export(result.recording, options.output, options.usd)
+    _draw(options, plan, result.recording)
+    summary = {**result.summary, "files": options.written}
+    if options.as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary)
     if failure is not None:
         raise failure
     return _status(summary["failed"]) or (0 if all(_judged(summary["verdicts"])) else UNEXPECTED)
+
+
+def _execute(
+    options: RunOptions, plan: runner.Plan, chosen: list[int] | None, checkpoints: Checkpoints
+) -> tuple[runner.Result, UserCodeError | None]:
+    """The result of the run, or up to an error of the user's code, and that error."""
+    done = _FramesDone(plan.frames)
+    with told_if_interrupted(lambda: done.kept(options, checkpoints), lambda: done.count > 0):
+        try:
+            with progress(plan.demo.name, plan.frames) as advance:
+                if options.streamed:
+                    return _execute_to_usd(plan, options.streamed, chosen, options.usd, done.then(advance)), None
+                velocities, contacts = options.color == "speed", options.usd_contacts
+                return runner.execute(plan, chosen, done.then(advance), checkpoints, velocities, contacts), None
+        except UserCodeError as error:
+            if error.kept is None or not error.kept.summary["frames"]:
+                raise
+            return error.kept, error
 
 
 def _memory_limit(text: str | None) -> int | float | None:
@@ -191,33 +243,31 @@ class _FramesDone:
 
         return on_frame
 
-    def kept(self, streamed: str | None, checkpoints: Checkpoints, context: typer.Context) -> str:
+    def kept(self, options: RunOptions, checkpoints: Checkpoints) -> str:
         """What an interrupted run has kept, and how to continue it."""
         text = f"after {self.count} of {self._total} frames; "
         every = checkpoints.every
         if every is not None and self.count >= every:
             frame = self.count - self.count % every
-            return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(context)}"
-        if streamed:
-            return (
-                text + f"kept {streamed} with {self.count + 1} frames; to be able to continue, use --checkpoint-every N"
-            )
+            return text + f"kept {checkpoints.path} of frame {frame}; to continue: {continued(options.context)}"
+        if options.streamed:
+            text += f"kept {options.streamed} with {self.count + 1} frames"
+            return f"{text}; to be able to continue, use --checkpoint-every N"
         return text + "nothing was kept; to be able to continue, use --checkpoint-every N"
 
 
 def _execute_to_usd(
-    plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions, done: _FramesDone
+    plan: runner.Plan, path: str, envs: list[int] | None, options: UsdOptions, on_frame: Callable[[int], None]
 ) -> runner.Result:
     """Run and stream each frame to the file, so that memory stays constant and an interrupted run keeps its frames."""
     labels = plan.labels if envs is None else [plan.labels[env] for env in envs]
     with UsdStream(plan.sim, path, plan.fps, envs, labels, **vars(options)) as stream:
-        with progress(plan.demo.name, plan.frames) as advance:
 
-            def capture(frame: int) -> None:
-                stream.capture(plan.sim)
-                advance(frame)
+        def capture(frame: int) -> None:
+            stream.capture(plan.sim)
+            on_frame(frame)
 
-            return runner.execute(plan, [], done.then(capture))
+        return runner.execute(plan, [], capture)
 
 
 def _print_import_report(report: ImportReport | None) -> None:
@@ -261,20 +311,24 @@ def _film(recording, usd: str | None, color: str):
     return with_strings(film, recording)
 
 
-def _draw(drawn, picture, film, contact_sheet, html) -> None:
+def _draw(options: RunOptions, plan: runner.Plan, recording: Recording) -> None:
     """Write the requested images, videos and pages."""
+    if not (options.picture or options.film or options.contact_sheet or options.html):
+        return
     from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
 
-    for save, path in ((save_picture, picture), (save_contact_sheet, contact_sheet)):
+    usd = None if options.overrides else options.to_usd
+    drawn = replace(_film(recording, usd, options.color), view=plan.demo.view)
+    for save, path in ((save_picture, options.picture), (save_contact_sheet, options.contact_sheet)):
         if path:
             save(drawn, path)
-    if film:
-        with progress(f"drawing {film}", drawn.num_frames) as advance:
-            save_film(drawn, film, on_frame=advance)
-    if html:
+    if options.film:
+        with progress(f"drawing {options.film}", drawn.num_frames) as advance:
+            save_film(drawn, options.film, on_frame=advance)
+    if options.html:
         from warp_rigid.viewer.playback import save_html
 
-        save_html(drawn, html)
+        save_html(drawn, options.html)
 
 
 def _print_summary(summary: dict[str, Any]) -> None:
