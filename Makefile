@@ -59,7 +59,7 @@ frameworks: $(FRAMEWORKS_READY)
 browser-test: $(READY) $(ROBOTS_READY)
 	$(PYTEST) tests/browser
 
-# 10 000 new cases of wild input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks; and
+# 10 000 new cases of random invalid input: meshes, files, scenes, values, commands, the socket, threads, kills, full disks; and
 # 200 random scenes that are reset, saved and changed.
 fuzz: $(READY)
 	FUZZ_CASES=10000 $(PYTEST) tests/fuzz
@@ -96,7 +96,7 @@ docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "built $(OUT)/site/index.html"
 
-# What ruff can correct by itself.
+# Automatic corrections of ruff.
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .

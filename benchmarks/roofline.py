@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from benchmarks import roofline_report
 from warp_rigid import Settings, Simulator
 from warp_rigid.bench.cases import BenchmarkCase, find_case
 from warp_rigid.bench.measure import FPS, STAGE_STEPS, commit
@@ -501,46 +502,6 @@ _WORK: dict[str, Callable[[Counts], Work]] = {
 }
 
 
-def markdown(found: Found) -> str:
-    """One scene as a heading, a line of counts and a table."""
-    c, lines = found.counts, []
-    scene, _, seconds = found.scene.partition("@")
-    total, floor = sum(found.measured.values()), sum(seconds for seconds, _ in found.floors.values())
-    visits = (c.contacts + c.sweeps) / max(found.measured["solve_contacts"], 1e-12)
-    lines += [
-        f"## {scene.rpartition(':')[0]} × {c.envs}" + (f", {seconds} s after the start" if seconds else ""),
-        "",
-        f"{found.device}, commit {found.commit or 'unknown'}. {c.pairs:,} pairs, {c.searched:,} of them searched again "
-        f"({c.clusters:,} clusters, {c.samples:,} samples, {c.near + c.close:,} distances); {c.touching:,} touch, in "
-        f"{c.contacts:,} contacts and up to {c.levels} levels; {c.sweeps / max(c.contacts, 1):.1f} solver "
-        f"sweeps per contact, {c.unsettled / max(c.contacts, 1):.0%} of the contacts need shock propagation. The "
-        f"simulator's arrays fill {found.working_set / 1e6:,.0f} MB; solver sweeps visit {visits / 1e9:.3g} G "
-        "contacts/s.",
-        "",
-        "| stage | launches | MB | Mflop | floor [µs] | set by | measured [µs] | measured / floor |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for stage, taken in found.measured.items():
-        work, (least, by) = found.work[stage], found.floors[stage]
-        if work.launches:
-            cells = [stage, work.launches, _short((work.read + work.written) / 1e6)]
-            cells += [_short((work.single + work.double) / 1e6), _short(1e6 * least), by, _short(1e6 * taken)]
-            lines.append(f"| {' | '.join(map(str, cells))} | {_short(taken / least)} |")
-    lines.append(f"| all | | | | {_short(1e6 * floor)} | | {_short(1e6 * total)} | {_short(total / floor)} |")
-    return "\n".join(lines) + "\n"
-
-
-def _short(number: float) -> str:
-    """A number with three digits."""
-    return f"{number:,.0f}" if number >= 100.0 else f"{number:.3g}"
-
-
-def page(scenes: list[Found]) -> str:
-    """The page of all tables."""
-    note = "Written by `python -m benchmarks.roofline --write docs/roofline_table.md`; [explanation](roofline.md).\n"
-    return "\n".join(["# Roofline: all results\n", note, *map(markdown, scenes)])
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Measure scenes, print their tables, and write the requested files."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -554,8 +515,11 @@ def main(arguments: list[str] | None = None) -> None:
     found = []
     for text in given.scenes or (*MAIN, *MOVING):
         found.append(measure(text, device, given.settle))
-        print(markdown(found[-1]), flush=True)
-    for path, text in ((given.write, page(found)), (given.json, json.dumps([asdict(f) for f in found], indent=1))):
+        print(roofline_report.markdown(found[-1]), flush=True)
+    for path, text in (
+        (given.write, roofline_report.page(found)),
+        (given.json, json.dumps([asdict(f) for f in found], indent=1)),
+    ):
         if path:
             Path(path).write_text(text)
 

@@ -5,6 +5,7 @@ Run it from the top of the repository: `.venv/bin/python docs/make_arrays.py`.
 
 import ast
 import inspect
+from collections import Counter
 from collections.abc import Iterator
 from enum import IntEnum
 from pathlib import Path
@@ -20,27 +21,28 @@ PAGE = Path(__file__).parent / "arrays.md"
 INTRODUCTION = """
 # Arrays
 
-All arrays on the device, as declared in `kernels/schema.py`. The Warp structs, the allocation and the packing of
-records follow from the same declarations. The rows of all environments are in one array: the bodies of environment `e`
-are rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` generates this page.
+All device arrays, as declared in `kernels/schema.py`; the Warp structs, the allocation and the packing of records
+follow from the same declarations. The rows of all environments are in one array: the bodies of environment `e` are
+rows `first_body[e]` to before `first_body[e + 1]`. `docs/make_arrays.py` generates this page.
 
 ## Sizes
 
-The first dimension of a shape is a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
+The name of an array is followed by its type, its shape in parentheses, its unit in brackets and its lifetime. The first
+dimension of a shape is a symbol, or a symbol plus a number. No array is empty: a size of 0 becomes 1.
 """
 
 LIFETIMES = """
 ## Lifetimes
 
-How long the values of an array are valid, and who writes them. From this follows what a reset, a checkpoint and the
-undoing of a step work on. Tests overwrite all arrays of the lifetime `step` between steps, and get the same bits.
+The lifetime of an array states who writes its values and how long they are valid. It decides what a reset, a checkpoint
+and the undoing of a step work on.
 """
 
 RECORDS = """
 ## Records
 
 Records are elements of arrays. A packed record consists of groups of 16 bytes, each of which a GPU reads or writes
-with one request; unused bytes at the end of a group are not listed.
+with one request. Unused bytes at the end of a group are not listed.
 """
 
 ENUMERATIONS = """
@@ -78,25 +80,38 @@ def section(name: str, content: str) -> str:
 
 
 def struct_table(fields: dict[str, declare.Field]) -> str:
-    """The arrays of a struct."""
-    lines = [
-        (code(key), type_name(f.dtype), f"({f.shape})", f.lifetime.name.lower(), f.unit, f.description)
-        for key, f in fields.items()
-    ]
-    return table("array", "type", "shape", "lifetime", "unit", "description", rows=lines)
+    """The arrays of a struct. The most frequent shape and lifetime are stated once, above the table."""
+    shape = Counter(f.shape for f in fields.values()).most_common(1)[0][0]
+    lifetime = Counter(f.lifetime for f in fields.values()).most_common(1)[0][0]
+    lines = []
+    for key, f in fields.items():
+        told = declaration(key, f, shape=f.shape != shape)
+        told += f" {f.lifetime.name.lower()}" if f.lifetime != lifetime else ""
+        lines.append((told, f.description))
+    same = all((f.shape, f.lifetime) == (shape, lifetime) for f in fields.values())
+    above = f"Shape ({shape}), lifetime {lifetime.name.lower()}{'' if same else ' unless stated'}."
+    return f"{above}\n\n{table('array', 'description', rows=lines)}"
 
 
 def record_table(name: str, fields: dict[str, declare.Field]) -> str:
-    """The members of a record, with their place in it."""
-    layout = declare.STRUCTS[name].numpy_dtype()
-    offsets = dict(zip(layout["names"], layout["offsets"], strict=True))
+    """The members of a record, in the order of their place in it."""
     lines = [
-        (code(key), type_name(f.dtype), str(offsets[key]), f.unit, f.description)
+        (declaration(key, f, shape=False), f.description)
         for key, f in fields.items()
         if not key.startswith(declare.PADDING)
     ]
-    size = f"{layout['itemsize']} bytes{', packed' if name in declare.PACKED else ''}."
-    return size + "\n\n" + table("member", "type", "offset [bytes]", "unit", "description", rows=lines)
+    size = f"{declare.STRUCTS[name].numpy_dtype()['itemsize']} bytes{', packed' if name in declare.PACKED else ''}."
+    return size + "\n\n" + table("member", "description", rows=lines)
+
+
+def declaration(name: str, field: declare.Field, shape: bool) -> str:
+    """As in "`mass` float32 (bodies) [kg]"."""
+    parts = [code(name), type_name(field.dtype)]
+    if shape:
+        parts.append(f"({field.shape})")
+    if field.unit:
+        parts.append(f"[{field.unit}]")
+    return " ".join(parts)
 
 
 def enumerations() -> Iterator[str]:
@@ -107,22 +122,24 @@ def enumerations() -> Iterator[str]:
 
 
 def enumeration(node: ast.ClassDef, declared: type[IntEnum]) -> str:
-    """One enumeration; the column of descriptions is left out if no member has one."""
+    """One enumeration: a list if a member has a description, else a line."""
     described = {
         above.targets[0].id: below.value.value
         for above, below in zip(node.body, node.body[1:], strict=False)
         if isinstance(above, ast.Assign) and isinstance(below, ast.Expr)
     }
-    lines = [(code(name), str(int(value)), described.get(name, "")) for name, value in declared.__members__.items()]
-    width = 3 if described else 2
-    columns = ("member", "value", "description")[:width]
-    return f"### {node.name}\n\n{inspect.getdoc(declared)}\n\n{table(*columns, rows=[line[:width] for line in lines])}"
+    members = [f"{code(name)}: {int(value)}" for name, value in declared.__members__.items()]
+    line = ", ".join(members) + "."
+    if described:
+        texts = [f", {described[name]}" if name in described else "." for name in declared.__members__]
+        line = "\n".join(f"- {member}{text}" for member, text in zip(members, texts, strict=True))
+    return f"### {node.name}\n\n{inspect.getdoc(declared)}\n\n{line}"
 
 
 def table(*columns: str, rows: list[tuple[str, ...]]) -> str:
     """A table in Markdown."""
     lines = [columns, ("---",) * len(columns), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines)
+    return "\n".join(" | ".join(cell.replace("|", r"\|") for cell in line).rstrip() for line in lines)
 
 
 def code(text: str) -> str:

@@ -211,7 +211,7 @@ Environments = layout(
     strayed=Field(int, "envs", "", "rank of the first body that left the bounds in this step; 0 if none"),
     driven=Remembered(int, "envs", "", "1: a joint has stored or given energy at the last check"),
     health=Field(
-        wp.vec2d, "envs", "J", "least sum of the energies gained without work, and largest kinetic energy of late"
+        wp.vec2d, "envs", "J", "least sum of the energies gained without work, and recent largest kinetic energy"
     ),
     stuck=Field(int, "envs", "", "rank of the first body whose overlap does not shrink; 0 outside a health check"),
     coarse=Field(int, "envs", "", "the same for a body whose position is coarse"),

@@ -115,10 +115,10 @@ def test_a_table_is_written_with_every_stage_that_launches(device, tmp_path, cap
     roofline.main([*arguments, "--write", str(page), "--json", str(figures)])
     text = page.read_text()
     (found,) = json.loads(figures.read_text())
-    assert text.startswith("# Roofline") and "## stack:2 × 2" in text
-    assert text.split("## ", 1)[1] in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert text.startswith("# Roofline") and "stage | stack:2 × 2\n" in text and "## stack:2 × 2" in printed
     for stage, work in found["work"].items():
-        assert (f"| {stage} |" in text) == (work["launches"] > 0)
+        assert (f"\n{stage} | " in text) == (f"\n{stage} | " in printed) == (work["launches"] > 0)
         if work["launches"] > 0:
             # Where the sweeps have settled everything, nothing is left for shock propagation.
             assert work["read"] > 0 or (stage == "propagate_shock" and found["counts"]["unsettled"] == 0)
@@ -130,7 +130,7 @@ def test_a_scene_in_motion_is_counted_at_its_time(device, tmp_path):
     """A cube that starts at 0.25 m touches the floor after 0.2 s, and is searched in each step until it rests."""
     page = tmp_path / "page.md"
     roofline.main(["pile_box:2:2@0.3", "--device", str(device), "--write", str(page)])
-    assert "## pile_box:2 × 2, 0.3 s after the start" in page.read_text()
+    assert "stage | pile_box:2 × 2, 0.3 s\n" in page.read_text()
     moving, rest = (roofline.measure(f"pile_box:2:2@{time}", device, steps=2).counts for time in (0.3, 3))
     assert moving.searched > 0 and moving.samples > 0
     assert rest.searched == rest.samples == 0

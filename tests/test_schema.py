@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import re
 from pathlib import Path
 
 import numpy as np
@@ -48,12 +49,13 @@ def test_the_page_names_every_array_and_every_member():
     sections = dict(part.split("\n", 1) for part in (ROOT / "docs" / "arrays.md").read_text().split("\n### ")[1:])
     for struct, name, field in fields():
         if not name.startswith("padding_"):
-            (row,) = [line for line in sections[struct].splitlines() if line.startswith(f"| `{name}` |")]
-            assert row.endswith(f"| {field.unit} | {field.description} |")
+            (row,) = [line for line in sections[struct].splitlines() if line.startswith(f"`{name}` ")]
+            assert row.endswith(f" | {field.description}")
+            assert re.findall(r" \[([^]]*)\] ?\w* \|", row) == ([field.unit] if field.unit else [])
     for name, kind in vars(enums).items():
         if isinstance(kind, type) and kind.__module__ == enums.__name__:
             for member, value in kind.__members__.items():
-                assert f"| `{member}` | {value.value} |" in sections[name]
+                assert re.search(rf"`{member}`: {value.value}\b", sections[name])
 
 
 def test_every_array_and_member_is_described():

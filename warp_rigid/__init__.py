@@ -105,5 +105,5 @@ __all__ += fields.__all__
 
 
 def __dir__() -> list[str]:
-    """The public names, without the modules that are imported on the way."""
+    """The public names, without the modules that are imported with them."""
     return [*__all__, "__version__"]

@@ -132,7 +132,7 @@ def numbers_of_shape(name, value, shape):
     """Check that a value is numbers that broadcast to a shape and return them so; else raise ValueError.
 
     Text, complex numbers and booleans are no numbers. NaN and infinity are accepted. The first axis of a shape is that
-    of the environments: the message for one value per environment tells which axis it lacks.
+    of the environments: the message for one value per environment names the missing axis.
     """
     array = array_of(value)
     try:

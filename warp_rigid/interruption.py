@@ -90,7 +90,7 @@ def watched() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, or end the process in an import: libraries may go on with a part of what they need."""
+    """Raise KeyboardInterrupt, or end the process in an import: else a library may stay incomplete."""
     if not _state["keeping"] and any("<frozen importlib" in file for file in _files(frame)):
         _end()
     raise KeyboardInterrupt

@@ -13,7 +13,7 @@ NEAR = wp.constant(0.25)
 """Reach of contacts of fast bodies, and the largest speculative distance, as fractions of the smaller size."""
 
 PUSHED = wp.constant(0.5)
-"""The speculative distance is this fraction of the way of the faster body in the step: without restitution, two bodies
+"""The speculative distance is this fraction of the path of the faster body in the step: without restitution, two bodies
 of the same mass that collide share their velocity."""
 
 REUSE_TRAVEL = wp.constant(2.5e-4)

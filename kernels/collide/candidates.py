@@ -9,7 +9,7 @@ boxes alone.
 Fat boxes are sorted into a hash grid of several levels. The cells of a level are twice as wide as those of the level
 below, and a body belongs to the first level whose cells are as wide as its fat box. It is searched for by the bodies of
 its own and of lower levels, in the few cells around each of them. A plane or a fast body thus adds one level for the
-other bodies to look at, and does not widen the cells of the others. Static bodies are in the grid as well.
+other bodies to search, and does not widen the cells of the others. Static bodies are in the grid as well.
 
 The order in which the bodies are entered in a cell, and the candidates in a list, depends on the threads. The lists are
 sorted at the end. A body with very many candidates, such as one that crosses the whole scene in a step, has no list:

@@ -471,7 +471,7 @@ def change_courses(
 
     Unless a kinematic body drives it, it stays within the reach of the broad phase. From the late rounds on, an
     immovable body leads: a body that it stopped keeps its motion, and others take that over. If instead each body that
-    is hit in the last round stopped, the walls of a falling case would stop, and its content would go on through them.
+    is hit in the last round stopped, the walls of a falling container would stop, and its content would pass them.
     """
     b = wp.tid()
     if motions.role[b] != Role.FREE and suspects.round[0] + 1 >= envs.impact_rounds[bodies.env[b]]:

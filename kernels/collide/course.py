@@ -112,7 +112,7 @@ def course_of(b: int, bodies: Bodies, state: State, motions: Motions):
 
 @wp.func
 def onward_course(b: int, bodies: Bodies, state: State, motions: Motions):
-    """The motion with which a body would go on: its course; a mechanism would go on as a whole, without rotation."""
+    """The motion that a body would continue: its course, or that of its whole mechanism, without rotation."""
     course = course_of(b, bodies, state, motions)
     if course.joined == 1:
         course.linear = motions.onward[b]
@@ -149,7 +149,7 @@ def is_driven(a: int, b: int, motions: Motions):
 
 @wp.func
 def common_share(a: int, b: int, first: Course, second: Course, motions: Motions):
-    """Where the common motion of a pair lies between those of both bodies, as a fraction of the way to the second.
+    """Where the common motion of a pair lies between those of both bodies, as a fraction of their difference.
 
     It is the slowest such motion, unless a kinematic body leads.
     """

@@ -71,8 +71,8 @@ def segment_meets_box(middle: wp.vec3, half: wp.vec3, margin: float, shape: int,
 def may_touch_mesh(p: wp.vec3, radius: float, approach: Approach, shapes: Shapes):
     """Whether samples within a radius of a point may be contacts with a mesh, by its grid; never wrongly false.
 
-    They are near enough to turn back or to be pushed onto it, or may reach the surface on their way: a distance changes
-    by at most the way, so it is at most half of it in the middle.
+    They are near enough to turn back or to be pushed onto it, or may reach the surface along their path. A distance is
+    Lipschitz with constant 1, so on such a path it is at most half of the length at the midpoint.
     """
     near = wp.max(TURNED_BACK * approach.reach, approach.touching + approach.speculative)
     if is_near_grid(shapes, approach.shape, p, near + radius):

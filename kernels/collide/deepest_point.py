@@ -7,7 +7,7 @@ both slopes (the aggregate of two cuts of a bundle method), along which the dept
 
 A round part, which has a closed form, is mapped: each point of a box around it stands for the nearest point of the
 part's surface. As the part is convex, all of its surface is reached, edges and rims included, and the map never
-lengthens a way. Its derivative is symmetric, so that the slope on the box is the derivative applied to the slope.
+increases a distance. Its derivative is symmetric, so that the slope on the box is the derivative applied to the slope.
 """
 
 import warp as wp
@@ -207,7 +207,7 @@ def probe(shapes: Shapes, view: View, facet: Facet, p: wp.vec3):
 
 @wp.func
 def way_out(facet: Facet, p: wp.vec3, u: wp.vec3):
-    """Length of the way from a point of a facet along a direction in its plane, up to its border."""
+    """Distance from a point of a facet to its border along a direction in its plane."""
     length = 2.0 * facet.radius
     for k in range(3):
         start = wp.where(k == 0, facet.a, wp.where(k == 1, facet.b, facet.c))
@@ -228,11 +228,10 @@ def on_facet(facet: Facet, p: wp.vec3):
 
 @wp.func
 def close_in(shapes: Shapes, view: View, facet: Facet, here: Probe, there: Probe):
-    """The bracket of the highest point on the way from `here` to `there`.
+    """The bracket of the highest point on the segment from `here` to `there`.
 
     In turn the point below which the tangents at both ends meet, and the one where the slope becomes zero if it changes
-    evenly. Of a depth that bends downward the tangents tell how much higher it can be; of another one, half of the way
-    is tried.
+    evenly. Tangents bound a concave depth; otherwise the midpoint is tried.
     """
     bracket = Bracket()
     bracket.low = here
@@ -313,7 +312,7 @@ def ascend(shapes: Shapes, view: View, facet: Facet, start: Probe):
 
 @wp.func
 def climb(shapes: Shapes, view: View, facet: Facet, start: Probe):
-    """The highest depth that is found on a facet: from its middle and, if the way there does not end, on its sides.
+    """The highest depth that is found on a facet: from its middle and, if that path reaches the border, on its sides.
 
     Where edges cross, the depth has a narrow top on the side of a facet, toward which the slopes turn to and fro.
     """

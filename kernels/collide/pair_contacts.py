@@ -121,7 +121,7 @@ def center_inside(side: int, a: int, b: int, shapes: Shapes, bodies: Bodies, sta
     placed.distance = FAR
     while evaluated < 2:
         # First the radius of the ball, then its distance from the other body.
-        # The grid of a mesh may be wrong by almost a cell: its triangles tell whether the centre is inside.
+        # The grid of a mesh may be wrong by almost a cell: its triangles decide whether the centre is inside.
         d = signed_distance(shapes, shape, query, wp.where(evaluated == 1, 0.0, -FAR))
         if evaluated == 1 and (
             d[3] < 0.0 or (is_solid(shapes, bodies.shape[own]) and has_exact_distance(shapes, shape))

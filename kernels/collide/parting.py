@@ -1,7 +1,7 @@
 """Crossed bodies: pairs that overlap where no contact shows it come apart along one direction, which they keep.
 
 If thin walls cross, or the rim of a cylinder is in the inner corner of an L, the samples inside the other body do not
-oppose the faces next to them, so they are no contacts. The faces around the crossing do not tell where it ends: two
+oppose the faces next to them, so they are no contacts. The faces around the crossing do not give its extent: two
 walls that cross have the same overlap however far they move. The direction is therefore chosen from the boxes that
 bound the bodies: that of the least motion after which these do not overlap. All samples inside are pushed along it,
 step by step, until none is left.

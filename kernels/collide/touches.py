@@ -1,4 +1,4 @@
-"""Contact points of the near samples, which narrowphase.py has listed: one thread for each, whatever its pair.
+"""Contact points of the near samples, which narrowphase.py has listed: one thread for each, of all pairs together.
 
 Samples of different pairs need different numbers of distances. As they are in one list, no pair waits for another one,
 and neighbouring threads do similar work.
@@ -33,18 +33,18 @@ CLEARLY = wp.constant(3.0)
 """A sample clearly enters a face if it is deeper than this many contact distances."""
 
 FURTHEST = wp.constant(16.0)
-"""The way of a step is continued at most by this factor."""
+"""The path of a step is extended at most by this factor."""
 
 SLOW = wp.constant(0.01)
 """Samples that approach by less than this many contact distances in a step touch without further tests."""
 
 ROUNDS = wp.constant(6)
-"""Maximum number of distances along a way. They are enough for curved surfaces."""
+"""Maximum number of distances along a path. They are enough for curved surfaces."""
 
 
 @wp.struct
 class Way:
-    """The way of a sample in the frame of the other body.
+    """The path of a sample in the frame of the other body.
 
     `start`: a point, the centre of a ball of the given radius, or a point of the surface. `arm`: that point from the
     centre of its body, in the world frame. `facing`: the sample's outward normal. `first`: the distance at the start.
@@ -97,7 +97,7 @@ def course_before(b: int, shapes: Shapes, bodies: Bodies, state: State, motions:
 def way_of(
     s: int, placed: Search, approach: Approach, own: Course, other: Course, dt: float, shapes: Shapes, state: State
 ):
-    """The way of a near sample: that of its ball if it has one, else that of the point that is nearest."""
+    """The path of a near sample: that of its ball if it has one, else that of the point that is nearest."""
     way = Way()
     way.facing = placed.normal
     way.start = placed.query
@@ -119,7 +119,7 @@ def stays_outside(
 ):
     """Whether a sample stays out of a shape for some steps, or enters it by at most `allowed`.
 
-    The distance along a straight way lies above its tangents where the shape is convex, and along a curved way above
+    The distance along a straight path lies above its tangents where the shape is convex, and along a curved way above
     parabolas. It is evaluated where the tangents at both ends of an interval meet. A sample that moves along a face has
     entered if its body lies behind that face: the corners of a box that lands flush on an equal one move along its
     sides.

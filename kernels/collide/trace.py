@@ -6,8 +6,8 @@ few rounds are enough, and motion along a surface is not limited. For other dist
 Edges are traced as whole segments, at their deepest point, because no sample point need be close to where two edges
 cross.
 
-A team of lanes looks at the samples of the clusters that reach the other body. Most of them turn out to stay clear at
-the first look. The others are listed, for all pairs together, and one thread traces each of them: traces take most of
+A team of lanes tests the samples of the clusters that reach the other body. Most of them stay clear at the first
+test. The others are listed, for all pairs together, and one thread traces each of them: traces take most of
 the time, and pairs have very different numbers of them.
 """
 
@@ -58,7 +58,7 @@ class Suspect:
 
 @wp.struct
 class TraceTask:
-    """A lane that looks at samples of a pair's first (`side` 0) or second (1) body, with the others of its team."""
+    """A lane that tests samples of a pair's first (`side` 0) or second (1) body, with the others of its team."""
 
     pair: int
     side: int

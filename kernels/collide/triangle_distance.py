@@ -1,7 +1,7 @@
 """Exact distance to the triangles of a mesh, found through a tree of bounding boxes.
 
-The distance grid of a mesh is exact at its nodes, and off by at most `GRID_ERROR` cells between them. It tells which
-points are near the surface; for these the triangles decide. A wall thinner than a cell has no node inside it, and at a
+The distance grid of a mesh is exact at its nodes, and off by at most `GRID_ERROR` cells between them. It selects the
+points near the surface; for these the triangles decide. A wall thinner than a cell has no node inside it, and at a
 crease the interpolated gradient is a mixture of the normals of its faces: both are exact here.
 
 The nodes of the tree are stored depth first. Each states the node that follows its subtree, so that a traversal needs
@@ -25,8 +25,8 @@ FAR_AWAY = wp.constant(1.0e10)
 """Distance returned if there is no such place [m]."""
 
 GRID_ERROR = wp.constant(0.8661)
-"""Largest error of a grid's distance between its nodes, in cells: a distance changes by at most the way, and the mean
-distance of the eight nodes of a cell, weighted as they are interpolated, is at most sqrt(3) / 2 cells."""
+"""Largest error of a grid's distance between its nodes, in cells: a distance changes by at most the displacement,
+and the mean distance of the eight nodes of a cell, with the weights of the interpolation, is at most sqrt(3) / 2."""
 
 FARTHER = wp.constant(1.4143)
 """Outside a grid the distance is at most sqrt(2) times the bound that the grid gives."""

@@ -1,7 +1,7 @@
 """How the threads of a launch share its rows: on a GPU with a stride, on a CPU in chunks of consecutive rows.
 
 On a CPU a launch is serial. To use several cores, several *workers* execute the same launches at the same time. Each
-index of a launch is a chunk there, and a worker that reaches it claims it, or goes on to the next one if another worker
+index of a launch is a chunk there. A worker that reaches it claims it, or continues with the next one if another worker
 has. A worker claims a chunk of a launch only when all chunks of the launch before are finished. No worker waits for one
 that has not claimed a chunk, so any number of them finishes the work, even a single one.
 """
@@ -101,7 +101,7 @@ def raise_from(counts: wp.array[int], index: int, expected: int) -> bool:
 #endif
 """)
 def announce(counts: wp.array[int], index: int):
-    """Increment a count; whoever sees it sees what this worker wrote before."""
+    """Increment a count with release order: a reader of the new count also reads what this worker wrote before."""
     ...
 
 

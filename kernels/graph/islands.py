@@ -2,13 +2,13 @@
 
 Islands are the connected components of the dynamic bodies: trees of bodies are joined in parallel, always the root with
 the higher index below the one with the lower (Jaiganesh and Burtscher 2018), so that the root of an island is its
-lowest body, in whatever order the threads run.
+lowest body, independent of the order of the threads.
 
 An island is a heap if it consists of bodies that have landed after a free flight, in an environment of many bodies.
 Heaps are solved in rounds (rounds.py), all other islands in sweeps, with shock propagation where it is effective
 (shock.py). Islands merge and split, so each body stores for how many steps shock propagation has been ineffective for
-its island, and the majority of the bodies decides; landed bodies count as if it had been long. Once the bodies of a
-heap of moderate size are nearly at rest, shock propagation is tried again.
+its island, and the majority of the bodies decides: a body votes for a heap if this number is positive, or if it lands
+after a free flight. Once the bodies of a heap of moderate size are nearly at rest, shock propagation is tried again.
 """
 
 import warp as wp
@@ -52,7 +52,7 @@ converge slowly with heavy bodies on light ones, and shock propagation does not.
 
 ROUNDS, ROUNDS_PER_BODY = wp.constant(4.0), wp.constant(0.3)
 """Maximum number of rounds, as a multiple of `contact_iterations`: a constant part, and a part for each body that load
-passes on its way to the ground: along the edge of a cube of as many bodies, or along the height if that is larger."""
+passes down to the ground: along the edge of a cube of as many bodies, or along the height if that is larger."""
 
 RESTING = wp.constant(0.01)
 """Largest speed of a body in an island that is swept until it has converged (calm.py), in sizes of the body per second.

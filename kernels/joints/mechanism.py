@@ -443,8 +443,8 @@ def gap_of(j: int, dt: float, motions: Motions, joints: Joints):
 def close_joints(m: int, dt: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints):
     """Push the bodies of a mechanism until its joints hold at the poses where they stop; velocities stay.
 
-    The velocities lead to poses at the end of the step at which the joints hold. On the way, bodies that turn do not
-    follow arcs but chords.
+    The velocities lead to poses at the end of the step at which the joints hold. Within the step, bodies that turn move
+    on chords instead of arcs.
     """
     k = int(0)
     while k < MOST_PREDICTIONS:

@@ -100,7 +100,7 @@ def begin_parts(m: int, team: Team, state: State, motions: Motions, joints: Join
 
 @wp.func
 def end_part(m: int, time: float, team: Team, bodies: Bodies, state: State, motions: Motions, joints: Joints):
-    """Go on to the poses and velocities at the end of a part."""
+    """Advance to the poses and velocities at the end of a part."""
     predict_mechanism(m, time, 0, team, bodies, state, motions, joints)
     for i in range(joints.first_member[m] + team.lane, joints.first_member[m + 1], team.lanes):
         b = joints.member[i]

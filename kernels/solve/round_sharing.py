@@ -2,7 +2,7 @@
 
 A round takes less time than it takes to wake a thread, so the workers of a CPU stay in one launch until the last round
 is finished. They claim the chunks of all rounds in order, those of a round when all chunks of the round before are
-finished. What the rounds have recorded tells every worker whether another one follows.
+finished. The records of the rounds decide, alike for every worker, whether another one follows.
 """
 
 import warp as wp

@@ -12,8 +12,8 @@ slides is not the gradient of an energy. With it, restarts (O'Donoghue and Cande
 that was measured. The fixed point is the Coulomb problem that sweeps solve, too.
 
 Since v is affine in l, the mean over the copies equals v(y): the velocity before the solve, plus the changes by the
-impulses of all contacts. Each pair stores the changes of its two bodies in slots, and whoever needs the velocity of a
-body in the next round adds up the slots of the body. Slots are in the order of the constraints, so the sum does not
+impulses of all contacts. Each pair stores the changes of its two bodies in slots; the velocity of a
+body in the next round is the sum over its slots. Slots are in the order of the constraints, so the sum does not
 depend on the order of the threads. A round reads the slots that the last one wrote, and writes those of another buffer
 (slots.py). A pair is left out of a round, and its slots keep their values, if no pair has noticeably changed one of its
 bodies in the last one.

@@ -23,7 +23,7 @@ STUCK_CHECKS = wp.constant(wp.float64(4.0))
 """Consecutive checks without shrinking that make a warning."""
 
 GAIN = wp.constant(wp.float64(0.02))
-"""Gain of energy that makes a warning, as a fraction of the largest kinetic energy of late."""
+"""Gain of energy that makes a warning, as a fraction of the recent largest kinetic energy."""
 
 LIFT = wp.constant(wp.float64(0.01))
 """The same as a height to which all bodies could be lifted, as a fraction of their size."""

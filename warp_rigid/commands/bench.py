@@ -146,7 +146,7 @@ def _engines(case: Any, conditions: Any, device: Any, chosen: dict[str, str]) ->
 
 
 def _report(found: set[str], reported: set[str]) -> None:
-    """Print each fault of an engine once, not for every number of environments."""
+    """Print each fault of an engine once, for all numbers of environments."""
     for text in sorted(found - reported):
         note(text)
     reported |= found

@@ -1,8 +1,8 @@
-"""Checkpoints: a simulator in one file, from which it goes on to the same bits.
+"""Checkpoints: a simulator in one file, from which it continues with the same bits.
 
 The file holds the scenes with their meshes and their distance grids, all parameters and settings of every environment,
-the state, and the contacts of the last step with their impulses; of the pools, only what is in use. It does not tell
-how many cores shared the environments: any machine goes on from it.
+the state, and the contacts of the last step with their impulses; of the pools, only the rows in use. It does not
+depend on the number of cores that shared the environments.
 """
 
 import logging
@@ -116,7 +116,7 @@ def restore(world: World, header: dict[str, Any], arrays: Mapping[str, np.ndarra
 
 
 def _arguments(header: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """The Simulator's arguments, after a look whether the arrays are as large as they would make it."""
+    """The arguments of the Simulator; checks that the sizes of the arrays agree with them."""
     scenes = scenes_from_data(header, arrays)
     envs = whole_in("num_envs", header["num_envs"], 1, MOST_ENVIRONMENTS)
     scene_of = shaped(arrays, SCENE_OF, np.int32, (envs,))
@@ -196,7 +196,7 @@ def _newer_coefficients(header: dict[str, Any]) -> set[str]:
 def _checked(
     name: str, own: np.ndarray, arrays: Mapping[str, np.ndarray], used: dict[str, int], world: World
 ) -> np.ndarray:
-    """The saved rows of an array, if the kernels may trust them; `own` are those that the simulator has now."""
+    """The saved rows of an array, after checks of their values; `own` are the present rows of the simulator."""
     struct, _, last = name.partition(".")
     counted = declare.counted_by(declare.LAYOUTS[struct][last])
     count = used[counted] + last.endswith("_start") if counted in used else len(own)

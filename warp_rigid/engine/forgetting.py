@@ -1,6 +1,6 @@
-"""Forgetting: environments return to their start, and bodies of a pool begin a new life.
+"""Resets: environments return to their start, and bodies of a pool lose the history of their last use.
 
-What there is to forget follows from the declared lifetimes of the arrays (kernels/declare.py), and is not listed here.
+The arrays that are reset follow from the declared lifetimes (kernels/declare.py) and are not listed here.
 """
 
 from collections.abc import Mapping
@@ -61,7 +61,7 @@ def _return_to_start(arrays: Any, rows: Mapping[str, np.ndarray], start: Any = N
 
 
 def _forget_pairs(pools: Pools, rows: Mapping[str, np.ndarray]) -> None:
-    """Forget the contacts of bodies of a shard, and the contact graph, whose places depend on the list of pairs."""
+    """Remove the contacts of bodies of a shard, and the contact graph, whose rows depend on the list of pairs."""
     _return_to_start(pools.graph, rows)
     pools.remove_pairs(rows["bodies"])
     pools.forget_graph()

@@ -169,7 +169,7 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
 
 
 def _refuse_dt(name: str) -> None:
-    """Tell where the one setting is that is no quantity."""
+    """Raise an error for `dt`, the only setting that is not a quantity."""
     if name == "dt":
         raise ValueError(
             "name: dt is constant and the same in all environments; it is Settings(dt=...) of the simulator"
@@ -268,7 +268,7 @@ def _write_field(world: World, name: str, value: Any, chosen: np.ndarray) -> Non
 
 
 def _count_anew(world: World, rows: np.ndarray) -> None:
-    """Forget how long bodies have kept still: the device counted only if others in the batch slept."""
+    """Restart the count of still steps: the device counts only if a body of the batch may sleep."""
     assign_rows(world.sleep_state.still_steps, 0, rows)
     for name in ("position", "orientation"):
         assign_rows(getattr(world.sleep_state, name), spread_rows(getattr(world.state, name).numpy(), rows), rows)

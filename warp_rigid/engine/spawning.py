@@ -64,9 +64,9 @@ def _one_row_each(world: World, name: str, value: Any, rows: np.ndarray) -> np.n
 
 
 def _clear(world: World, rows: np.ndarray) -> None:
-    """Forget what is left of the bodies' former lives.
+    """Reset the history of bodies that are activated again.
 
-    What these gained or lost stays, as the check of energies compares the sum of all lives with earlier ones.
+    Their gained energy is kept, because the check of energies compares sums over all bodies with earlier ones.
     """
     only_gained = world.state.health.numpy()[rows] * np.array([1.0, 0.0, 0.0, 0.0])
     forgetting.forget_bodies(world, rows[existing(rows)])

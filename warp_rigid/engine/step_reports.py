@@ -51,7 +51,7 @@ def _contacts_of_shard(shard: Shard) -> np.ndarray:
 
 
 def swept_boxes(world: World) -> np.ndarray:
-    """Boxes of the last look for pairs; see Simulator.swept_boxes."""
+    """Swept boxes of the last broad phase; see Simulator.swept_boxes."""
     corners = world.shards.gather(
         lambda shard: np.stack([shard.stages.motions.lower.numpy(), shard.stages.motions.upper.numpy()], axis=1)
     )

@@ -14,7 +14,7 @@ FIRST_WITH_CLUSTERS = 90
 """Compute capability, times ten, of the first GPUs with clusters of blocks."""
 
 BUILD_LANES, TRACE_LANES, LOOK_LANES, MEASURING_LANES = 4, 32, 8, 32
-"""GPU lanes that build the rows of a pair, trace clusters of a body, look at samples, and measure an overlap."""
+"""GPU lanes that build the rows of a pair, trace clusters of a body, test samples, and measure an overlap."""
 
 ADVANCE_LANES, ADVANCE_LANES_IN_CROWDS = 8, 32
 """GPU lanes that advance two convex solids, each in its part of the step; more in environments with heaps, where the

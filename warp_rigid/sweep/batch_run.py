@@ -204,7 +204,7 @@ def _run(job: Job, prepared: Prepared, start: float) -> Batch:
 
 
 def _append_look(sim: Simulator, observers: Observers, looks: dict[str, list]) -> None:
-    """Append the values of a look to the series; NaN of an observer that failed."""
+    """Append the values of a sample to the series; NaN of an observer that failed."""
     looks["time"].append(sim.time)
     for name, values in looks.items():
         if name != "time":

@@ -49,7 +49,7 @@ class Job:
         trajectories: whether poses are recorded.
         observers: names of ready-made observers, functions or classes, for the columns `observe` and the series.
         observe: names of the observers whose values at the end are columns.
-        series: names of the observers whose values at every look are kept.
+        series: names of the observers whose values at every sample are kept.
         device: a Warp device or its name; None uses the first CUDA device, else the CPU.
         scenes: cached scenes by key.
     """

@@ -1,4 +1,4 @@
-"""Observers: quantities that are read at every look of a sweep, as columns of the table and as time series.
+"""Observers: quantities that are read at every sample of a sweep, as columns of the table and as time series.
 
 A ready-made observer is a name, such as "peak_impulse", optionally with one or two bodies: "peak_impulse[ball]",
 "peak_impulse[ball,ground]". Names of WATCHED are recorded on the device in every step. An observer of the user is a
@@ -32,7 +32,7 @@ ENERGIES = {
     "potential_energy": ("potential_energy",),
     "energy": ("kinetic_energy", "potential_energy"),
 }
-"""Energies of an environment, or of a body, at the look."""
+"""Energies of an environment, or of a body, at the sample."""
 
 NAMED = ("bodies", "joints")
 """What the quantities of observers may belong to."""
@@ -49,11 +49,11 @@ class Observers:
         failures: where errors of the user's observers are stored.
 
     Attributes:
-        latest: values of every observer at the last look, (envs, ...); none of an observer that failed.
+        latest: values of every observer at the last sample, (envs, ...); none of an observer that failed.
     """
 
     def __init__(self, sim: Simulator, observers: Sequence[str | Callable], failures: Failures) -> None:
-        """Start to watch, make the observers of the user, and look once."""
+        """Start to watch, make the observers of the user, and read all once."""
         self.sim, self.latest, self._failures = sim, {}, failures
         self._names = [name for name in observers if isinstance(name, str)]
         self._watched = list(dict.fromkeys(_bodies(name) for name in self._names if _quantity(name) in WATCHED))

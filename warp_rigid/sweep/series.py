@@ -186,7 +186,7 @@ def _table_of_zarr(folder: Path) -> Any:
 
 
 def _table(runs: Sequence[Run], looks: dict[str, np.ndarray]) -> Any:
-    """One row for each run and look, run by run."""
+    """One row for each run and sample, run by run."""
     import pyarrow
 
     count = len(looks["time"])

@@ -20,7 +20,7 @@ from warp_rigid.sweep.job import Job
 __all__ = ["accept", "begin", "run"]
 
 PARENT_PERIOD = 1.0
-"""Time between looks at whether the process that started this one still exists [s]."""
+"""Time between checks whether the process that started this one still exists [s]."""
 
 _number = 0
 _sharers = 1

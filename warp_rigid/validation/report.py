@@ -64,24 +64,43 @@ def _grid(out: Console, cells: Sequence[str]) -> None:
 
 
 def markdown(findings: Sequence[CheckResult]) -> str:
-    """The same as a Markdown table."""
+    """The same as a Markdown table; lines of an itemized check that differ in the variant alone are one."""
     with_device = len({finding.device for finding in findings}) > 1
-    columns = ("case", *COLUMNS, "contacts", "residual")
-    empty = " |" * 7
-    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
-    last = None
+    lines = [" | ".join(COLUMNS), " | ".join(["---"] * len(COLUMNS))]
+    last: tuple[Any, str] = (None, "")
     for finding in findings:
-        if finding.case is not last:
-            case = finding.case
-            lines.append(f"| **{case.id}** | **{_cell(case.title)}** (oracle: {_cell(case.source)}) |{empty}")
-            last = case
-        work = ["", ""]
-        if finding.contacts is not None:
-            work = [str(finding.contacts), f"{finding.residual:.2g} m/s"]
-        lines += [f"| | {' | '.join(map(_cell, [*cells, *work]))} |" for cells in rows(finding, with_device)]
+        if (finding.case, finding.device) != last and (heading := _heading(finding, last[0], with_device)):
+            lines.append(f"{heading} |")
+        last = finding.case, finding.device
+        lines += [" | ".join(map(_cell, cells)) for cells in _joined(rows(finding, with_device))]
         if finding.note:
-            lines.append(f"| | {_cell(finding.note)} |{empty}")
+            lines.append(f"{_cell(finding.note)} |")
     return "\n".join(lines) + "\n"
+
+
+def _heading(finding: CheckResult, last: ValidationCase | None, with_device: bool) -> str:
+    """The case if it is not the last one, its oracle if it has another, and the contacts of the last step if any."""
+    case, parts = finding.case, []
+    if case is not last:
+        oracle = "" if last is not None and case.source == last.source else f" (oracle: {_cell(case.source)})"
+        parts.append(f"**{case.id} {_cell(case.title)}**{oracle}")
+    if finding.contacts:
+        device = f" on {finding.device}" if with_device else ""
+        parts.append(f"{finding.contacts} contacts, residual {finding.residual:.2g} m/s{device}")
+    return "; ".join(parts)
+
+
+def _joined(lines: list[list[str]]) -> list[list[str]]:
+    """Lines whose cells are the same but for the variant in parentheses, as one line that lists the variants."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for quantity, *cells in lines:
+        name, _, variant = quantity.partition(" (")
+        groups.setdefault((name, *cells), []).append(variant.removesuffix(")"))
+    found = []
+    for (name, *cells), variants in groups.items():
+        listed = f" ({' / '.join(variants)})" if variants != [""] else ""
+        found.append([f"{name}{listed}", *cells])
+    return found
 
 
 def _cell(text: str) -> str:
@@ -90,7 +109,7 @@ def _cell(text: str) -> str:
 
 
 def rows(finding: CheckResult, with_device: bool) -> list[list[str]]:
-    """A check's lines, each with its cells in the order of COLUMNS."""
+    """A check's lines, each with its cells in the order of COLUMNS; numbers are in the unit in the first cell."""
     if finding.check.itemized and not finding.fault:
         return [_line(finding, k, finding.labels[k], with_device) for k in range(len(finding.labels))]
     worst, count = finding.worst, len(finding.labels)
@@ -105,22 +124,23 @@ def _line(finding: CheckResult, variant: int, place: str, with_device: bool) -> 
     check, error = finding.check, finding.error[variant]
     if with_device:
         place = f"{place}; {finding.device}" if place else finding.device
-    quantity = f"{check.quantity} ({place})" if place else check.quantity
-    unit = f" {check.unit}" if check.unit else ""
+    quantity = f"{check.quantity} [{check.unit}]" if check.unit else check.quantity
+    if place:
+        quantity = f"{quantity} ({place})"
     verdict = finding.verdict
     if check.itemized and error <= check.tolerance.limit:
         verdict = "PASS"
     if check.tolerance.kind == "outcome":
         words = _outcome_words(finding, variant)
     else:
-        reference = f"{figure(finding.reference[variant])}{unit}"
+        reference = figure(finding.reference[variant])
         if check.tolerance.kind in ("at_most", "at_least") and finding.reference[variant] != 0.0:
             reference = f"{'<=' if check.tolerance.kind == 'at_most' else '>='} {reference}"
         words = [
-            f"{figure(finding.value[variant])}{unit}",
+            figure(finding.value[variant]),
             reference,
-            _error(error, check.tolerance.kind, unit),
-            _error(check.tolerance.limit, check.tolerance.kind, unit),
+            _error(error, check.tolerance.kind),
+            _error(check.tolerance.limit, check.tolerance.kind),
         ]
     return [quantity, *words, verdict]
 
@@ -141,8 +161,9 @@ def figure(value: float) -> str:
     return f"{value:.6g}"
 
 
-def _error(value: float, kind: str, unit: str) -> str:
-    return f"{100 * value:.3g} %" if kind == "relative" else f"{value:.3g}{unit}"
+def _error(value: float, kind: str) -> str:
+    """In the unit of the quantity, or relative, in percent."""
+    return f"{100 * value:.3g} %" if kind == "relative" else f"{value:.3g}"
 
 
 def summary(findings: Sequence[CheckResult]) -> str:

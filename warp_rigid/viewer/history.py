@@ -42,7 +42,7 @@ class History:
         return len(self._moments)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all frames."""
         self._moments.clear()
 
     def add(self, time: float, sim: Any) -> None:
@@ -67,7 +67,7 @@ class History:
         return min(self._moments, key=lambda moment: abs(moment.time - wanted))
 
     def forget_after(self, time: float) -> None:
-        """Forget what came after a time."""
+        """Remove the frames after a time."""
         while self._moments and self._moments[-1].time > time:
             self._moments.pop()
 

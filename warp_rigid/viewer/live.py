@@ -326,7 +326,7 @@ class LiveViewer:
         self._panel.reset_time()
 
     def _forget(self) -> None:
-        """Forget the last seconds: another scene or a restart."""
+        """Remove the recorded seconds, for another scene or a restart."""
         self.history.clear()
         self._past, self._looping = None, False
         self._panel.reset_time()

@@ -199,7 +199,7 @@ class Session:
         self._owed = 0.0
 
     def spawn(self, shape: Shape, position: np.ndarray) -> int:
-        """Add a body to all environments, which go on as they are.
+        """Add a body to all environments, whose states are kept.
 
         Args:
             shape: its shape.
@@ -268,11 +268,11 @@ class Session:
         self._judge = Paced(share=0.03, patience=0.2)
 
     def _change_dt(self, dt: float) -> None:
-        """Go on in a simulator of another step, with everything that was set."""
+        """Continue in a simulator with another time step and the same state and settings."""
         self._replace(dataclasses.replace(self._sim.settings, dt=dt))
 
     def _replace(self, settings: Settings) -> None:
-        """Go on in a new simulator of the scene, with everything that was set for the bodies that there were."""
+        """Continue in a new simulator of the scene, with the state and settings of the bodies that it had."""
         old = self._sim
         new = Simulator(self.plan.scene, old.num_envs, settings, old.device, old.seed)
         dynamic = [i for i, body in enumerate(old.scene.bodies[: old.num_bodies]) if body.motion == Motion.DYNAMIC]

@@ -77,13 +77,13 @@ class Mesh(Shape):
             self._refuse_thin()
 
     def _refuse_thin(self) -> None:
-        """Reject walls that the grid does not resolve, where it alone tells inside from outside."""
+        """Reject walls that the grid does not resolve, where it alone decides between inside and outside."""
         extent = float(np.ptp(self.vertices, axis=0).max())
         least = int(np.ceil(CELLS_OF_A_WALL * extent / self.wall))
         if self.sdf_resolution < least:
             raise ValueError(
                 f"sdf_resolution: must be at least {least} for walls about {1e3 * self.wall:.3g} mm thick, got "
-                f"{self.sdf_resolution}; as {self.fault}, only the grid tells inside from outside"
+                f"{self.sdf_resolution}; as {self.fault}, only the grid separates inside from outside"
             )
 
     @property

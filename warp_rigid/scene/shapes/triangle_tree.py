@@ -18,7 +18,7 @@ class TriangleTree:
     Attributes:
         triangles: (m,) records `TriangleRecord`, in the order of the leaves.
         nodes: (k,) records `TreeRecord`, depth first; indices count from the first triangle and the first node.
-        signed: whether the nearest triangle tells on which side of the surface a point is.
+        signed: whether the nearest triangle determines on which side of the surface a point is.
     """
 
     triangles: np.ndarray
