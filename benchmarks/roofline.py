@@ -27,7 +27,7 @@ from warp_rigid.engine.simulator import choose_device
 from warp_rigid.engine.stage_times import STAGES, walk
 from warp_rigid.kernels import declare, schema
 from warp_rigid.kernels.collide import approach as approaches
-from warp_rigid.kernels.collide import convex_pairs, culling, samples
+from warp_rigid.kernels.collide import convex_pairs, culling
 
 MAIN = ("stack:10:4096", "pile_box:32:1024", "pile_torus:16:256", "pile_bunny:16:256")
 """The four main scenes: name, bodies, environments."""
@@ -122,7 +122,6 @@ class Counts:
         near: clusters that passed the test.
         samples: tested samples of near clusters.
         close: samples that passed the test, for which a distance is computed.
-        distances: distances that the searches of these samples compute.
         touching: pairs with contacts.
         contacts: number of contacts.
         levels: highest level of any environment.
@@ -145,7 +144,6 @@ class Counts:
     near: int
     samples: int
     close: int
-    distances: int
     touching: int
     contacts: int
     levels: int
@@ -190,7 +188,7 @@ def count_samples(
     pairs: schema.Pairs,
     counted: wp.array2d[int],
 ):
-    """One thread per searched pair: its clusters, near clusters, their samples, close samples, and their distances."""
+    """One thread per searched pair: its clusters, near clusters, their samples, and the close ones."""
     pair = wp.tid()
     if pairs.patch_count[pair] < 0:
         return
@@ -212,10 +210,6 @@ def count_samples(
                     counted[pair, 2] += 1
                     if culling.sample_is_near(s, approach, shapes):
                         counted[pair, 3] += 1
-                        found = samples.place_sample(
-                            shapes, s, approach.own_shape, approach.shape, approach.turn, approach.shift, reach, 1.0
-                        )
-                        counted[pair, 4] += found.evaluations
         side += 1
 
 
@@ -270,7 +264,7 @@ def count(sim: Simulator) -> Counts:
     converged = pools.graph.converged.numpy() == 1
     shard.undo(attempt=0)
     stages.predict(sim.settings.dt)
-    counted = wp.zeros((max(pairs, 1), 5), dtype=int, device=sim.device)
+    counted = wp.zeros((max(pairs, 1), 4), dtype=int, device=sim.device)
     inputs = [
         sim.settings.dt,
         sim.internals.model.shapes,
@@ -280,7 +274,7 @@ def count(sim: Simulator) -> Counts:
         pools.pairs,
     ]
     wp.launch(count_samples, dim=pairs, inputs=inputs, outputs=[counted], device=sim.device)
-    clusters, near, tested, close, distances = (int(total) for total in counted.numpy().sum(axis=0))
+    clusters, near, tested, close = (int(total) for total in counted.numpy().sum(axis=0))
     groups = sim.internals.model.size_groups[sim.scene]
     return Counts(
         envs=sim.num_envs,
@@ -293,7 +287,6 @@ def count(sim: Simulator) -> Counts:
         near=near,
         samples=tested,
         close=close,
-        distances=distances,
         touching=int((np.diff(start) > 0).sum()),
         contacts=int(contacts.sum()),
         levels=sim.counts()["levels"],

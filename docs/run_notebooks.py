@@ -1,9 +1,10 @@
 """Run the notebooks of the tutorials and keep their output: `.venv/bin/python docs/run_notebooks.py [NAME ...]`.
 
 The cells of a notebook are executed one after the other in one namespace, as Jupyter does, but without Jupyter: what
-they print, and the figures that they show, become their output. The tests run the notebooks in the same way.
+they print, the figures that they show, and their last value become their output. The tests do the same.
 """
 
+import ast
 import base64
 import contextlib
 import io
@@ -25,21 +26,41 @@ def run_cells(notebook: dict) -> list:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.figure import Figure
 
     shown: list = []
     names: dict = {"__name__": "__main__"}
     for number, cell in enumerate((c for c in notebook["cells"] if c["cell_type"] == "code"), start=1):
         printed = io.StringIO()
-        code = compile("".join(cell["source"]), f"cell {number}", "exec")
         with contextlib.redirect_stdout(printed):
-            exec(code, names)
+            value = _execute("".join(cell["source"]), names, number)
         figures = [plt.figure(k) for k in plt.get_fignums()]
         cell["execution_count"] = number
         cell["outputs"] = _stream(printed.getvalue()) + [_image(figure) for figure in figures]
-        shown += figures
+        if value is not None:
+            cell["outputs"].append(_result(value, number))
+        shown += [*figures, value] if isinstance(value, Figure) else figures
         for figure in figures:
             plt.close(figure)
     return shown
+
+
+def _execute(source: str, names: dict, number: int):
+    """Execute a cell; returns the value of its last line if that is an expression, else None."""
+    tree = ast.parse(source)
+    last = tree.body.pop().value if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, f"cell {number}", "exec"), names)
+    return None if last is None else eval(compile(ast.Expression(last), f"cell {number}", "eval"), names)
+
+
+def _result(value, number: int) -> dict:
+    """The output of a value: its picture or HTML if it has one, and its text."""
+    data: dict = {"text/plain": repr(value).splitlines(keepends=True)}
+    if hasattr(value, "_repr_png_"):
+        data["image/png"] = base64.b64encode(value._repr_png_()).decode()
+    elif hasattr(value, "_repr_html_"):
+        data["text/html"] = value._repr_html_().splitlines(keepends=True)
+    return {"data": data, "execution_count": number, "metadata": {}, "output_type": "execute_result"}
 
 
 def _stream(text: str) -> list:

@@ -147,6 +147,5 @@ DEMO = Demo(
     build=build,
     outcome=BirdOutcome,
     duration=5.0,
-    variants={"default": {}},
     view=(-40.0, 14.0),
 )

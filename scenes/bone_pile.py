@@ -16,14 +16,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment, grounds, meshes, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import (
-    ONE_PASS_2003,
-    Demo,
-    OverlapOutcome,
-    Verdict,
-    indices,
-    start_apart,
-)
+from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, Demo, OverlapOutcome, Verdict, indices, outside, vary_starts
 
 SURFACE: dict[str, Any] = {"friction": 0.4, "restitution": 0.3, "rolling_friction": 0.003}
 DENSITY = 1500.0
@@ -122,23 +115,14 @@ class BonesOutcome(OverlapOutcome):
 
     def verdicts(self, sim):
         """Bones that left the plot, bones still in the funnel, and overlap."""
-        position = sim.get("center_of_mass")[:, self.bones]
-        above = position[..., 2] > self.opening
-        # A position that is NaN counts as outside.
-        inside = (np.abs(position[..., :2]).max(axis=-1) < self.inner) & (position[..., 2] > 0.0)
-        left, waiting = (~(inside | above)).sum(axis=1), above.sum(axis=1)
-        sound = {"default": True}
-        through = sound if len(self.bones) <= 100 else {}
+        above = sim.get("center_of_mass")[:, self.bones, 2] > self.opening
+        left, waiting = (outside(sim, self.bones, self.inner) & ~above).sum(axis=1), above.sum(axis=1)
+        through = SOUND if len(self.bones) <= 100 else {}
         return [
-            Verdict("escaped", left, "no bone outside the plot", left == 0, sound),
+            Verdict("escaped", left, "no bone outside the plot", left == 0),
             Verdict("waiting", waiting, "no bone above the funnel's lower opening", waiting == 0, through),
-            *self.overlap_verdicts(sim, 5e-4, 0.035, sound),
+            *self.overlap_verdicts(sim, 5e-4, 0.035),
         ]
-
-
-def vary(sim, bones, seed, **_):
-    """Give environment e the starts of the scene with seed + e; the order of the kinds is that of environment 0."""
-    start_apart(sim, indices(sim.scene, "bone_"), lambda env: starts(bones, seed + env))
 
 
 DEMO = Demo(
@@ -148,6 +132,6 @@ DEMO = Demo(
     outcome=BonesOutcome,
     duration=4.0,
     variants={"default": {}, "one_pass": ONE_PASS_2003},
-    vary=vary,
+    vary=vary_starts("bone_", starts),
     view=(-70.0, 26.0),
 )

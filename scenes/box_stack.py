@@ -7,16 +7,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scenes.builders import grounds, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import (
-    OFF_2003,
-    ONE_PASS_2003,
-    Demo,
-    OverlapOutcome,
-    Verdict,
-    below,
-    indices,
-    rest_verdict,
-)
+from warp_rigid.scenes.demo import OFF_2003, ONE_PASS_2003, Demo, OverlapOutcome, Verdict, below, indices, rest_verdict
 
 HALF = float(stacks.CUBE.half_extents[2])
 PLATFORM_TOP = 0.5
@@ -105,8 +96,8 @@ class StackOutcome(OverlapOutcome):
             hit = {"default": True, "one_pass": True}
             verdicts += [
                 Verdict("thrown", moved, "hit moves the top box by > 0.2 m", moved > 0.2, hit, "m"),
-                *self.overlap_verdicts(sim, 5e-5, 0.01, {"default": True}),
-                rest_verdict(sim, self.movable, {"default": True}),
+                *self.overlap_verdicts(sim, 5e-5, 0.01),
+                rest_verdict(sim, self.movable),
             ]
         return verdicts
 

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import HarmonicMotion, Heightfield
 from warp_rigid.scenes.builders import assortment, piles
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, indices, start_apart
+from warp_rigid.scenes.demo import SOUND, Demo, OverlapOutcome, Verdict, indices, vary_starts
 
 EXTENT = 30.0
 VERTICES = 61
@@ -82,13 +82,10 @@ class CarpetOutcome(OverlapOutcome):
         """Bodies below the ground, height of the throws, mean speed, overlap."""
         if self.frames == 0:
             return []
-        sound = {"default": True}
-        moved = sound if self.throws else {}
+        moved = SOUND if self.throws else {}
         speed = self.speed / self.frames
         return [
-            Verdict(
-                "sunk", self.sunk, "no body below the ground or beyond its edge at any time", self.sunk == 0, sound
-            ),
+            Verdict("sunk", self.sunk, "no body below the ground or beyond its edge at any time", self.sunk == 0),
             Verdict(
                 "flight",
                 self.flight,
@@ -98,13 +95,8 @@ class CarpetOutcome(OverlapOutcome):
                 "m",
             ),
             Verdict("speed", speed, "mean speed > 0.5 m/s", speed > 0.5, moved, "m/s"),
-            *self.overlap_verdicts(sim, 3e-3, 0.013, sound),
+            *self.overlap_verdicts(sim, 3e-3, 0.013),
         ]
-
-
-def vary(sim, bodies, amplitude, seed, **_):
-    """Give environment e the starts of the scene with seed + e; the shapes are those of environment 0."""
-    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env, amplitude))
 
 
 DEMO = Demo(
@@ -113,7 +105,6 @@ DEMO = Demo(
     build=build,
     outcome=CarpetOutcome,
     duration=4.0,
-    variants={"default": {}},
-    vary=vary,
+    vary=vary_starts("body_", starts),
     view=(-67.0, 30.0),
 )

@@ -64,5 +64,4 @@ DEMO = Demo(
     build=build,
     outcome=ChainOutcome,
     duration=4.0,
-    variants={"default": {}},
 )

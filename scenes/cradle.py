@@ -57,8 +57,8 @@ class CradleOutcome:
             return []
         last, rest = self.after[:, -1], self.after[:, :-1].max(axis=1)
         return [
-            Verdict("last", last, "speed of the last ball > 0.95 of the first", last > 0.95, {"default": True}),
-            Verdict("others", rest, "speed of the others < 0.02 of it", rest < 0.02, {"default": True}),
+            Verdict("last", last, "speed of the last ball > 0.95 of the first", last > 0.95),
+            Verdict("others", rest, "speed of the others < 0.02 of it", rest < 0.02),
         ]
 
 
@@ -68,5 +68,4 @@ DEMO = Demo(
     build=build,
     outcome=CradleOutcome,
     duration=2.0,
-    variants={"default": {}},
 )

@@ -72,5 +72,4 @@ DEMO = Demo(
     build=build,
     outcome=CraneOutcome,
     duration=4.0,
-    variants={"default": {}},
 )

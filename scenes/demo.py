@@ -23,6 +23,9 @@ AT_REST = 0.05
 LASTING = 0.25
 """Time for which an overlap must last to count as lasting [s]: an impact overlaps for a few steps."""
 
+SOUND = {"default": True}
+"""What is expected of a condition where nothing else is said: that it holds with the default settings."""
+
 SCALES = {"mm": 1e3, "%": 100.0}
 """Factors from SI units to units of conditions; 1 for the others."""
 
@@ -37,7 +40,7 @@ class Verdict:
         limit: the condition as text, with its unit; "" for none.
         passed: (envs,) bool, whether the condition holds; None without a condition.
         expected: for variants of the demo by name, whether the condition must hold. Variants that are not listed
-            have no expectation.
+            have no expectation. SOUND if not given.
         unit: in which the values are shown, that of the condition; `values` are in SI units nevertheless.
     """
 
@@ -45,7 +48,7 @@ class Verdict:
     values: np.ndarray
     limit: str = ""
     passed: np.ndarray | None = None
-    expected: dict[str, bool] = field(default_factory=dict)
+    expected: dict[str, bool] = field(default_factory=SOUND.copy)
     unit: str = ""
 
 
@@ -83,7 +86,7 @@ class Demo:
         outcome: function(scene) -> Outcome.
         duration: default duration of a run, after which all verdicts are available [s].
         variants: settings to compare, by name; each lists the differences from `Settings()`. A comparison runs each
-            variant in one environment of one simulator. "default" is the first.
+            variant in one environment of one simulator. "default" is the first, and the only one where none are given.
         events: function(scene) -> list of (time [s], function(sim)); a run calls each function when it reaches that
             simulated time. The function may return the event that follows it.
         settings: differences from `Settings()` that all variants of this scene need.
@@ -99,7 +102,7 @@ class Demo:
     build: Callable[..., Scene]
     outcome: Callable[[Scene], Outcome]
     duration: float
-    variants: dict[str, dict[str, Any]]
+    variants: dict[str, dict[str, Any]] = field(default_factory=lambda: {"default": {}})
     events: Callable[[Scene], list[tuple[float, Callable[[Any], None]]]] = no_events
     settings: dict[str, Any] = field(default_factory=dict)
     vary: Callable[..., None] | None = None
@@ -132,6 +135,22 @@ def start_apart(sim: Any, bodies: list[int], starts: Callable[[int], tuple[np.nd
         sim.set(name, np.array(values), bodies=bodies)
 
 
+def vary_starts(prefix: str, starts: Callable[..., tuple[np.ndarray, ...]]) -> Callable[..., None]:
+    """A `vary` of Demo: environment e gets the starts of the scene with seed + e. Shapes are those of environment 0.
+
+    Args:
+        prefix: of the names of the bodies that are set.
+        starts: function of `seed` and other parameters of the scene that returns the starts, as for `start_apart`.
+    """
+    others = set(inspect.signature(starts).parameters) - {"seed"}
+
+    def vary(sim: Any, seed: int, **parameters: Any) -> None:
+        given = {name: parameters[name] for name in others}
+        start_apart(sim, indices(sim.scene, prefix), lambda env: starts(seed=seed + env, **given))
+
+    return vary
+
+
 def indices(scene: Scene, prefix: str) -> list[int]:
     """Indices of the bodies whose name begins with `prefix`, in the scene's order."""
     return [i for i, body in enumerate(scene.bodies) if body.name.startswith(prefix)]
@@ -161,8 +180,14 @@ def clearance(sim: Any, first: int, second: int) -> np.ndarray:
     return smallest
 
 
+def outside(sim: Any, bodies: list[int], half: float) -> np.ndarray:
+    """Whether bodies are below z = 0 or outside a square of half a width [m], (envs, bodies); true where NaN."""
+    place = sim.get("center_of_mass")[:, bodies]
+    return ~((np.abs(place[..., :2]).max(axis=-1) < half) & (place[..., 2] > 0.0))
+
+
 def below(
-    name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool], unit: str = "mm"
+    name: str, values: np.ndarray, limit: float, text: str, expected: dict[str, bool] = SOUND, unit: str = "mm"
 ) -> Verdict:
     """Verdict: the values are below `limit`; NaN is not."""
     return Verdict(name, values, text, values < limit, expected, unit)
@@ -191,7 +216,9 @@ class OverlapOutcome:
         if time - self.recent[0][0] > LASTING - 1e-6:
             self.lasting = np.maximum(self.lasting, np.min([overlap for _, overlap in self.recent], axis=0))
 
-    def overlap_verdicts(self, sim: Any, lasting: float, deepest: float, expected: dict[str, bool]) -> list[Verdict]:
+    def overlap_verdicts(
+        self, sim: Any, lasting: float, deepest: float, expected: dict[str, bool] = SOUND
+    ) -> list[Verdict]:
         """Verdicts: no overlap exceeds `lasting` [m] now or for LASTING, and none ever exceeds `deepest` [m]."""
         now = sim.penetration()
         text = f"overlap < {1e3 * lasting:g} mm at the end, and never more for {LASTING:g} s"
@@ -211,20 +238,20 @@ def surface_speed(sim: Any, bodies: list[int]) -> np.ndarray:
     return linear + spin * np.array([radius[shape] for shape in shapes])
 
 
-def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+def rest_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
     """Verdict: no point of a body moves faster than AT_REST now."""
     speed = surface_speed(sim, bodies).max(axis=1)
     return below("speed", speed, AT_REST, f"no point faster than {AT_REST:g} m/s at the end", expected, "m/s")
 
 
-def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+def resting_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
     """Verdict: all bodies are at rest now; the value is the number of resting bodies."""
     resting = (surface_speed(sim, bodies) < AT_REST).sum(axis=1)
     text = f"all {len(bodies)} bodies at rest at the end, no point faster than {AT_REST:g} m/s"
     return Verdict("resting", resting, text, resting == len(bodies), expected)
 
 
-def contacts_verdict(sim: Any, bodies: list[int], expected: dict[str, bool]) -> Verdict:
+def contacts_verdict(sim: Any, bodies: list[int], expected: dict[str, bool] = SOUND) -> Verdict:
     """Verdict: there are at least as many contacts as bodies now."""
     contacts = np.bincount(sim.contacts()["env"], minlength=sim.num_envs)
     return Verdict("contacts", contacts, "at least one contact per body at the end", contacts >= len(bodies), expected)

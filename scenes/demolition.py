@@ -85,6 +85,5 @@ DEMO = Demo(
     build=build,
     outcome=DemolitionOutcome,
     duration=3.0,
-    variants={"default": {}},
     view=(-35.0, 18.0),
 )

@@ -105,7 +105,7 @@ class DominoOutcome(OverlapOutcome):
         sure = {"default": True} if abs(self.lean - TOPPLING_ANGLE) > MARGIN else {}
         if self.lean < TOPPLING_ANGLE:
             stands = Verdict("fallen", fallen, "none falls: the lean is below 5.08 degrees", fallen == 0, sure)
-            return [stands, *self.overlap_verdicts(sim, 2e-4, 0.006, {"default": True})]
+            return [stands, *self.overlap_verdicts(sim, 2e-4, 0.006)]
         with np.errstate(invalid="ignore"):
             in_order = (np.diff(self.fell_at, axis=1) >= 0.0).all(axis=1)
             third = count // 3
@@ -116,7 +116,7 @@ class DominoOutcome(OverlapOutcome):
             Verdict("fallen", fallen, f"all {count} fall", order, sure),
             Verdict("in_order", in_order.astype(float), "no domino falls before the one behind it", in_order, sure),
             Verdict("wave", speed, "wave at 0.5 to 2.5 sqrt(g height)", plausible, sure if count >= 30 else {}, "m/s"),
-            *self.overlap_verdicts(sim, 2e-4, 0.006, {"default": True}),
+            *self.overlap_verdicts(sim, 2e-4, 0.006),
         ]
 
 

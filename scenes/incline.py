@@ -99,11 +99,7 @@ DEMO = Demo(
     variants={
         "default": {},
         "one_pass": ONE_PASS_2003,
-        "no_contact": {
-            "contact_iterations": 0,
-            "shock_propagation": "off",
-            "warm_starting": False,
-        },
+        "no_contact": {"contact_iterations": 0, "shock_propagation": "off", "warm_starting": False},
         "collisions_last": {**ONE_PASS_2003, "collision_first": False},
     },
     view=(-110.0, 24.0),

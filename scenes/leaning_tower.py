@@ -77,8 +77,6 @@ DEMO = Demo(
     },
     # One pass keeps the tower standing only without warm starting, as in 2003. Without shock propagation ten boxes
     # need warm starting and more iterations than the default for their contacts to hold.
-    goes_with={
-        "shock_propagation": {"one_pass": {"warm_starting": False}, "off": {"contact_iterations": 40}},
-    },
+    goes_with={"shock_propagation": {"one_pass": {"warm_starting": False}, "off": {"contact_iterations": 40}}},
     view=(-80.0, 14.0),
 )

@@ -95,7 +95,7 @@ class NutOutcome(OverlapOutcome):
             return []
         drop = self.before[1]
         sure = {"default": True} if abs(self.friction / CRITICAL_FRICTION - 1.0) > MARGIN else {}
-        overlap = self.overlap_verdicts(sim, 2e-4, 1e-3, {"default": True})
+        overlap = self.overlap_verdicts(sim, 2e-4, 1e-3)
         follows = below("off_thread", self.off_thread, 1e-3, "within 1 mm of the thread, on 40 mm a turn", sure)
         if self.friction >= CRITICAL_FRICTION:
             return [below("drop", drop, 1e-3, "held: the nut sinks by < 1 mm", sure), follows, *overlap]
@@ -118,6 +118,5 @@ DEMO = Demo(
     build=build,
     outcome=NutOutcome,
     duration=2.0,
-    variants={"default": {}},
     view=(-60.0, 18.0),
 )

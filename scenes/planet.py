@@ -12,13 +12,14 @@ from warp_rigid.scene.shapes import Mesh, tessellation
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.demo import (
+    SOUND,
     Demo,
     OverlapOutcome,
     Verdict,
     contacts_verdict,
     indices,
     resting_verdict,
-    start_apart,
+    vary_starts,
 )
 
 PLANET_RADIUS = 5.0
@@ -92,20 +93,14 @@ class PlanetOutcome(OverlapOutcome):
         lost = (~((distance > PLANET_RADIUS) & (distance < NEAREST + SPREAD))).sum(axis=1)
         octant = ((position > 0.0) * [1, 2, 4]).sum(axis=-1)
         sides = np.array([len(np.unique(row)) for row in octant])
-        sound = {"default": True}
-        around = sound if len(self.bodies) > 30 else {}
+        around = SOUND if len(self.bodies) > 30 else {}
         return [
-            Verdict("lost", lost, "no body inside the planet or far from it", lost == 0, sound),
+            Verdict("lost", lost, "no body inside the planet or far from it", lost == 0),
             Verdict("octants", sides, "bodies in all 8 octants around the planet", sides == 8, around),
-            resting_verdict(sim, self.bodies, sound),
-            contacts_verdict(sim, self.bodies, sound),
-            *self.overlap_verdicts(sim, 5e-3, 0.015, sound),
+            resting_verdict(sim, self.bodies),
+            contacts_verdict(sim, self.bodies),
+            *self.overlap_verdicts(sim, 5e-3, 0.015),
         ]
-
-
-def vary(sim, bodies, seed, **_):
-    """Give environment e the starts of the scene with seed + e; the shapes are those of environment 0."""
-    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(
@@ -114,7 +109,6 @@ DEMO = Demo(
     build=build,
     outcome=PlanetOutcome,
     duration=8.0,
-    variants={"default": {}},
-    vary=vary,
+    vary=vary_starts("body_", starts),
     view=(-67.0, 20.0),
 )

@@ -69,9 +69,7 @@ class LaunchOutcome:
         limit = 0.02 * 2.0 * PLANK_HALF[2]
         text = f"plank in base < {1e3 * limit:g} mm during the launch"
         sound = {"default": True, "one_pass": True}
-        verdicts = [
-            Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound, "m"),
-        ]
+        verdicts = [Verdict("rise", least, "every small box rises by > 0.3 m", least > 0.3, sound, "m")]
         if self.depth is not None:
             verdicts.append(below("depth", self.depth, limit, text, sound))
         return verdicts

@@ -48,8 +48,8 @@ class RagdollOutcome(ClosedJointsOutcome):
         out = np.maximum(np.abs(place[..., :2]).max(-1) - WIDTH / 2, -place[..., 2]).max(axis=1)
         return [
             self.closed_verdict(1e-3),
-            below("outside", out, 0.0, "all bodies within the pit", {"default": True}, "m"),
-            rest_verdict(sim, self.bodies, {"default": True}),
+            below("outside", out, 0.0, "all bodies within the pit", unit="m"),
+            rest_verdict(sim, self.bodies),
         ]
 
 
@@ -59,5 +59,4 @@ DEMO = Demo(
     build=build,
     outcome=RagdollOutcome,
     duration=5.0,
-    variants={"default": {}},
 )

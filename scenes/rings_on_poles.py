@@ -15,14 +15,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Cylinder
 from warp_rigid.scenes.builders import assortment, grounds, meshes
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import (
-    ONE_PASS_2003,
-    Demo,
-    OverlapOutcome,
-    Verdict,
-    indices,
-    start_apart,
-)
+from warp_rigid.scenes.demo import ONE_PASS_2003, SOUND, Demo, OverlapOutcome, Verdict, indices, start_apart
 
 MASS = 10.0
 SURFACE: dict[str, Any] = {"friction": 0.6, "restitution": 0.3}
@@ -135,12 +128,11 @@ class RingsOutcome(OverlapOutcome):
         there = (np.linalg.norm(position[..., :2], axis=-1) < self.bound) & (position[..., 2] > 0.0)
         lost = (~there).sum(axis=1)
         on_poles = threaded(position, orientation, self.feet)
-        sound = {"default": True}
-        some = sound if len(self.rings) >= 3 * len(self.feet) else {}
+        some = SOUND if len(self.rings) >= 3 * len(self.feet) else {}
         return [
-            Verdict("lost", lost, "no ring lost", lost == 0, sound),
+            Verdict("lost", lost, "no ring lost", lost == 0),
             Verdict("threaded", on_poles, "at least one ring on a pole", on_poles > 0, some),
-            *self.overlap_verdicts(sim, 0.02, DEEPEST, sound),
+            *self.overlap_verdicts(sim, 0.02, DEEPEST),
         ]
 
 

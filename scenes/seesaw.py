@@ -107,10 +107,6 @@ DEMO = Demo(
     build=build,
     outcome=SeesawOutcome,
     duration=4.0,
-    variants={
-        "default": {},
-        "one_pass": ONE_PASS_2003,
-        "no_contact": {**ONE_PASS_2003, "contact_iterations": 0},
-    },
+    variants={"default": {}, "one_pass": ONE_PASS_2003, "no_contact": {**ONE_PASS_2003, "contact_iterations": 0}},
     view=(-84.0, 14.0),
 )

@@ -10,15 +10,7 @@ from warp_rigid.files import mesh_files
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Mesh
 from warp_rigid.scenes.builders import grounds, meshes
-from warp_rigid.scenes.demo import (
-    ONE_PASS_2003,
-    Demo,
-    OverlapOutcome,
-    below,
-    clearance,
-    indices,
-    rest_verdict,
-)
+from warp_rigid.scenes.demo import ONE_PASS_2003, Demo, OverlapOutcome, below, clearance, indices, rest_verdict
 
 SKULL_SIZE = 0.25
 BRAIN_SIZE = 0.18
@@ -51,13 +43,7 @@ def build(skull: str | None = None, brain: str | None = None) -> Scene:
     for name, mesh, x in zip(names, (lower, upper), (0.0, 0.02), strict=True):
         bottom, top = mesh.bounds
         middle = 0.5 * (bottom + top)
-        scene.add_body(
-            mesh,
-            position=(x - middle[0], -middle[1], z - bottom[2]),
-            density=1000.0,
-            name=name,
-            **surface,
-        )
+        scene.add_body(mesh, position=(x - middle[0], -middle[1], z - bottom[2]), density=1000.0, name=name, **surface)
         z += top[2] - bottom[2] + BRAIN_DROP
     return scene
 
@@ -114,12 +100,11 @@ class MeetingOutcome(OverlapOutcome):
     def verdicts(self, sim):
         """Distance between the two at the end, overlap, and speed at the end."""
         gap = clearance(sim, self.skull, self.brain)
-        sound = {"default": True}
         text = f"skull and brain touch within {1e3 * TOUCHING:g} mm at the end"
         return [
             below("gap", gap, TOUCHING, text, self.touch),
-            *self.overlap_verdicts(sim, 1e-4, 2e-3, sound),
-            rest_verdict(sim, [self.skull, self.brain], sound),
+            *self.overlap_verdicts(sim, 1e-4, 2e-3),
+            rest_verdict(sim, [self.skull, self.brain]),
         ]
 
 

@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Heightfield
 from warp_rigid.scenes.builders import assortment
 from warp_rigid.scenes.builders.bodies import add_bodies
-from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices, start_apart
+from warp_rigid.scenes.demo import Demo, OverlapOutcome, Verdict, below, indices, vary_starts
 
 EXTENT = 20.0
 VERTICES = 81
@@ -91,19 +91,13 @@ class SlideOutcome(OverlapOutcome):
         """Bodies below the surface, energy gained, overlap."""
         if self.last is None:
             return []
-        sound = {"default": True}
         sunk = np.broadcast_to(self.sunk, sim.num_envs)
         gain = np.broadcast_to(self.gain, sim.num_envs)
         return [
-            Verdict("sunk", sunk, "no body below the surface or beyond its edge at any time", sunk == 0, sound),
-            below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", sound, "%"),
-            *self.overlap_verdicts(sim, 5e-3, 0.025, sound),
+            Verdict("sunk", sunk, "no body below the surface or beyond its edge at any time", sunk == 0),
+            below("gain", gain, 1e-3, "energy increase < 0.1 % in every frame", unit="%"),
+            *self.overlap_verdicts(sim, 5e-3, 0.025),
         ]
-
-
-def vary(sim, bodies, seed, **_):
-    """Give environment e the starts of the scene with seed + e; shapes and terrain are those of environment 0."""
-    start_apart(sim, indices(sim.scene, "body_"), lambda env: starts(bodies, seed + env))
 
 
 DEMO = Demo(
@@ -112,7 +106,6 @@ DEMO = Demo(
     build=build,
     outcome=SlideOutcome,
     duration=5.0,
-    variants={"default": {}},
-    vary=vary,
+    vary=vary_starts("body_", starts),
     view=(-67.0, 34.0),
 )

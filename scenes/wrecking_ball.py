@@ -57,10 +57,7 @@ def _ramp():
 
 def _directions():
     """Unit vectors down the ramp and away from it."""
-    return (
-        np.array([0.0, math.cos(SLOPE), -math.sin(SLOPE)]),
-        np.array([0.0, math.sin(SLOPE), math.cos(SLOPE)]),
-    )
+    return (np.array([0.0, math.cos(SLOPE), -math.sin(SLOPE)]), np.array([0.0, math.sin(SLOPE), math.cos(SLOPE)]))
 
 
 class WreckOutcome(OverlapOutcome):
@@ -97,18 +94,17 @@ class WreckOutcome(OverlapOutcome):
         """Drift, speed of the ball, drop of the first pyramid's top, and overlap."""
         if self.speed_error is None:
             return []
-        sure = {"default": True}
-        verdicts = [below("drift", self.drift, 1e-3, "no cube moves by 1 mm before the hit", sure)]
+        verdicts = [below("drift", self.drift, 1e-3, "no cube moves by 1 mm before the hit")]
         if np.isfinite(self.speed_error).all():
             right = np.abs(self.speed_error) < 0.01
             text = "speed of the ball on the ramp within 1 % of sqrt(10/7 g h)"
-            verdicts.append(Verdict("speed_error", self.speed_error, text, right, sure, "%"))
+            verdicts.append(Verdict("speed_error", self.speed_error, text, right, unit="%"))
         if sim.time > 2.9:
             drop = self.top_height - sim.get("position")[:, self.top, 2].astype(np.float64)
             limit = 0.5 * self.top_height
             verdicts += [
-                Verdict("drop", drop, f"top of the first pyramid drops by > {limit:.2f} m", drop > limit, sure, "m"),
-                *self.overlap_verdicts(sim, 1e-3, 0.03, sure),
+                Verdict("drop", drop, f"top of the first pyramid drops by > {limit:.2f} m", drop > limit, unit="m"),
+                *self.overlap_verdicts(sim, 1e-3, 0.03),
             ]
         return verdicts
 
@@ -119,6 +115,5 @@ DEMO = Demo(
     build=build,
     outcome=WreckOutcome,
     duration=5.0,
-    variants={"default": {}},
     view=(-165.0, 24.0),
 )

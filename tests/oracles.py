@@ -5,10 +5,11 @@ from unittest import mock
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from warp_rigid import rotations
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.scene.scene import Motion
-from warp_rigid.scene.shapes import Plane
-from warp_rigid.scenes.builders import grounds, piles
+from warp_rigid.scene.shapes import Box, Plane, Sphere
+from warp_rigid.scenes.builders import grounds
 from warp_rigid.scenes.builders.grounds import level_scene as ground_scene
 
 GROUND = Plane(normal=(0, 0, 1), offset=0.0)
@@ -222,7 +223,11 @@ def random_pile(generator, count=24, friction=0.6):
     """Boxes and spheres of different sizes over level ground between four walls, some touching, most falling."""
     scene = ground_scene(friction=friction)
     grounds.add_plane_bin(scene, 0.3, friction=friction)
-    piles.add_mixed_column(scene, generator, count, friction=friction)
+    for k in range(count):
+        size = generator.uniform(0.05, 0.12)
+        shape = Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.4, 3))
+        position = (*generator.uniform(-0.2, 0.2, 2), 0.15 + 0.09 * k)
+        scene.add_body(shape, position=position, orientation=rotations.random(generator, 1)[0], friction=friction)
     return scene
 
 

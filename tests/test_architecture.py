@@ -10,7 +10,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "warp_rigid"
 
 LAYERS = (
-    ("version", "errors", "checks", "rotations", "threads", "interruption"),
+    ("version", "errors", "checks", "rotations", "interruption", "display", "extras", "progress_bar", "warp_start"),
+    ("threads",),
     ("kernels",),
     ("files",),
     ("kernel_cache",),
@@ -22,6 +23,7 @@ LAYERS = (
     ("usd",),
     ("diagnostics",),
     ("sweep", "bench", "validation", "viewer"),
+    ("notebook",),
     ("commands",),
     ("__main__",),
     (PACKAGE,),
@@ -31,7 +33,6 @@ the layers below it. The last one is the package's own __init__.py, which collec
 """
 
 UPWARD = {
-    ("diagnostics.selftest", "commands.terminal"): "prints its progress as the commands do",
     ("files.mesh_files", "usd.metadata"): "opens meshes in USD files",
     ("files.mesh_files", "usd.opening"): "opens meshes in USD files",
     ("render.film", "usd.metadata"): "draws a film that is a USD file",

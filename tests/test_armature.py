@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import warp_rigid as wr
-from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 
 DT = 1e-3
 
@@ -69,7 +69,7 @@ def test_an_armature_is_checked_saved_and_set_per_environment():
     with pytest.raises(ValueError, match="armature: must be"):
         scene.add_joint(wr.RevoluteJoint((0, 1, 0)), ball, armature=-1.0)
     scene.add_joint(wr.RevoluteJoint((0, 1, 0)), ball, armature=0.25)
-    assert scene_from_data(*scene_to_data(scene)).joints[0].armature == 0.25
+    assert scenes_from_data(*scenes_to_data([scene]))[0].joints[0].armature == 0.25
     sim = wr.Simulator(scene, num_envs=2, device="cpu")
     sim.set("joint_armature", [[0.25], [0.5]])
     assert sim.get("joint_armature").ravel().tolist() == [0.25, 0.5]

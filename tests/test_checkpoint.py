@@ -16,7 +16,7 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.files import atomic
 from warp_rigid.kernels.collide.pair_contacts import BY_AXIS, BY_CENTER
 from warp_rigid.scene.coefficients import COEFFICIENTS
-from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.scenes.builders import meshes
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity", "force", "torque", "level")
@@ -146,8 +146,8 @@ def test_scenes_survive_as_plain_data():
     """All of a scene, through JSON, twice."""
     scene = every_shape()
     for _ in range(2):
-        data, arrays = scene_to_data(scene)
-        again = scene_from_data(json.loads(json.dumps(data)), arrays)
+        data, arrays = scenes_to_data([scene])
+        (again,) = scenes_from_data(json.loads(json.dumps(data)), arrays)
         assert again.bodies == scene.bodies
         assert again.force_fields == scene.force_fields
         assert again.filtered_pairs == scene.filtered_pairs == {(3, 4)}
@@ -165,8 +165,8 @@ def test_a_repaired_mesh_is_not_repaired_again(tmp_path):
         mesh = wr.Mesh(vertices, [[0, 2, 1], [0, 1, 3], [0, 4, 2], [1, 2, 3]], sdf_resolution=8)
     scene = wr.Scene()
     scene.add_body(mesh)
-    data, arrays = scene_to_data(scene)
-    again = scene_from_data(data, arrays).bodies[0].shape
+    (saved,) = scenes_from_data(*scenes_to_data([scene]))
+    again = saved.bodies[0].shape
     assert again.repairs == mesh.repairs != []
     assert again.grid.values.tobytes() == mesh.grid.values.tobytes()
     assert again.key == mesh.key

@@ -13,8 +13,8 @@ from PIL import Image
 from pxr import Usd
 
 import warp_rigid
-from warp_rigid import scenes
-from warp_rigid.commands import cli, terminal
+from warp_rigid import progress_bar, scenes
+from warp_rigid.commands import cli
 from warp_rigid.commands import run as run_module
 from warp_rigid.commands.terminal import explain
 from warp_rigid.runs import runner
@@ -310,7 +310,7 @@ def test_an_interrupted_run_tells_what_it_kept(capsys, scene_file, tmp_path, mon
 
 def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, scene_file, monkeypatch, tmp_path):
     assert "%" not in run(capsys, "run", scene_file, "--frames", 4)[2]
-    monkeypatch.setattr(terminal, "LINE_PERIOD", 0.0)
+    monkeypatch.setattr(progress_bar, "LINE_PERIOD", 0.0)
     lines = [line for line in run(capsys, "run", scene_file, "--frames", 4)[2].splitlines() if "%" in line]
     assert [line.partition(" after")[0] for line in lines] == ["mine: 25 %", "mine: 50 %", "mine: 75 %"]
     film = tmp_path / "a.gif"

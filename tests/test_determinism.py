@@ -6,10 +6,9 @@ import platform
 
 import numpy as np
 import pytest
-import warp as wp
 
 import warp_rigid as wr
-from benchmarks import cross_device, price_of_determinism
+from benchmarks import cross_device
 from tests import pin_hashes
 from tests.oracles import moving, random_pile
 from warp_rigid.engine.settings import Settings
@@ -219,13 +218,3 @@ def test_a_difference_between_devices_is_told(capsys, monkeypatch):
     monkeypatch.setattr(cross_device, "SCENES", {"a ball": (build, 15)})
     assert cross_device.compare_positions(("cpu", "cpu")) == 1
     assert capsys.readouterr().out.splitlines()[1].split() == ["0.01", "0", "a", "ball"]
-
-
-@pytest.mark.parametrize(("envs", "per_env", "pairs"), [(8, 10, 8 * 9), (1, 7**3, (19**3 - 7**3) // 2)])
-def test_the_price_of_an_order_is_measured_on_what_it_says(device, envs, per_env, pairs):
-    """Towers, and a block in which each box meets its 26 neighbours; both ways must list and sum the same."""
-    listed, summed = price_of_determinism.prices(envs, per_env, wp.get_device(device))
-    assert (listed.results, summed.results) == (pairs, envs)
-    assert min(listed[1:3] + summed[1:3]) > 0.0
-    if device == "cpu":
-        assert listed.changed == summed.changed == 0

@@ -71,7 +71,7 @@ ROUNDED_BOX = """
 import json, sys
 import numpy as np
 import warp_rigid as wr
-from warp_rigid.scene.serialization import scene_from_data, scene_to_data
+from warp_rigid.scene.serialization import scenes_from_data, scenes_to_data
 from warp_rigid.scene.shapes.rounded_box import RoundedBox
 
 shape = RoundedBox((0.2, 0.1, 0.05), 0.03)
@@ -91,8 +91,8 @@ scene.add_static(wr.Box((0.5, 0.5, 0.1)), position=(2, 0, 0.1), friction=0.5)
 scene.add_body(shape, position=(0, 0, 0.09))
 scene.add_body(shape, position=(2, 0, 0.29))
 scene.add_body(shape, position=(0, 2, 0.20), orientation=(0, 0.38, 0, 0.92))
-data, arrays = scene_to_data(scene)
-again = scene_from_data(json.loads(json.dumps(data)), arrays)
+data, arrays = scenes_to_data([scene])
+(again,) = scenes_from_data(json.loads(json.dumps(data)), arrays)
 sim = wr.Simulator(again, device=sys.argv[1])
 sim.step(720)
 path = sys.argv[2]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from benchmarks import narrowphase_work, roofline
+from benchmarks import roofline
 from tests.oracles import ground_scene, stages_of
 from warp_rigid import Simulator
 from warp_rigid.bench.cases import BenchmarkCase
@@ -91,22 +91,6 @@ def test_what_falls_needs_no_sweeps_and_what_slides_is_searched(device):
     needed = roofline.sweeps_needed(sim)
     assert needed[0] >= 1 and needed[1] == 0
     assert (sim.get("contact_iterations") == 10).all()
-
-
-def test_the_work_of_the_narrow_phase_is_counted_while_bodies_fall(device, capsys):
-    """Towers keep their six pairs and search none; cubes that land on a plane are searched, at ten clusters a pair."""
-    narrowphase_work.main(["stack:3:2", "--device", str(device)])
-    header, _, row = capsys.readouterr().out.splitlines()
-    assert header.count("|") == row.count("|") == 12
-    standing = narrowphase_work.measure("stack:3:2", device, moments=4)
-    assert standing.touching == 6 and standing.pairs >= 6
-    assert standing.searched == standing.clusters == standing.samples == standing.distances == standing.floor == 0
-    falling = narrowphase_work.measure("pile_box:4:2", device, moments=8)
-    assert 0 < falling.touching < falling.pairs
-    assert 0 < falling.searched <= falling.pairs
-    assert 0 < falling.clusters <= 10 * falling.searched
-    assert falling.floor == pytest.approx((falling.samples + falling.distances) / 118e9)
-    assert 0.0 <= falling.overlap < 0.02 and falling.seconds > 0.0
 
 
 def test_a_table_is_written_with_every_stage_that_launches(device, tmp_path, capsys):

@@ -142,7 +142,8 @@ def test_programs_of_the_pages_run(program, tmp_path, monkeypatch):
     if "import torch" in program:
         pytest.importorskip("torch", reason="an optional framework")
     monkeypatch.chdir(tmp_path)
-    exec(compile(program.replace("duration=2.0", "duration=0.02"), "page.py", "exec"), {"wr": wr})
+    for _ in range(2):
+        exec(compile(program.replace("duration=2.0", "duration=0.02"), "page.py", "exec"), {"wr": wr})
     assert all((tmp_path / path).is_file() for path in re.findall(r'"(out/[^"]+)"', program))
 
 

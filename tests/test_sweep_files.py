@@ -33,7 +33,7 @@ def runs_done(monkeypatch):
     """How many runs each batch had."""
     sizes, inner = [], batch_module._run
     monkeypatch.setattr(
-        batch_module, "_run", lambda job, made, start: sizes.append(len(made.runs)) or inner(job, made, start)
+        batch_module, "_run", lambda job, made, *rest: sizes.append(len(made.runs)) or inner(job, made, *rest)
     )
     return sizes
 

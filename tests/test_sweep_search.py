@@ -12,7 +12,7 @@ def test_a_speed_is_found_from_where_the_ball_ended(monkeypatch):
     """The ball flies speed * time far, so that the speed that hits the mark is known."""
     sizes, inner = [], batch_module._run
     monkeypatch.setattr(
-        batch_module, "_run", lambda job, made, start: sizes.append(len(made.runs)) or inner(job, made, start)
+        batch_module, "_run", lambda job, made, *rest: sizes.append(len(made.runs)) or inner(job, made, *rest)
     )
 
     def miss(row):

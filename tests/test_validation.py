@@ -13,9 +13,9 @@ from warp_rigid.validation import impact, report, shock_comparison, suite
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
+    Check,
     CheckResult,
     Miss,
-    ReferenceCheck,
     ValidationCase,
     absolute,
     at_most,
@@ -52,7 +52,7 @@ def test_every_case_says_where_its_references_are_from():
 def made_up(values, reference, tolerance, miss=None):
     """A case without a simulation, of one check."""
     labels = [f"variant {k}" for k in range(len(np.atleast_1d(values)))]
-    check = ReferenceCheck("length", "m", lambda subject: subject, reference, tolerance, labels, miss)
+    check = Check("length", "m", lambda subject: subject, tolerance, reference, labels=labels, miss=miss)
     return ValidationCase("V99", "made up", "nobody", (check,), compute=lambda device: values, on_device=False)
 
 
@@ -100,7 +100,7 @@ def test_a_failure_outweighs_a_miss_that_is_met():
 
 
 def test_itemized_check_has_a_line_for_every_variant():
-    check = ReferenceCheck("falls", "", lambda subject: subject, [1, 0, 1], OUTCOME, ("a", "b", "c"), itemized=True)
+    check = Check("falls", "", lambda subject: subject, OUTCOME, [1, 0, 1], labels=("a", "b", "c"), itemized=True)
     case = ValidationCase(
         "V98", "made up", "nobody", (check,), compute=lambda device: [1.0, 1.0, np.nan], on_device=False
     )
@@ -126,7 +126,7 @@ def test_every_tower_is_judged():
 
 
 def test_a_bar_in_a_name_does_not_end_a_cell():
-    check = ReferenceCheck("error of |L|", "", lambda subject: subject, 1.0, relative(0.1), ("one",))
+    check = Check("error of |L|", "", lambda subject: subject, relative(0.1), 1.0, labels=("one",))
     case = ValidationCase("V98", "made up", "nobody", (check,), compute=lambda device: 1.0, on_device=False)
     heading, _, _, line = report.markdown([judge(case, "cpu")[1][0]]).splitlines()
     assert r"error of \|L\|" in line
@@ -137,7 +137,7 @@ def test_a_case_that_breaks_is_an_error_and_stops_no_other():
     def broken(_):
         raise RuntimeError("no\nluck")
 
-    check = ReferenceCheck("length", "m", lambda subject: subject, 1.0, relative(0.1), ("one",))
+    check = Check("length", "m", lambda subject: subject, relative(0.1), 1.0, labels=("one",))
     bad = ValidationCase("V98", "broken", "nobody", (check,), compute=broken, on_device=False)
     findings = suite.run_suite([bad, made_up([1.0], 1.0, relative(0.1))], ["cpu"])
     assert [finding.verdict for finding in findings] == ["ERROR", "PASS"]

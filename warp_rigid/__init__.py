@@ -21,6 +21,7 @@ if warp.config.log_level == warp.LOG_INFO:
     # Warp reports on stdout, where it would mix with what a program prints.
     warp.config.log_level = warp.LOG_WARNING
 
+from warp_rigid import notebook as notebook  # registers what the classes show
 from warp_rigid import scenes
 from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator

@@ -13,7 +13,6 @@ __all__ = [
     "array_of",
     "box_corners",
     "brief",
-    "finite_number",
     "finite_vector",
     "flags",
     "listed",
@@ -84,11 +83,6 @@ def box_corners(name, value):
     if array is None or array.shape != (2, 3) or not (array[0] < array[1]).all():
         raise ValueError(f"{name}: must be (lower, upper), three numbers each, lower below upper, got {shown(value)}")
     return tuple(tuple(float(x) for x in corner) for corner in array)
-
-
-def finite_number(name, value):
-    """Check that a value is one finite number and return it as a float; else raise ValueError."""
-    return number_in(name, value)
 
 
 def number_in(name, value, low=-math.inf, high=math.inf, *, above=None):

@@ -13,6 +13,8 @@ from typing import Any
 
 import warp as wp
 
+from warp_rigid.warp_start import start_warp
+
 __all__ = ["device_work", "exclusive", "on_stream"]
 
 
@@ -96,6 +98,7 @@ if hasattr(os, "register_at_fork"):
 
 def exclusive() -> Any:
     """Context in which no other thread uses a device through this package; required for recording and compiling."""
+    start_warp()
     return _gate.exclusive()
 
 

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from warp_rigid.kernels.enums import Coordinate
-from warp_rigid.rotations import rotate
 from warp_rigid.scene.joints import RevoluteJoint, SphericalJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
@@ -20,18 +19,11 @@ ROLLING = 0.01
 
 def anchor_errors(sim: Any) -> np.ndarray:
     """Distances between the two anchors of each joint that holds them together, (envs, joints) [m]; else 0."""
-    position = sim.get("position").astype(np.float64)
-    orientation = sim.get("orientation").astype(np.float64)
-
-    def point(body: int | None, local: Any) -> np.ndarray:
-        if body is None:
-            return np.broadcast_to(np.array(local), position[:, 0].shape)
-        return position[:, body] + rotate(orientation[:, body], np.array(local))
-
+    poses = [sim.get(name).astype(np.float64) for name in ("position", "orientation")]
     apart = [
-        np.linalg.norm(point(e.body_a, e.frame_a.position) - point(e.body_b, e.frame_b.position), axis=-1)
-        * (e.joint.coordinate not in (Coordinate.LENGTH, Coordinate.SLIDE))
-        for e in sim.scene.joints
+        np.linalg.norm(np.subtract(*entry.anchors(*poses)), axis=-1)
+        * (entry.joint.coordinate not in (Coordinate.LENGTH, Coordinate.SLIDE))
+        for entry in sim.scene.joints
     ]
     return np.stack(apart, axis=1)
 
@@ -55,7 +47,7 @@ class ClosedJointsOutcome:
     def closed_verdict(self, limit: float) -> Verdict:
         """Verdict: no joint has opened by `limit` [m]."""
         assert self.opened is not None
-        return below("opened", self.opened, limit, f"no joint open by {1e3 * limit:g} mm", {"default": True})
+        return below("opened", self.opened, limit, f"no joint open by {1e3 * limit:g} mm")
 
 
 def add_ragdoll(scene: Scene, place: Any, name: str, damping: float = PASSIVE) -> None:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid import rotations
 from warp_rigid.checks import whole_in
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
@@ -83,27 +82,6 @@ def _layout(bodies):
     """Lattice points along each side of the floor, and layers: about twice as high as wide."""
     side = max(2, math.ceil((bodies / 2.0) ** (1.0 / 3.0)))
     return side, math.ceil(bodies / side**2)
-
-
-def add_mixed_column(scene: Scene, generator: np.random.Generator, count: int, **coefficients: Any) -> list[int]:
-    """Add boxes and, as every fourth body, spheres of 0.05 to 0.17 m, most of them apart, one above another.
-
-    Args:
-        scene: the scene.
-        generator: of sizes, positions within 0.2 m of the z axis along x and y, and orientations.
-        count: number of bodies.
-        **coefficients: as in `add_bodies`.
-
-    Returns:
-        Indices of the bodies.
-    """
-    shapes, positions, orientations = [], [], []
-    for k in range(count):
-        size = generator.uniform(0.05, 0.12)
-        shapes.append(Sphere(size) if k % 4 == 0 else Box(size * generator.uniform(0.6, 1.4, 3)))
-        positions.append((*generator.uniform(-0.2, 0.2, 2), 0.15 + 0.09 * k))
-        orientations.append(rotations.random(generator, 1)[0])
-    return add_bodies(scene, shapes, positions, orientations, **coefficients)
 
 
 def add_mixed_layers(scene: Scene, generator: np.random.Generator, count: int, **coefficients: Any) -> list[int]:

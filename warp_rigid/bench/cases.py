@@ -3,14 +3,14 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 
 from warp_rigid import scenes
-from warp_rigid.bench.scene_case import SceneCase
 from warp_rigid.checks import shown, suggestion, whole_in
 from warp_rigid.engine.simulator import Simulator
+from warp_rigid.runs.runner import find_scene
 from warp_rigid.scene.scene import Motion, Scene
 from warp_rigid.scene.shapes import Box
 from warp_rigid.scene.shapes.base import Shape
@@ -42,18 +42,20 @@ class BenchmarkScene:
     Attributes:
         build: function(bodies) -> Scene; the start is that of environment 0.
         half_width: function(bodies) -> horizontal distance beyond which a body has escaped [m]: along x or y from the
-            z axis, or from its place at rest where that is known.
+            z axis, or from its place at rest where that is known; None if the scene does not say where bodies belong.
         starts: function(bodies, env) -> starts of an environment; None if all environments start alike.
+        vary: function(sim) that gives several environments different starts; None if `starts` does.
         rest: function(bodies) -> (bodies, 3) positions of the bodies at rest [m]; None where they are not known.
         targets: function(bodies, env) -> (joints,) target positions of the drives; None if there are no drives.
         max_bodies: largest number of bodies.
     """
 
     build: Callable[[int], Scene]
-    half_width: Callable[[int], float]
+    half_width: Callable[[int], float] | None
     starts: Callable[[int, int], Starts] | None = None
     rest: Callable[[int], np.ndarray] | None = None
     targets: Callable[[int, int], np.ndarray] | None = None
+    vary: Callable[[Simulator], None] | None = None
     max_bodies: int = piles.MOST_BODIES
 
 
@@ -62,24 +64,36 @@ class BenchmarkCase:
     """One scene at one size.
 
     Attributes:
-        name: key of SCENES.
-        bodies: dynamic bodies in an environment.
+        name: key of SCENES, or a built-in scene or the path of a .py file, with its default parameters.
+        size: dynamic bodies in an environment; 0 where the scene with its default parameters determines them.
     """
 
     name: str
-    bodies: int
+    size: int = 0
+
+    @cached_property
+    def bodies(self) -> int:
+        """Dynamic bodies in an environment."""
+        return self.size or len(moving(self.build()))
 
     def __str__(self) -> str:
         """As on the command line."""
-        return f"{self.name}:{self.bodies}"
+        return f"{self.name}:{self.bodies}" if self.name in SCENES else self.name
+
+    @property
+    def scene(self) -> BenchmarkScene:
+        """The row of the table, or one made of the scene."""
+        return SCENES[self.name] if self.name in SCENES else _row_of_demo(self.name)
 
     def build(self) -> Scene:
         """The scene, with the start of environment 0."""
-        return SCENES[self.name].build(self.bodies)
+        return self.scene.build(self.size)
 
     def scatter(self, sim: Simulator) -> None:
         """Give each environment a different start, or different targets of its drives, where the scene has several."""
-        scene = SCENES[self.name]
+        scene = self.scene
+        if scene.vary is not None and sim.num_envs > 1:
+            scene.vary(sim)
         if scene.starts is not None:
             start_apart(sim, moving(sim.scene), partial(scene.starts, self.bodies))
         if scene.targets is not None:
@@ -87,16 +101,17 @@ class BenchmarkCase:
             sim.set("joint_target_position", np.array(of_env))
 
     def escaped(self, position: np.ndarray) -> int:
-        """Number of bodies outside the region that the scene allows; a position that is NaN counts as outside.
+        """Number of bodies outside the region that the scene allows; a position that is not finite counts as outside.
 
         Args:
             position: (envs, bodies, 3) of the dynamic bodies [m].
         """
-        scene = SCENES[self.name]
-        if scene.rest is not None:
-            inside = self.drift(position) < scene.half_width(self.bodies)
-        else:
-            inside = np.abs(position[..., :2]).max(axis=-1) < scene.half_width(self.bodies)
+        scene = self.scene
+        inside = np.isfinite(position).all(axis=-1)
+        if scene.rest is not None and scene.half_width is not None:
+            inside &= self.drift(position) < scene.half_width(self.bodies)
+        elif scene.half_width is not None:
+            inside &= np.abs(position[..., :2]).max(axis=-1) < scene.half_width(self.bodies)
             inside &= position[..., 2] > -MARGIN
         return int((~inside).sum())
 
@@ -106,22 +121,22 @@ class BenchmarkCase:
 
     def height_error(self, position: np.ndarray) -> np.ndarray | None:
         """Height of the bodies above their height at rest, (envs, bodies) [m]; None where that is not known."""
-        return None if SCENES[self.name].rest is None else self._displacement(position)[..., 2]
+        return None if self.scene.rest is None else self._displacement(position)[..., 2]
 
     def _displacement(self, position: np.ndarray) -> np.ndarray:
-        rest = SCENES[self.name].rest
+        rest = self.scene.rest
         assert rest is not None
         return position - rest(self.bodies)
 
 
-def find_case(text: str) -> BenchmarkCase | SceneCase:
+def find_case(text: str) -> BenchmarkCase:
     """Parse a case such as "stack:10", or the name or .py file of a scene.
 
     Raises:
         ValueError: There is no such scene, or the number of bodies is missing or out of range.
     """
     if text.endswith(".py") or text in scenes.names():
-        return SceneCase(text)
+        return BenchmarkCase(text)
     name, _, count = text.partition(":")
     if name not in SCENES:
         where = f"{', '.join(SCENES)} and those of warp-rigid scenes"
@@ -132,6 +147,14 @@ def find_case(text: str) -> BenchmarkCase | SceneCase:
     if not count.isdigit():
         raise ValueError(f"SCENE: must be a name and a number of bodies, such as stack:10, got {text!r}")
     return BenchmarkCase(name, whole_in(f"SCENE: bodies of {name}", int(count), 1, SCENES[name].max_bodies))
+
+
+@cache
+def _row_of_demo(name: str) -> BenchmarkScene:
+    """A built-in scene, or one from a user's file, with its default parameters."""
+    demo = find_scene(name)
+    vary = None if demo.vary is None else partial(demo.vary, **demo.parameters)
+    return BenchmarkScene(lambda _: demo.build(), half_width=None, vary=vary)
 
 
 def moving(scene: Scene) -> list[int]:
@@ -191,11 +214,7 @@ def _poles_a_side(rings: int) -> int:
 
 
 SCENES: dict[str, BenchmarkScene] = {
-    "stack": BenchmarkScene(
-        _stack,
-        half_width=lambda cubes: 0.5 * EDGE,
-        rest=stacks.column,
-    ),
+    "stack": BenchmarkScene(_stack, half_width=lambda cubes: 0.5 * EDGE, rest=stacks.column),
     "pile_box": _pile_of(lambda: stacks.CUBE),
     "pile_torus": _pile_of(meshes.torus),
     "pile_bunny": _pile_of(lambda: meshes.bunny(EDGE)),

@@ -18,8 +18,9 @@ from warp_rigid.bench.notes import duration, notes
 from warp_rigid.bench.phases import UNTIL, measure_phases
 from warp_rigid.bench.startup import start_up
 from warp_rigid.commands.options import AsJson, Device, takes
-from warp_rigid.commands.terminal import check_outputs, check_writable, console, note, progress
+from warp_rigid.commands.terminal import check_outputs, check_writable, console, note
 from warp_rigid.engine.simulator import choose_device
+from warp_rigid.progress_bar import progress
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,15 @@ from warp_rigid.commands.merge import merge_command
 from warp_rigid.commands.run import run_command
 from warp_rigid.commands.scenes import scenes_command
 from warp_rigid.commands.sweep import sweep_command
-from warp_rigid.commands.terminal import explain, is_device_error, messages_on_stderr, note, start_warp
+from warp_rigid.commands.terminal import explain, is_device_error, messages_on_stderr, note
 from warp_rigid.commands.usd import usd_app
 from warp_rigid.commands.validate import validate_command
 from warp_rigid.commands.view import view_command
 from warp_rigid.commands.warmup import warmup_command
 from warp_rigid.errors import CapacityError, NonFiniteError
+from warp_rigid.progress_bar import lines_if_redirected
 from warp_rigid.version import __version__
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["main"]
 
@@ -52,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(argv: list[str] | None) -> int:
     try:
-        with messages_on_stderr():
+        with messages_on_stderr(), lines_if_redirected():
             start_warp()
             given = sys.argv[1:] if argv is None else argv
             _refuse_empty(given)

@@ -11,16 +11,9 @@ from rich.table import Table
 
 from warp_rigid.checks import one_of, whole_in
 from warp_rigid.commands.options import AsJson, Device, Envs, Seed, SimulatedScene, takes
-from warp_rigid.commands.terminal import (
-    check_outputs,
-    check_writable,
-    console,
-    continued,
-    note,
-    progress,
-    told_if_interrupted,
-)
+from warp_rigid.commands.terminal import check_outputs, check_writable, console, continued, note, told_if_interrupted
 from warp_rigid.files.atomic import check_unread
+from warp_rigid.progress_bar import progress
 from warp_rigid.render.appearance import COLORINGS
 from warp_rigid.runs import runner
 from warp_rigid.runs.progress import Checkpoints
@@ -302,33 +295,23 @@ def _export(recording, path: str, options: UsdOptions) -> None:
         export_usd(recording, path, **vars(options))
 
 
-def _film(recording, usd: str | None, color: str):
-    """The film to draw: read from the USD file if there is one, so that images show the file's content."""
-    from warp_rigid.render.film import colored, film_from_recording, film_from_usd
-    from warp_rigid.render.strings import with_strings
-
-    film = film_from_usd(usd) if usd else colored(film_from_recording(recording), recording, color)
-    return with_strings(film, recording)
-
-
 def _draw(options: RunOptions, plan: runner.Plan, recording: Recording) -> None:
     """Write the requested images, videos and pages."""
     if not (options.picture or options.film or options.contact_sheet or options.html):
         return
-    from warp_rigid.render.images import save_contact_sheet, save_film, save_picture
+    from warp_rigid.render.images import save_contact_sheet, save_picture
+    from warp_rigid.viewer.film_files import film_to_draw, write_film
 
-    usd = None if options.overrides else options.to_usd
-    drawn = replace(_film(recording, usd, options.color), view=plan.demo.view)
-    for save, path in ((save_picture, options.picture), (save_contact_sheet, options.contact_sheet)):
+    drawn = film_to_draw(recording, options.color, usd=None if options.overrides else options.to_usd)
+    drawn = replace(drawn, view=plan.demo.view)
+    for save, path in (
+        (save_picture, options.picture),
+        (save_contact_sheet, options.contact_sheet),
+        (write_film, options.film),
+        (write_film, options.html),
+    ):
         if path:
             save(drawn, path)
-    if options.film:
-        with progress(f"drawing {options.film}", drawn.num_frames) as advance:
-            save_film(drawn, options.film, on_frame=advance)
-    if options.html:
-        from warp_rigid.viewer.playback import save_html
-
-        save_html(drawn, options.html)
 
 
 def _print_summary(summary: dict[str, Any]) -> None:

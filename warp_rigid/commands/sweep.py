@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from warp_rigid.commands.options import AsJson, SimulatedScene, takes
-from warp_rigid.commands.terminal import check_writable, console, continued, note, progress, told_if_interrupted
+from warp_rigid.commands.terminal import check_writable, console, continued, note, told_if_interrupted
 
 FAILED_RUNS = 5
 
@@ -111,14 +111,13 @@ def sweep_command(options: SweepOptions) -> int:
 
     def on_progress(done: int, total: int) -> None:
         finished[:] = done, total
-        advance(done, total)
 
     def kept() -> str:
         if output is None:
             return "nothing was kept; to be able to continue, use -o FILE.parquet"
         return f"{output} has the {finished[0]} runs finished so far; to continue: {continued(options.context)}"
 
-    with told_if_interrupted(kept, lambda: finished[0] > 0), progress(options.scene, 1) as advance:
+    with told_if_interrupted(kept, lambda: finished[0] > 0):
         result = sweep(options.scene, **options.arguments(axes, measured), on_progress=on_progress)
     seconds = time.perf_counter() - start
     if plot:
@@ -153,11 +152,12 @@ def print_result(result: Any, files: list[str], as_json: bool, seconds: float | 
 
 def _check_columns(x: str | None, y: str | None, axes: dict[str, Any], measured: tuple) -> None:
     """Check that the table will have the columns to plot."""
-    from warp_rigid.sweep.metrics import OUTCOME, metric_name
+    from warp_rigid.runs.user_code import column_name
+    from warp_rigid.sweep.metrics import OUTCOME
 
     if x is not None and x not in axes:
         raise ValueError(f"--plot-x: must be an axis ({', '.join(axes)}), got {x}")
-    names = [metric_name(metric) for metric in measured]
+    names = [column_name(metric) for metric in measured]
     # The columns of the scene's outcome are known only after the runs.
     if y is not None and y not in names and not (OUTCOME in names and y.startswith("outcome_")):
         raise ValueError(f"--plot-y: must be a metric ({', '.join(names)}), got {y}")

@@ -1,49 +1,20 @@
-"""Helpers shared by the commands: console, progress bar, messages and one-line errors."""
+"""Helpers shared by the commands: console, messages and one-line errors."""
 
 import contextlib
-import importlib
 import logging
-import os
 import shlex
 import sys
 import tempfile
-import time
 import warnings
 from pathlib import Path
 from typing import Any
 
-import warp as wp
 from rich.console import Console
-from rich.progress import Progress
 
 from warp_rigid import interruption
+from warp_rigid.extras import advice, need_for_file
 from warp_rigid.files.atomic import check_replaceable
 
-_LIBRARIES = {
-    ".png": ("matplotlib", "PIL"),
-    ".gif": ("PIL",),
-    ".mp4": ("PIL", "imageio_ffmpeg"),
-    ".html": ("viser",),
-    ".glb": ("pygltflib",),
-}
-"""Optional modules required to write a file, by its suffix."""
-_EXTRAS = {
-    "PIL": "picture",
-    "matplotlib": "picture",
-    "imageio_ffmpeg": "picture",
-    "viser": "viewer",
-    "pygltflib": "gltf",
-    "loky": "sweep",
-    "pyarrow": "sweep",
-    "scipy": "sweep",
-    "zarr": "trajectories",
-    "distributed": "cluster",
-    "optuna": "opt",
-}
-"""The extra that installs an optional module."""
-
-LINE_PERIOD = 10.0
-"""Time between lines of progress if stderr is not a terminal [s]."""
 PLAIN_WIDTH = 120
 """Width of tables if the output is not a terminal [characters]."""
 
@@ -107,66 +78,13 @@ def check_outputs(output: str | None, pictures: dict[str, tuple[str, ...]]) -> N
             raise ValueError(f"{path}: must end in {' or '.join(endings)}")
     for path in (output, *pictures) if output else pictures:
         check_writable(path)
-        for module in _LIBRARIES.get(Path(path).suffix, ()):
-            importlib.import_module(module)
-
-
-@contextlib.contextmanager
-def progress(name: str, total: int):
-    """Show the progress on stderr: a bar, or a line every LINE_PERIOD seconds if stderr is not a terminal.
-
-    Yields a function (done, total) that updates it.
-    """
-    terminal = console(stderr=True)
-    if not terminal.is_terminal:
-        yield _progress_lines(name, total)
-        return
-    with Progress(console=terminal, transient=True) as bar:
-        task = bar.add_task(name, total=total)
-        yield lambda done, total=total: bar.update(task, completed=done, total=total)
-
-
-def _progress_lines(name: str, total: int):
-    start = last = time.monotonic()
-
-    def show(done, total=total):
-        nonlocal last
-        now = time.monotonic()
-        if now - last >= LINE_PERIOD and done < total:
-            last = now
-            left = (now - start) * (total - done) / done if done else float("inf")
-            note(f"{name}: {100.0 * done / total:.0f} % after {now - start:.0f} s, about {left:.0f} s left")
-
-    return show
-
-
-def start_warp() -> None:
-    """Initialise Warp without its banner and without the warning about a missing CUDA driver."""
-    wp.config.log_level = wp.LOG_WARNING
-    with tempfile.TemporaryFile() as captured:
-        sys.stderr.flush()
-        kept = os.dup(2)
-        os.dup2(captured.fileno(), 2)
-        try:
-            wp.init()
-        except OSError as error:
-            advice = f"{error.strerror}; WARP_CACHE_PATH must be a writable folder"
-            raise OSError(error.errno, advice, error.filename) from None
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-        captured.seek(0)
-        for line in captured.read().decode(errors="replace").splitlines():
-            if "Could not find or load the NVIDIA CUDA driver" not in line:
-                note(line)
+        need_for_file(path)
 
 
 def explain(error: Exception) -> str:
     """Describe an error in one line."""
     if isinstance(error, ModuleNotFoundError):
-        extra = _EXTRAS.get((error.name or "").partition(".")[0])
-        package = f"'warp-rigid[{extra}]'" if extra else "--force-reinstall warp-rigid"
-        return f"{error.name} is not installed; install it with: pip install {package}"
+        return advice(error.name or str(error))
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split())

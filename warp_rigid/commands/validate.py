@@ -12,9 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from warp_rigid.commands.options import AsJson
-from warp_rigid.commands.terminal import check_outputs, console, progress
+from warp_rigid.commands.terminal import check_outputs, console
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.files.atomic import atomic_file
+from warp_rigid.progress_bar import progress
 
 
 def validate_command(

@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 import warp as wp
 
-from warp_rigid.commands.terminal import console, progress
+from warp_rigid.commands.terminal import console
 from warp_rigid.engine.loading import everything, load_kernels
 from warp_rigid.engine.simulator import choose_device
 from warp_rigid.engine.teams import sizes_of_teams
+from warp_rigid.progress_bar import progress
 
 
 def warmup_command(

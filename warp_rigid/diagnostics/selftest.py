@@ -86,7 +86,4 @@ def _speed(sim: Simulator) -> float:
 
 
 if __name__ == "__main__":
-    from warp_rigid.commands.terminal import start_warp
-
-    start_warp()
     print(json.dumps(self_test(sys.argv[1])))

@@ -37,29 +37,17 @@ def may_be_overloaded(model: Model) -> bool:
 
 def check_loads(stages: Stages) -> None:
     """Note overloaded bodies of all environments of a shard after a step, for the next check."""
-    pools, device = stages.pools, stages.device
-    threads = pools.sizes["pairs"] if device.is_cuda else 1
-    wp.launch(
-        health.check_loads,
-        dim=threads,
-        inputs=[stages.dt, threads, stages.model.bodies, pools.pairs, pools.history, stages.motions],
-        outputs=[stages.envs],
-        device=device,
-    )
+    pools = stages.pools
+    inputs = [stages.model.bodies, pools.pairs, pools.history, stages.motions]
+    stages.share(health.check_loads, pools.sizes["pairs"], inputs, [stages.envs], before=[stages.dt])
 
 
 def check(stages: Stages) -> None:
     """Check all environments of a shard after a step; `load_kernels` must have been called for `STEP`."""
     model, pools, device = stages.model, stages.pools, stages.device
-    threads = pools.sizes["pairs"] if device.is_cuda else 1
     stages.motions.overlap.zero_()
-    wp.launch(
-        health.check_overlaps,
-        dim=threads,
-        inputs=[threads, model.shapes, model.bodies, pools.pairs, pools.history],
-        outputs=[stages.motions],
-        device=device,
-    )
+    inputs = [model.shapes, model.bodies, pools.pairs, pools.history]
+    stages.share(health.check_overlaps, pools.sizes["pairs"], inputs, [stages.motions])
     check_loads(stages)
     joints = stages.joints.arrays
     drives = [model.bodies, joints]

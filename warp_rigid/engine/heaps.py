@@ -31,11 +31,11 @@ class HeapStages:
     def list_pairs(self) -> None:
         """List the pairs that are solved in rounds, and give them slots."""
         pools, solved = self.pools, self.pools.rounds
-        self._shared(rounds.open_rounds, self.bodies, [0], [], [solved])
-        self._shared(rounds.open_slots, self.bodies, [], [], [pools.slots])
+        self._step.share(rounds.open_rounds, self.bodies, [], [solved], before=[0])
+        self._step.share(rounds.open_slots, self.bodies, [], [pools.slots])
         found = [self.model.bodies, self.envs, self.motions, pools.constraints, pools.graph]
-        self._shared(rounds.list_heaps, self.most_pairs, [], found, [solved, pools.slots])
-        self._shared(rounds.assign_slots, self.bodies, [], [], [pools.slots])
+        self._step.share(rounds.list_heaps, self.most_pairs, found, [solved, pools.slots])
+        self._step.share(rounds.assign_slots, self.bodies, [], [pools.slots])
         self._per_round_pair(rounds.place_pairs, solved, [], [pools.slots, pools.contacts])
 
     def solve_impacts(self) -> None:
@@ -44,13 +44,13 @@ class HeapStages:
         changed = [self.motions, pools.contacts, pools.slots]
 
         def find(done: int) -> None:
-            self._shared(rounds.open_rounds, self.bodies, [done], [], [hit])
+            self._step.share(rounds.open_rounds, self.bodies, [], [hit], before=[done])
             inputs = [self.envs, pools.rounds, hit]
-            self._shared(impact_rounds.find_impacts, self.most_pairs, [self.dt], inputs, changed)
+            self._step.share(impact_rounds.find_impacts, self.most_pairs, inputs, changed, before=[self.dt])
 
         def solve() -> None:
             self._per_round_pair(impact_rounds.impact_round, hit, [self.envs], changed, [self.dt])
-            self._shared(rounds.finish_bodies, self.bodies, [], [pools.slots], [self.motions])
+            self._step.share(rounds.finish_bodies, self.bodies, [pools.slots], [self.motions])
             find(done=1)
 
         find(done=0)
@@ -63,20 +63,20 @@ class HeapStages:
         self._per_round_pair(rounds.start_rounds, solved, [], changed)
         self._repeat_rounds(rounds.solve_round, solved, [pools.contacts, pools.graph.residual])
         self._per_round_pair(rounds.finish_pairs, solved, [], [*changed, pools.graph.rounds])
-        self._shared(rounds.finish_bodies, self.bodies, [], [pools.slots], [self.motions])
+        self._step.share(rounds.finish_bodies, self.bodies, [pools.slots], [self.motions])
 
     def push_out(self) -> None:
         """Push-out of heaps, in rounds."""
         model, pools, pushed = self.model, self.pools, self.pools.selected
-        self._shared(rounds.open_rounds, self.bodies, [0], [], [pushed])
+        self._step.share(rounds.open_rounds, self.bodies, [], [pushed], before=[0])
         inputs = [model.shapes, model.bodies, self.state, pools.pairs, self.motions, pools.contacts, pools.rounds]
         found = [pushed, pools.slots]
-        self._shared(push_rounds.find_overlaps_in_heaps, self.most_pairs, [self.dt], inputs, found)
-        self._shared(push_rounds.share_masses, self.most_pairs, [], [], [pushed])
+        self._step.share(push_rounds.find_overlaps_in_heaps, self.most_pairs, inputs, found, before=[self.dt])
+        self._step.share(push_rounds.share_masses, self.most_pairs, [], [pushed])
         changed = [pools.slots, self.motions, pools.contacts]
         self._repeat_rounds(push_rounds.push_round, pushed, [pools.contacts])
         self._per_round_pair(push_rounds.finish_push, pushed, [], [*changed, pools.graph.push_out_rounds])
-        self._shared(push_rounds.store_push, self.bodies, [], [pushed, pools.slots], [self.motions])
+        self._step.share(push_rounds.store_push, self.bodies, [pushed, pools.slots], [self.motions])
 
     def _repeat_rounds(self, kernel: Any, some: Any, changed: list) -> None:
         """Execute rounds until no environment needs another one: in groups of launches on a GPU, in one on a CPU."""
@@ -96,10 +96,6 @@ class HeapStages:
 
         wp.capture_while(some.again, group)
 
-    def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose threads share `size` rows."""
-        self._step._shared(kernel, size, before, inputs, outputs)
-
     def _per_round_pair(self, kernel: Any, some: Any, inputs: list, outputs: list, before: Sequence = ()) -> None:
         """Launch a kernel whose threads share the pairs that are solved in rounds."""
-        self._shared(kernel, self.most_pairs, [*before], [*inputs, some], outputs)
+        self._step.share(kernel, self.most_pairs, [*inputs, some], outputs, before=[*before])

@@ -8,12 +8,11 @@ import warp as wp
 
 from warp_rigid.checks import number_in, whole_in
 from warp_rigid.engine.layout import Layout
+from warp_rigid.engine.pools import STRUCTS
 from warp_rigid.engine.shape_pool import distinct_shapes
 from warp_rigid.errors import CapacityError
 from warp_rigid.kernels import declare, schema
-from warp_rigid.kernels.collide.near_samples import NearSamples, Suspects
-from warp_rigid.kernels.graph import heap_arrays
-from warp_rigid.kernels.joints.arrays import Joints, VisitOrder
+from warp_rigid.kernels.joints.arrays import Joints
 from warp_rigid.scene.shapes.triangle_tree import tree_bytes
 
 LARGEST_LIMIT = 2**50
@@ -21,23 +20,7 @@ LARGEST_LIMIT = 2**50
 
 def pool_bytes(sizes: dict[str, int]) -> int:
     """Bytes of all arrays sized with the pools: candidates, lists, contacts, history and rounds twice, and so on."""
-    structs = (
-        schema.Cells,
-        schema.Constraints,
-        schema.Pairs,
-        NearSamples,
-        Suspects,
-        schema.Contacts,
-        schema.History,
-        schema.History,
-        schema.Graph,
-        schema.Order,
-        VisitOrder,
-        heap_arrays.Rounds,
-        heap_arrays.Rounds,
-        heap_arrays.Slots,
-    )
-    return sum(declare.byte_size(struct, sizes) for struct in structs)
+    return sum(declare.byte_size(struct, sizes) for struct in (schema.Cells, schema.History, *STRUCTS.values()))
 
 
 def body_bytes(sizes: dict[str, int]) -> int:

@@ -32,6 +32,23 @@ HEADROOM = 1.5
 """A pool that is too small grows to this factor times the required size."""
 
 
+STRUCTS = {
+    "pairs": schema.Pairs,
+    "near": NearSamples,
+    "suspects": Suspects,
+    "contacts": schema.Contacts,
+    "history": schema.History,
+    "constraints": schema.Constraints,
+    "graph": schema.Graph,
+    "order": schema.Order,
+    "visits": VisitOrder,
+    "rounds": heap_arrays.Rounds,
+    "selected": heap_arrays.Rounds,
+    "slots": heap_arrays.Slots,
+}
+"""The structs of the pools, by their attribute."""
+
+
 @dataclass
 class Pools:
     """Arrays sized by the number of pairs and contacts, and the sizes that the last steps required.
@@ -75,24 +92,9 @@ class Pools:
     @classmethod
     def allocate(cls, layout: Layout, sizes: dict[str, int], device: Any) -> "Pools":
         """Allocate empty pools of these sizes (see `sizes_for`)."""
-        return cls(
-            layout=layout,
-            sizes=sizes,
-            pairs=declare.allocate(schema.Pairs, sizes, device),
-            near=declare.allocate(NearSamples, sizes, device),
-            suspects=declare.allocate(Suspects, sizes, device),
-            contacts=declare.allocate(schema.Contacts, sizes, device),
-            history=declare.allocate(schema.History, sizes, device),
-            constraints=declare.allocate(schema.Constraints, sizes, device),
-            graph=declare.allocate(schema.Graph, sizes, device),
-            order=declare.allocate(schema.Order, sizes, device),
-            visits=declare.allocate(VisitOrder, sizes, device),
-            rounds=declare.allocate(heap_arrays.Rounds, sizes, device),
-            selected=declare.allocate(heap_arrays.Rounds, sizes, device),
-            slots=declare.allocate(heap_arrays.Slots, sizes, device),
-            turn=wp.zeros(1, dtype=int, device=device),
-            wanted=wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device),
-        )
+        arrays = {name: declare.allocate(struct, sizes, device) for name, struct in STRUCTS.items()}
+        turn, wanted = wp.zeros(1, dtype=int, device=device), wp.zeros((CHUNK, len(POOLS)), dtype=int, device=device)
+        return cls(layout=layout, sizes=sizes, turn=turn, wanted=wanted, **arrays)
 
     def begin(self) -> None:
         """Reset the required sizes, and start at the first row."""

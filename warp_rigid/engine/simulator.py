@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from warp_rigid.checks import whole_in
+from warp_rigid.display import html_of
 from warp_rigid.engine import checkpoint, forgetting, quantities, spawning, stage_times, step_reports, watching
 from warp_rigid.engine.hints import hints_on
 from warp_rigid.engine.layout import LACKING, layout_of
@@ -22,6 +23,7 @@ from warp_rigid.engine.world import World
 from warp_rigid.errors import NonFiniteError
 from warp_rigid.scene.scene import Scene
 from warp_rigid.threads import exclusive, on_stream
+from warp_rigid.warp_start import start_warp
 
 log = logging.getLogger("warp_rigid")
 
@@ -129,6 +131,9 @@ class Simulator:
         """Show the size, the device and the time."""
         size = f"{self.num_envs} environments of {self.num_bodies} bodies"
         return f"Simulator({size} on {self.device}, dt {self.settings.dt:.6g} s, at {self.time:.6g} s)"
+
+    def _repr_html_(self) -> str:
+        return html_of(self)
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be pickled or copied, as device memory and recorded steps cannot be.
@@ -496,6 +501,7 @@ def choose_device(device: Any) -> Any:
     Raises:
         ValueError: there is no such device, or its driver is too old.
     """
+    start_warp()
     too_old = wp.is_cuda_available() and not wp.is_conditional_graph_supported()
     if device is None:
         chosen = wp.get_cuda_device() if wp.is_cuda_available() and not too_old else wp.get_device("cpu")

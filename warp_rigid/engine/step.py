@@ -176,26 +176,13 @@ class Stages:
     @stage
     def predict(self, dt: float) -> None:
         """Prediction: derive world quantities and swept bounding boxes from the state."""
-        self._per_body(
-            predict.derive_motion,
-            [
-                dt,
-                self.model.bodies,
-                self.state,
-                self.sleep_state,
-                self.envs,
-                self.model.fields,
-            ],
-            [self.motions],
-        )
+        inputs = [dt, self.model.bodies, self.state, self.sleep_state, self.envs, self.model.fields]
+        self._per_body(predict.derive_motion, inputs, [self.motions])
         self._per_body(predict.sweep_boxes, [dt, self.model.shapes, self.model.bodies, self.state], [self.motions])
         self.joints.bound_travel()
         if self.model.surface_vertices:
-            self._per_body(
-                ground_motion.drive_ground,
-                [self.model.shapes, self.model.bodies, self.envs],
-                [self.motions],
-            )
+            inputs = [self.model.shapes, self.model.bodies, self.envs]
+            self._per_body(ground_motion.drive_ground, inputs, [self.motions])
 
     @stage
     def find_pairs(self) -> None:
@@ -219,7 +206,7 @@ class Stages:
         self._sum(pairs.contact_count, pairs.contact_start, CONTACTS, contacts.key.shape[0])
         size, inputs = self.pools.sizes["pairs"], [*self.moving, self.envs, pairs, self.pools.history]
         with self.parts.shared():
-            self._divide(build_contacts.build_contacts, size, inputs, [contacts], lanes=teams.BUILD_LANES)
+            self.share(build_contacts.build_contacts, size, inputs, [contacts], lanes=teams.BUILD_LANES)
         self._per_constraint(records.list_pairs, [self.envs, pairs], [self.pools.constraints])
 
     @stage
@@ -261,11 +248,8 @@ class Stages:
     @stage
     def integrate_velocities(self, before_collisions: bool) -> None:
         """Velocity update: add the acceleration of the step, in environments whose stage order has it here."""
-        self._per_body(
-            predict.integrate_velocities,
-            [self.dt, 0 if before_collisions else 1, self.model.bodies, self.envs],
-            [self.motions],
-        )
+        inputs = [self.dt, 0 if before_collisions else 1, self.model.bodies, self.envs]
+        self._per_body(predict.integrate_velocities, inputs, [self.motions])
 
     @stage
     def solve_impacts(self) -> None:
@@ -314,7 +298,7 @@ class Stages:
         model, pools = self.model, self.pools
         inputs = [model.shapes, model.bodies, self.state, self.envs, pools.pairs]
         changed = [self.motions, pools.graph, pools.contacts]
-        self._shared(push_out.find_overlaps, pools.sizes["contacts"], [self.dt], inputs, changed)
+        self.share(push_out.find_overlaps, pools.sizes["contacts"], inputs, changed, before=[self.dt])
         self._color_by_color(push_out.push_apart)
         if self.crowded:
             self.heaps.push_out()
@@ -343,11 +327,8 @@ class Stages:
         """Sleeping: put islands to sleep that have been at rest for long enough."""
         graph, bodies, pairs = self.pools.graph, self.model.bodies, self.pools.pairs
         self._per_body(sleep.track_motion, [self.model.shapes, bodies, self.state, self.motions], [self.sleep_state])
-        self._per_body(
-            sleep.test_bodies_for_sleep,
-            [self.dt, bodies, self.envs, self.motions, graph, self.state],
-            [self.sleep_state],
-        )
+        inputs = [self.dt, bodies, self.envs, self.motions, graph, self.state]
+        self._per_body(sleep.test_bodies_for_sleep, inputs, [self.sleep_state])
         self._per_pair(sleep.test_support_for_sleep, [pairs, self.motions, bodies, graph], [self.sleep_state])
         self.joints.support()
         self._per_body(sleep.put_islands_to_sleep, [self.motions, graph], [self.state, self.sleep_state])
@@ -357,7 +338,7 @@ class Stages:
         """Watches: record contact impulses, contacts, overlaps and motion of the watched bodies."""
         model, pools = self.model, self.pools
         inputs = [self.envs, model.bodies, pools.pairs, pools.contacts]
-        self._shared(watch.watch_pairs, pools.sizes["pairs"], [], inputs, [self.watches])
+        self.share(watch.watch_pairs, pools.sizes["pairs"], inputs, [self.watches])
         self._per_body(watch.watch_bodies, [AT_REST, model.bodies, self.motions, self.state, self.envs], [self.watches])
         self._per_env(watch.close_watches, [self.envs], [self.watches])
 
@@ -367,22 +348,18 @@ class Stages:
         pairs, contacts, history = self.pools.pairs, self.pools.contacts, self.pools.history
         rows = max(history.pair_start.shape[0], history.contact_start.shape[0])
         if self.sleeping:
-            self._shared(sleep.count_history, self.pools.sizes["pairs"], [], [history, self.motions], [pairs])
+            self.share(sleep.count_history, self.pools.sizes["pairs"], [history, self.motions], [pairs])
             self._sum(pairs.contact_count, self.kept.contact_start, CONTACTS, contacts.key.shape[0])
-            self._shared(
-                sleep.merge_history,
-                self.pools.sizes["pairs"],
-                [],
-                [pairs, contacts, history, self.motions],
-                [self.kept],
+            self.share(
+                sleep.merge_history, self.pools.sizes["pairs"], [pairs, contacts, history, self.motions], [self.kept]
             )
         inputs = [pairs, self.pools.constraints]
-        self._shared(build_contacts.store_lists, rows, [], inputs, [history, self.pools.graph])
+        self.share(build_contacts.store_lists, rows, inputs, [history, self.pools.graph])
         if self.sleeping:
             wp.copy(history.contact_start, self.kept.contact_start)
-            self._shared(sleep.replace_history, self.pools.sizes["contacts"], [], [self.kept], [history])
+            self.share(sleep.replace_history, self.pools.sizes["contacts"], [self.kept], [history])
         else:
-            self._shared(build_contacts.store_impulses, self.pools.sizes["contacts"], [], [contacts, pairs], [history])
+            self.share(build_contacts.store_impulses, self.pools.sizes["contacts"], [contacts, pairs], [history])
         wp.launch(capacity.close_turn, dim=1, inputs=[self.pools.wanted], outputs=[self.pools.turn], device=self.device)
 
     def levels(self) -> np.ndarray:
@@ -396,11 +373,8 @@ class Stages:
         found = declare.allocate(schema.Graph, self.pools.sizes, self.device)
         found.supports = graph.supports
         found.swept.fill_(1)
-        self._per_team(
-            support.find_structure,
-            [self.lanes, self.envs, self.model.bodies, self.pools.constraints],
-            [found],
-        )
+        inputs = [self.lanes, self.envs, self.model.bodies, self.pools.constraints]
+        self._per_team(support.find_structure, inputs, [found])
         return np.where(self.sleep_state.asleep.numpy() == 1, graph.level.numpy(), found.level.numpy())
 
     def deepest_overlap(self, deepest: Any) -> None:
@@ -427,27 +401,27 @@ class Stages:
 
     def _per_constraint(self, kernel: Any, inputs: list, outputs: list) -> None:
         """Launch a kernel whose threads share all constraints."""
-        self._shared(kernel, self.pools.sizes["pairs"], [], inputs, outputs)
+        self.share(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
     def _per_pair(self, kernel: Any, inputs: list, outputs: list) -> None:
         self._launch(kernel, self.pools.sizes["pairs"], inputs, outputs)
 
-    def _share(self, kernel: Any, size: int, lanes: int, before: list, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose teams share `size` rows; on a GPU, a team has the given number of lanes."""
-        count = min(size, teams.most_lanes(self.device) // lanes) if self.device.is_cuda else 1
-        lanes = lanes if self.device.is_cuda else 1
-        inputs = [*before, count, lanes, *inputs]
-        self._launch(kernel, count * lanes, inputs, outputs)
-
-    def _divide(
+    def share(
         self, kernel: Any, size: int, inputs: list, outputs: list, before: Sequence = (), lanes: int | None = None
     ) -> None:
-        """Launch a kernel in a shared part (step_parts.py): its threads, or its teams of lanes, share `size` rows."""
+        """Launch a kernel whose threads, or teams of some lanes, share `size` rows; in a shared part with other cores.
+
+        Elsewhere a single thread of a CPU takes all rows, as a launch is serial there.
+        """
         cuda = self.device.is_cuda
         width = lanes if lanes and cuda else 1
-        sharing = self.parts.sharing(min(size, teams.most_lanes(self.device) // width) if cuda else 1)
-        own = [width] if lanes else []
-        self._launch(kernel, sharing.count * width, [*before, sharing, *own, *inputs], outputs)
+        count = min(size, teams.most_lanes(self.device) // width) if cuda else 1
+        sharing: Any = count
+        if self.parts.in_shared_part:
+            sharing = self.parts.sharing(count)
+            count = sharing.count
+        own = [sharing, width] if lanes else [sharing]
+        self._launch(kernel, count * width, [*before, *own, *inputs], outputs)
 
     def _per_env(self, kernel: Any, inputs: list, outputs: list) -> None:
         self._launch(kernel, self.num_envs, inputs, outputs)
@@ -460,20 +434,9 @@ class Stages:
     def _sum(self, count: wp.array, start: wp.array, which: int, size: int) -> None:
         """Exclusive sums of counts; a list that exceeds its capacity is emptied and its length recorded."""
         wp.utils.array_scan(count, start, inclusive=False)
-        wp.launch(
-            capacity.note_wanted,
-            dim=start.shape[0],
-            inputs=[which, start, self.pools.turn],
-            outputs=[self.pools.wanted],
-            device=self.device,
-        )
-        wp.launch(
-            capacity.empty_if_over,
-            dim=start.shape[0],
-            inputs=[which, size, self.pools.turn, self.pools.wanted],
-            outputs=[start],
-            device=self.device,
-        )
+        turn, wanted, rows, on = self.pools.turn, self.pools.wanted, start.shape[0], self.device
+        wp.launch(capacity.note_wanted, rows, [which, start, turn], [wanted], device=on)
+        wp.launch(capacity.empty_if_over, rows, [which, size, turn, wanted], [start], device=on)
 
     def _list_fast_pairs_of_step(self) -> None:
         """Open the first round of continuous collision detection."""
@@ -485,7 +448,7 @@ class Stages:
         pairs, suspects = self.pools.pairs, self.pools.suspects
         self._per_body(ccd.open_round, [pairs], [self.motions, suspects])
         self.joints.join_courses()
-        self._shared(ccd.list_fast_pairs, self.pools.sizes["pairs"], [], [*self.moving, self.envs], [suspects, pairs])
+        self.share(ccd.list_fast_pairs, self.pools.sizes["pairs"], [*self.moving, self.envs], [suspects, pairs])
 
     def _find_impacts(self) -> None:
         """A round of continuous collision detection, in which there are fast pairs, and the list of the next one."""
@@ -498,7 +461,7 @@ class Stages:
         size = pools.sizes["pairs"]
         lanes = teams.ADVANCE_LANES_IN_CROWDS if self.crowded else teams.ADVANCE_LANES
         inputs = [self.dt, model.shapes, model.bodies, self.state, pairs]
-        self._share(ccd.advance_solids, size, lanes, [], inputs, [suspects, self.motions])
+        self.share(ccd.advance_solids, size, inputs, [suspects, self.motions], lanes=lanes)
         if not model.layout.has_only_solids:
             wp.capture_if(suspects.sampled, self._trace_samples)
         inputs = [self.dt, model.bodies, self.state, self.envs, pairs, suspects]
@@ -509,12 +472,12 @@ class Stages:
         """The times of impact of listed pairs that are not both convex solids, where there are any."""
         model, pools, pairs, suspects = self.model, self.pools, self.pools.pairs, self.pools.suspects
         size, samples, before = pools.sizes["pairs"], pools.sizes["near_samples"], [NEAR_SAMPLES]
-        self._shared(ccd.list_reached, 2 * size, [], [*self.moving, pairs], [suspects])
-        self._share(ccd.list_clusters, 2 * size, teams.TRACE_LANES, [], [*self.moving, pairs], [suspects])
+        self.share(ccd.list_reached, 2 * size, [*self.moving, pairs], [suspects])
+        self.share(ccd.list_clusters, 2 * size, [*self.moving, pairs], [suspects], lanes=teams.TRACE_LANES)
         inputs, outputs = [*self.moving, pairs, pools.turn], [suspects, pools.wanted]
-        self._share(ccd.list_suspects, samples, teams.LOOK_LANES, before, inputs, outputs)
+        self.share(ccd.list_suspects, samples, inputs, outputs, before=before, lanes=teams.LOOK_LANES)
         inputs = [self.dt, model.shapes, model.bodies, self.state, pairs, pools.turn]
-        self._shared(ccd.trace_suspects, samples, before, inputs, [suspects, self.motions, pools.wanted])
+        self.share(ccd.trace_suspects, samples, inputs, [suspects, self.motions, pools.wanted], before=before)
 
     def _search_contacts(self, woken: int) -> None:
         """One round of the narrow phase: the awake pairs, or the dormant ones that have just been woken."""
@@ -524,23 +487,20 @@ class Stages:
         near.count.zero_()
         size, samples, listing = pools.sizes["pairs"], pools.sizes["near_samples"], self.search.listing
         with self.parts.shared():
-            self._divide(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs], before=[woken])
-            self._divide(narrowphase.list_near_samples, size, searched, [pairs, near], lanes=listing)
+            self.share(narrowphase.keep_contacts, size, [*searched, pools.history], [pairs], before=[woken])
+            self.share(narrowphase.list_near_samples, size, searched, [pairs, near], lanes=listing)
             inputs, outputs = [*self.moving, pairs, pools.turn], [near, pools.wanted]
-            self._divide(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
+            self.share(touches.touch_near_samples, samples, inputs, outputs, before=[NEAR_SAMPLES])
             chosen = pair_contacts.choose_contacts
-            self._divide(chosen, size, [*searched, near], [pairs], lanes=self.search.choosing)
+            self.share(chosen, size, [*searched, near], [pairs], lanes=self.search.choosing)
 
     def _search_pairs(self, write: int) -> None:
         """One search of the broad phase: count the pairs, or write them."""
         model, grid = self.model, self.grid
         inputs = [grid.room, grid.cells, model.shapes, model.bodies, self.motions, self.envs, self.pools.history]
-        self._share(broadphase.list_pairs_of_bodies, self.rows, grid.lanes, [write], inputs, [self.pools.pairs])
-
-    def _shared(self, kernel: Any, size: int, before: list, inputs: list, outputs: list) -> None:
-        """Launch a kernel whose threads share `size` rows: a single one on the CPU, where a launch is serial."""
-        threads = min(size, teams.most_lanes(self.device)) if self.device.is_cuda else 1
-        self._launch(kernel, threads, [*before, threads, *inputs], outputs)
+        self.share(
+            broadphase.list_pairs_of_bodies, self.rows, inputs, [self.pools.pairs], before=[write], lanes=grid.lanes
+        )
 
     def _launch(self, kernel: Any, dim: int, inputs: list, outputs: list) -> None:
         block = loading.block_of(kernel.module.name, self.lanes)

@@ -71,6 +71,9 @@ class StepParts:
     Args:
         device: the Warp device.
         workers: number of threads that execute a shared part; with one of them, and on a GPU, nothing is shared.
+
+    Attributes:
+        in_shared_part: whether the launches are those of a shared part.
     """
 
     def __init__(self, device: Any, workers: int) -> None:
@@ -80,7 +83,7 @@ class StepParts:
         self._tickets: Any = declare.allocate(sharing.Tickets, {}, device)
         self._launches = 0
         self._parts: list[Callable[[], None]] = []
-        self._recording = False
+        self._recording = self.in_shared_part = False
 
     def replay(self) -> None:
         """Execute all parts in their order."""
@@ -108,12 +111,15 @@ class StepParts:
         if self._workers > 1 or (again is not None and not self._device.is_cuda):
             self._tickets.claimed.zero_()
             self._tickets.finished.zero_()
-        if self._workers == 1 or not self._recording:
-            yield
-            return
-        self._parts.append(partial(wp.capture_launch, self._end()))
-        self._begin()
+        alone = self._workers == 1 or not self._recording
+        if not alone:
+            self._parts.append(partial(wp.capture_launch, self._end()))
+            self._begin()
+        self.in_shared_part = True
         yield
+        self.in_shared_part = False
+        if alone:
+            return
         self._parts.append(SharedPart(self._end(), self._is_open(again), self._workers))
         self._begin()
 

@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 
 from warp_rigid.rotations import rotate
-from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
+from warp_rigid.runs.drawn_surface import DrawnSurface
+from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scene.shapes.plane import DRAWN_HALF_WIDTH
 

@@ -15,7 +15,8 @@ from warp_rigid.render.appearance import (
     frame_colors,
     spread_of,
 )
-from warp_rigid.runs.recording import DrawnSurface, Recording
+from warp_rigid.runs.drawn_surface import DrawnSurface
+from warp_rigid.runs.recording import Recording
 
 __all__ = ["DrawnMesh", "Film", "colored", "film_from_recording", "film_from_usd"]
 

@@ -16,7 +16,8 @@ from warp_rigid.render.appearance import (
     environment_offsets,
     spread_of,
 )
-from warp_rigid.runs.recording import DrawnSurface, Recording
+from warp_rigid.runs.drawn_surface import DrawnSurface
+from warp_rigid.runs.recording import Recording
 
 if TYPE_CHECKING:
     import pygltflib

@@ -6,9 +6,8 @@ import numpy as np
 
 from warp_rigid.render.appearance import corner_normals
 from warp_rigid.render.film import DrawnMesh, Film
-from warp_rigid.rotations import rotate
 from warp_rigid.runs.recording import Recording
-from warp_rigid.scene.joints import DistanceJoint, JointFrame
+from warp_rigid.scene.joints import DistanceJoint
 
 __all__ = ["with_strings"]
 
@@ -53,8 +52,7 @@ def _tubes(recording: Recording, entries: list, row: int) -> DrawnMesh:
     assert recording.scene is not None
     vertices = []
     for entry in entries:
-        first = _anchor(recording, row, entry.body_a, entry.frame_a)
-        second = _anchor(recording, row, entry.body_b, entry.frame_b)
+        first, second = entry.anchors(recording.position[:, row], recording.orientation[:, row].astype(np.float64))
         length = np.linalg.norm(second - first, axis=1)
         second = np.where((length <= STRETCH * entry.joint.range[1])[:, None], second, first)
         radius = THICKNESS * recording.scene.bodies[entry.body_a].shape.size
@@ -65,14 +63,6 @@ def _tubes(recording: Recording, entries: list, row: int) -> DrawnMesh:
     sides = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     faces = np.concatenate([2 * SIDES * number + sides for number in range(len(entries))]).astype(np.int32)
     return DrawnMesh(shown[0], faces, corner_normals(shown[0], faces), tuple(shown))
-
-
-def _anchor(recording: Recording, row: int, body: int | None, frame: JointFrame) -> np.ndarray:
-    """Anchor of a joint in each frame, (frames, 3) [m]."""
-    local = np.array(frame.position)
-    if body is None:
-        return np.broadcast_to(local, (len(recording.time), 3))
-    return recording.position[:, row, body] + rotate(recording.orientation[:, row, body].astype(np.float64), local)
 
 
 def _tube(first: np.ndarray, second: np.ndarray, radius: float) -> np.ndarray:

@@ -11,19 +11,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_rigid import progress_bar
 from warp_rigid.checks import number_in
+from warp_rigid.display import Inline, film_of, html_of
 from warp_rigid.engine.quantities import is_of_bodies
 from warp_rigid.engine.step_reports import CONTACT_RECORD
+from warp_rigid.extras import need
 from warp_rigid.files import archive
 from warp_rigid.files.archive import shaped
+from warp_rigid.runs.drawn_surface import DrawnSurface, surfaces_of
 from warp_rigid.scene.coefficients import COEFFICIENTS
 from warp_rigid.scene.scene import Motion, Scene
-from warp_rigid.scene.shapes.heightfield import moves
 
 if TYPE_CHECKING:
     from warp_rigid.engine.simulator import Simulator
 
-__all__ = ["Frame", "Recorder", "Recording", "DrawnSurface", "drawn_surface", "is_moving", "record", "steps_per_frame"]
+__all__ = ["Frame", "Recorder", "Recording", "is_moving", "record", "steps_per_frame"]
 
 KIND = "recording"
 VERSION = 3  # increase when older files can no longer be read
@@ -33,49 +36,12 @@ CAPTURED = {"position": np.float32, "orientation": np.float32, "asleep": bool, "
 """Quantities recorded in every frame, by their name in the simulator."""
 VELOCITIES = {"linear_velocity": np.float32, "angular_velocity": np.float32}
 """Quantities recorded on request."""
+RECORDED_UNITS = {"time": "s", "position": "m", "linear_velocity": "m/s", "angular_velocity": "rad/s"}
 TAILS = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
 START = (*VELOCITIES, "mass", *COEFFICIENTS, "gravity")
 """Quantities recorded in the first frame only."""
 CONTACTS = {name: f"contact_{name}" for name in CONTACT_RECORD.names or ()}
 """Archive members for the contact fields, concatenated over frames."""
-
-
-def _no_swing() -> np.ndarray:
-    """The swing of a surface of constant shape."""
-    return np.zeros((2, 0), dtype=np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnSurface:
-    """Triangles of a shape, in the shape's frame.
-
-    Attributes:
-        vertices: (n, 3) float32 [m].
-        faces: (m, 3) int32, counter-clockwise seen from outside.
-        endless: True for a plane, of which the triangles cover a finite part.
-        swing: (2, n) float32, sine and cosine amplitudes of the vertical vertex displacement about `vertices` [m];
-            empty for a surface of constant shape.
-        angular_frequency: of that displacement [rad/s].
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    endless: bool = False
-    swing: np.ndarray = field(default_factory=_no_swing)
-    angular_frequency: float = 0.0
-
-    @property
-    def moves(self) -> bool:
-        """Whether the surface changes its shape over time."""
-        return self.swing.size > 0
-
-    def vertices_at(self, time: float) -> np.ndarray:
-        """Vertices at a time [s], (n, 3) float32 [m]."""
-        if not self.moves:
-            return self.vertices
-        angle = self.angular_frequency * time
-        rise = np.array([np.sin(angle), np.cos(angle)]) @ self.swing
-        return (self.vertices + rise[:, None] * [0.0, 0.0, 1.0]).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +132,33 @@ class Recording:
             raise ValueError(f"envs: {missing} were not recorded; recorded: {self.envs.tolist()}")
         return np.array([int(np.flatnonzero(self.envs == env)[0]) for env in envs])
 
+    def to_xarray(self) -> Any:
+        """All frames as an xarray.Dataset with units; its dimensions are time [s], env, body and the components.
+
+        Raises:
+            ModuleNotFoundError: xarray is not installed.
+        """
+        xarray = need("xarray")
+        inner = {"position": "axis", "orientation": "component", "linear_velocity": "axis", "angular_velocity": "axis"}
+        found = xarray.Dataset(
+            {
+                name: (("time", "env", "body", *([inner[name]] if name in inner else [])), getattr(self, name))
+                for name in self._kept
+            },
+            {
+                "time": self.time,
+                "env": self.envs,
+                "body": list(self.names),
+                "axis": list("xyz"),
+                "component": list("xyzw"),
+            },
+            {"fps": self.fps},
+        )
+        for name, unit in RECORDED_UNITS.items():
+            if name in found:
+                found[name].attrs["units"] = unit
+        return found
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write all frames to one .npz file of plain arrays and text.
 
@@ -186,6 +179,71 @@ class Recording:
             "angular_frequency": [surface.angular_frequency for surface in self.surfaces],
         }
         archive.save(path, KIND, VERSION, text, arrays, compress=True)
+
+    def _repr_html_(self) -> str:
+        return html_of(self)
+
+    def show(self, *, envs: Sequence[int] | None = None, color: str = "body") -> Inline:
+        """Return the film for a notebook: the page of `to_html`, or a GIF if viser is missing or the page too large.
+
+        Args:
+            envs: see to_gif.
+            color: see to_gif.
+
+        Raises:
+            ValueError: An argument is out of range, or the film is too large for a notebook.
+            ModuleNotFoundError: The extras "viewer" and "picture" are not installed.
+        """
+        shown = film_of(self, "", None, envs=envs, color=color)
+        assert shown is not None
+        return shown
+
+    def to_html(
+        self, path: str | PathLike[str] | None = None, *, envs: Sequence[int] | None = None, color: str = "body"
+    ) -> Inline | None:
+        """Write the film as one .html file that plays without a server; see to_gif."""
+        return film_of(self, ".html", path, envs=envs, color=color)
+
+    def to_gif(
+        self,
+        path: str | PathLike[str] | None = None,
+        *,
+        envs: Sequence[int] | None = None,
+        color: str = "body",
+        width: int | None = None,
+        height: int | None = None,
+    ) -> Inline | None:
+        """Render the film in real time as an animated GIF. It ends soon after the bodies are at rest.
+
+        Args:
+            path: the file, whose folders are created; None returns the film for a notebook.
+            envs: indices in the simulation of the environments to draw; None for all that were recorded. Up to 9 have a
+                panel each.
+            color: colour of the dynamic bodies by "body", "environment", "level", "speed" (of recorded velocities) or
+                "asleep".
+            width: width of a panel [pixel]; None for 640 pixels in all (`to_mp4`: 1280).
+            height: height of a panel [pixel]; None for 9/16 of its width.
+
+        Returns:
+            None with a path. Else an object that a notebook shows, with the HTML as its attribute `html`.
+
+        Raises:
+            ValueError: An argument is out of range, or the film is larger than 16 MB and there is no path.
+            ModuleNotFoundError: The extra "picture", or for HTML "viewer", is not installed.
+        """
+        return film_of(self, ".gif", path, envs=envs, color=color, width=width, height=height)
+
+    def to_mp4(
+        self,
+        path: str | PathLike[str] | None = None,
+        *,
+        envs: Sequence[int] | None = None,
+        color: str = "body",
+        width: int | None = None,
+        height: int | None = None,
+    ) -> Inline | None:
+        """Render the film in real time as an MP4 video (H.264); see to_gif."""
+        return film_of(self, ".mp4", path, envs=envs, color=color, width=width, height=height)
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Recording":
@@ -273,7 +331,7 @@ class Recorder:
 
     def recording(self) -> Recording:
         """Return all frames captured so far."""
-        surfaces, surface = _surfaces(self._scene.bodies)
+        surfaces, surface = surfaces_of(self._scene.bodies)
         return Recording(
             **self._stacked(),
             fps=self.fps,
@@ -323,6 +381,7 @@ def record(
     *,
     velocities: bool = False,
     contacts: bool = False,
+    progress: bool = True,
 ) -> Recording:
     """Step a simulation and record the poses of every frame.
 
@@ -334,6 +393,7 @@ def record(
         envs: indices of the environments to record, which must have the same scene; None records all.
         velocities: whether to record velocities.
         contacts: whether to record the contacts of the last step of each frame.
+        progress: show a bar in terminals and notebooks.
 
     Returns:
         A Recording of frames + 1 frames; the first is the state before the first step.
@@ -345,12 +405,14 @@ def record(
         raise ValueError(f"frames: must be >= 0, got {frames}")
     steps = steps_per_frame(sim.settings.dt, fps)
     recorder = Recorder(sim, fps, envs, velocities=velocities, contacts=contacts)
-    for index in range(frames + 1):
-        if index > 0:
-            sim.step(steps)
-        recorder.capture(sim)
-        if on_frame is not None:
-            on_frame(index, sim)
+    with progress_bar.progress("recording", frames, progress) as advance:
+        for index in range(frames + 1):
+            if index > 0:
+                sim.step(steps)
+            recorder.capture(sim)
+            if on_frame is not None:
+                on_frame(index, sim)
+            advance(index)
     return recorder.recording()
 
 
@@ -449,31 +511,3 @@ def _contacts(arrays: Mapping[str, np.ndarray], frames: int) -> tuple[np.ndarray
     for name, place in CONTACTS.items():
         records[name] = shaped(arrays, place, records[name].dtype, records[name].shape)
     return tuple(np.split(records, np.cumsum(counts)[:-1]))
-
-
-def _surfaces(bodies) -> tuple[tuple[DrawnSurface, ...], np.ndarray]:
-    """The distinct surfaces of the bodies of a scene, and the surface index of each body."""
-    surfaces, index_of = [], {}
-    for body in bodies:
-        if body.shape.key not in index_of:
-            index_of[body.shape.key] = len(surfaces)
-            surfaces.append(drawn_surface(body.shape))
-    return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
-
-
-def drawn_surface(shape) -> DrawnSurface:
-    """The surface that represents a shape in drawings and exports."""
-    vertices, faces = shape.surface()
-    swing, frequency = _no_swing(), 0.0
-    if moves(shape):
-        vertices = vertices.copy()
-        vertices[:, 2] = shape.heights.reshape(-1)
-        parts = shape.amplitude * np.array([np.cos(shape.phase), np.sin(shape.phase)])
-        swing, frequency = parts.reshape(2, -1).astype(np.float32), shape.angular_frequency
-    return DrawnSurface(
-        np.asarray(vertices, dtype=np.float32),
-        np.asarray(faces, dtype=np.int32),
-        not np.isfinite(np.asarray(shape.bounds)).all(),
-        swing,
-        frequency,
-    )

@@ -13,7 +13,16 @@ from warp_rigid.checks import shown
 from warp_rigid.errors import CapacityError, NonFiniteError
 from warp_rigid.scene.scene import Scene
 
-__all__ = ["UserCodeError", "check_call", "errors_of", "module_of_file", "scene_function", "takes_parameters"]
+__all__ = [
+    "UserCodeError",
+    "check_call",
+    "check_columns",
+    "column_name",
+    "errors_of",
+    "module_of_file",
+    "scene_function",
+    "takes_parameters",
+]
 
 
 class UserCodeError(ValueError):
@@ -108,6 +117,56 @@ def _accepts(signature: inspect.Signature, arguments: tuple, named: dict[str, An
     except TypeError:
         return False
     return True
+
+
+def check_columns(
+    name: str, given: Any, is_known: Callable[[str], bool], expected: Callable[[Any], str], classes: bool = False
+) -> tuple[str | Callable, ...]:
+    """Check what a table of a sweep has columns of, and resolve files to their public functions.
+
+    Args:
+        name: of the argument, for messages.
+        given: known names, functions, and paths of .py files, one or a list of them.
+        is_known: whether a text is a known name.
+        expected: what is allowed instead of an entry, as text.
+        classes: whether classes are allowed as functions are.
+
+    Raises:
+        ValueError: An entry is unknown, or two have the same name.
+        FileNotFoundError: A file does not exist.
+    """
+    found: list[str | Callable] = []
+    for entry in given if isinstance(given, list | tuple) else [given]:
+        if isinstance(entry, str) and entry.endswith(".py"):
+            found += _public_functions(name, Path(entry), classes)
+        elif callable(entry) or (isinstance(entry, str) and is_known(entry)):
+            found.append(entry)
+        else:
+            raise ValueError(f"{name}: must be {expected(entry)}")
+    names = [column_name(entry) for entry in found]
+    if len(set(names)) < len(names):
+        raise ValueError(f"{name}: {max(names, key=names.count)} is given twice")
+    return tuple(found)
+
+
+def column_name(entry: str | Callable) -> str:
+    """Name of the column of a known name, a function or a class."""
+    return entry if isinstance(entry, str) else getattr(entry, "__name__", type(entry).__name__)
+
+
+def _public_functions(name: str, path: Path, classes: bool) -> list[Callable]:
+    """The public functions, and classes, defined in a .py file."""
+    module = module_of_file(path)
+    found: list[Callable] = [
+        value
+        for key, value in vars(module).items()
+        if (inspect.isfunction(value) or (classes and inspect.isclass(value)))
+        and value.__module__ == module.__name__
+        and not key.startswith("_")
+    ]
+    if not found:
+        raise ValueError(f"{name}: {path} must define at least one public function{' or class' if classes else ''}")
+    return found
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from warp_rigid.checks import finite_number, finite_vector, number_in
+from warp_rigid.checks import finite_vector, number_in
 from warp_rigid.kernels.enums import FieldKind
 
 __all__ = ["DragField", "ForceField", "PointField", "UniformField"]
@@ -43,7 +43,7 @@ class ForceField(ABC):
     def __post_init__(self) -> None:
         """Check the parameters."""
         for name, is_vector in self.parameters().items():
-            check = finite_vector if is_vector else finite_number
+            check = finite_vector if is_vector else number_in
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
     @classmethod

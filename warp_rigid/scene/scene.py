@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from warp_rigid.checks import LARGEST, box_corners, finite_vector, number_in, one_of, shown, unit_quaternion, whole_in
+from warp_rigid.display import html_of
 from warp_rigid.kernels.enums import CombineRule, Coordinate, Motion
 from warp_rigid.scene.coefficients import COEFFICIENTS, CoefficientKeywords, Coefficients, list_coefficients
 from warp_rigid.scene.fields import FIELDS, ForceField
@@ -123,6 +124,9 @@ class Scene:
         """Return the number of bodies of each kind as text."""
         counts = [sum(body.motion == motion for body in self.bodies) for motion in Motion]
         return f"Scene({counts[2]} dynamic, {counts[1]} kinematic, {counts[0]} static bodies)"
+
+    def _repr_html_(self) -> str:
+        return html_of(self)
 
     def copy(self) -> "Scene":
         """Return a scene with the same content, which later additions to this one do not change."""

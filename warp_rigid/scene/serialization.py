@@ -26,12 +26,6 @@ def scenes_to_data(scenes: Sequence[Scene]) -> tuple[dict[str, Any], dict[str, n
     return {"shapes": shapes, "scenes": found}, arrays
 
 
-def scene_to_data(scene: Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return plain data of one scene for JSON, with its shapes under "shapes", and arrays by name."""
-    data, arrays = scenes_to_data([scene])
-    return {**data["scenes"][0], "shapes": data["shapes"]}, arrays
-
-
 def _scene_to_data(scene: Scene, shapes: list, arrays: dict, places: dict[str, int]) -> dict[str, Any]:
     bodies = []
     for body in scene.bodies:
@@ -67,15 +61,6 @@ def scenes_from_data(data: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> 
             raise ValueError(f"shape {index} is not the shape that was saved")
         shapes.append(shape)
     return [_scene_from_data(scene, shapes) for scene in data["scenes"]]
-
-
-def scene_from_data(data: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Scene:
-    """Return the scene that `scene_to_data` was called with.
-
-    Raises:
-        ValueError, TypeError, KeyError: Data or arrays do not have that form.
-    """
-    return scenes_from_data({"shapes": data["shapes"], "scenes": [data]}, arrays)[0]
 
 
 def _scene_from_data(data: dict[str, Any], shapes: list[Shape]) -> Scene:

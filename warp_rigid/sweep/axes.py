@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_rigid.checks import finite_number, number_in, shown, whole_in
+from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.runs.assignments import parse_assignment
 
 __all__ = [
@@ -35,7 +35,7 @@ class Uniform(Distribution):
 
     def __post_init__(self) -> None:
         """Check the range."""
-        number_in("high", self.high, above=finite_number("low", self.low))
+        number_in("high", self.high, above=number_in("low", self.low))
 
     def at(self, quantile: float) -> float:
         """See Distribution."""
@@ -67,7 +67,7 @@ class Normal(Distribution):
 
     def __post_init__(self) -> None:
         """Check that the deviation is positive."""
-        finite_number("mean", self.mean)
+        number_in("mean", self.mean)
         number_in("deviation", self.deviation, above=0.0)
 
     def at(self, quantile: float) -> float:

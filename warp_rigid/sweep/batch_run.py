@@ -13,12 +13,13 @@ from warp_rigid.engine.settings import Settings
 from warp_rigid.engine.simulator import Simulator
 from warp_rigid.errors import CapacityError
 from warp_rigid.runs.runner import set_each, step_frame
+from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.columns import FINISHED, metadata_field
 from warp_rigid.sweep.design import Run, stable_hash
 from warp_rigid.sweep.environment_view import EnvironmentView, SharedReads
 from warp_rigid.sweep.failures import Failures
 from warp_rigid.sweep.job import Job, RunInputs, build_scene, resolve_scene, run_inputs
-from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure, metric_name
+from warp_rigid.sweep.metrics import OUTCOME, MetricRecorder, measure
 from warp_rigid.sweep.observers import Observers
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.structure import structure
@@ -119,17 +120,22 @@ def replay(result: Any, row: dict[str, Any], scene: Any = None, device: Any = No
     return prepare(job, [Run(0, row["id"], parameters, row["seed"])]).sim
 
 
-def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
+def run_batch(job: Job, runs: Sequence[Run], on_part: Callable[[float], object] = lambda done: None) -> Batch:
     """Run a batch. A failed run becomes a row with the reason; an exception fails all runs of the batch.
 
     A batch that does not fit into memory is split in half, and so is one in which a value is refused, so that only the
     runs with that value fail.
+
+    Args:
+        job: data shared by all runs.
+        runs: the runs of the batch.
+        on_part: called after each sample with the part that is done, as a number of runs.
     """
     start = time.perf_counter()
     prepared = None
     try:
         prepared = prepare(job, runs)
-        return _run(job, prepared, start)
+        return _run(job, prepared, start, on_part)
     except Exception as error:
         refused = prepared is None and isinstance(error, ValueError)
         if len(runs) == 1 or not (refused or _is_memory_error(error)):
@@ -139,7 +145,8 @@ def run_batch(job: Job, runs: Sequence[Run]) -> Batch:
     # The whole batch is freed before its halves are built.
     prepared = None
     middle = len(runs) // 2
-    first, second = run_batch(job, runs[:middle]), run_batch(job, runs[middle:])
+    first = run_batch(job, runs[:middle], on_part)
+    second = run_batch(job, runs[middle:], lambda done: on_part(middle + done))
     for row in second.rows:
         row["environment"] += middle
     watch = Stopwatch()
@@ -161,7 +168,7 @@ def failed_batch(runs: Sequence[Run], error: BaseException, seconds: float | Non
     return Batch([_row(run, env, status, reason) | {"wall_time": seconds} for env, run in enumerate(runs)])
 
 
-def _run(job: Job, prepared: Prepared, start: float) -> Batch:
+def _run(job: Job, prepared: Prepared, start: float, on_part: Callable[[float], object]) -> Batch:
     sim = prepared.sim
     watch = Stopwatch()
     watch.add({"load": sim.load_seconds, "build": time.perf_counter() - start - sim.load_seconds})
@@ -176,7 +183,7 @@ def _run(job: Job, prepared: Prepared, start: float) -> Batch:
     events = _events(job, prepared.views, failures)
     peak_counts = np.zeros((2, sim.num_envs), np.int64)
     frames: dict[str, list] = {"time": [], "position": [], "orientation": []}
-    remaining = round(job.duration / sim.settings.dt)
+    steps = remaining = round(job.duration / sim.settings.dt)
     steps_per_sample = max(1, round(1.0 / (job.fps * sim.settings.dt)))
     _append_frame(job, sim, frames)
     _append_look(sim, observers, looks)
@@ -190,6 +197,7 @@ def _run(job: Job, prepared: Prepared, start: float) -> Batch:
         observers.look()
         _append_look(sim, observers, looks)
         _append_frame(job, sim, frames)
+        on_part(len(prepared.runs) * (1.0 - max(remaining, 0) / steps))
     columns = recorder.values()
     columns |= _measured(prepared, [metric for metric in job.metrics if not isinstance(metric, str)], failures)
     columns |= outcomes.values()
@@ -218,11 +226,11 @@ def _measured(prepared: Prepared, metrics: list[Callable], failures: Failures) -
     if not metrics:
         return {}
     views: list[Any] = [prepared.sim] if len(prepared.sim.scenes) == 1 else prepared.views_of_structures()
-    columns = {metric_name(metric): np.full(prepared.sim.num_envs, None, object) for metric in metrics}
+    columns = {column_name(metric): np.full(prepared.sim.num_envs, None, object) for metric in metrics}
     for view in views:
         envs = view.envs if isinstance(view, EnvironmentView) else np.arange(view.num_envs)
         for metric in metrics:
-            name = metric_name(metric)
+            name = column_name(metric)
             with failures.of(metric, f"metric {name}", envs):
                 for env, value in zip(envs, measure(metric, view).tolist(), strict=True):
                     columns[name][env] = value

@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import warp as wp
-
 from warp_rigid.engine.cores import shared_by
 from warp_rigid.runs.user_code import errors_of, module_of_file
 from warp_rigid.sweep.batch_run import Batch, failed_batch, run_batch
-from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
+from warp_rigid.sweep.batch_size import SizedRun, split_into_batches
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
+from warp_rigid.sweep.worker import capacity_of, device_of
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["cluster_of_file", "run_on_cluster"]
 
@@ -37,7 +37,7 @@ def run_on_cluster(
     with _client(cluster) as client:
         client.wait_for_workers(1)
         hosts = _one_task_a_worker(client)
-        memory, most = client.submit(_worker_capacity, job, hosts, pure=False).result()
+        most, memory = client.submit(_worker_capacity, job, hosts, pure=False).result()
         parts = split_into_batches(groups, batch, most, memory, hosts.total())
         job = replace(job, scenes={})
         futures = {client.submit(_run_on_worker, job, part, hosts, pure=False): part for part in parts}
@@ -92,37 +92,28 @@ def _one_task_a_worker(client: Any) -> Counter[str]:
     return Counter(worker["host"] for worker in workers.values())
 
 
-def _on_this_worker(job: Job) -> Job:
-    """The job with the device of this worker.
+def _here(job: Job, hosts: Counter[str]) -> tuple[Job, int]:
+    """The job with the device of this worker, and the number of workers that share the cores of its host.
 
     The device is that of the job if set. Otherwise worker number i of a cluster on one host uses CUDA device i modulo
     their count, and any other worker the first visible CUDA device or the CPU.
     """
     from distributed import get_worker
 
-    wp.config.log_level = wp.LOG_WARNING
-    gpus = wp.get_cuda_device_count()
-    name = str(get_worker().name)
-    if job.device is None and gpus > 1 and name.isdigit():
-        return replace(job, device=f"cuda:{int(name) % gpus}")
-    return replace(job, device=job.device or ("cuda:0" if gpus else "cpu"))
-
-
-def _shared_cores(hosts: Counter[str]) -> Any:
-    """Context in which the workers of a host share its cores."""
-    from distributed import get_worker
-
-    return shared_by(max(1, hosts[get_worker().ip]))
+    start_warp()
+    worker = get_worker()
+    number = int(worker.name) if str(worker.name).isdigit() else 0
+    return replace(job, device=device_of(job.device, number)), max(1, hosts[worker.ip])
 
 
 def _worker_capacity(job: Job, hosts: Counter[str]) -> tuple[int, int]:
-    """Free memory of the worker's device [bytes], and the maximum number of environments of a batch."""
-    device = _on_this_worker(job).device
-    with _shared_cores(hosts):
-        return free_memory(device), max_environments(device)
+    """Maximum number of environments of a batch, and free memory of the worker's device [bytes]."""
+    job, sharers = _here(job, hosts)
+    return capacity_of(job.device, sharers)
 
 
 def _run_on_worker(job: Job, runs: list[Run], hosts: Counter[str]) -> Batch:
     """Run a batch on a worker."""
-    with _shared_cores(hosts):
-        return run_batch(_on_this_worker(job), runs)
+    job, sharers = _here(job, hosts)
+    with shared_by(sharers):
+        return run_batch(job, runs)

@@ -15,8 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from warp_rigid import progress_bar
 from warp_rigid.checks import number_in, shown, whole_in
 from warp_rigid.engine.simulator import choose_device
+from warp_rigid.progress_bar import Advance
+from warp_rigid.runs.user_code import column_name
 from warp_rigid.sweep.axes import clean_axes, plain
 from warp_rigid.sweep.batch_run import Batch, run_batch
 from warp_rigid.sweep.batch_size import SizedRun, free_memory, max_environments, split_into_batches
@@ -24,13 +27,14 @@ from warp_rigid.sweep.cluster import run_on_cluster
 from warp_rigid.sweep.columns import COLUMNS
 from warp_rigid.sweep.design import Run, make_points, shard_of, stable_hash
 from warp_rigid.sweep.job import Job, group_runs, make_runs, resolve_scene
-from warp_rigid.sweep.metrics import check_metrics, metric_name
-from warp_rigid.sweep.observers import check_observers, observer_name
+from warp_rigid.sweep.metrics import check_metrics
+from warp_rigid.sweep.observers import check_observers
 from warp_rigid.sweep.series import open_series
 from warp_rigid.sweep.stopwatch import Stopwatch
 from warp_rigid.sweep.table import ResultFile, SweepResult
 from warp_rigid.sweep.worker_processes import MAX_WORKERS, WorkerProcesses
 from warp_rigid.version import __version__
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["sweep"]
 
@@ -66,6 +70,7 @@ def sweep(
     cluster: Any = None,
     workers: int | None = None,
     on_progress: Callable[[int, int], None] | None = None,
+    progress: bool = True,
     command: Sequence[str] | None = None,
 ) -> SweepResult:
     """Simulate a scene over a range of parameters; one row per run.
@@ -109,6 +114,7 @@ def sweep(
             runs in this process.
         workers: number of worker processes for "local"; None uses one per GPU, or two without a GPU.
         on_progress: called after each batch with the number of finished runs and of all runs.
+        progress: show a bar in terminals and notebooks, which advances within batches (with Dask after each batch).
         command: the command line, stored in PATH.json.
 
     Returns:
@@ -166,7 +172,8 @@ def sweep(
             book.trajectories = Trajectories(trajectories, len(all_runs), about, resume, overwrite)
         if job.series:
             book.series = open_series(output, series_output, about, resume, overwrite)
-        _run_all(job, groups, batch, runner, book, watch, len(runs), on_progress)
+        with progress_bar.progress(job.demo.name, len(runs), progress) as advance:
+            _run_all(job, groups, batch, runner, book, watch, len(runs), on_progress, advance)
     return book.result()
 
 
@@ -179,6 +186,7 @@ def _run_all(
     watch: Stopwatch,
     total: int,
     on_progress: Callable[[int, int], None] | None,
+    advance: Advance,
 ) -> None:
     """Run all batches, and store their results while the next ones run."""
     if book.rows:
@@ -195,9 +203,17 @@ def _run_all(
             if on_progress is not None:
                 on_progress(len(book.rows), total)
 
+    done = len(book.rows)
+
+    def on_part(part: float) -> None:
+        """Show the progress within the running batches."""
+        advance(done + part)
+
     try:
         with ThreadPoolExecutor(1) as writer:
-            for _, result in _results(job, groups, batch, runner, watch):
+            for part, result in _results(job, groups, batch, runner, watch, on_part):
+                done += len(part)
+                on_part(0.0)
                 watch.add(result.seconds)
                 settle()
                 stored = writer.submit(book.store, result)
@@ -220,7 +236,12 @@ def _report_errors(rows: list[dict[str, Any]], reported: set[str]) -> None:
 
 
 def _results(
-    job: Job, groups: list[list[SizedRun]], batch: int | str, runner: Any, watch: Stopwatch
+    job: Job,
+    groups: list[list[SizedRun]],
+    batch: int | str,
+    runner: Any,
+    watch: Stopwatch,
+    on_part: Callable[[float], object],
 ) -> Iterator[tuple[list[Run], Batch]]:
     """Yield the runs of each batch with their results, in order of completion.
 
@@ -231,7 +252,7 @@ def _results(
     if isinstance(runner, WorkerProcesses):
         with watch.of("start"):
             most, memory = runner.start(job)
-        yield from runner.run(split_into_batches(groups, batch, most, memory, runner.count))
+        yield from runner.run(split_into_batches(groups, batch, most, memory, runner.count), on_part)
         return
     if runner is not None:
         yield from run_on_cluster(job, groups, batch, runner)
@@ -239,7 +260,7 @@ def _results(
     device = choose_device(job.device)
     job = replace(job, device=device)
     for part in split_into_batches(groups, batch, max_environments(device), free_memory(device)):
-        yield part, run_batch(job, part)
+        yield part, run_batch(job, part, on_part)
 
 
 class _Machines(NamedTuple):
@@ -259,6 +280,7 @@ def _machines(device: Any, cluster: Any, workers: int | None) -> _Machines:
     if device == "all":
         if cluster is not None or workers is not None:
             raise ValueError("device: all must not be combined with cluster or workers")
+        start_warp()
         gpus = wp.get_cuda_device_count()
         return _Machines(None, "local", gpus) if gpus > 1 else _Machines(None, None, None)
     if workers is not None:
@@ -275,7 +297,7 @@ def _observers(observe: Any, series: Any) -> tuple[tuple[str | Callable, ...], t
         ValueError: An observer is unknown, or a series is neither ready-made nor a function of `observe`.
     """
     columns = check_observers(observe)
-    names = [observer_name(observer) for observer in columns]
+    names = [column_name(observer) for observer in columns]
     kept = list(series) if isinstance(series, list | tuple) else [] if series is None else [series]
     more = check_observers([name for name in kept if name not in names], "series")
     if any(not isinstance(observer, str) for observer in more):
@@ -291,7 +313,7 @@ def _about(job: Job, source: Any, axes: dict[str, Any], runs: list[Run]) -> dict
         "fixed": job.fixed,
         "duration": job.duration,
         "fps": job.fps,
-        "metrics": [metric_name(metric) for metric in job.metrics],
+        "metrics": [column_name(metric) for metric in job.metrics],
         "observe": list(job.observe),
         "series": list(job.series),
         "axes": list(axes),
@@ -312,7 +334,7 @@ def _check_names(job: Job, runs: list[Run]) -> None:
     name.
     """
     names = [("axis", name) for name in (runs[0].parameters if runs else ()) if name != "seed"]
-    names += [("metric", metric_name(metric)) for metric in job.metrics]
+    names += [("metric", column_name(metric)) for metric in job.metrics]
     ready_made = [observer for observer in job.observers if observer in job.metrics]
     names += [("observer", name) for name in job.observe if name not in ready_made]
     taken = dict.fromkeys(COLUMNS, "standard column")

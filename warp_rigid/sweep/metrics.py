@@ -1,19 +1,17 @@
 """Metrics evaluated for every run of a sweep."""
 
-import inspect
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warp_rigid.checks import shown, suggestion
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.user_code import module_of_file
+from warp_rigid.runs.user_code import check_columns
 from warp_rigid.scene.scene import Motion
 from warp_rigid.scenes.demo import AT_REST
 
-__all__ = ["DEFAULT", "METRICS", "OUTCOME", "MetricRecorder", "check_metrics", "measure", "metric_name"]
+__all__ = ["DEFAULT", "METRICS", "OUTCOME", "MetricRecorder", "check_metrics", "measure"]
 
 
 class MetricRecorder:
@@ -140,9 +138,6 @@ METRICS: dict[str, Callable[[MetricRecorder], Any]] = {
 DEFAULT = tuple(name for name in METRICS if name != "final_pose")
 """Default metrics of a sweep."""
 
-UNITS = {"top_height": "m", "deepest_overlap": "m", "drift": "m", "settle_time": "s", "kinetic_energy": "J"}
-"""Units of the built-in metrics that have one."""
-
 OUTCOME = "outcome"
 
 
@@ -159,24 +154,12 @@ def check_metrics(metrics: Any) -> tuple[str | Callable, ...]:
     """
     if metrics is None:
         return DEFAULT
-    found: list[str | Callable] = []
-    for metric in metrics if isinstance(metrics, list | tuple) else [metrics]:
-        if isinstance(metric, str) and metric.endswith(".py"):
-            found += _functions_of(Path(metric))
-        elif callable(metric) or (isinstance(metric, str) and metric in (*METRICS, OUTCOME)):
-            found.append(metric)
-        else:
-            known = suggestion(metric, (*METRICS, OUTCOME))
-            raise ValueError(f"metrics: must be functions, .py files or names, got {shown(metric)}{known}")
-    names = [metric_name(metric) for metric in found]
-    if len(set(names)) < len(names):
-        raise ValueError(f"metrics: {max(names, key=names.count)} is given twice")
-    return tuple(found)
+    known = (*METRICS, OUTCOME)
 
+    def expected(metric: Any) -> str:
+        return f"functions, .py files or names, got {shown(metric)}{suggestion(metric, known)}"
 
-def metric_name(metric: str | Callable) -> str:
-    """Column name of a metric."""
-    return metric if isinstance(metric, str) else getattr(metric, "__name__", type(metric).__name__)
+    return check_columns("metrics", metrics, known.__contains__, expected)
 
 
 def measure(function: Callable, sim: Any) -> np.ndarray:
@@ -189,19 +172,6 @@ def measure(function: Callable, sim: Any) -> np.ndarray:
     if values.shape[:1] != (sim.num_envs,) or values.ndim > 2:
         raise ValueError(f"must return ({sim.num_envs},) or ({sim.num_envs}, n) values, got shape {values.shape}")
     return values
-
-
-def _functions_of(path: Path) -> list[Callable]:
-    """The public functions defined in a .py file."""
-    module = module_of_file(path)
-    found: list[Callable] = [
-        function
-        for name, function in vars(module).items()
-        if inspect.isfunction(function) and function.__module__ == module.__name__ and not name.startswith("_")
-    ]
-    if not found:
-        raise ValueError(f"{path}: must define at least one public function")
-    return found
 
 
 def _dynamic_bodies(sim: Simulator) -> np.ndarray:

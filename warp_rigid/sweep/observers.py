@@ -6,10 +6,8 @@ function of the simulator that returns (envs,) or (envs, n) values, or a class t
 called with it. It gets all environments of the batch at once and may work on their device arrays (`Simulator.array`).
 """
 
-import inspect
 import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +16,11 @@ from warp_rigid.checks import shown, suggestion
 from warp_rigid.engine.quantities import is_readable, owner_of, readable
 from warp_rigid.engine.selection import names_of
 from warp_rigid.engine.simulator import Simulator
-from warp_rigid.runs.user_code import module_of_file
+from warp_rigid.runs.user_code import check_columns, column_name
 from warp_rigid.scene.scene import Scene
 from warp_rigid.sweep.failures import Failures
 
-__all__ = ["ENERGIES", "WATCHED", "Observers", "check_observers", "observer_name"]
+__all__ = ["ENERGIES", "WATCHED", "Observers", "check_observers"]
 
 WATCHED = ("peak_impulse", "summed_impulse", "first_contact", "impacts", "rest_time", "largest_overlap")
 """Observers that watch an environment, a body or a pair of bodies in every step; see Simulator.watched."""
@@ -64,7 +62,7 @@ class Observers:
         self._places: dict[tuple[str, str], np.ndarray] = {}
         for observer in observers:
             if not isinstance(observer, str):
-                name = observer_name(observer)
+                name = column_name(observer)
                 with failures.of(observer, f"observer {name}"):
                     self._functions[name] = _made(observer, sim)
         self.look()
@@ -132,21 +130,12 @@ def check_observers(observers: Any, name: str = "observe") -> tuple[str | Callab
     """
     if observers is None:
         return ()
-    found: list[str | Callable] = []
-    for observer in observers if isinstance(observers, list | tuple) else [observers]:
-        if isinstance(observer, str) and observer.endswith(".py"):
-            found += _functions_of(Path(observer), name)
-        elif callable(observer) or (isinstance(observer, str) and _is_ready_made(observer)):
-            found.append(observer)
-        else:
-            raise ValueError(
-                f"{name}: must be functions, .py files, names, or a quantity of a body or joint such as "
-                f"position[box], got {shown(observer)}{_suggestion(observer)}"
-            )
-    names = [observer_name(observer) for observer in found]
-    if len(set(names)) < len(names):
-        raise ValueError(f"{name}: {max(names, key=names.count)} is given twice")
-    return tuple(found)
+
+    def expected(observer: Any) -> str:
+        kinds = "functions, .py files, names, or a quantity of a body or joint such as position[box]"
+        return f"{kinds}, got {shown(observer)}{_suggestion(observer)}"
+
+    return check_columns(name, observers, _is_ready_made, expected, classes=True)
 
 
 def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -> None:
@@ -161,11 +150,6 @@ def check_bodies(observers: Sequence[str | Callable], scenes: Sequence[Scene]) -
         owner = _owner(name) if isinstance(name, str) else "bodies"
         if not any(all(body in place for body in bodies) for (_, whose), place in places.items() if whose == owner):
             raise ValueError(f"{name}: no scene has the {owner} {', '.join(bodies)}")
-
-
-def observer_name(observer: str | Callable) -> str:
-    """Column name of an observer."""
-    return observer if isinstance(observer, str) else getattr(observer, "__name__", type(observer).__name__)
 
 
 def _made(observer: Any, sim: Simulator) -> Callable:
@@ -219,18 +203,3 @@ def _values(result: Any, num_envs: int) -> np.ndarray:
             f"must return ({num_envs},) or ({num_envs}, n) numbers, got shape {values.shape} of {values.dtype}"
         )
     return values
-
-
-def _functions_of(path: Path, name: str) -> list[Callable]:
-    """The public functions and classes defined in a .py file."""
-    module = module_of_file(path)
-    found: list[Callable] = [
-        value
-        for key, value in vars(module).items()
-        if (inspect.isfunction(value) or inspect.isclass(value))
-        and value.__module__ == module.__name__
-        and not key.startswith("_")
-    ]
-    if not found:
-        raise ValueError(f"{name}: {path} must define at least one public function or class")
-    return found

@@ -1,13 +1,15 @@
 """Plots of a sweep: lines over one axis, a heat map over two, or a scatter matrix over more."""
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from warp_rigid.checks import one_of
+from warp_rigid.extras import need
 from warp_rigid.files.atomic import atomic_file
-from warp_rigid.sweep.metrics import UNITS
+from warp_rigid.sweep.columns import Table
+from warp_rigid.sweep.units import unit_of
 
 __all__ = ["KINDS", "plot"]
 
@@ -16,44 +18,6 @@ SUFFIXES = (".png", ".svg", ".pdf")
 MAX_LINES = 12
 FEW = 4
 """Values of a second axis up to which lines are drawn instead of a heat map."""
-AXIS_UNITS = {
-    "dt": "s",
-    "mass": "kg",
-    "position": "m",
-    "linear_velocity": "m/s",
-    "angular_velocity": "rad/s",
-    "force": "N",
-    "torque": "N m",
-    "gravity": "m/s²",
-    "rolling_friction": "m",
-    "spinning_friction": "m",
-}
-"""Units of the settings and properties that have one."""
-
-
-class Table(Protocol):
-    """Interface of a table to plot; SweepResult implements it."""
-
-    rows: list[dict[str, Any]]
-    about: dict[str, Any]
-
-    def __len__(self) -> int:
-        """Number of rows."""
-
-    @property
-    def axes(self) -> list[str]:
-        """Names of the axes."""
-
-    @property
-    def metrics(self) -> list[str]:
-        """Names of the metric columns."""
-
-    @property
-    def failed(self) -> list[dict[str, Any]]:
-        """Rows of runs that did not complete."""
-
-    def column(self, name: str) -> np.ndarray:
-        """Values of a column, one per row."""
 
 
 def check_plot(path: Any, kind: str | None = None) -> None:
@@ -63,20 +27,19 @@ def check_plot(path: Any, kind: str | None = None) -> None:
         ValueError: The suffix or the kind is unknown.
         ModuleNotFoundError: matplotlib is not installed.
     """
-    import matplotlib  # noqa: F401
-
-    if Path(path).suffix not in SUFFIXES:
+    need("matplotlib")
+    if path is not None and Path(path).suffix not in SUFFIXES:
         raise ValueError(f"plot: must end in {', '.join(SUFFIXES)}, got {path}")
     if kind is not None:
         one_of("kind", kind, KINDS)
 
 
-def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
+def plot(result: Table, path: Any = None, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
     """Plot a result table.
 
     Args:
         result: the table.
-        path: output file, .png, .svg or .pdf.
+        path: output file, .png, .svg or .pdf; None writes none.
         x: the axis on the x axis; None uses the one with most distinct values.
         y: the metric; None uses the first numeric one.
         kind: "line" (one line per value of the other axes), "heatmap" (over x and one other numeric axis, one panel
@@ -85,14 +48,13 @@ def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, k
             grid of two numeric axes, else a scatter matrix.
 
     Returns:
-        The matplotlib Figure.
+        The matplotlib Figure, which a notebook shows as the value of a cell, and pyplot does not know.
 
     Raises:
         ValueError: The column or kind is unknown, or there is nothing to plot.
     """
     check_plot(path, kind)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from warp_rigid.sweep.shown_figure import ShownFigure
 
     if not result.rows or not result.axes:
         raise ValueError("plot: requires at least one row and one axis")
@@ -105,8 +67,7 @@ def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, k
     result.column(x)
     others = [name for name in result.axes if name != x]
     kind = kind or _kind(result, x, [name for name in numeric if name != x])
-    figure = Figure(layout="constrained", dpi=100)
-    FigureCanvasAgg(figure)
+    figure = ShownFigure()
     if kind == "line":
         _lines(figure, result, x, y, others)
     elif kind == "heatmap":
@@ -116,8 +77,9 @@ def plot(result: Table, path: Any, x: str | None = None, y: str | None = None, k
         _heat_maps(figure, result, x, along, y, [name for name in others if name != along])
     else:
         _scatter_matrix(figure, result, [*numeric, y])
-    with atomic_file(path) as temporary:
-        figure.savefig(temporary)
+    if path is not None:
+        with atomic_file(path) as temporary:
+            figure.savefig(temporary)
     return figure
 
 
@@ -203,8 +165,8 @@ def _scatter_matrix(figure: Any, result: Table, names: list[str]) -> None:
 
 def _label(name: str) -> str:
     """Text of an axis: the name of a column, and its unit."""
-    unit = {**UNITS, **AXIS_UNITS}.get(name.split("[")[0])
-    return f"{name} [{unit}]" if unit else name
+    unit = unit_of(name)
+    return f"{name} [{unit.replace('^2', '²').replace('^3', '³')}]" if unit else name
 
 
 def _groups(result: Table, names: list[str]) -> dict[str, np.ndarray]:

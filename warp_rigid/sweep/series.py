@@ -38,6 +38,23 @@ def open_series(output: Any, path: Any, about: dict[str, Any], resume: bool, ove
     return Series(output, resume) if path is None else ZarrSeries(path, about, resume, overwrite)
 
 
+def open_zarr(name: str, folder: Path, resume: bool, overwrite: bool) -> Any:
+    """Open or create the zarr folder of an argument of `sweep`.
+
+    Raises:
+        ValueError: The path has another suffix, or exists and is neither resumed nor overwritten.
+    """
+    import zarr
+
+    if folder.suffix != ZARR:
+        raise ValueError(f"{name}: must end in {ZARR}, got {folder}")
+    if folder.exists() and not resume:
+        if not overwrite:
+            raise ValueError(f"{folder}: {EXISTS}")
+        shutil.rmtree(folder)
+    return zarr.open_group(folder, mode="a")
+
+
 class Series:
     """The time series of a sweep.
 
@@ -97,16 +114,8 @@ class ZarrSeries:
 
     def __init__(self, path: Any, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
         """Open or create the folder."""
-        import zarr
-
         self.folder = Path(path)
-        if self.folder.suffix != ZARR:
-            raise ValueError(f"series_output: must end in {ZARR}, got {path}")
-        if self.folder.exists() and overwrite and not resume:
-            shutil.rmtree(self.folder)
-        elif self.folder.exists() and not resume:
-            raise ValueError(f"{path}: {EXISTS}")
-        self._root = zarr.open_group(self.folder, mode="a")
+        self._root = open_zarr("series_output", self.folder, resume, overwrite)
         own = {name: about[name] for name in ("scene", "duration", "fps", "version", "series")}
         before = self._root.attrs.get("warp_rigid", own)
         if before != own:

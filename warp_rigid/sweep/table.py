@@ -10,7 +10,9 @@ import numpy as np
 
 from warp_rigid import scenes
 from warp_rigid.checks import shown, suggestion
+from warp_rigid.display import html_of
 from warp_rigid.files.atomic import atomic_file, check_replaceable
+from warp_rigid.sweep import frames
 from warp_rigid.sweep.axes import plain
 from warp_rigid.sweep.batch_run import Batch, replay
 from warp_rigid.sweep.columns import (
@@ -24,6 +26,7 @@ from warp_rigid.sweep.columns import (
 from warp_rigid.sweep.design import MAX_RUNS, Run
 from warp_rigid.sweep.result_plots import plot
 from warp_rigid.sweep.series import EXISTS, Series, ZarrSeries
+from warp_rigid.sweep.units import unit_of
 
 __all__ = ["BOOKKEEPING", "COLUMNS", "ResultFile", "SweepResult", "merge", "read", "metadata_field", "write"]
 
@@ -64,6 +67,9 @@ class SweepResult:
     def __repr__(self) -> str:
         """Show the number of runs."""
         return f"SweepResult({len(self)} runs of {self.about.get('scene')}, {len(self.failed)} failed)"
+
+    def _repr_html_(self) -> str:
+        return html_of(self)
 
     @property
     def failed(self) -> list[dict[str, Any]]:
@@ -112,16 +118,41 @@ class SweepResult:
             return np.array([np.nan if value is None else value for value in values], float)
         return _objects(values) if None in values else np.array(values)
 
-    def to_arrow(self) -> Any:
-        """The rows as a pyarrow.Table."""
-        import pyarrow
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by the names of the columns that have one."""
+        return {name: unit for name in self.names if (unit := unit_of(name)) is not None}
 
-        columns = {name: [row.get(name) for row in self.rows] for name in self.names}
-        return pyarrow.table({name: _arrow_column(name, values) for name, values in columns.items()})
+    def to_arrow(self) -> Any:
+        """The rows as a pyarrow.Table, with units as the metadata `unit` of the fields."""
+        return frames.to_arrow(self)
 
     def to_pandas(self) -> Any:
-        """The rows as a pandas.DataFrame."""
-        return self.to_arrow().to_pandas()
+        """The rows as a pandas.DataFrame, with `units` as attrs["units"].
+
+        Raises:
+            ModuleNotFoundError: pandas is not installed.
+        """
+        return frames.to_pandas(self)
+
+    def to_polars(self) -> Any:
+        """The rows as a polars.DataFrame, which has no place for `units`.
+
+        Raises:
+            ModuleNotFoundError: polars is not installed.
+        """
+        return frames.to_polars(self)
+
+    def to_xarray(self) -> Any:
+        """The rows as an xarray.Dataset, with units as attrs["units"] of its variables.
+
+        A grid has one dimension for each axis, and `repeat` if there are repeats; what a missing run lacks is NaN.
+        Other designs have the dimension `run`, along which the axes are coordinates.
+
+        Raises:
+            ModuleNotFoundError: xarray is not installed.
+        """
+        return frames.to_xarray(self)
 
     def to_parquet(self, path: Any) -> None:
         """Write the rows to a Parquet file and the metadata to PATH.json."""
@@ -146,8 +177,19 @@ class SweepResult:
         """
         return replay(self, row, scene, device)
 
-    def plot(self, path: Any, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
-        """Plot the rows and return the matplotlib Figure; see warp_rigid.sweep.result_plots.plot."""
+    def plot(self, path: Any = None, x: str | None = None, y: str | None = None, kind: str | None = None) -> Any:
+        """Plot the rows and return the matplotlib Figure, which a notebook shows as the value of a cell.
+
+        Args:
+            path: output file, .png, .svg or .pdf; None writes none.
+            x: the axis on the x axis; None uses the one with most distinct values.
+            y: the metric; None uses the first numeric one.
+            kind: "line", "heatmap" or "scatter" (a scatter matrix); None chooses by the axes.
+
+        Raises:
+            ValueError: The column or kind is unknown, or there is nothing to plot.
+            ModuleNotFoundError: matplotlib is not installed.
+        """
         return plot(self, path, x=x, y=y, kind=kind)
 
 
@@ -210,8 +252,8 @@ class ResultFile:
 
     def store(self, batch: Batch) -> None:
         """Store a batch; its rows come last, so that no row lacks its trajectory or series after an interruption."""
-        for recorded, frames in batch.trajectories:
-            self.trajectories.add(recorded, frames)
+        for recorded, poses in batch.trajectories:
+            self.trajectories.add(recorded, poses)
         for observed, looks in batch.series:
             self.series.add(observed, looks)
         self.add(batch.rows)
@@ -358,19 +400,6 @@ def merge(paths: Sequence[Any]) -> SweepResult:
         metadata_field(parts[0].about, name)
     about = {**parts[0].about, "shard": None, "merged": [str(path) for path in paths]}
     return SweepResult(list(rows.values()), about)
-
-
-def _arrow_column(name: str, values: list) -> Any:
-    """Convert a column to an Arrow array; mixed types become strings, an empty column becomes floats."""
-    import pyarrow
-
-    try:
-        column = pyarrow.array(values)
-    except (pyarrow.ArrowInvalid, pyarrow.ArrowTypeError):
-        column = pyarrow.array([None if value is None else str(value) for value in values])
-    if not pyarrow.types.is_null(column.type):
-        return column
-    return column.cast(pyarrow.string() if name == "reason" else pyarrow.float64())
 
 
 def _objects(values: list) -> np.ndarray:

@@ -5,14 +5,13 @@ Runs with the same structure and time step share a group, named by the column `t
 column `run`. Each chunk holds one run, so that runs can be read separately and missing runs use no disk space.
 """
 
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warp_rigid.sweep.design import Run
-from warp_rigid.sweep.series import EXISTS
+from warp_rigid.sweep.series import open_zarr
 
 __all__ = ["Trajectories"]
 
@@ -35,16 +34,8 @@ class Trajectories:
 
     def __init__(self, path: Any, runs: int, about: dict[str, Any], resume: bool, overwrite: bool) -> None:
         """Open or create the folder."""
-        import zarr
-
         self.path, self.runs = Path(path), runs
-        if self.path.suffix != ".zarr":
-            raise ValueError(f"trajectories: must end in .zarr, got {path}")
-        if self.path.exists() and overwrite and not resume:
-            shutil.rmtree(self.path)
-        elif self.path.exists() and not resume:
-            raise ValueError(f"{path}: {EXISTS}")
-        self.root = zarr.open_group(self.path, mode="a")
+        self.root = open_zarr("trajectories", self.path, resume, overwrite)
         self.root.attrs["warp_rigid"] = {name: about[name] for name in ("scene", "duration", "fps", "version")}
 
     def add(self, runs: list[Run], frames: dict[str, Any]) -> None:

@@ -1,10 +1,12 @@
 """Sweeps on worker processes of this machine, each with one device, or with its share of the cores of a CPU."""
 
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from warp_rigid.checks import shown
@@ -12,12 +14,16 @@ from warp_rigid.sweep import worker
 from warp_rigid.sweep.batch_run import Batch, failed_batch
 from warp_rigid.sweep.design import Run
 from warp_rigid.sweep.job import Job
+from warp_rigid.warp_start import start_warp
 
 __all__ = ["MAX_WORKERS", "WorkerProcesses"]
 
 WORKERS_WITHOUT_GPU = 2
 
 MAX_WORKERS = 4096
+
+PART_PERIOD = 0.25
+"""Time between looks at the parts of the running batches [s]."""
 
 TRIES = 2
 """Number of processes that a batch may end before its runs count as failed."""
@@ -35,8 +41,12 @@ class WorkerProcesses:
 
     def __init__(self, count: int | None) -> None:
         """Start the processes."""
+        start_warp()
         self.count = (wp.get_cuda_device_count() or WORKERS_WITHOUT_GPU) if count is None else count
         self._job: Job | None = None
+        self._file = tempfile.NamedTemporaryFile()
+        self._file.truncate(np.float64().nbytes * self.count)
+        self._parts = worker.open_parts(self._file.name, self.count)
         self._workers = [self._started(number) for number in range(self.count)]
 
     def __enter__(self) -> "WorkerProcesses":
@@ -47,6 +57,7 @@ class WorkerProcesses:
         """End the processes, also within a batch."""
         for executor in self._workers:
             executor.shutdown(kill_workers=True)
+        self._file.close()
 
     def start(self, job: Job) -> tuple[int, int]:
         """Send the job to all processes.
@@ -65,10 +76,16 @@ class WorkerProcesses:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise ValueError(f"cluster: the worker processes cannot take the job: {shown(reason)}") from error
 
-    def run(self, parts: list[list[Run]]) -> Iterator[tuple[list[Run], Batch]]:
+    def run(
+        self, parts: list[list[Run]], on_part: Callable[[float], object] = lambda done: None
+    ) -> Iterator[tuple[list[Run], Batch]]:
         """Yield the runs of each batch with their results, in order of completion.
 
         A batch whose process ends is repeated in a new one. A batch that ends several processes becomes failed rows.
+
+        Args:
+            parts: the runs of each batch.
+            on_part: called now and then with the parts of the running batches that are done, as a number of runs.
         """
         left = iter(parts)
         # For each batch that runs, its worker and how often it was started.
@@ -81,8 +98,10 @@ class WorkerProcesses:
         for number in range(self.count):
             submit(next(left, None), number)
         while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            on_part(float(self._parts.sum()))
+            for future in wait(running, PART_PERIOD, FIRST_COMPLETED).done:
                 part, number, tries = running.pop(future)
+                self._parts[number] = 0.0
                 error = future.exception()
                 if error is not None:
                     self._restart(number)
@@ -97,7 +116,7 @@ class WorkerProcesses:
         from loky import ProcessPoolExecutor
 
         executor = ProcessPoolExecutor(1)
-        executor.submit(worker.begin, number, self.count)
+        executor.submit(worker.begin, number, self.count, self._file.name)
         return executor
 
     def _restart(self, number: int) -> None:

@@ -12,7 +12,8 @@ from pxr import Sdf, Tf, Vt
 
 from warp_rigid.render.appearance import bound_corners, frame_colors
 from warp_rigid.rotations import matrix_rows, rotate
-from warp_rigid.runs.recording import DrawnSurface, Frame, Recording, is_moving
+from warp_rigid.runs.drawn_surface import DrawnSurface
+from warp_rigid.runs.recording import Frame, Recording, is_moving
 from warp_rigid.usd.library import Library
 from warp_rigid.usd.specs import SampleWriter, Track, define, set_attribute, set_relationship
 

@@ -75,11 +75,7 @@ class ContactMarks:
         }
 
 
-_TYPES = {
-    "points": NAMES.Point3fArray,
-    "extent": NAMES.Float3Array,
-    "curveVertexCounts": NAMES.IntArray,
-}
+_TYPES = {"points": NAMES.Point3fArray, "extent": NAMES.Float3Array, "curveVertexCounts": NAMES.IntArray}
 
 
 def _extent(points: np.ndarray, margin: float) -> Vt.Vec3fArray:

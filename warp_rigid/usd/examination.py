@@ -17,7 +17,7 @@ import stat
 import sys
 import zipfile
 import zlib
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -362,14 +362,15 @@ def _has_hung_up(reading: int) -> bool:
 
 def _answer(request: dict[str, Any]) -> str:
     """A blank if a file can be opened, with the reason behind it if not."""
-    limits = _Limits(request["seconds"], request["bytes"])
     path = request["path"]
     try:
-        examine(path, limits.grow)
+        examine(path, _limited(request["seconds"], request["bytes"]))
     except (MemoryError, ValueError, *DAMAGED_VALUE) as error:
+        reason = reason_of(error)
         if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):
-            return f" {path}: {limits.memory_text}"
-        return f" {error}" if type(error) is ValueError else f" {path}: not a readable USD file: {reason_of(error)}"
+            allowed = f"{request['bytes'] / 2**30:g} GiB; WARP_RIGID_USD_GIGABYTES raises the limit"
+            reason = f"opening it takes more memory than allowed, {allowed}"
+        return f" {error}" if type(error) is ValueError else f" {path}: not a readable USD file: {reason}"
     return " "
 
 
@@ -385,43 +386,28 @@ def _how_it_ended(request: dict[str, Any], status: int) -> str:
     return f"{request['path']}: not a readable USD file: {reason}"
 
 
-class _Limits:
-    """Limits of this process on processor time and memory, which grow with the size of the files.
+def _limited(seconds: float, size: float) -> Callable[[int], None]:
+    """Limit the processor time [s] and the memory [bytes] of this process to those of a file without content.
 
-    Args:
-        seconds: processor time for a file without content [s].
-        size: memory for a file without content [bytes].
+    Returns:
+        A function that lets the limits grow for a file of some size [bytes].
     """
+    import resource  # exists only where processes can fork
 
-    def __init__(self, seconds: float, size: float):
-        """Set the limits."""
-        import resource  # exists only where processes can fork
+    before, total = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize(), 0
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
-        self._resource = resource
-        self._seconds, self._bytes, self._given = seconds, size, size
-        self._before = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        self.grow(0)
+    def grow(more: int) -> None:
+        nonlocal total
+        total += more
+        longest, largest = seconds + SECONDS_PER_BYTE * total, before + int(size + BYTES_PER_BYTE * total)
+        for kind, limit in ((resource.RLIMIT_CPU, max(1, round(longest))), (resource.RLIMIT_AS, largest)):
+            most = resource.getrlimit(kind)[1]
+            resource.setrlimit(kind, (limit if most == resource.RLIM_INFINITY else min(limit, most), most))
+        signal.setitimer(signal.ITIMER_REAL, 4.0 * longest)  # on a busy machine, or a slow network
 
-    @property
-    def memory_text(self) -> str:
-        """What to say if memory runs out."""
-        return (
-            f"not a readable USD file: opening it takes more memory than allowed, {self._given / 2**30:g} GiB; "
-            "WARP_RIGID_USD_GIGABYTES raises the limit"
-        )
-
-    def grow(self, size: int) -> None:
-        """Allow for a file of some size [bytes]."""
-        self._seconds += SECONDS_PER_BYTE * size
-        self._bytes += BYTES_PER_BYTE * size
-        for kind, limit in (
-            (self._resource.RLIMIT_CPU, max(1, round(self._seconds))),
-            (self._resource.RLIMIT_AS, self._before + int(self._bytes)),
-        ):
-            most = self._resource.getrlimit(kind)[1]
-            self._resource.setrlimit(kind, (limit if most == self._resource.RLIM_INFINITY else min(limit, most), most))
-        signal.setitimer(signal.ITIMER_REAL, 4.0 * self._seconds)  # on a busy machine, or a slow network
+    grow(0)
+    return grow
 
 
 if __name__ == "__main__":

@@ -49,42 +49,22 @@ Report = Callable[[Any, str], None]
 
 
 class JointReader:
-    """Adds the joints of a stage to a scene.
+    """Adds the joints of a stage to a scene. A fixed joint makes a body without mass a part of another one.
 
     Args:
-        stage: the stage.
+        reader: the `Reader` of the stage.
         scene: the scene, with its bodies.
-        body_of: body index by collider path.
-        owners: body index by the path of the prim that is the body.
-        massless: reasons why bodies have no mass, by the paths of their prims. A fixed joint makes such a body a part
-            of another one.
-        frame_of: returns the position, rotation and stretch of a prim in the scene; the root's for None.
-        kilogram: mass unit of the stage [kg].
-        meter: length unit of the stage [m].
-        leave_out: called with a path and a reason for a joint that cannot be imported.
-        change: called with a prim and a reason for a property that cannot.
     """
 
-    def __init__(
-        self,
-        stage: Usd.Stage,
-        scene: Scene,
-        body_of: dict[str, int],
-        owners: dict[str, int],
-        massless: dict[str, str],
-        frame_of: Callable[[Usd.Prim | None], tuple[np.ndarray, np.ndarray, np.ndarray]],
-        kilogram: float,
-        meter: float,
-        leave_out: Report,
-        change: Report,
-    ):
-        """Store the arguments."""
-        self._stage, self._scene, self._frame_of = stage, scene, frame_of
-        self._body_of, self._owners, self._massless = body_of, owners, massless
+    def __init__(self, reader: Any, scene: Scene):
+        """Start without joints."""
+        self._stage, self._scene, self._frame_of = reader.stage, scene, reader.frame_or_root
+        self._body_of, self._owners, self._massless = reader.body_of, reader.owners, reader.massless
         self._parts: dict[str, str] = {}
-        self._kilogram, self._meter, self._leave_out, self._change = kilogram, meter, leave_out, change
-        self._servos = read_servos(stage.GetPseudoRoot(), leave_out)
-        self._in_degrees = _uses_degrees(stage)
+        self._kilogram, self._meter = reader.kilogram, reader.meter
+        self._leave_out, self._change = reader.leave_out, reader.change
+        self._servos = read_servos(self._stage.GetPseudoRoot(), self._leave_out)
+        self._in_degrees = _uses_degrees(self._stage)
 
     def read(self, objects: dict) -> None:
         """Add all joints, in the order of their paths."""

@@ -10,7 +10,7 @@ from pxr import Sdf, Vt
 
 from warp_rigid import rotations
 from warp_rigid.render.appearance import bound_corners, corner_normals
-from warp_rigid.runs.recording import DrawnSurface, drawn_surface
+from warp_rigid.runs.drawn_surface import DrawnSurface, drawn_surface
 from warp_rigid.scene.shapes import Box, Capsule, Compound, Cylinder, Heightfield, Mesh, Plane, Shape, Sphere
 from warp_rigid.scene.shapes.base import IDENTITY_ROTATION
 from warp_rigid.scene.shapes.heightfield import moves

@@ -87,6 +87,12 @@ class Reader:
         prims: indices of the movable bodies by the paths of their prims.
         paths: motion of the animated kinematic bodies by their indices.
         files: paths of the file and of all that it refers to.
+        stage: the stage.
+        meter: its length unit [m].
+        kilogram: its mass unit [kg].
+        body_of: body index by collider path.
+        owners: body index by the path of the prim that is the body.
+        massless: reasons why bodies have no mass, by the paths of their prims.
 
     Raises:
         ValueError: The file is not a USD file or does not have the root prim.
@@ -98,25 +104,25 @@ class Reader:
         self.prims: dict[str, int] = {}
         self.paths: dict[int, PosePath] = {}
         self._sdf_resolution = sdf_resolution
-        self._stage = open_stage(path)
-        self.files = tuple(layer.realPath for layer in self._stage.GetUsedLayers() if layer.realPath)
-        for error in self._stage.GetCompositionErrors():
-            self._leave_out(error.rootSite.path, " ".join(str(error).split()))
-        self._stage.SetEditTarget(self._stage.GetSessionLayer())
-        if root is not None and not (Sdf.Path.IsValidPathString(root) and self._stage.GetPrimAtPath(root)):
+        self.stage = open_stage(path)
+        self.files = tuple(layer.realPath for layer in self.stage.GetUsedLayers() if layer.realPath)
+        for error in self.stage.GetCompositionErrors():
+            self.leave_out(error.rootSite.path, " ".join(str(error).split()))
+        self.stage.SetEditTarget(self.stage.GetSessionLayer())
+        if root is not None and not (Sdf.Path.IsValidPathString(root) and self.stage.GetPrimAtPath(root)):
             raise ValueError(f"root: {path} has no prim {root}")
-        self._root = self._stage.GetPrimAtPath(root) if root else self._stage.GetPseudoRoot()
-        self._start = first_time(self._stage)
+        self._root = self.stage.GetPrimAtPath(root) if root else self.stage.GetPseudoRoot()
+        self._start = first_time(self.stage)
         expand_instancers(self._root, [self._start])
         self._transforms = UsdGeom.XformCache(self._start)
         self._names: set[str] = set()
-        self._meter = meters_per_unit(self._stage)
-        self._kilogram = kilograms_per_unit(self._stage)
-        self._to_z_up = FROM_Y_UP if is_y_up(self._stage) else np.eye(3)
+        self.meter = meters_per_unit(self.stage)
+        self.kilogram = kilograms_per_unit(self.stage)
+        self._to_z_up = FROM_Y_UP if is_y_up(self.stage) else np.eye(3)
         self._shapes: dict[str, Shape] = {}
-        self._body_of: dict[str, int] = {}
-        self._owners: dict[str, int] = {}
-        self._massless: dict[str, str] = {}
+        self.body_of: dict[str, int] = {}
+        self.owners: dict[str, int] = {}
+        self.massless: dict[str, str] = {}
 
     def scene(self) -> Scene:
         """Build the scene.
@@ -124,12 +130,12 @@ class Reader:
         Raises:
             ValueError: The file has no body that can be imported, or several different gravities.
         """
-        objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self._stage, [str(self._root.GetPath())])
+        objects = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(self.stage, [str(self._root.GetPath())])
         self._report_unsupported(objects)
         scene = self._empty_scene(objects)
         for body in self._bodies(objects):
             self._add(scene, body)
-        scale_to_total(self._stage, scene)
+        scale_to_total(self.stage, scene)
         descriptions = dict(_described(objects, COLLIDERS))
         members = {path: {path} for path, body in _described(objects, {Types.RigidBody}) if body.rigidBodyEnabled}
         joints = {path: {str(joint.body0), str(joint.body1)} for path, joint in _described(objects, JOINT_KINDS)}
@@ -137,19 +143,8 @@ class Reader:
             # The parser names the bodies only if the root is above them, not if it is one of them, or a joint.
             named = {str(body) for body in articulation.articulatedBodies} or joints.get(path, {path})
             members[path] = linked(named & members.keys(), joints.values())
-        filter_pairs(self._stage, scene, self._body_of, descriptions, members, self._leave_out)
-        JointReader(
-            self._stage,
-            scene,
-            self._body_of,
-            self._owners,
-            self._massless,
-            self._frame_or_root,
-            self._kilogram,
-            self._meter,
-            self._leave_out,
-            self._change,
-        ).read(objects)
+        filter_pairs(self.stage, scene, self.body_of, descriptions, members, self.leave_out)
+        JointReader(self, scene).read(objects)
         if not scene.bodies:
             reason = f"; {self.findings[0]}" if self.findings else ""
             raise ValueError(
@@ -158,10 +153,12 @@ class Reader:
             )
         return scene
 
-    def _leave_out(self, prim, reason: str) -> None:
+    def leave_out(self, prim, reason: str) -> None:
+        """Report what of a path the scene lacks."""
         self.findings.append(ImportFinding(str(prim), "left out", reason))
 
-    def _change(self, prim: Usd.Prim, reason: str) -> None:
+    def change(self, prim: Usd.Prim, reason: str) -> None:
+        """Report what of a prim is different in the scene."""
         self.findings.append(ImportFinding(str(prim.GetPath()), "changed", reason))
 
     def _report_unsupported(self, objects: dict) -> None:
@@ -169,7 +166,7 @@ class Reader:
         for kind, (paths, _) in objects.items():
             if kind not in SUPPORTED:
                 for path in paths:
-                    self._leave_out(path, f"{_kind_name(kind)} is not supported: bodies move freely")
+                    self.leave_out(path, f"{_kind_name(kind)} is not supported: bodies move freely")
         for prim in Usd.PrimRange(self._root, Usd.TraverseInstanceProxies()):
             unsupported = [
                 schema
@@ -177,21 +174,21 @@ class Reader:
                 if schema.startswith(FAMILIES) and schema.split(":")[0] not in SCHEMAS | {"PhysicsArticulationRootAPI"}
             ]
             for reason in _losses(prim, unsupported):
-                self._leave_out(prim.GetPath(), reason)
+                self.leave_out(prim.GetPath(), reason)
             kind = prim.GetTypeName()
             if kind and kind != ACTUATOR and not prim.GetPrimTypeInfo().GetSchemaTypeName():
-                self._leave_out(prim.GetPath(), f"type {kind} is not supported")
+                self.leave_out(prim.GetPath(), f"type {kind} is not supported")
 
     def _empty_scene(self, objects: dict) -> Scene:
         """Create a scene with gravity, combine modes and force fields."""
         paths, descriptions = objects.get(Types.Scene, ([], []))
         found = {}
         for path, description in zip(paths, descriptions, strict=True):
-            strength = description.gravityMagnitude * self._meter
+            strength = description.gravityMagnitude * self.meter
             found[str(path)] = tuple(self._to_z_up @ np.array(description.gravityDirection) * strength)
         if len({tuple(np.round(gravity, 6)) for gravity in found.values()}) > 1:
             raise ValueError(f"{self.path}: has several gravities; set root to one of {self._environments(found)}")
-        custom = custom_data(self._stage.GetPrimAtPath(next(iter(found)))) if found else {}
+        custom = custom_data(self.stage.GetPrimAtPath(next(iter(found)))) if found else {}
         scene = Scene(
             gravity=next(iter(found.values()), (0.0, 0.0, -EARTH_GRAVITY)),
             friction_combine=custom.get("frictionCombine", "max" if self._is_of_mujoco(objects) else "min"),
@@ -203,7 +200,7 @@ class Reader:
 
     def _is_of_mujoco(self, objects: dict) -> bool:
         """Whether colliders come from a file of MuJoCo, which takes the larger friction of two bodies."""
-        return any(is_of_mujoco(self._stage.GetPrimAtPath(path)) for path, _ in _described(objects, COLLIDERS))
+        return any(is_of_mujoco(self.stage.GetPrimAtPath(path)) for path, _ in _described(objects, COLLIDERS))
 
     @staticmethod
     def _environments(scenes: dict) -> str:
@@ -215,11 +212,11 @@ class Reader:
         for path, description in _described(objects, {Types.RigidBody}):
             if description.rigidBodyEnabled:
                 motion = Motion.KINEMATIC if description.kinematicBody else Motion.DYNAMIC
-                bodies[path] = _Body(self._stage.GetPrimAtPath(path), motion)
+                bodies[path] = _Body(self.stage.GetPrimAtPath(path), motion)
         for path, description in _described(objects, COLLIDERS):
             if not description.collisionEnabled:
                 continue
-            prim = self._stage.GetPrimAtPath(path)
+            prim = self.stage.GetPrimAtPath(path)
             owner = str(description.rigidBody)
             if owner not in bodies:
                 group = self._static_owner(prim)
@@ -249,7 +246,7 @@ class Reader:
         try:
             position, rotation, stretch = self._frame(body.prim, self._transforms)
         except Unreadable as error:
-            self._leave_out(body.prim.GetPath(), str(error))
+            self.leave_out(body.prim.GetPath(), str(error))
             return
         found = [collider for prim in body.colliders if (collider := self._collider(prim, body, stretch))]
         if not found:
@@ -264,7 +261,7 @@ class Reader:
             kept = fields if body.motion == Motion.KINEMATIC else []
             for collider in endless:
                 if collider not in kept:
-                    self._leave_out(collider.prim.GetPath(), "planes and height fields cannot be dynamic")
+                    self.leave_out(collider.prim.GetPath(), "planes and height fields cannot be dynamic")
             groups = [[collider] for collider in kept]
             groups.append([collider for collider in found if not collider.shape.static_only])
         motion = self._motion(body)
@@ -275,7 +272,7 @@ class Reader:
     @property
     def _masses(self) -> MassReader:
         # Not kept: a reader that refers to itself would keep the stage open, and a changed file would not be read anew.
-        return MassReader(self._kilogram, self._meter, self._change)
+        return MassReader(self.kilogram, self.meter, self.change)
 
     def _add_without_colliders(self, scene: Scene, body: _Body, position, rotation, stretch: np.ndarray) -> None:
         """Add a dynamic body that touches nothing, from its mass and its moments of inertia."""
@@ -292,12 +289,12 @@ class Reader:
                     **self._velocities(body.prim, rotation, shape.center_of_mass),
                 )
                 self._keep_index(body, index)
-                self._change(body.prim, f"{reason}: it touches nothing")
+                self.change(body.prim, f"{reason}: it touches nothing")
                 return
             except ValueError as error:
-                self._massless[str(body.prim.GetPath())] = f"{reason}, {error}"
+                self.massless[str(body.prim.GetPath())] = f"{reason}, {error}"
                 return
-        self._leave_out(body.prim.GetPath(), reason)
+        self.leave_out(body.prim.GetPath(), reason)
 
     def _add_group(self, scene: Scene, body: _Body, group: list[Collider], frame, motion: PosePath | None) -> None:
         position, rotation, stretch = frame
@@ -320,9 +317,9 @@ class Reader:
                 velocities = self._velocities(body.prim, rotation, center)
                 index = scene.add_body(shape, mass=mass, **common, **velocities)
         except ValueError as error:
-            self._leave_out(body.prim.GetPath(), str(error))
+            self.leave_out(body.prim.GetPath(), str(error))
             return
-        self._body_of |= {str(collider.prim.GetPath()): index for collider in group}
+        self.body_of |= {str(collider.prim.GetPath()): index for collider in group}
         self._keep_index(body, index)
         if motion is not None:
             self.paths[index] = motion
@@ -330,7 +327,7 @@ class Reader:
     def _keep_index(self, body: _Body, index: int) -> None:
         """Note which body of the scene a prim became."""
         path = str(body.prim.GetPath())
-        self._owners.setdefault(path, index)
+        self.owners.setdefault(path, index)
         if body.motion != Motion.STATIC and not body.prim.IsInstanceProxy():
             self.prims.setdefault(path, index)
 
@@ -355,13 +352,13 @@ class Reader:
         rotation, stretch = polar(matrix[:3, :3])
         if np.abs(stretch - np.eye(3)).max() < 1e-6:
             stretch = np.eye(3)
-        stretch = self._meter * np.round(stretch, 9)
-        return self._to_z_up @ matrix[:3, 3] * self._meter, self._to_z_up @ rotation, stretch
+        stretch = self.meter * np.round(stretch, 9)
+        return self._to_z_up @ matrix[:3, 3] * self.meter, self._to_z_up @ rotation, stretch
 
-    def _frame_or_root(self, prim: Usd.Prim | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def frame_or_root(self, prim: Usd.Prim | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As `_frame`; for None that of the root."""
         if prim is None or prim.IsPseudoRoot() or prim == self._root:
-            return np.zeros(3), self._to_z_up, self._meter * np.eye(3)
+            return np.zeros(3), self._to_z_up, self.meter * np.eye(3)
         return self._frame(prim, self._transforms)
 
     def _collider(self, prim: Usd.Prim, body: _Body, stretch: np.ndarray) -> Collider | None:
@@ -383,10 +380,10 @@ class Reader:
             if mass is None and own_density is None and is_of_mujoco(prim):
                 mass = 0.0  # Where USD has a default density, MuJoCo states that there is no mass.
         except ValueError as error:
-            self._leave_out(prim.GetPath(), str(error))
+            self.leave_out(prim.GetPath(), str(error))
             return None
         for note in notes:
-            self._change(prim, note)
+            self.change(prim, note)
         shape = self._shapes.setdefault(shape.key, shape)
         frame = matrix if prim != body.prim else None
         return Collider(prim, shape, position, orientation, coefficients, own_density, mass, frame)
@@ -395,18 +392,18 @@ class Reader:
         """Coefficients of a collider, and the density of its material in stage units."""
         if not material or not material.HasAPI(UsdPhysics.MaterialAPI):
             return {}, None
-        found = read_material(material, self._meter, partial(self._change, prim))
+        found = read_material(material, self.meter, partial(self.change, prim))
         return found, positive(UsdPhysics.MaterialAPI(material).GetDensityAttr())
 
     def _coefficients(self, body: _Body, group: list[Collider]) -> dict[str, float]:
         if any(collider.coefficients != group[0].coefficients for collider in group):
-            self._change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
+            self.change(body.prim, f"all its colliders get the material of {group[0].prim.GetName()}")
         return group[0].coefficients
 
     def _velocities(self, prim: Usd.Prim, rotation: np.ndarray, center: np.ndarray) -> dict[str, Any]:
         """Velocities in the world frame; USD has them in the body frame, in degrees, as is the centre of mass."""
         api = UsdPhysics.RigidBodyAPI(prim)
-        speed = np.array(api.GetVelocityAttr().Get(self._start), dtype=np.float64) * self._meter
+        speed = np.array(api.GetVelocityAttr().Get(self._start), dtype=np.float64) * self.meter
         spin = np.radians(np.array(api.GetAngularVelocityAttr().Get(self._start), dtype=np.float64))
         if prim.HasAttribute(OF_ORIGIN):
             speed = speed + np.cross(spin, center)
@@ -417,14 +414,14 @@ class Reader:
         if body.motion == Motion.DYNAMIC or custom_data(body.prim) or not _is_animated(body.prim):
             return None
         if body.motion == Motion.STATIC:
-            self._change(body.prim, "its animated motion is ignored; it stays at the first pose of the animation")
+            self.change(body.prim, "its animated motion is ignored; it stays at the first pose of the animation")
             return None
-        codes = animation_codes(self._stage, body.prim)
+        codes = animation_codes(self.stage, body.prim)
         frames = [self._frame(body.prim, UsdGeom.XformCache(code)) for code in codes]
-        if np.ptp([stretch for _, _, stretch in frames], axis=0).max() > SCALE_TOLERANCE * self._meter:
-            self._change(body.prim, "its animated scale is ignored; it keeps the first one")
+        if np.ptp([stretch for _, _, stretch in frames], axis=0).max() > SCALE_TOLERANCE * self.meter:
+            self.change(body.prim, "its animated scale is ignored; it keeps the first one")
         orientation = continuous_signs(np.array([quaternion_of_matrix(rotation) for _, rotation, _ in frames]))
-        time = (np.array(codes) - codes[0]) / self._stage.GetTimeCodesPerSecond()
+        time = (np.array(codes) - codes[0]) / self.stage.GetTimeCodesPerSecond()
         return PosePath(time, np.array([position for position, _, _ in frames]), orientation)
 
 

@@ -121,17 +121,12 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
     if program is None:
         package = name.replace("_", "-")
         raise ValueError(f"{path}: needs the program {name}: pipx install {package} (or pip, in its own environment)")
-    # The variables of this Python environment must not affect the other interpreter's imports.
-    surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
     packages = _packages(path)
     known = [f"--package={name}={place}" for name, place in packages.items() if place]
     command = [program, str(path.absolute()), folder, *known]
     _check_files(path, packages, set())
-    if sys.platform != "win32":
-        limits = [str(MOST_BYTES), str(max(1, round(SECONDS))), str(os.getpid())]
-        command = [sys.executable, "-I", "-S", limited.__file__, *limits, *command]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder)
+        done = _run(command, folder)
     except subprocess.TimeoutExpired:
         raise ValueError(f"{path}: {name} was stopped after {SECONDS:.0f} s") from None
     lines = (done.stdout + done.stderr).splitlines()
@@ -143,6 +138,16 @@ def _convert(path: Path, folder: str) -> list[ImportFinding]:
     return [ImportFinding(path.name, "left out", text) for text in dict.fromkeys(text for _, text in told)]
 
 
+def _run(command: list[str], folder: str) -> subprocess.CompletedProcess:
+    """Run a program of the converters' environment in a folder, with limits on memory and time."""
+    if sys.platform != "win32":
+        limits = [str(MOST_BYTES), str(max(1, round(SECONDS))), str(os.getpid())]
+        command = [sys.executable, "-I", "-S", limited.__file__, *limits, *command]
+    # The variables of this Python environment must not affect the other interpreter's imports.
+    surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+    return subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder)
+
+
 def _keep_masks(path: Path, folder: str) -> list[ImportFinding]:
     """Add the masks of an MJCF file to its conversion, and return what cannot be added."""
     if path.suffix.lower() == ".urdf" or not MASKED.search(path.read_text(errors="replace")):
@@ -151,12 +156,9 @@ def _keep_masks(path: Path, folder: str) -> list[ImportFinding]:
 
     program = shutil.which(CONVERTERS[path.suffix.lower()], path=search_path()) or ""
     python = Path(program).resolve().parent / "python"
-    surroundings = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
-    command = [str(python), "-c", LIST_MASKS, str(path.absolute())]
     try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=SECONDS, env=surroundings, cwd=folder, check=True
-        )
+        done = _run([str(python), "-c", LIST_MASKS, str(path.absolute())], folder)
+        done.check_returncode()
         add_masks(_main_file(path, folder), json.loads(done.stdout.splitlines()[-1]))
     except (OSError, subprocess.SubprocessError, ValueError, IndexError) as error:
         reason = str(error).splitlines()[0] if isinstance(error, ValueError) else f"{python} has no MuJoCo"

@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid.scenes.builders import stacks
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import OUTCOME, Curve, ReferenceCheck, ValidationCase, at_most
+from warp_rigid.validation.case import OUTCOME, Check, Curve, ValidationCase, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment, Trace
 from warp_rigid.validation.towers import pyramid_scene
 
@@ -57,36 +57,16 @@ def arches(rates, duration):
 
     experiments = tuple(experiment(*cell) for cell in cells)
     must_fall = np.array([cell[4] for cell in cells])
-    names = [one.label for one in experiments]
-
-    def pick(rows, measure):
-        return lambda s: np.array([np.nan if s[k].failed[0] else measure(s[k]) for k in rows])
-
     standing, falling = np.flatnonzero(~must_fall), np.flatnonzero(must_fall)
-    return ValidationCase(
+    return case(
         "V70",
         f"semicircular arches over the range of time steps, {duration:g} s",
         "limit analysis of rigid stones (linear programming)",
-        (
-            ReferenceCheck(
-                "largest displacement of the crown",
-                "m",
-                pick(standing, lambda t: np.abs(crown(t)).max()),
-                0.0,
-                at_most(1e-3),
-                [names[k] for k in standing],
-            ),
-            ReferenceCheck(
-                "falls",
-                "",
-                pick(falling, lambda t: float(crown(t).min() < -0.25 * RADIUS)),
-                1,
-                OUTCOME,
-                [names[k] for k in falling],
-                itemized=True,
-            ),
+        measured(
+            "largest displacement of the crown", "m", lambda t: [np.abs(crown(t)).max()], at_most(1e-3), rows=standing
         ),
-        experiments,
+        measured("falls", "", lambda t: [crown(t).min() < -0.25 * RADIUS], OUTCOME, 1, rows=falling, itemized=True),
+        of=experiments,
         curve=Curve("displacement of the crown", "m", crown),
     )
 
@@ -119,21 +99,18 @@ def climbing(quick):
         return (height - np.minimum.accumulate(height)).max() / size
 
     return [
-        ValidationCase(
+        case(
             "V71",
             f"structures at rest do not climb, {duration:g} s",
             "statics: the centre of mass does not rise by itself",
-            (
-                ReferenceCheck(
-                    "rise of the centre of mass over the size",
-                    "",
-                    lambda s: [rise(trace, cell[2]) for trace, cell in zip(s, cells, strict=True)],
-                    0.0,
-                    at_most(1e-5),
-                    [f"{name}, dt 1/{rate}" for name, _, _, rate in cells],
-                ),
+            Check(
+                "rise of the centre of mass over the size",
+                "",
+                lambda s: [rise(trace, cell[2]) for trace, cell in zip(s, cells, strict=True)],
+                at_most(1e-5),
+                labels=[f"{name}, dt 1/{rate}" for name, _, _, rate in cells],
             ),
-            tuple(
+            of=tuple(
                 Experiment(scene, duration, dt=1 / rate, every=max(1, rate // 30), label=f"{name}, dt 1/{rate}")
                 for name, scene, _, rate in cells
             ),

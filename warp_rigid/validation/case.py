@@ -75,16 +75,17 @@ class Miss:
 
 
 @dataclass(frozen=True)
-class ReferenceCheck:
+class Check:
     """A quantity and its reference value.
 
     Attributes:
         quantity: its name.
         unit: its unit, "" for a ratio.
         measure: function(subject of the case) -> one value for each variant.
-        reference: expected value, one for all variants or one for each; or a function of the subject.
         tolerance: permitted deviation.
-        labels: names of the variants; if empty, those of the experiments' environments.
+        reference: expected value, one for all variants or one for each; or a function of the subject.
+        labels: names of the variants; if empty, those of the case, or of its experiments' environments.
+        rows: environments that are the variants, as an index of all environments of the case; None for all.
         miss: set if the tolerance is known to be exceeded.
         itemized: whether the table lists every variant, not only the worst.
     """
@@ -92,11 +93,33 @@ class ReferenceCheck:
     quantity: str
     unit: str
     measure: Measure
-    reference: Values | Measure
     tolerance: Tolerance
+    reference: Values | Measure = 0.0
     labels: Sequence[str] = ()
+    rows: Any = None
     miss: Miss | None = None
     itemized: bool = False
+
+
+def each(measure: Measure, rows: Any = None) -> Measure:
+    """Apply a measure to all traces of a case: a value per environment, NaN for failed ones; or those of some rows."""
+
+    def measure_all(traces: tuple[Trace, ...]) -> np.ndarray:
+        of_trace = np.repeat(np.arange(len(traces)), [len(trace.failed) for trace in traces])
+        chosen = np.arange(len(of_trace))[slice(None) if rows is None else rows]
+        found = np.full(len(of_trace), np.nan)
+        for k in np.unique(of_trace[chosen]):
+            found[of_trace == k] = np.where(traces[k].failed, np.nan, np.asarray(measure(traces[k]), np.float64))
+        return found[chosen]
+
+    return measure_all
+
+
+def measured(
+    quantity: str, unit: str, measure: Measure, tolerance: Tolerance, reference: Any = 0.0, rows: Any = None, **options
+) -> Check:
+    """A check of environments, with a measure of one trace; the other arguments are those of Check."""
+    return Check(quantity, unit, each(measure, rows), tolerance, reference, rows=rows, **options)
 
 
 @dataclass(frozen=True)
@@ -127,6 +150,7 @@ class ValidationCase:
         checks: compared quantities.
         experiments: simulations; the subject of the checks is the tuple of their traces.
         compute: function(device) -> subject of the checks, for cases without a simulation.
+        labels: names of the variants of a case without simulations.
         on_device: whether the case uses a device; if not, it runs once, independently of the devices.
         curve: contents of its plot.
     """
@@ -134,9 +158,10 @@ class ValidationCase:
     id: str
     title: str
     source: str
-    checks: tuple[ReferenceCheck, ...]
+    checks: tuple[Check, ...]
     experiments: tuple[Experiment, ...] = ()
     compute: Callable[[str], Any] | None = None
+    labels: Sequence[str] = ()
     on_device: bool = True
     curve: Curve | None = None
 
@@ -147,14 +172,12 @@ class ValidationCase:
         return tuple(experiment.run(device) for experiment in self.experiments)
 
 
-def each(measure: Callable[[Trace], Values]) -> Measure:
-    """Apply a measure to all traces of a case: one value per environment, NaN for failed environments."""
-
-    def measure_all(traces: tuple[Trace, ...]) -> np.ndarray:
-        values = [np.where(trace.failed, np.nan, np.asarray(measure(trace), np.float64)) for trace in traces]
-        return np.concatenate(values)
-
-    return measure_all
+def case(
+    id: str, title: str, source: str, *checks: Check, of: Experiment | Sequence[Experiment] = (), **options: Any
+) -> ValidationCase:
+    """A case of some checks, of an experiment or several; the other arguments are those of ValidationCase."""
+    experiments = (of,) if isinstance(of, Experiment) else tuple(of)
+    return ValidationCase(id, title, source, checks, experiments, **options)
 
 
 @dataclass(frozen=True)
@@ -175,7 +198,7 @@ class CheckResult:
     """
 
     case: ValidationCase
-    check: ReferenceCheck
+    check: Check
     device: str
     labels: tuple[str, ...]
     value: np.ndarray
@@ -232,12 +255,15 @@ def judge(case: ValidationCase, device: str) -> tuple[Any, list[CheckResult]]:
         ]
 
 
-def _find(case: ValidationCase, check: ReferenceCheck, device: str, subject: Any) -> CheckResult:
+def _find(case: ValidationCase, check: Check, device: str, subject: Any) -> CheckResult:
     """Measure and compare."""
     value = np.atleast_1d(np.asarray(check.measure(subject), np.float64))
     given = check.reference(subject) if callable(check.reference) else check.reference
     reference = np.broadcast_to(np.asarray(given, np.float64), value.shape)
-    labels = tuple(check.labels) or tuple(label for trace in subject for label in trace.labels)
+    labels = tuple(check.labels or case.labels)
+    if not labels:
+        labels = tuple(label for trace in subject for label in trace.labels)
+        labels = labels if check.rows is None else tuple(labels[row] for row in np.arange(len(labels))[check.rows])
     if len(labels) != len(value):
         raise ValueError(f"{case.id} {check.quantity}: {len(value)} values for {len(labels)} labels")
     error = check.tolerance.error(value, reference)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_rigid import rotations
+from warp_rigid.validation.case import Check, at_most, measured
 from warp_rigid.validation.experiment import Start, Trace
 
 G = 9.81
@@ -37,6 +38,12 @@ def at_time(trace: Trace, series: np.ndarray, time: np.ndarray) -> np.ndarray:
     known = np.isfinite(time)
     row = np.searchsorted(trace.time, np.where(known, time, 0.0) - 1e-9)
     return np.where(known, series[row, np.arange(series.shape[1])], np.nan)
+
+
+def gain_of_energy(series, limit: float) -> Check:
+    """Check of the largest gain of an energy (records, envs) relative to the kinetic energy at the start."""
+    name = "energy gained, relative to the start"
+    return measured(name, "", lambda t: largest_rise(series(t)) / t.kinetic_energy[0], at_most(limit))
 
 
 def largest_rise(series: np.ndarray) -> np.ndarray:

@@ -7,24 +7,16 @@ from warp_rigid.scene.shapes import Box, Capsule, Mesh
 from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation.case import (
     OUTCOME,
+    Check,
     Curve,
-    ReferenceCheck,
     ValidationCase,
     absolute,
     at_most,
-    each,
+    case,
+    measured,
     relative,
 )
-from warp_rigid.validation.common import (
-    RESTING,
-    G,
-    at_time,
-    downhill,
-    first_time,
-    largest_rise,
-    per_env,
-    turn_about,
-)
+from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 from warp_rigid.validation.solids import cube
 
@@ -84,10 +76,7 @@ def block_on_incline(block, degrees, friction, start=None, restitution=0.0, grav
         Start("linear_velocity", (start[:, None] * down)[:, None], bodies=[1]),
     ]
     if mesh:
-        starts += [
-            Start("position", (-0.5 * up)[:, None], bodies=[0]),
-            Start("orientation", turn[:, None], bodies=[0]),
-        ]
+        starts += [Start("position", (-0.5 * up)[:, None], bodies=[0]), Start("orientation", turn[:, None], bodies=[0])]
     else:
         starts.append(Start("gravity", [downhill(angle, gravity) for angle in degrees]))
     name = f"{'cube' if block is CUBE else 'slab'}{' on a mesh' if mesh else ''}"
@@ -148,28 +137,26 @@ def sticks(duration):
         )
 
     experiments = tuple(one for e in (0.0, 1.0) for one in inclines(lambda block, mesh, e=e: make(block, mesh, e)))
-    return ValidationCase(
+    return case(
         "V22",
         "block that sticks on an incline, 20 degrees, mu 0.5",
         COULOMB,
-        (
-            ReferenceCheck("slip", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),
-            ReferenceCheck("lift", "m", each(lambda t: np.abs(along(t, 1)).max(axis=0)), 0.0, at_most(1e-4)),
-            ReferenceCheck("speed", "m/s", each(lambda t: speed(t).max(axis=0)), 0.0, at_most(1e-3)),
-        ),
-        experiments,
+        measured("slip", "m", lambda t: np.abs(along(t)).max(axis=0), at_most(1e-4)),
+        measured("lift", "m", lambda t: np.abs(along(t, 1)).max(axis=0), at_most(1e-4)),
+        measured("speed", "m/s", lambda t: speed(t).max(axis=0), at_most(1e-3)),
+        of=experiments,
         curve=Curve("slip", "m", along),
     )
 
 
 def creeps_not(duration):
     """Static friction holds without drift."""
-    return ValidationCase(
+    return case(
         "V22",
         f"creep on an incline, 25 degrees, mu 0.6, {duration:g} s",
         COULOMB,
-        (ReferenceCheck("creep", "m", each(lambda t: np.abs(along(t)).max(axis=0)), 0.0, at_most(1e-4)),),
-        inclines(lambda block, mesh: block_on_incline(block, 25.0, 0.6, mesh=mesh, duration=duration, every=24)),
+        measured("creep", "m", lambda t: np.abs(along(t)).max(axis=0), at_most(1e-4)),
+        of=inclines(lambda block, mesh: block_on_incline(block, 25.0, 0.6, mesh=mesh, duration=duration, every=24)),
         curve=Curve("slip", "m", along),
     )
 
@@ -177,12 +164,12 @@ def creeps_not(duration):
 def slides():
     """Uniform acceleration."""
     distance = 0.5 * pull(30.0, 0.3)
-    return ValidationCase(
+    return case(
         "V22",
         "block that slides down an incline from rest, 30 degrees, mu 0.3",
         COULOMB,
-        (ReferenceCheck("distance after 1 s", "m", each(lambda t: along(t)[-1]), distance, relative(5e-3)),),
-        inclines(lambda block, mesh: block_on_incline(block, 30.0, 0.3, mesh=mesh, duration=1.0, every=4)),
+        measured("distance after 1 s", "m", lambda t: along(t)[-1], relative(5e-3), distance),
+        of=inclines(lambda block, mesh: block_on_incline(block, 30.0, 0.3, mesh=mesh, duration=1.0, every=4)),
         curve=Curve("way", "m", along, lambda t: distance * t.time[:, None] ** 2),
     )
 
@@ -192,20 +179,27 @@ def stop_time(trace):
     return first_time(trace, (speed(trace) < RESTING) & (trace.time > 0.0)[:, None])
 
 
+def stop_distance(trace):
+    """Displacement of the block at which it stops, (envs,) [m]."""
+    return at_time(trace, along(trace), stop_time(trace))
+
+
+def way(trace):
+    """Displacement of the block at the end, (envs,) [m]."""
+    return along(trace)[-1]
+
+
 def moved_after_stop(trace):
     """Displacement of the block after it has stopped, (envs,) [m]."""
-    way, stopped = along(trace), stop_time(trace)
-    return np.abs(way[-1] - at_time(trace, way, stopped))
+    return np.abs(way(trace) - stop_distance(trace))
 
 
 def stopping_checks(time, distance, limit):
     """Checks of time and distance of a stop, and of rest after it."""
     return (
-        ReferenceCheck("time to stop", "s", each(stop_time), time, relative(limit)),
-        ReferenceCheck(
-            "distance to stop", "m", each(lambda t: at_time(t, along(t), stop_time(t))), distance, relative(limit)
-        ),
-        ReferenceCheck("motion after the stop", "m", each(moved_after_stop), 0.0, at_most(1e-4)),
+        measured("time to stop", "s", stop_time, relative(limit), time),
+        measured("distance to stop", "m", lambda t: at_time(t, along(t), stop_time(t)), relative(limit), distance),
+        measured("motion after the stop", "m", moved_after_stop, at_most(1e-4)),
     )
 
 
@@ -215,12 +209,12 @@ def stops():
     time = start / -pull(degrees, friction)
     every = np.tile(time, 3)
     way = 0.5 * every * np.tile(start, 3)
-    return ValidationCase(
+    return case(
         "V22",
         "block that slides downhill and stops",
         COULOMB,
-        stopping_checks(every, way, 0.01),
-        (
+        *stopping_checks(every, way, 0.01),
+        of=(
             block_on_incline(CUBE, degrees, friction, start, duration=3.0),
             block_on_incline(SLAB, degrees, friction, start, duration=3.0),
             block_on_incline(SLAB, degrees, friction, start, mesh=True, duration=3.0),
@@ -236,28 +230,16 @@ def authors_incline():
     first = block_on_incline(SMALL, 20.0, 0.5, 1.25, duration=3.0, label="block 1", **options)
     second = block_on_incline(SMALL, 20.0, 0.25, duration=2.0, label="block 2", **options)
     slid = 0.5 * pull(20.0, 0.25, 9.8) * 2.0**2
-    return ValidationCase(
+    first_block = {"rows": [0], "labels": ("block 1",)}
+    return case(
         "V22",
         "the 2003 authors' two blocks on an incline, 20 degrees, e 1",
         "PhysBAM Sliding_Test, and Coulomb's law",
-        (
-            ReferenceCheck(
-                "time to stop", "s", lambda s: stop_time(s[0]), 1.25 / slowing, relative(0.01), ("block 1",)
-            ),
-            ReferenceCheck(
-                "distance to stop",
-                "m",
-                lambda s: at_time(s[0], along(s[0]), stop_time(s[0])),
-                1.25**2 / (2 * slowing),
-                relative(0.01),
-                ("block 1",),
-            ),
-            ReferenceCheck(
-                "motion after the stop", "m", lambda s: moved_after_stop(s[0]), 0.0, at_most(1e-4), ("block 1",)
-            ),
-            ReferenceCheck("distance after 2 s", "m", lambda s: along(s[1])[-1], slid, relative(0.01), ("block 2",)),
-        ),
-        (first, second),
+        measured("time to stop", "s", stop_time, relative(0.01), 1.25 / slowing, **first_block),
+        measured("distance to stop", "m", stop_distance, relative(0.01), 1.25**2 / (2 * slowing), **first_block),
+        measured("motion after the stop", "m", moved_after_stop, at_most(1e-4), **first_block),
+        measured("distance after 2 s", "m", way, relative(0.01), slid, rows=[1], labels=("block 2",)),
+        of=(first, second),
         curve=Curve("way", "m", along),
     )
 
@@ -268,27 +250,20 @@ def incline_grid():
     cells = [(mu, degrees) for mu in frictions for degrees in (3, 10, 20, 30, 40)]
     cells += [(mu, np.degrees(np.arctan(mu)) + side) for mu in frictions for side in (-2, 2)]
     friction, degrees = np.array(cells).T
-    way = 0.5 * np.maximum(pull(degrees, friction), 0.0)
-    sliding = way > 0.0
+    exact = 0.5 * np.maximum(pull(degrees, friction), 0.0)
+    sliding = exact > 0.0
     experiment = block_on_incline(SLAB, degrees, friction, duration=1.0, every=24)
     labels = np.array(experiment.variants)
-    return ValidationCase(
+    return case(
         "V22",
         "grid of 25 slopes and frictions, and 2 degrees from each friction angle",
         COULOMB,
-        (
-            ReferenceCheck("slides", "", each(lambda t: along(t)[-1] > 1e-4), sliding, OUTCOME),
-            ReferenceCheck(
-                "distance after 1 s",
-                "m",
-                lambda s: along(s[0])[-1, sliding],
-                way[sliding],
-                relative(5e-3),
-                labels[sliding],
-            ),
-            ReferenceCheck("slip", "m", lambda s: along(s[0])[-1, ~sliding], 0.0, absolute(1e-5), labels[~sliding]),
+        measured("slides", "", lambda t: along(t)[-1] > 1e-4, OUTCOME, sliding),
+        measured(
+            "distance after 1 s", "m", way, relative(5e-3), exact[sliding], sliding, labels=tuple(labels[sliding])
         ),
-        (experiment,),
+        measured("slip", "m", way, absolute(1e-5), rows=~sliding, labels=tuple(labels[~sliding])),
+        of=experiment,
         curve=Curve("way", "m", along),
     )
 
@@ -324,26 +299,24 @@ def stopping_distance():
     every = [(run, env) for run in range(2) for env in range(len(rows))]
 
     def check(quantity, pick, reference, tolerance):
-        return ReferenceCheck(
+        return Check(
             quantity,
             "m",
             lambda s: np.array([s[run].position[-1, env, 1, 0] for run, env in pick]),
-            np.array([reference(experiments[run].dt)[env] for run, env in pick]),
             tolerance,
-            tuple(experiments[run].variants[env] for run, env in pick),
+            np.array([reference(experiments[run].dt)[env] for run, env in pick]),
+            labels=tuple(experiments[run].variants[env] for run, env in pick),
         )
 
-    return ValidationCase(
+    return case(
         "V23",
         "stopping distance on level ground",
         COULOMB,
-        (
-            check("sum of the steps to stop", every, lambda dt: exact - 0.5 * start * dt, absolute(2e-4)),
-            check("distance to stop", [(0, 0), (0, 1), (1, 0), (1, 1), (1, 2)], lambda _: exact, relative(0.01)),
-            check("distance to stop", [(0, 3), (1, 3)], lambda _: exact, relative(0.005)),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-        ),
-        experiments,
+        check("sum of the steps to stop", every, lambda dt: exact - 0.5 * start * dt, absolute(2e-4)),
+        check("distance to stop", [(0, 0), (0, 1), (1, 0), (1, 1), (1, 2)], lambda _: exact, relative(0.01)),
+        check("distance to stop", [(0, 3), (1, 3)], lambda _: exact, relative(0.005)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=experiments,
         curve=Curve("way", "m", lambda t: t.position[:, :, 1, 0]),
     )
 
@@ -372,23 +345,13 @@ def painleve():
         moving = trace.linear_velocity[:, :, 1] + np.cross(trace.angular_velocity[:, :, 1], -0.49 * along_rod)
         return moving[:, :, 0]
 
-    return ValidationCase(
+    return case(
         "V32",
         "rod whose tip drags at 1 m/s, 63.4 degrees: Painleve's paradox from mu 4/3 on",
         "Coulomb's law: no gain of energy, no reversal of the slip within a step",
-        (
-            ReferenceCheck(
-                "energy gained, relative to the start",
-                "",
-                each(lambda t: largest_rise(t.work_free_energy) / t.kinetic_energy[0]),
-                0.0,
-                at_most(1e-3),
-            ),
-            ReferenceCheck(
-                "speed of the tip backwards", "m/s", each(lambda t: -tip_speed(t).min(axis=0)), 0.0, at_most(G / 240)
-            ),
-            ReferenceCheck("largest speed", "m/s or rad/s", each(lambda t: t.speed.max(axis=0)), 20.0, at_most(0.0)),
-        ),
-        (Experiment(scene, 0.1, tuple(f"mu {mu:g}" for mu in friction), (per_env("friction", friction),)),),
+        gain_of_energy(lambda t: t.work_free_energy, 1e-3),
+        measured("speed of the tip backwards", "m/s", lambda t: -tip_speed(t).min(axis=0), at_most(G / 240)),
+        measured("largest speed", "m/s or rad/s", lambda t: t.speed.max(axis=0), at_most(0.0), 20.0),
+        of=Experiment(scene, 0.1, tuple(f"mu {mu:g}" for mu in friction), (per_env("friction", friction),)),
         curve=Curve("speed of the tip", "m/s", tip_speed),
     )

@@ -6,15 +6,18 @@ from warp_rigid import rotations
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Capsule, Sphere
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import OUTCOME, Curve, ReferenceCheck, ValidationCase, absolute, at_most, each, relative
-from warp_rigid.validation.common import (
-    NO_GRAVITY,
-    RESTING,
-    G,
-    largest_rise,
-    per_env,
-    turn_about,
+from warp_rigid.validation.case import (
+    OUTCOME,
+    Check,
+    Curve,
+    ValidationCase,
+    absolute,
+    at_most,
+    case,
+    measured,
+    relative,
 )
+from warp_rigid.validation.common import NO_GRAVITY, RESTING, G, gain_of_energy, per_env, turn_about
 from warp_rigid.validation.experiment import DT, Experiment, Start
 
 NEWTON = "Newton's law of impact, closed form"
@@ -89,18 +92,15 @@ def bounce_heights():
     restitution = np.array([1.0, 0.8, 0.5])
     experiments = tuple(dropped_ball(restitution, 2.3, rate) for rate in RATES)
     exact = restitution**2
-    third = tuple(f"e 0.8, dt 1/{rate}" for rate in RATES)
-    return ValidationCase(
+    return case(
         "V17",
         "bounces of a ball dropped from 1 m",
         NEWTON,
-        (
-            ReferenceCheck("first peak", "m", each(lambda t: peak(t, 1)), np.tile(exact, 3), relative(0.01)),
-            ReferenceCheck("second peak", "m", each(lambda t: peak(t, 2)), np.tile(exact**2, 3), relative(0.01)),
-            ReferenceCheck("third peak", "m", lambda s: [peak(t, 3)[1] for t in s], 0.8**6, relative(0.01), third),
-            ReferenceCheck("greatest height", "m", each(lambda t: height(t).max(axis=0)), 1.0, at_most(1e-4)),
-        ),
-        experiments,
+        measured("first peak", "m", lambda t: peak(t, 1), relative(0.01), np.tile(exact, 3)),
+        measured("second peak", "m", lambda t: peak(t, 2), relative(0.01), np.tile(exact**2, 3)),
+        measured("third peak", "m", lambda t: peak(t, 3), relative(0.01), 0.8**6, rows=slice(1, None, 3)),
+        measured("greatest height", "m", lambda t: height(t).max(axis=0), at_most(1e-4), 1.0),
+        of=experiments,
         curve=Curve("height", "m", height, exact_height),
     )
 
@@ -120,29 +120,27 @@ def bounce_times():
     def errors(s):
         return np.array([np.abs(contact_times(t) - exact).max() for t in s])
 
-    return ValidationCase(
+    return case(
         "V17",
         "times of the second to fourth contact, e 0.8",
         NEWTON,
-        (
-            ReferenceCheck(
-                "contact time at dt 1/1000",
-                "s",
-                lambda s: contact_times(s[-1]),
-                exact,
-                relative(5e-3),
-                ("second", "third", "fourth"),
-            ),
-            ReferenceCheck(
-                "error relative to that at twice the step",
-                "",
-                lambda s: errors(s)[1:4] / errors(s)[:3],
-                0.6,
-                at_most(0.0),
-                ("dt 1/120", "dt 1/240", "dt 1/480"),
-            ),
+        Check(
+            "contact time at dt 1/1000",
+            "s",
+            lambda s: contact_times(s[-1]),
+            relative(5e-3),
+            exact,
+            labels=("second", "third", "fourth"),
         ),
-        tuple(dropped_ball([0.8], 2.4, rate) for rate in rates),
+        Check(
+            "error relative to that at twice the step",
+            "",
+            lambda s: errors(s)[1:4] / errors(s)[:3],
+            at_most(0.0),
+            0.6,
+            labels=("dt 1/120", "dt 1/240", "dt 1/480"),
+        ),
+        of=tuple(dropped_ball([0.8], 2.4, rate) for rate in rates),
     )
 
 
@@ -154,16 +152,14 @@ def bounce_end(restitution):
     def last(t):
         return [t.time[np.flatnonzero(np.abs(up) > 1e-3)[-1]] for up in climb(t).T]
 
-    return ValidationCase(
+    return case(
         "V17",
         "end of the bouncing, dt 1/1000",
         NEWTON,
-        (
-            ReferenceCheck("time of the last motion", "s", each(last), total, relative(0.02)),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-50:].max(axis=0)), 0.0, at_most(1e-3)),
-            ReferenceCheck("height at the end", "m", each(lambda t: height(t)[-1]), 0.0, absolute(1e-4)),
-        ),
-        (dropped_ball(e, 1.1 * total.max(), 1000),),
+        measured("time of the last motion", "s", last, relative(0.02), total),
+        measured("speed at the end", "m/s", lambda t: t.speed[-50:].max(axis=0), at_most(1e-3)),
+        measured("height at the end", "m", lambda t: height(t)[-1], absolute(1e-4)),
+        of=dropped_ball(e, 1.1 * total.max(), 1000),
     )
 
 
@@ -180,24 +176,18 @@ def head_on():
 
     place = np.zeros((len(cells), 2, 3))
     place[:, 0, 0], place[:, 1, 0] = -apart, apart
-    return ValidationCase(
+    return case(
         "V17",
         "head-on collision of two spheres at +-1 m/s",
         "Chrono's CorNormal; e = speed after over speed before",
-        (
-            ReferenceCheck(
-                "speed after", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), restitution, absolute(1e-3)
-            ),
-            ReferenceCheck("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0]), 0.0, absolute(1e-6)),
-        ),
-        (
-            Experiment(
-                scene,
-                1.0,
-                tuple(f"e {e:g}, from {2 * x - 1:.4g} m apart" for e, x in cells),
-                (per_env("restitution", restitution), Start("position", place)),
-                every=24,
-            ),
+        measured("speed after", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], absolute(1e-3), restitution),
+        measured("momentum", "kg m/s", lambda t: t.momentum[-1, :, 0], absolute(1e-6)),
+        of=Experiment(
+            scene,
+            1.0,
+            tuple(f"e {e:g}, from {2 * x - 1:.4g} m apart" for e, x in cells),
+            (per_env("restitution", restitution), Start("position", place)),
+            every=24,
         ),
     )
 
@@ -245,38 +235,28 @@ def row_checks(exact):
     def along(t):
         return t.linear_velocity[-1, :, :, 0]
 
-    def kinetic(t, v):
-        return 0.5 * np.einsum("eb,eb->e", t.mass, v**2)
+    def excess(t):
+        first, last = (0.5 * np.einsum("eb,eb->e", t.mass, v**2) for v in (exact, along(t)))
+        return last - first
 
     def start(t):
         return np.einsum("eb,eb->e", t.mass, t.linear_velocity[0, :, :, 0])
 
     return (
-        ReferenceCheck("speed of the last ball", "m/s", each(lambda t: along(t)[:, -1]), exact[:, -1], absolute(1e-3)),
-        ReferenceCheck(
-            "energy in excess of successive impacts",
-            "J",
-            each(lambda t: kinetic(t, along(t)) - kinetic(t, exact)),
-            0.0,
-            at_most(1e-3),
-        ),
-        ReferenceCheck("momentum", "kg m/s", each(lambda t: t.momentum[-1, :, 0] - start(t)), 0.0, absolute(1e-5)),
-        ReferenceCheck(
-            "speed across", "m/s", each(lambda t: np.abs(t.linear_velocity[..., 1:]).max((0, 2, 3))), 0, at_most(1e-6)
-        ),
+        measured("speed of the last ball", "m/s", lambda t: along(t)[:, -1], absolute(1e-3), exact[:, -1]),
+        measured("energy in excess of successive impacts", "J", excess, at_most(1e-3)),
+        measured("momentum", "kg m/s", lambda t: t.momentum[-1, :, 0] - start(t), absolute(1e-5)),
+        measured("speed across", "m/s", lambda t: np.abs(t.linear_velocity[..., 1:]).max((0, 2, 3)), at_most(1e-6)),
     )
 
 
-def every_ball(exact, chosen, experiment):
+def every_ball(exact, chosen):
     """Check of all balls of the chosen rows."""
-    return ReferenceCheck(
-        "largest error of a ball's speed",
-        "m/s",
-        lambda s: np.abs(s[0].linear_velocity[-1, chosen, :, 0] - exact[chosen]).max(axis=1),
-        0.0,
-        at_most(1e-3),
-        [experiment.variants[row] for row in chosen],
-    )
+
+    def error(t):
+        return np.abs(t.linear_velocity[-1, :, :, 0] - exact).max(axis=1)
+
+    return measured("largest error of a ball's speed", "m/s", error, at_most(1e-3), rows=list(chosen))
 
 
 CRADLE = ((1, 0, 0, 0, 0), (1, 1, 0, 0, 0), (1, 1, 1, 0, 0), (1, 0, 0, 0, -1))
@@ -290,12 +270,13 @@ def cradle():
     experiment, exact = row_of_balls([1.0] * 5, rows)
     # Elastic rows and touching rows have a unique result; with gaps and losses it depends on the order of impacts.
     sure = [row for row, (_, e, gap) in enumerate(rows) if e in (0.0, 1.0) or gap == 0.0]
-    return ValidationCase(
+    return case(
         "V18",
         "cradle of five balls",
         "successive impacts of two balls at a time",
-        (every_ball(exact, sure, experiment), *row_checks(exact)),
-        (experiment,),
+        every_ball(exact, sure),
+        *row_checks(exact),
+        of=experiment,
     )
 
 
@@ -303,12 +284,13 @@ def chain():
     """Masses 1, 1/2, 1/4, 1/8."""
     rows = [((1, 0, 0, 0), e, gap) for gap in GAPS for e in (1.0, 0.9)]
     experiment, exact = row_of_balls([1.0, 0.5, 0.25, 0.125], rows)
-    return ValidationCase(
+    return case(
         "V18",
         "chain of four balls, each half as heavy as the one before",
         "successive impacts of two balls at a time",
-        (every_ball(exact, range(len(rows)), experiment), *row_checks(exact)),
-        (experiment,),
+        every_ball(exact, range(len(rows))),
+        *row_checks(exact),
+        of=experiment,
     )
 
 
@@ -350,27 +332,15 @@ def superball():
     def slides(t):
         return np.abs(t.linear_velocity[-1, :, 1, 0] - 0.1 * t.angular_velocity[-1, :, 1, 1]) > 1e-5
 
-    return ValidationCase(
+    return case(
         "V19",
         "oblique impact of a spinning sphere on a plane",
         "Garwin's superball, closed form",
-        (
-            ReferenceCheck(
-                "normal velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), exact[:, 0], relative(1e-4)
-            ),
-            ReferenceCheck(
-                "tangential velocity",
-                "m/s",
-                each(lambda t: t.linear_velocity[-1, :, 1, 0]),
-                exact[:, 1],
-                relative(1e-4),
-            ),
-            ReferenceCheck(
-                "spin", "rad/s", each(lambda t: t.angular_velocity[-1, :, 1, 1]), exact[:, 2], relative(1e-4)
-            ),
-            ReferenceCheck("still slides", "", each(slides), [0, 1, 0, 1, 0], OUTCOME),
-        ),
-        (Experiment(scene, DT, names, starts),),
+        measured("normal velocity", "m/s", lambda t: t.linear_velocity[-1, :, 1, 2], relative(1e-4), exact[:, 0]),
+        measured("tangential velocity", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], relative(1e-4), exact[:, 1]),
+        measured("spin", "rad/s", lambda t: t.angular_velocity[-1, :, 1, 1], relative(1e-4), exact[:, 2]),
+        measured("still slides", "", slides, OUTCOME, [0, 1, 0, 1, 0]),
+        of=Experiment(scene, DT, names, starts),
     )
 
 
@@ -395,23 +365,16 @@ def eccentric():
         )
         return made
 
-    return ValidationCase(
+    def spin_after(t):
+        return np.abs(t.angular_velocity[-1, :, 1, 1])
+
+    return case(
         "V20",
         "eccentric impact of a thin rod at 30 degrees, e 0.5",
         "Newton's law of impact at the tip, closed form",
-        (
-            ReferenceCheck(
-                "velocity", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 2]), impulse - 1, relative(1e-3)
-            ),
-            ReferenceCheck(
-                "spin",
-                "rad/s",
-                each(lambda t: np.abs(t.angular_velocity[-1, :, 1, 1])),
-                impulse * arm / inertia,
-                relative(1e-3),
-            ),
-        ),
-        (Experiment(scene, 0.02, dt=1 / 1000),),
+        measured("velocity", "m/s", lambda t: t.linear_velocity[-1, :, 1, 2], relative(1e-3), impulse - 1),
+        measured("spin", "rad/s", spin_after, relative(1e-3), impulse * arm / inertia),
+        of=Experiment(scene, 0.02, dt=1 / 1000),
     )
 
 
@@ -438,30 +401,23 @@ def random_impacts(count):
     def lost(t):
         return 1.0 - t.kinetic_energy[-1] / t.kinetic_energy[0]
 
+    def met(s):
+        return (lost(s[0]) > 1e-3).mean()
+
     def drift(t):
         return np.linalg.norm(t.momentum[-1] - t.momentum[0], axis=1)
 
     def scale(t):
         return (t.mass * np.linalg.norm(t.linear_velocity[0], axis=2)).sum(axis=1)
 
-    return ValidationCase(
+    return case(
         "V62",
         "impacts of three boxes thrown at random, every restitution and friction",
         "energy and momentum",
-        (
-            ReferenceCheck(
-                "energy gained, relative to the start",
-                "",
-                each(lambda t: largest_rise(t.kinetic_energy) / t.kinetic_energy[0]),
-                0.0,
-                at_most(1e-4),
-            ),
-            ReferenceCheck("relative gain of momentum", "", each(lambda t: drift(t) / scale(t)), 0.0, at_most(1e-5)),
-            ReferenceCheck(
-                "share of the throws that met", "", lambda s: (lost(s[0]) > 1e-3).mean(), 1.0, absolute(0.2), ("all",)
-            ),
-        ),
-        (Experiment(scene, 0.4, tuple(f"throw {k}" for k in range(count)), starts),),
+        gain_of_energy(lambda t: t.kinetic_energy, 1e-4),
+        measured("relative gain of momentum", "", lambda t: drift(t) / scale(t), at_most(1e-5)),
+        Check("share of the throws that met", "", met, absolute(0.2), 1.0, labels=("all",)),
+        of=Experiment(scene, 0.4, tuple(f"throw {k}" for k in range(count)), starts),
         curve=Curve("kinetic energy", "J", lambda t: t.kinetic_energy),
     )
 
@@ -511,20 +467,15 @@ def elastic(title, source, scene, duration, limit):
     def off(t):
         return t.energy / t.energy[0] - 1.0
 
-    return ValidationCase(
+    def root_mean_square(t):
+        return np.sqrt((off(t) ** 2).mean(axis=0))
+
+    return case(
         "V21",
         title,
         source,
-        (
-            ReferenceCheck(
-                "energy error, root mean square",
-                "",
-                each(lambda t: np.sqrt((off(t) ** 2).mean(axis=0))),
-                0,
-                at_most(limit),
-            ),
-            ReferenceCheck("energy gained", "", each(lambda t: off(t).max(axis=0)), 0.0, at_most(limit)),
-        ),
-        (Experiment(scene, duration, dt=1e-3, every=10),),
+        measured("energy error, root mean square", "", root_mean_square, at_most(limit)),
+        measured("energy gained", "", lambda t: off(t).max(axis=0), at_most(limit)),
+        of=Experiment(scene, duration, dt=1e-3, every=10),
         curve=Curve("energy over that at the start", "", lambda t: t.energy / t.energy[0]),
     )

@@ -5,7 +5,7 @@ import numpy as np
 from warp_rigid.scenes.builders import piles, stacks
 from warp_rigid.scenes.builders.bodies import add_bodies
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import AT_LEAST, Curve, Miss, ReferenceCheck, ValidationCase, at_most, each
+from warp_rigid.validation.case import AT_LEAST, Check, Curve, Miss, ValidationCase, at_most, case, each, measured
 from warp_rigid.validation.common import per_env
 from warp_rigid.validation.experiment import Experiment
 
@@ -34,26 +34,22 @@ def heap(base=6):
         return height[np.searchsorted(trace.time, time - 1e-9)] / height[0]
 
     count = base * (base + 1) * (2 * base + 1) // 6
-    return ValidationCase(
+    return case(
         "V60",
         f"heaps of {count} balls, 3 s from a square pyramid",
         "Zhou 2001 and 2002: order and trend",
-        (
-            ReferenceCheck("height kept without friction", "", lambda s: kept(s[0])[:1], 0.0, at_most(0.05), names[:1]),
-            ReferenceCheck(
-                "increase of the height kept after 0.5 s over less friction",
-                "",
-                lambda s: np.diff(kept(s[0], 0.5)),
-                0.02,
-                AT_LEAST,
-                names[1:],
-            ),
-            ReferenceCheck("height kept with most friction", "", lambda s: kept(s[0])[-1:], 0.9, AT_LEAST, names[-1:]),
+        measured("height kept without friction", "", kept, at_most(0.05), rows=slice(1)),
+        Check(
+            "increase of the height kept after 0.5 s over less friction",
+            "",
+            lambda s: np.diff(kept(s[0], 0.5)),
+            AT_LEAST,
+            0.02,
+            labels=names[1:],
         ),
-        (
-            Experiment(
-                scene, 3.0, names, (per_env("friction", friction), per_env("rolling_friction", rolling)), every=24
-            ),
+        measured("height kept with most friction", "", kept, AT_LEAST, 0.9, rows=slice(-1, None)),
+        of=Experiment(
+            scene, 3.0, names, (per_env("friction", friction), per_env("rolling_friction", rolling)), every=24
         ),
     )
 
@@ -79,37 +75,21 @@ def bins_of_boxes(count, bins, moves=None):
         add_bodies(made, stacks.CUBE, *piles.starts(count, 1000), friction=BIN_FRICTION)
         return made
 
-    def median(measure):
-        return lambda traces: np.array([np.median(each(measure)(traces))])
+    def speed(traces):
+        return np.median(each(lambda t: t.speed[-1])(traces))
+
+    def overlap(traces):
+        return np.median(each(lambda t: t.overlap[-1])(traces))
 
     label = (f"median of {bins} bins",)
-    return ValidationCase(
+    return case(
         "V76",
         f"{count} boxes in a bin at one step of 1/60 s per frame",
         "a heap of inelastic boxes comes to rest without overlap",
-        (
-            ReferenceCheck(
-                "largest speed after 6 s",
-                "m/s or rad/s",
-                median(lambda t: t.speed[-1]),
-                0.0,
-                at_most(BIN_RESTING),
-                label,
-                moves,
-            ),
-            ReferenceCheck(
-                "deepest overlap after 6 s", "m", median(lambda t: t.overlap[-1]), 0.0, at_most(2.5e-4), label
-            ),
-        ),
-        (
-            Experiment(
-                scene,
-                6.0,
-                tuple(f"mu {mu:.3f}" for mu in friction),
-                (per_env("friction", friction),),
-                dt=1 / 60,
-                every=30,
-            ),
+        Check("largest speed after 6 s", "m/s or rad/s", speed, at_most(BIN_RESTING), labels=label, miss=moves),
+        Check("deepest overlap after 6 s", "m", overlap, at_most(2.5e-4), labels=label),
+        of=Experiment(
+            scene, 6.0, tuple(f"mu {mu:.3f}" for mu in friction), (per_env("friction", friction),), dt=1 / 60, every=30
         ),
         curve=Curve("largest speed", "m/s or rad/s", lambda t: t.speed),
     )

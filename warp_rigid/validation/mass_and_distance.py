@@ -12,7 +12,7 @@ from warp_rigid.scene.shapes.base import Grid, frozen_array
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
 from warp_rigid.validation import solids
-from warp_rigid.validation.case import AT_LEAST, ReferenceCheck, ValidationCase, absolute, at_most, relative
+from warp_rigid.validation.case import AT_LEAST, Check, ValidationCase, absolute, at_most, case, relative
 
 BAND = 3.0
 """Half the width of the band around a surface where distances are compared [cells]."""
@@ -90,18 +90,15 @@ def polyhedra():
         exact = [table[name][3] for name in names]
         return [np.abs(mesh.inertia - e).max() / np.abs(e).max() for mesh, e in zip(shapes, exact, strict=True)]
 
-    return ValidationCase(
+    return case(
         "V01",
         "mass properties of polyhedra",
         "closed forms and Steiner's rule; Mirtich 1996",
-        (
-            ReferenceCheck(
-                "volume", "m^3", lambda s: [m.volume for m in s], [table[n][1] for n in names], relative(1e-6), names
-            ),
-            ReferenceCheck("error of the centre of mass", "m", center_error, 0.0, at_most(1e-6), names),
-            ReferenceCheck("inertia error relative to the largest entry", "", inertia_error, 0.0, at_most(1e-6), names),
-        ),
+        Check("volume", "m^3", lambda s: [m.volume for m in s], relative(1e-6), [table[n][1] for n in names]),
+        Check("error of the centre of mass", "m", center_error, at_most(1e-6)),
+        Check("inertia error relative to the largest entry", "", inertia_error, at_most(1e-6)),
         compute=compute,
+        labels=names,
         on_device=False,
     )
 
@@ -139,22 +136,14 @@ def torus():
         return np.log2(errors[:-1] / errors[1:]).ravel()
 
     names = "volume", "Ix", "Iz"
+    exact = torus_of_triangles(major, minor, 64, 32)
     steps = tuple(f"{name}, {a} to {b} segments" for a, b in zip(fine[:-1], fine[1:], strict=True) for name in names)
-    return ValidationCase(
+    return case(
         "V02",
         "mass properties of a torus of triangles, R 1, r 0.3",
         "closed forms of the polyhedron and of the torus",
-        (
-            ReferenceCheck(
-                "64 x 32 mesh",
-                "m^3 or m^5",
-                lambda s: values(s[1]),
-                torus_of_triangles(major, minor, 64, 32),
-                relative(1e-6),
-                names,
-            ),
-            ReferenceCheck("order of convergence", "", order, 2.0, absolute(0.05), steps),
-        ),
+        Check("64 x 32 mesh", "m^3 or m^5", lambda s: values(s[1]), relative(1e-6), exact, labels=names),
+        Check("order of convergence", "", order, absolute(0.05), 2.0, labels=steps),
         compute=compute,
         on_device=False,
     )
@@ -220,22 +209,22 @@ def sphere_distance(cells, count, frequency):
 
     names = tuple(f"{n} cells" for n in cells)
     checks = [
-        ReferenceCheck("largest error within 3 cells", "m", lambda s: s[:, 0], lambda s: s[:, 1], at_most(0.0), names),
-        ReferenceCheck(
+        Check("largest error within 3 cells", "m", lambda s: s[:, 0], at_most(0.0), lambda s: s[:, 1]),
+        Check(
             "largest error of the normals of contacts, h = R / 32",
             "deg",
             lambda s: s[[cells.index(FINE)], 2],
-            0.0,
             at_most(1.0),
-            (f"{FINE} cells",),
+            labels=(f"{FINE} cells",),
         ),
     ]
-    return ValidationCase(
+    return case(
         "V05",
         "distance grid of a sphere, R 0.5",
         "bound of trilinear interpolation, h^2 / (4 r), and the mesh's sag",
-        tuple(checks),
+        *tuple(checks),
         compute=compute,
+        labels=names,
     )
 
 
@@ -260,21 +249,16 @@ def box_distance(cells, count):
         return np.array(rows)
 
     names = tuple(f"{n} cells" for n in cells)
-    return ValidationCase(
+    return case(
         "V05",
         "distance grid of a box, half extents 0.5, 0.3, 0.2",
         "closed form; first order at edges",
-        (
-            ReferenceCheck(
-                "largest error where one face is nearest", "m", lambda s: s[:, 0], 0.0, at_most(2e-6), names
-            ),
-            ReferenceCheck("largest error outside", "cells", lambda s: s[:, 1], 0.0, at_most(0.3), names),
-            ReferenceCheck("largest error inside", "cells", lambda s: s[:, 2], 0.0, at_most(0.4), names),
-            ReferenceCheck(
-                "error of the depth at the centre (V06)", "cells", lambda s: s[:, 3], 0.0, absolute(1.0), names
-            ),
-        ),
+        Check("largest error where one face is nearest", "m", lambda s: s[:, 0], at_most(2e-6)),
+        Check("largest error outside", "cells", lambda s: s[:, 1], at_most(0.3)),
+        Check("largest error inside", "cells", lambda s: s[:, 2], at_most(0.4)),
+        Check("error of the depth at the centre (V06)", "cells", lambda s: s[:, 3], absolute(1.0)),
         compute=compute,
+        labels=names,
     )
 
 
@@ -317,16 +301,14 @@ def eikonal(count):
         return (np.abs(length - 1) < 0.05).mean()
 
     def check(quantity, names, which):
-        return ReferenceCheck(quantity, "", lambda s: [s[name][which] for name in names], 0.95, AT_LEAST, tuple(names))
+        return Check(quantity, "", lambda s: [s[name][which] for name in names], AT_LEAST, 0.95, labels=tuple(names))
 
-    return ValidationCase(
+    return case(
         "V06",
         "gradient of distances to meshes",
         "eikonal equation",
-        (
-            check("share of gradients of grids of length 1 +- 0.05 within 3 cells", smooth, 0),
-            check("share of slopes of contacts of 1 +- 0.05 within a cell", both, 1),
-        ),
+        check("share of gradients of grids of length 1 +- 0.05 within 3 cells", smooth, 0),
+        check("share of slopes of contacts of 1 +- 0.05 within a cell", both, 1),
         compute=compute,
     )
 
@@ -355,12 +337,13 @@ def signs(count):
         return [wrong(*sharp[name], simple, device) for name in sharp for simple in (True, False)]
 
     rules = tuple(f"{name}, {rule}" for name in sharp for rule in ("pseudonormals", "winding number"))
-    return ValidationCase(
+    return case(
         "V07",
         f"sign at sharp features, {count} points around each mesh",
         "winding number in float64; Baerentzen and Aanaes 2005",
-        (ReferenceCheck("points with the wrong sign", "", lambda s: s, 0, absolute(0.0), rules),),
+        Check("points with the wrong sign", "", np.asarray, absolute(0.0)),
         compute=compute,
+        labels=rules,
     )
 
 
@@ -392,21 +375,18 @@ def coverage(count):
         along = np.clip(np.einsum("psi,si->ps", arm, slide) / length, -1, 1)
         return np.linalg.norm(arm - along[:, :, None] * slide, axis=2).min(axis=1)
 
-    names = tuple(made)
-    return ValidationCase(
+    return case(
         "V09",
         "samples of mesh surfaces",
         "the stated spacing, a sixteenth of the longest side",
-        (
-            ReferenceCheck(
-                "largest distance of a surface point from a sample, over the spacing",
-                "",
-                lambda s: [farthest(mesh) for mesh in s],
-                1.0,
-                at_most(1e-6),
-                names,
-            ),
+        Check(
+            "largest distance of a surface point from a sample, over the spacing",
+            "",
+            lambda s: [farthest(mesh) for mesh in s],
+            at_most(1e-6),
+            1.0,
         ),
         compute=lambda _: [make() for make in made.values()],
+        labels=tuple(made),
         on_device=False,
     )

@@ -11,13 +11,14 @@ from warp_rigid.validation import solids
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
+    Check,
     Curve,
     Miss,
-    ReferenceCheck,
     ValidationCase,
     absolute,
     at_most,
-    each,
+    case,
+    measured,
     relative,
 )
 from warp_rigid.validation.common import NO_GRAVITY, turn_about
@@ -66,17 +67,13 @@ def sliding_tips():
 
         return Experiment(scene, 1.0, dt=0.01, label=name)
 
-    return ValidationCase(
+    return case(
         "V49",
         "spike and wedge that slide on their tip, 10 m/s, no gravity",
         ERLEBEN,
-        (
-            ReferenceCheck("distance in 1 s", "m", each(lambda t: t.position[-1, :, 1, 0]), 10.0, absolute(1e-4)),
-            ReferenceCheck(
-                "turn", "rad/s", each(lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1)), 0.0, at_most(1e-4)
-            ),
-        ),
-        (experiment("spike", spike_mesh), experiment("wedge", wedge_mesh)),
+        measured("distance in 1 s", "m", lambda t: t.position[-1, :, 1, 0], absolute(1e-4), 10.0),
+        measured("turn", "rad/s", lambda t: np.abs(t.angular_velocity[-1, :, 1]).max(axis=1), at_most(1e-4)),
+        of=(experiment("spike", spike_mesh), experiment("wedge", wedge_mesh)),
     )
 
 
@@ -92,21 +89,13 @@ def tips_on_tips():
 
         return Experiment(scene, 1.25, dt=0.01, label=name, watch_overlap=True)
 
-    return ValidationCase(
+    return case(
         "V49",
         "spikes and wedges dropped tip on tip, 1.25 s",
         ERLEBEN,
-        (
-            ReferenceCheck(
-                "deepest overlap, 1 % of the width allowed",
-                "m",
-                each(lambda t: t.overlap.max(axis=0)),
-                0.0,
-                at_most(0.01),
-            ),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 20.0, at_most(0.0)),
-        ),
-        (
+        measured("deepest overlap, 1 % of the width allowed", "m", lambda t: t.overlap.max(axis=0), at_most(0.01)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(0.0), 20.0),
+        of=(
             experiment("spike on spike", spike_mesh, spike_mesh),
             experiment("wedge on wedge", wedge_mesh, wedge_mesh),
             experiment("spike on wedge", wedge_mesh, spike_mesh),
@@ -136,30 +125,25 @@ def internal_edges(duration):
 
         return Experiment(scene, duration, label=name, every=2)
 
-    return ValidationCase(
+    return case(
         "V49",
         "cube dropped on a slab with interior edges, and flush with its rim",
         ERLEBEN,
-        (
-            ReferenceCheck("height error at the end", "m", each(rest_height), 0.0, absolute(1e-3)),
-            ReferenceCheck(
-                "drift", "m", each(lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1)), 0.0, at_most(1e-3)
-            ),
-            ReferenceCheck(
-                "tilt",
-                "deg",
-                each(lambda t: np.degrees(np.arccos(np.clip(t.turns[-1, :, 1, 2, 2], -1, 1)))),
-                0.0,
-                at_most(0.1),
-            ),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-        ),
-        (
+        measured("height error at the end", "m", rest_height, absolute(1e-3)),
+        measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(axis=1), at_most(1e-3)),
+        measured("tilt", "deg", tilt, at_most(0.1)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=(
             experiment("12 triangles", (0.5, 0.5, 0.5), 1),
             experiment("192 triangles", (0.5, 0.5, 0.5), 2),
             experiment("flush with the rim", (1.0, 1.0, 0.5), 2),
         ),
     )
+
+
+def tilt(trace):
+    """Angle of the cube's upright axis to the vertical at the end, (envs,) [deg]."""
+    return np.degrees(np.arccos(np.clip(trace.turns[-1, :, 1, 2, 2], -1, 1)))
 
 
 def rest_height(trace):
@@ -202,30 +186,23 @@ def push_out():
     experiments = tuple(experiment(name, *row) for name, row in rows.items())
     stuck = experiment("cubes", lambda: cube, ((0.8, 35),))
     crossing = Experiment(crossing_boxes, 0.5, ("two boxes whose edges cross",), watch_overlap=True)
+    count, of_bunnies = (sum(len(one.variants) for one in some) for some in (experiments, experiments[3:]))
 
-    def check(measure, labels, miss=None):
-        return ReferenceCheck("overlap after 0.5 s", "m", measure, 0.0, at_most(4e-5), labels, miss)
+    def check(first, end, miss=None):
+        rows = slice(first, end)
+        return measured("overlap after 0.5 s", "m", lambda t: t.overlap[-1], at_most(4e-5), rows=rows, miss=miss)
 
-    return ValidationCase(
+    return case(
         "V63",
         "bodies that start with overlap",
         "they separate within 0.5 s and are at rest",
-        (
-            ReferenceCheck(
-                "overlap at the start",
-                "m",
-                lambda s: each(lambda t: t.overlap[0])(s[:-2]),
-                0.005,
-                AT_LEAST,
-                names(experiments),
-            ),
-            check(lambda s: each(lambda t: t.overlap[-1])(s[:3]), names(experiments[:3])),
-            check(lambda s: s[3].overlap[-1], names(experiments[3:]), Miss(BETWEEN_SAMPLES, 4.2e-4)),
-            check(lambda s: s[-2].overlap[-1], names((stuck,))),
-            check(lambda s: s[-1].overlap[-1], crossing.variants),
-            ReferenceCheck("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-6)),
-        ),
-        (*experiments, stuck, crossing),
+        measured("overlap at the start", "m", lambda t: t.overlap[0], AT_LEAST, 0.005, rows=slice(count)),
+        check(0, count - of_bunnies),
+        check(count - of_bunnies, count, Miss(BETWEEN_SAMPLES, 4.2e-4)),
+        check(count, count + 1),
+        check(count + 1, count + 2),
+        measured("speed after 0.5 s", "m/s or rad/s", lambda t: t.speed[-1], at_most(1e-6)),
+        of=(*experiments, stuck, crossing),
     )
 
 
@@ -252,31 +229,21 @@ def random_overlaps(count):
         made.add_body(Box((0.035, 0.04, 0.04)))
         return made
 
-    starts = (
-        Start("position", away[:, None], bodies=[1]),
-        Start("orientation", rotations.random(draw, count, 2)),
-    )
+    starts = (Start("position", away[:, None], bodies=[1]), Start("orientation", rotations.random(draw, count, 2)))
 
     def parted(s):
         """Share of the pairs with an initial overlap of 1 to 20 mm that no longer overlap."""
         begun = (s[0].overlap[0] > 1e-3) & (s[0].overlap[0] < 0.02)
         return [(s[0].overlap[-1, begun] < PARTED).mean()]
 
-    return ValidationCase(
+    return case(
         "V63",
         f"{count} random pairs of boxes, those that start with an overlap of 1 to 20 mm",
         "they separate within 0.5 s",
-        (
-            ReferenceCheck("share of separated pairs", "", parted, 1.0, AT_LEAST, ("all",)),
-            ReferenceCheck("speed after 0.5 s", "m/s or rad/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-5)),
-        ),
-        (Experiment(scene, 0.5, tuple(f"pair {k}" for k in range(count)), starts, every=60, watch_overlap=True),),
+        Check("share of separated pairs", "", parted, AT_LEAST, 1.0, labels=("all",)),
+        measured("speed after 0.5 s", "m/s or rad/s", lambda t: t.speed[-1], at_most(1e-5)),
+        of=Experiment(scene, 0.5, tuple(f"pair {k}" for k in range(count)), starts, every=60, watch_overlap=True),
     )
-
-
-def names(experiments) -> list[str]:
-    """Labels of the environments of several experiments."""
-    return [f"{one.label}, {variant}" for one in experiments for variant in one.variants]
 
 
 def bypass(dt):
@@ -316,26 +283,20 @@ def bypass(dt):
         dt=dt,
     )
     above, struck, beside = slice(2 * phases), slice(2 * phases, 3 * phases), slice(3 * phases, None)
-    return ValidationCase(
+    return case(
         "V56",
         f"square 0.2 m deep at 75 m/s against a bar 0.1 m thick, dt 1/{1 / dt:.3g}",
         "rigid-ipc bypass, extruded; eccentric impact of a plate",
-        (
-            ReferenceCheck(
-                "goes through the bar", "", lambda s: passed(s[0])[above], 0, OUTCOME, experiment.variants[above]
-            ),
-            ReferenceCheck(
-                "speed past the end after it was struck 0.8 m off its centre",
-                "m/s",
-                lambda s: -s[0].linear_velocity[-1, struck, 1, 2],
-                kept * speed,
-                relative(0.01),
-                experiment.variants[struck],
-            ),
-            ReferenceCheck(
-                "goes past the bar's end", "", lambda s: passed(s[0])[beside], 1, OUTCOME, experiment.variants[beside]
-            ),
+        measured("goes through the bar", "", passed, OUTCOME, rows=above),
+        Check(
+            "speed past the end after it was struck 0.8 m off its centre",
+            "m/s",
+            lambda s: -s[0].linear_velocity[-1, struck, 1, 2],
+            relative(0.01),
+            kept * speed,
+            labels=experiment.variants[struck],
         ),
-        (experiment,),
+        measured("goes past the bar's end", "", passed, OUTCOME, 1, rows=beside),
+        of=experiment,
         curve=Curve("height", "m", lambda t: t.position[:, :, 1, 2]),
     )

@@ -11,7 +11,7 @@ from warp_rigid.scene.joints import DistanceJoint, PrismaticJoint, RevoluteJoint
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.validation.articulated import GRAVITY, exact_period, pendulum, period_of
-from warp_rigid.validation.case import Measure, Miss, ReferenceCheck, ValidationCase, at_most, each, relative
+from warp_rigid.validation.case import Check, Miss, ValidationCase, at_most, case, measured, relative
 from warp_rigid.validation.experiment import Experiment, Trace
 
 ANGLES = (10.0, 90.0, 150.0, 178.0)
@@ -46,13 +46,9 @@ def rows_of(trace: Trace) -> np.ndarray:
     place, turn, center = (values[:, 0] for values in (trace.position, trace.orientation, trace.center))
     rows = []
     for entry in trace.scene.joints:
-        points, frame = [], None
-        for body, local in ((entry.body_a, entry.frame_a), (entry.body_b, entry.frame_b)):
-            point, frame = np.array(local.position), np.array(local.orientation)
-            if body is not None:
-                point = place[:, body] + rotations.rotate(turn[:, body], point)
-                frame = rotations.multiply(turn[:, body], frame)
-            points.append(np.broadcast_to(point, center[:, 0].shape))
+        points = entry.anchors(place, turn)
+        frame = np.array(entry.frame_b.orientation)
+        frame = frame if entry.body_b is None else rotations.multiply(turn[:, entry.body_b], frame)
         axes = np.swapaxes(np.broadcast_to(rotations.matrix(frame), (len(place), 3, 3)), 1, 2)
         prevented = [k for k in range(6) if entry.joint.locked >> k & 1]
         if entry.joint.coordinate == Coordinate.LENGTH:
@@ -132,23 +128,16 @@ def pendulums(duration: float, rates: tuple[int, ...]) -> ValidationCase:
         ([k for k in near_top if k not in coarse], 1e-2, None),
         (coarse, 1e-2, Miss(NEAR_TOP, 0.5)),
     )
+    exact = [exact_period(angle) for angle, _ in options]
     checks = [
-        ReferenceCheck(
-            "period",
-            "s",
-            _of(chosen, period_of),
-            [exact_period(options[k][0]) for k in chosen],
-            relative(tolerance),
-            [experiments[k].label for k in chosen],
-            miss,
-        )
-        for chosen, tolerance, miss in groups
-        if chosen
+        measured("period", "s", period_of, relative(tolerance), [exact[k] for k in rows], rows, miss=miss)
+        for rows, tolerance, miss in groups
+        if rows
     ]
     source = "arithmetic-geometric mean; conservation of energy"
     high = [k for k, option in enumerate(options) if option[0] >= 150 and option[1] == RATES[0] and duration > SHORT]
     kept = _kept(experiments, {k: Miss(NEAR_TOP, 2e-3) for k in high})
-    return ValidationCase("V102", "Pendulums", source, (*checks, *kept), experiments)
+    return case("V102", "Pendulums", source, *checks, *kept, of=experiments)
 
 
 def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> ValidationCase:
@@ -167,7 +156,7 @@ def mechanisms(duration: float, rates: tuple[int, ...], links: int) -> Validatio
         for rate in rates
     )
     title = f"Double pendulum, chains of up to {links}, closed loops"
-    return ValidationCase("V102", title, "conservation of energy", _kept(experiments), experiments)
+    return case("V102", title, "conservation of energy", *_kept(experiments), of=experiments)
 
 
 def _time(duration: float, rate: int) -> float:
@@ -175,40 +164,19 @@ def _time(duration: float, rate: int) -> float:
     return duration if rate in RATES[:2] else SHORT
 
 
-def _of(chosen: list[int], measure: Measure) -> Callable:
-    """A measure of some of the experiments."""
-    return lambda traces: each(measure)(tuple(traces[k] for k in chosen))
-
-
-def _kept(experiments: tuple[Experiment, ...], misses: dict[int, Miss] | None = None) -> tuple[ReferenceCheck, ...]:
+def _kept(experiments: tuple[Experiment, ...], misses: dict[int, Miss] | None = None) -> tuple[Check, ...]:
     """Checks that no mechanism gains energy, and that none loses much in `SHORT` with the default step.
 
     `misses` are the known deviations of the gain, by experiment.
     """
     default = [k for k, experiment in enumerate(experiments) if round(experiment.dt * 240) == 1]
     misses = misses or {}
-    gains = [([k for k in range(len(experiments)) if k not in misses], None), *(([k], m) for k, m in misses.items())]
+    rows = [k for k in range(len(experiments)) if k not in misses]
+    gains = [(rows, None), *(([k], miss) for k, miss in misses.items())]
+    name = "largest gain of energy"
     return (
-        *(
-            ReferenceCheck(
-                "largest gain of energy",
-                "m g L",
-                _of(chosen, largest_gain),
-                0.0,
-                at_most(1e-3),
-                [experiments[k].label for k in chosen],
-                miss,
-            )
-            for chosen, miss in gains
-        ),
-        ReferenceCheck(
-            "loss of energy in 10 s",
-            "m g L",
-            _of(default, loss),
-            0.0,
-            at_most(0.03),
-            [experiments[k].label for k in default],
-        ),
+        *(measured(name, "m g L", largest_gain, at_most(1e-3), rows=rows, miss=miss) for rows, miss in gains),
+        measured("loss of energy in 10 s", "m g L", loss, at_most(0.03), rows=default),
     )
 
 

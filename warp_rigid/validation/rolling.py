@@ -4,16 +4,8 @@ import numpy as np
 
 from warp_rigid.scene.shapes import Box, Cylinder, Sphere
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import OUTCOME, Curve, ReferenceCheck, ValidationCase, at_most, each, relative
-from warp_rigid.validation.common import (
-    RESTING,
-    G,
-    at_time,
-    downhill,
-    first_time,
-    per_env,
-    turn_about,
-)
+from warp_rigid.validation.case import OUTCOME, Curve, ValidationCase, at_most, case, measured, relative
+from warp_rigid.validation.common import RESTING, G, at_time, downhill, first_time, per_env, turn_about
 from warp_rigid.validation.experiment import Experiment, Start
 
 COULOMB = "Coulomb's law, closed form"
@@ -59,6 +51,16 @@ def stop_time(trace):
     return first_time(trace, (trace.speed < RESTING) & (trace.time > 0.0)[:, None])
 
 
+def stop_distance(trace):
+    """Position of the ball along x where it stops, (envs,) [m]."""
+    return at_time(trace, forward(trace), stop_time(trace))
+
+
+def rolling_distance(trace):
+    """Position of the ball along x where it starts to roll, (envs,) [m]."""
+    return at_time(trace, forward(trace), rolling_time(trace))
+
+
 def forward(trace):
     """Position of the ball along x, (records, envs) [m]."""
     return trace.position[:, :, 1, 0]
@@ -80,30 +82,15 @@ def slide_to_roll():
     """A ball that slides until its lowest point is at rest, and then rolls without loss."""
     v0, mu = 5.0, 0.2
     time = 2 * v0 / (7 * mu * G)
-    return ValidationCase(
+    distance = v0 * time - 0.5 * mu * G * time**2
+    return case(
         "V24",
         "ball that slides until it rolls, v0 5 m/s, mu 0.2",
         COULOMB,
-        (
-            ReferenceCheck("time until it rolls", "s", each(rolling_time), time, relative(5e-3)),
-            ReferenceCheck(
-                "distance until it rolls",
-                "m",
-                each(lambda t: at_time(t, forward(t), rolling_time(t))),
-                v0 * time - 0.5 * mu * G * time**2,
-                relative(5e-3),
-            ),
-            ReferenceCheck(
-                "speed 1 s later", "m/s", each(lambda t: t.linear_velocity[-1, :, 1, 0]), 5 * v0 / 7, relative(5e-3)
-            ),
-        ),
-        (
-            over_masses(
-                Start("friction", mu),
-                Start("linear_velocity", (v0, 0, 0), bodies=[1]),
-                duration=1.75,
-            ),
-        ),
+        measured("time until it rolls", "s", rolling_time, relative(5e-3), time),
+        measured("distance until it rolls", "m", rolling_distance, relative(5e-3), distance),
+        measured("speed 1 s later", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], relative(5e-3), 5 * v0 / 7),
+        of=over_masses(Start("friction", mu), Start("linear_velocity", (v0, 0, 0), bodies=[1]), duration=1.75),
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
 
@@ -112,22 +99,18 @@ def backspin():
     """A ball with backspin that removes all of its speed."""
     v0, mu = 2.0, 0.2
     time = v0 / (mu * G)
-    return ValidationCase(
+    return case(
         "V24",
         "ball with backspin, v0 2 m/s, omega R -5 m/s, mu 0.2, stops",
         COULOMB,
-        (
-            ReferenceCheck("time to stop", "s", each(stop_time), time, relative(5e-3)),
-            ReferenceCheck("distance to stop", "m", each(lambda t: forward(t)[-1]), 0.5 * v0 * time, relative(5e-3)),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-        ),
-        (
-            over_masses(
-                Start("friction", mu),
-                Start("linear_velocity", (v0, 0, 0), bodies=[1]),
-                Start("angular_velocity", (0, -v0 / 0.1 * 2.5, 0), bodies=[1]),
-                duration=1.4,
-            ),
+        measured("time to stop", "s", stop_time, relative(5e-3), time),
+        measured("distance to stop", "m", lambda t: forward(t)[-1], relative(5e-3), 0.5 * v0 * time),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=over_masses(
+            Start("friction", mu),
+            Start("linear_velocity", (v0, 0, 0), bodies=[1]),
+            Start("angular_velocity", (0, -v0 / 0.1 * 2.5, 0), bodies=[1]),
+            duration=1.4,
         ),
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
@@ -150,16 +133,12 @@ def rolling_race():
         experiments.append(Experiment(scene, 1.0, variants, starts, every=4))
         slipping = G * (np.sin(slope) - shares * needed * np.cos(slope))
         ways.append(0.5 * np.where(shares < 1.0, slipping, G * np.sin(slope) / (1 + inertia)))
-    return ValidationCase(
+    return case(
         "V25",
         "rolling race down 30 degrees",
         "a = g sin / (1 + k), or g (sin - mu cos) where it slips",
-        (
-            ReferenceCheck(
-                "distance after 1 s", "m", each(lambda t: forward(t)[-1]), np.concatenate(ways), relative(0.01)
-            ),
-        ),
-        tuple(experiments),
+        measured("distance after 1 s", "m", lambda t: forward(t)[-1], relative(0.01), np.concatenate(ways)),
+        of=tuple(experiments),
         curve=Curve("way", "m", forward),
     )
 
@@ -167,26 +146,17 @@ def rolling_race():
 def authors_rolling():
     """The sphere of the authors of the 2003 method on inclines of k 4.5 degrees, which never slips."""
     degrees = 4.5 * np.arange(1, 11)
-    return ValidationCase(
+    sine = np.sin(np.radians(degrees))
+    return case(
         "V25",
         "sphere without slip on ten inclines from 4.5 to 45 degrees",
         "PhysBAM sphere on an incline: (5/14) g t^2 sin^2",
-        (
-            ReferenceCheck(
-                "height lost in 1 s",
-                "m",
-                each(lambda t: forward(t)[-1] * np.sin(np.radians(degrees))),
-                5 / 14 * G * np.sin(np.radians(degrees)) ** 2,
-                relative(0.01),
-            ),
-        ),
-        (
-            ball(
-                duration=1.0,
-                variants=tuple(f"{angle:g} deg" for angle in degrees),
-                starts=(Start("gravity", [downhill(angle) for angle in degrees]), Start("friction", 1e4)),
-                every=4,
-            ),
+        measured("height lost in 1 s", "m", lambda t: forward(t)[-1] * sine, relative(0.01), 5 / 14 * G * sine**2),
+        of=ball(
+            duration=1.0,
+            variants=tuple(f"{angle:g} deg" for angle in degrees),
+            starts=(Start("gravity", [downhill(angle) for angle in degrees]), Start("friction", 1e4)),
+            every=4,
         ),
         curve=Curve("way", "m", forward),
     )
@@ -196,36 +166,20 @@ def rolling_friction():
     """Torque = c N slows a rolling ball by c g / (R (1 + 2/5)), whatever its mass."""
     radius, c = 0.5, 0.01
     slowing = c * G / (1.4 * radius)
-    return ValidationCase(
+    return case(
         "V29",
         "rolling friction, R 0.5 m, c 0.01 m, from 1 m/s, over five powers of ten of mass",
         "torque = c N, closed form",
-        (
-            ReferenceCheck("time to stop", "s", each(stop_time), 1 / slowing, relative(0.02)),
-            ReferenceCheck(
-                "distance to stop",
-                "m",
-                each(lambda t: at_time(t, forward(t), stop_time(t))),
-                0.5 / slowing,
-                relative(0.02),
-            ),
-            ReferenceCheck(
-                "motion after the stop",
-                "m",
-                each(lambda t: np.abs(forward(t)[-1] - at_time(t, forward(t), stop_time(t)))),
-                0.0,
-                at_most(1e-5),
-            ),
-        ),
-        (
-            over_masses(
-                Start("friction", 0.5),
-                Start("rolling_friction", c),
-                Start("linear_velocity", (1, 0, 0), bodies=[1]),
-                Start("angular_velocity", (0, 2, 0), bodies=[1]),
-                radius=radius,
-                duration=8.0,
-            ),
+        measured("time to stop", "s", stop_time, relative(0.02), 1 / slowing),
+        measured("distance to stop", "m", stop_distance, relative(0.02), 0.5 / slowing),
+        measured("motion after the stop", "m", lambda t: np.abs(forward(t)[-1] - stop_distance(t)), at_most(1e-5)),
+        of=over_masses(
+            Start("friction", 0.5),
+            Start("rolling_friction", c),
+            Start("linear_velocity", (1, 0, 0), bodies=[1]),
+            Start("angular_velocity", (0, 2, 0), bodies=[1]),
+            radius=radius,
+            duration=8.0,
         ),
         curve=Curve("speed", "m/s", lambda t: t.linear_velocity[:, :, 1, 0]),
     )
@@ -235,19 +189,17 @@ def rolling_friction_holds():
     """A ball starts to roll above tan = c / R and stays at rest below."""
     shares = np.array([0.5, 0.9, 1.1, 2.0])
     slopes = [downhill(np.degrees(np.arctan(share * 0.01 / 0.5))) for share in shares]
-    return ValidationCase(
+    return case(
         "V29",
         "rolling friction on a slope, R 0.5 m, c 0.01 m",
         "rolls above tan = c / R",
-        (ReferenceCheck("rolls", "", each(lambda t: forward(t)[-1] > 1e-3), shares > 1.0, OUTCOME),),
-        (
-            ball(
-                0.5,
-                duration=2.0,
-                variants=tuple(f"tan = {share:g} c / R" for share in shares),
-                starts=(Start("gravity", slopes), Start("friction", 0.5), Start("rolling_friction", 0.01)),
-                every=24,
-            ),
+        measured("rolls", "", lambda t: forward(t)[-1] > 1e-3, OUTCOME, shares > 1.0),
+        of=ball(
+            0.5,
+            duration=2.0,
+            variants=tuple(f"tan = {share:g} c / R" for share in shares),
+            starts=(Start("gravity", slopes), Start("friction", 0.5), Start("rolling_friction", 0.01)),
+            every=24,
         ),
     )
 
@@ -256,23 +208,19 @@ def spinning_friction():
     """Torque = c N slows a ball that spins in place by c N / I = 5 c g / (2 R^2), whatever its mass."""
     radius, c, spin = 0.5, 0.01, 10.0
     time = spin / (c * G / (0.4 * radius**2))
-    return ValidationCase(
+    return case(
         "V30",
         "spinning friction, R 0.5 m, c 0.01 m, from 10 rad/s, over five powers of ten of mass",
         "torque = c N, closed form",
-        (
-            ReferenceCheck("time to stop", "s", each(stop_time), time, relative(0.02)),
-            ReferenceCheck("drift", "m", each(lambda t: t.displacement[-1]), 0.0, at_most(1e-4)),
-        ),
-        (
-            over_masses(
-                Start("friction", 0.5),
-                Start("spinning_friction", c),
-                Start("angular_velocity", (0, 0, spin), bodies=[1]),
-                radius=radius,
-                duration=11.0,
-                every=4,
-            ),
+        measured("time to stop", "s", stop_time, relative(0.02), time),
+        measured("drift", "m", lambda t: t.displacement[-1], at_most(1e-4)),
+        of=over_masses(
+            Start("friction", 0.5),
+            Start("spinning_friction", c),
+            Start("angular_velocity", (0, 0, spin), bodies=[1]),
+            radius=radius,
+            duration=11.0,
+            every=4,
         ),
         curve=Curve("spin", "rad/s", lambda t: t.angular_velocity[:, :, 1, 2]),
     )
@@ -300,29 +248,25 @@ def force_direction(duration):
         rolling = trace.linear_velocity[:, :, 2] - 2 / 7 * exact
         return ((box**2).sum(axis=-1) + (rolling**2).sum(axis=-1)).mean(axis=0)
 
-    return ValidationCase(
+    return case(
         "V33",
         "box with 25 balls dragged in four directions by 1.09 of its friction",
         "SimBenchmark rolling; a = (F - mu N) / (M + 2 m n / 7)",
-        (
-            ReferenceCheck(
-                "acceleration of the box",
-                "m/s^2",
-                each(lambda t: np.einsum("ei,ei->e", t.linear_velocity[-1, :, 1], heading) / t.time[-1]),
-                box_rate,
-                relative(0.01),
-            ),
-            ReferenceCheck("mean squared error of the speeds", "m^2/s^2", each(deviation), 0.0, at_most(1e-4)),
+        measured(
+            "acceleration of the box",
+            "m/s^2",
+            lambda t: np.einsum("ei,ei->e", t.linear_velocity[-1, :, 1], heading) / t.time[-1],
+            relative(0.01),
+            box_rate,
         ),
-        (
-            Experiment(
-                scene,
-                duration,
-                tuple(f"{angle:g} deg to x" for angle in angles),
-                (Start("force", (force * heading)[:, None], bodies=[1]),),
-                dt=1e-3,
-                every=10,
-            ),
+        measured("mean squared error of the speeds", "m^2/s^2", deviation, at_most(1e-4)),
+        of=Experiment(
+            scene,
+            duration,
+            tuple(f"{angle:g} deg to x" for angle in angles),
+            (Start("force", (force * heading)[:, None], bodies=[1]),),
+            dt=1e-3,
+            every=10,
         ),
         curve=Curve("speed of the box", "m/s", lambda t: np.linalg.norm(t.linear_velocity[:, :, 1], axis=-1)),
     )

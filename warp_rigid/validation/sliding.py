@@ -6,7 +6,7 @@ import numpy as np
 
 from warp_rigid.scene.shapes import Box, Compound, Sphere
 from warp_rigid.scenes.builders.grounds import level_scene
-from warp_rigid.validation.case import Curve, ReferenceCheck, ValidationCase, each, relative
+from warp_rigid.validation.case import Check, Curve, ValidationCase, case, each, relative
 from warp_rigid.validation.common import G, first_time
 from warp_rigid.validation.experiment import Experiment, Start, Trace
 
@@ -125,7 +125,7 @@ def stop_checks(bodies, experiments):
         return lambda _: exact()[k]
 
     return tuple(
-        ReferenceCheck(name, unit, measure(k), reference(k), relative(0.02), labels)
+        Check(name, unit, measure(k), relative(0.02), reference(k), labels=labels)
         for k, (name, unit) in enumerate(kinds)
     )
 
@@ -138,12 +138,12 @@ def rings(counts):
 
     experiments = tuple(slide(ring(n), FOOT_RADIUS, f"{n} feet") for n in counts)
 
-    return ValidationCase(
+    return case(
         "V75",
         "ring of feet that slides and spins, mu 0.3",
         "equations of motion with the loads of statics; Farkas 2003",
-        stop_checks([(ring_feet(n), FOOT_RADIUS, RING_RADIUS) for n in counts], experiments),
-        experiments,
+        *stop_checks([(ring_feet(n), FOOT_RADIUS, RING_RADIUS) for n in counts], experiments),
+        of=experiments,
         curve=Curve("speed", "m/s", lambda t: np.linalg.norm(t.linear_velocity[:, :, 1], axis=-1)),
     )
 
@@ -153,11 +153,11 @@ def box_on_four_corners():
     corners = np.array([(x, y, 0.0) for x in (-BOX_HALF[0], BOX_HALF[0]) for y in (-BOX_HALF[1], BOX_HALF[1])])
     gyration = np.sqrt((BOX_HALF[0] ** 2 + BOX_HALF[1] ** 2) / 3.0)
     experiment = slide(lambda: Box(BOX_HALF), BOX_HALF[2], "")
-    return ValidationCase(
+    return case(
         "V75",
         "box on its four corners that slides and spins, mu 0.3",
         "equations of motion with the loads of statics",
-        stop_checks([(corners, BOX_HALF[2], gyration)], [experiment]),
-        (experiment,),
+        *stop_checks([(corners, BOX_HALF[2], gyration)], [experiment]),
+        of=experiment,
         curve=Curve("speed", "m/s", lambda t: np.linalg.norm(t.linear_velocity[:, :, 1], axis=-1)),
     )

@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Cylinder, Heightfield, Sphere
-from warp_rigid.validation.case import ReferenceCheck, ValidationCase, absolute, at_most, each
+from warp_rigid.validation.case import ValidationCase, absolute, at_most, case, measured
 from warp_rigid.validation.experiment import Experiment
 
 RADIUS, SPEED = 0.05, 1.5
@@ -42,27 +42,13 @@ def rolling(steps) -> ValidationCase:
         for cells in (40, 320)
         for dt in steps
     )
-    return ValidationCase(
+    return case(
         "V100",
         "ball that rolls over the triangles of flat ground",
         "free motion, closed form",
-        (
-            ReferenceCheck(
-                "speed after 1.5 s",
-                "m/s",
-                each(lambda t: t.linear_velocity[-1, :, 1, 0]),
-                SPEED,
-                absolute(1e-3 * SPEED),
-            ),
-            ReferenceCheck(
-                "error of the height",
-                "m",
-                each(lambda t: np.abs(t.position[:, :, 1, 2] - RADIUS).max(0)),
-                0,
-                at_most(1e-4),
-            ),
-        ),
-        experiments,
+        measured("speed after 1.5 s", "m/s", lambda t: t.linear_velocity[-1, :, 1, 0], absolute(1e-3 * SPEED), SPEED),
+        measured("error of the height", "m", lambda t: np.abs(t.position[:, :, 1, 2] - RADIUS).max(0), at_most(1e-4)),
+        of=experiments,
     )
 
 
@@ -78,21 +64,13 @@ def flush_landing() -> ValidationCase:
 
         return build
 
-    return ValidationCase(
+    return case(
         "V101",
         "box that lands flush on a box of equal or double width",
         "symmetry",
-        (
-            ReferenceCheck(
-                "largest spin",
-                "rad/s",
-                each(lambda t: np.abs(t.angular_velocity[:, :, 1]).max((0, 2))),
-                0,
-                at_most(1e-4),
-            ),
-            ReferenceCheck("drift", "m", each(lambda t: np.abs(t.position[-1, :, 1, :2]).max(1)), 0, at_most(1e-4)),
-        ),
-        tuple(Experiment(scene(ratio), duration=1.0, label=f"width {ratio:g} : 1") for ratio in (1.0, 2.0)),
+        measured("largest spin", "rad/s", lambda t: np.abs(t.angular_velocity[:, :, 1]).max((0, 2)), at_most(1e-4)),
+        measured("drift", "m", lambda t: np.abs(t.position[-1, :, 1, :2]).max(1), at_most(1e-4)),
+        of=tuple(Experiment(scene(ratio), duration=1.0, label=f"width {ratio:g} : 1") for ratio in (1.0, 2.0)),
     )
 
 
@@ -117,10 +95,10 @@ def turntable(steps, duration: float) -> ValidationCase:
         radius = np.linalg.norm(trace.position[:, :, 1:, :2], axis=3)
         return np.abs(radius - np.array(PLACES)).max((0, 2))
 
-    return ValidationCase(
+    return case(
         "V110",
         "boxes on a turntable, below their friction limit",
         "circular motion, closed form",
-        (ReferenceCheck("largest change of the radius", "m", each(creep), 0, at_most(1e-4)),),
-        tuple(Experiment(scene, duration=duration, dt=dt, label=f"dt 1/{1 / dt:.0f}") for dt in steps),
+        measured("largest change of the radius", "m", creep, at_most(1e-4)),
+        of=tuple(Experiment(scene, duration=duration, dt=dt, label=f"dt 1/{1 / dt:.0f}") for dt in steps),
     )

@@ -14,12 +14,13 @@ from warp_rigid.scenes.builders.grounds import level_scene
 from warp_rigid.validation.case import (
     AT_LEAST,
     OUTCOME,
+    Check,
     Curve,
-    ReferenceCheck,
     ValidationCase,
     absolute,
     at_most,
-    each,
+    case,
+    measured,
     relative,
 )
 from warp_rigid.validation.common import G, largest_rise
@@ -62,6 +63,11 @@ def pyramid_scene(rows: int) -> Scene:
     scene = level_scene()
     stacks.add_pyramid(scene, rows)
     return scene
+
+
+def farthest(trace: Trace) -> np.ndarray:
+    """Largest displacement of a body at any time, (envs,) [m]."""
+    return trace.displacement.max(axis=0)
 
 
 def drift(trace: Trace) -> np.ndarray:
@@ -107,23 +113,18 @@ def heavy_on_light(duration):
         dt=1 / 60,
         every=6,
     )
-    names, names_cold = ([experiment.variants[row] for row in rows] for rows in (kept, cold))
 
     def top(t):
         return t.position[0, :, 2, 2] - t.position[-1, :, 2, 2]
 
-    return ValidationCase(
+    return case(
         "V35",
         "heavy cube on a light one, 1 m, dt 1/60",
         f"{STATICS}; other engines: 2 to 98 mm at 1000 : 1",
-        (
-            ReferenceCheck("height lost by the top", "m", lambda s: top(s[0])[kept], 0.0, at_most(5e-4), names),
-            ReferenceCheck("speed at the end", "m/s", lambda s: s[0].speed[-1, kept], 0.0, at_most(1e-3), names),
-            ReferenceCheck(
-                "height lost without shock propagation", "m", lambda s: top(s[0])[cold], 5e-3, AT_LEAST, names_cold
-            ),
-        ),
-        (experiment,),
+        measured("height lost by the top", "m", top, at_most(5e-4), rows=kept),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3), rows=kept),
+        measured("height lost without shock propagation", "m", top, AT_LEAST, 5e-3, rows=cold),
+        of=experiment,
         curve=Curve("height lost", "m", lambda t: t.position[0, :, 2, 2] - t.position[:, :, 2, 2]),
     )
 
@@ -137,15 +138,13 @@ def heavy_dropped_on_light(duration):
         made.add_body(Box((5.0,) * 3), position=(0, 0, 6.5))
         return made
 
-    return ValidationCase(
+    return case(
         "V35",
         "cube of 10 m dropped on one of 1 m, 1000 : 1, dt 1/100",
         "statics; rigid-ipc large-mass-ratio",
-        (
-            ReferenceCheck("height of the top cube", "m", each(lambda t: t.position[-1, :, 2, 2]), 6.0, absolute(5e-4)),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-        ),
-        (Experiment(scene, duration, dt=0.01, every=5),),
+        measured("height of the top cube", "m", lambda t: t.position[-1, :, 2, 2], absolute(5e-4), 6.0),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=Experiment(scene, duration, dt=0.01, every=5),
         curve=Curve("height of the top cube", "m", lambda t: t.position[:, :, 2, 2]),
     )
 
@@ -164,33 +163,29 @@ def column(counts, duration):
         )
 
     weight = np.repeat([count * 1000.0 * G for count in counts], 2)
-    return ValidationCase(
+    return case(
         "V37",
         "column of unit cubes",
         f"{STATICS}; other engines sink by 0.5 to 58 mm",
-        (
-            ReferenceCheck("force on the ground", "N", each(load_on_ground), weight, relative(1e-3)),
-            ReferenceCheck("sink", "m", each(sink), 0.0, at_most(OWN)),
-            ReferenceCheck("drift", "m", each(drift), 0.0, at_most(OWN)),
-            ReferenceCheck("tilt", "deg", each(tilt), 0.0, at_most(0.1)),
-        ),
-        tuple(experiment(count) for count in counts),
+        measured("force on the ground", "N", load_on_ground, relative(1e-3), weight),
+        measured("sink", "m", sink, at_most(OWN)),
+        measured("drift", "m", drift, at_most(OWN)),
+        measured("tilt", "deg", tilt, at_most(0.1)),
+        of=tuple(experiment(count) for count in counts),
     )
 
 
 def tall_stack(count, duration):
     """Fifty cubes of 0.2 m."""
-    return ValidationCase(
+    return case(
         "V37",
         f"straight stack of {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
-        (
-            ReferenceCheck("drift", "m", each(drift), 0.0, at_most(OWN)),
-            ReferenceCheck("sink", "m", each(sink), 0.0, at_most(OWN)),
-            ReferenceCheck("rise", "m", each(rise), 0.0, at_most(OWN)),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-        ),
-        (Experiment(lambda: stack_scene(count), duration, every=24),),
+        measured("drift", "m", drift, at_most(OWN)),
+        measured("sink", "m", sink, at_most(OWN)),
+        measured("rise", "m", rise, at_most(OWN)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        of=Experiment(lambda: stack_scene(count), duration, every=24),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
@@ -203,15 +198,13 @@ def spheres(duration):
         stacks.add_stack(made, 5, Sphere(1.0))
         return made
 
-    return ValidationCase(
+    return case(
         "V37",
         "column of five spheres, R 1",
         "Chrono's SMC stacking",
-        (
-            ReferenceCheck("drift from the axis", "m", each(drift), 0.0, at_most(1e-6)),
-            ReferenceCheck("sink", "m", each(sink), 0.0, at_most(OWN)),
-        ),
-        (Experiment(scene, duration, every=24),),
+        measured("drift from the axis", "m", drift, at_most(1e-6)),
+        measured("sink", "m", sink, at_most(OWN)),
+        of=Experiment(scene, duration, every=24),
     )
 
 
@@ -275,46 +268,35 @@ def leaning_towers(duration):
         words, known = AGAINST_STATICS.get(way, ("as statics demands", None))
         labels = [f"{OFFSETS[k]:g} w; statics: {'falls' if statics[k] else 'stands'}" for k in chosen]
         reference = [known(OFFSETS[k]) if known else statics[k] for k in chosen]
-        return ReferenceCheck(
-            f"falls, {way}: {words}", "", lambda s: fell(s[0])[rows], reference, OUTCOME, labels, itemized=True
-        )
+        return measured(f"falls, {way}: {words}", "", fell, OUTCOME, reference, rows, labels=labels, itemized=True)
 
     def leans(way, chosen):
         rows = [list(WAYS).index(way) * len(OFFSETS) + k for k in chosen]
-        return ReferenceCheck(
+        return Check(
             f"leans by 3 cm or falls, {way}: does",
             "",
-            lambda s: s[0].displacement[:, rows].max(axis=0) > 0.03,
-            [True] * len(rows),
+            lambda s: farthest(s[0])[rows] > 0.03,
             OUTCOME,
-            [f"{OFFSETS[k]:g} w; statics: stands" for k in chosen],
+            [True] * len(rows),
+            labels=[f"{OFFSETS[k]:g} w; statics: stands" for k in chosen],
             itemized=True,
         )
 
     def moves(way, limit):
         rows = [list(WAYS).index(way) * len(OFFSETS) + k for k, due in enumerate(statics) if not due]
-        return ReferenceCheck(
-            "displacement of standing towers",
-            "m",
-            lambda s: s[0].displacement[:, rows].max(axis=0),
-            0.0,
-            at_most(limit),
-            [experiment.variants[k] for k in rows],
-        )
+        return measured("displacement of standing towers", "m", farthest, at_most(limit), rows=rows)
 
-    return ValidationCase(
+    return case(
         "V61",
         "leaning towers of ten cubes",
         "statics: whether the centre of mass above each joint lies over the joint",
-        (
-            *(falls(way) for way in WAYS if way != "off"),
-            # Without shock propagation, whether a tower that leans so far falls hangs on rounding.
-            falls("off", decided),
-            leans("off", [k for k in range(len(OFFSETS)) if k not in decided]),
-            moves("default", 3e-6),
-            moves("two_pass, cold", 3e-5),
-        ),
-        (experiment,),
+        *(falls(way) for way in WAYS if way != "off"),
+        # Without shock propagation, whether a tower that leans so far falls hangs on rounding.
+        falls("off", decided),
+        leans("off", [k for k in range(len(OFFSETS)) if k not in decided]),
+        moves("default", 3e-6),
+        moves("two_pass, cold", 3e-5),
+        of=experiment,
         curve=Curve("height of the top cube", "m", lambda t: t.position[:, :, 10, 2]),
     )
 
@@ -322,19 +304,15 @@ def leaning_towers(duration):
 def pyramid(rows, duration):
     """A pyramid stays in place, at rest, without a gain of energy."""
     count = rows * (rows + 1) // 2
-    return ValidationCase(
+    return case(
         "V43",
         f"pyramid of {rows} rows, {count} cubes of 0.2 m, {duration:g} s",
         STATICS,
-        (
-            ReferenceCheck("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(OWN)),
-            ReferenceCheck("speed at the end", "m/s", each(lambda t: t.speed[-1]), 0.0, at_most(1e-3)),
-            ReferenceCheck(
-                "energy gained, relative to a fall", "", each(gained(lambda t: t.energy)), 0.0, at_most(1e-6)
-            ),
-            ReferenceCheck("force on the ground", "N", each(load_on_ground), count * 8.0 * G, relative(1e-3)),
-        ),
-        (Experiment(lambda: pyramid_scene(rows), duration, every=24),),
+        measured("largest displacement", "m", farthest, at_most(OWN)),
+        measured("speed at the end", "m/s", lambda t: t.speed[-1], at_most(1e-3)),
+        measured("energy gained, relative to a fall", "", gained(lambda t: t.energy), at_most(1e-6)),
+        measured("force on the ground", "N", load_on_ground, relative(1e-3), count * 8.0 * G),
+        of=Experiment(lambda: pyramid_scene(rows), duration, every=24),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
@@ -349,26 +327,17 @@ def gained(series):
     return measure
 
 
-def energy_checks(warm, cold, names, limit):
+def energy_checks(warm, cold, limit):
     """Energy gained by impulses without and with warm starting, and with push-out, relative to a fall.
 
     Args:
         warm: environments with the default settings.
         cold: environments without warm starting.
-        names: labels of all environments.
         limit: largest gain with the default settings.
     """
 
     def check(quantity, series, rows, limit):
-        measure = gained(series)
-        return ReferenceCheck(
-            f"energy gained {quantity}, relative to a fall",
-            "",
-            lambda s: measure(s[0])[rows],
-            0.0,
-            at_most(limit),
-            [names[row] for row in rows],
-        )
+        return measured(f"energy gained {quantity}, relative to a fall", "", gained(series), at_most(limit), rows=rows)
 
     return (
         check("by impulses without warm starting", lambda t: t.work_free_energy, cold, 1e-6),
@@ -381,12 +350,12 @@ def falling_towers(duration):
     """Shock propagation in falling structures: impulses must not add energy."""
     offsets = [offset for offset in (0.15, 0.25, 0.4) for _ in range(2)]
     experiment = leaning(offsets, ["default", "two_pass, cold"] * 3, duration)
-    return ValidationCase(
+    return case(
         "V62",
         "energy of falling towers of ten cubes",
         "conservation",
-        energy_checks([0, 2, 4], [1, 3, 5], experiment.variants, 1e-6),
-        (experiment,),
+        *energy_checks([0, 2, 4], [1, 3, 5], 1e-6),
+        of=experiment,
         curve=Curve("energy", "J", lambda t: t.energy),
     )
 
@@ -408,26 +377,19 @@ def falling_piles(duration, count):
     )
     names = ("pile 1", "pile 2", "pile 3", "pile 4, cold")
     warm = [0, 1, 2]
-    return ValidationCase(
+
+    def late_speed(t):
+        return np.linalg.norm(t.linear_velocity[-120:], axis=-1).max(axis=(0, 2))
+
+    return case(
         "V62",
         f"piles of {count} boxes and balls that fall into a box",
         "conservation; a pile comes to rest",
-        (
-            # A body that is hit is stopped at its time of impact, but gravity acts for the whole step: 5e-5.
-            *energy_checks(warm, [3], names, 1e-4),
-            ReferenceCheck(
-                "largest speed in the last half second",
-                "m/s",
-                lambda s: np.linalg.norm(s[0].linear_velocity[-120:, warm], axis=-1).max(axis=(0, 2)),
-                0.0,
-                at_most(1e-6),
-                names[:3],
-            ),
-            ReferenceCheck(
-                "deepest overlap at the end", "m", lambda s: s[0].overlap[-1, warm], 0.0, at_most(5e-5), names[:3]
-            ),
-        ),
-        (Experiment(lambda: pile_scene(count), duration, names, starts),),
+        # A body that is hit is stopped at its time of impact, but gravity acts for the whole step: 5e-5.
+        *energy_checks(warm, [3], 1e-4),
+        measured("largest speed in the last half second", "m/s", late_speed, at_most(1e-6), rows=warm),
+        measured("deepest overlap at the end", "m", lambda t: t.overlap[-1], at_most(5e-5), rows=warm),
+        of=Experiment(lambda: pile_scene(count), duration, names, starts),
         curve=Curve("energy", "J", lambda t: t.energy),
     )
 
@@ -443,12 +405,12 @@ def card_house(levels, duration):
     def dropped(t):
         return (1 - t.position[-1][:, t.dynamic, 2] / t.position[0][:, t.dynamic, 2]).max(axis=1)
 
-    return ValidationCase(
+    return case(
         "V39",
         f"card house of {levels} storeys, 65 degrees, thickness 0.02 of the length",
         "rigid-ipc and box3d: no card drops by 5 % of its height in 2 s",
-        (ReferenceCheck("largest drop relative to the height", "", each(dropped), 0.0, at_most(0.05)),),
-        (Experiment(scene, duration, every=4),),
+        measured("largest drop relative to the height", "", dropped, at_most(0.05)),
+        of=Experiment(scene, duration, every=4),
         curve=Curve("largest displacement", "m", lambda t: t.displacement),
     )
 
@@ -461,12 +423,12 @@ def beams(duration):
         stacks.add_crossed_layers(made, 30, rolling_friction=0.05)
         return made
 
-    return ValidationCase(
+    return case(
         "V45",
         "tower of thirty crossed layers of two beams, 10 s",
         "box3d: the tower stands",
-        (ReferenceCheck("largest displacement", "m", each(lambda t: t.displacement.max(axis=0)), 0.0, at_most(0.01)),),
-        (Experiment(scene, duration, every=24),),
+        measured("largest displacement", "m", farthest, at_most(0.01)),
+        of=Experiment(scene, duration, every=24),
     )
 
 
@@ -487,10 +449,10 @@ def balls_that_spread(duration):
             sums.append((inside**2).sum() + (np.minimum(place[:, 2] - 0.1, 0.0) ** 2).sum())
         return [np.mean(sums)]
 
-    return ValidationCase(
+    return case(
         "V44",
         "216 frictionless balls that collapse, 10 s, dt 1/1000",
         "SimBenchmark 666; other engines: 1.35e-4 to 0.38 m^2",
-        (ReferenceCheck("sum of squared overlaps, mean over time", "m^2", each(squares), 0.0, at_most(1e-3)),),
-        (Experiment(scene, duration, dt=1e-3, every=20),),
+        measured("sum of squared overlaps, mean over time", "m^2", squares, at_most(1e-3)),
+        of=Experiment(scene, duration, dt=1e-3, every=20),
     )

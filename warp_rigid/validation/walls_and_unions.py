@@ -10,7 +10,7 @@ from warp_rigid.scene.scene import Scene
 from warp_rigid.scene.shapes import Box, Sphere
 from warp_rigid.scene.shapes.mesh import Mesh
 from warp_rigid.scenes.builders import meshes
-from warp_rigid.validation.case import ReferenceCheck, ValidationCase, absolute, at_most, each, relative
+from warp_rigid.validation.case import Check, ValidationCase, absolute, at_most, case, measured, relative
 from warp_rigid.validation.common import NO_GRAVITY
 from warp_rigid.validation.experiment import Experiment, Start
 
@@ -80,31 +80,16 @@ def vessels(kinds, shares, bodies, count=6):
         place = trace.center[:, :, 1]
         return (np.abs(place[..., :2]).max(axis=(0, 2)) > 0.5 * SIZE) | (place[..., 2].min(axis=0) < 0.0)
 
-    return ValidationCase(
+    return case(
         "V72",
         "bodies dropped into vessels with walls of a share of the width",
         "what is inside a closed wall stays inside",
-        (
-            ReferenceCheck("outside at any time", "", each(outside), 0.0, at_most(0.0)),
-            *(
-                overlap_of(body, [one for one, cell in zip(experiments, cells, strict=True) if cell[2] == body])
-                for body in bodies
-            ),
+        measured("outside at any time", "", outside, at_most(0.0)),
+        *(
+            measured(f"deepest overlap of the {body} at any time", "m", deepest, at_most(DEEPEST), rows=rows)
+            for body, rows in ((body, np.repeat([cell[2] == body for cell in cells], count)) for body in bodies)
         ),
-        experiments,
-    )
-
-
-def overlap_of(body, experiments):
-    """Check of the deepest overlap of a body in all of its vessels."""
-    own = {id(experiment) for experiment in experiments}
-    return ReferenceCheck(
-        f"deepest overlap of the {body} at any time",
-        "m",
-        lambda s: each(deepest)(tuple(trace for trace in s if id(trace.experiment) in own)),
-        0.0,
-        at_most(DEEPEST),
-        [f"{one.label}, {variant}" for one in experiments for variant in one.variants],
+        of=experiments,
     )
 
 
@@ -139,15 +124,13 @@ def plates():
         ),
         watch_overlap=True,
     )
-    return ValidationCase(
+    return case(
         "V72",
         "a plate of 1 mm thrown onto another, as meshes",
         "solids do not pass through each other",
-        (
-            ReferenceCheck("passed", "", each(lambda t: t.position[:, :, 1, 2].min(axis=0) < 0.0), 0.0, at_most(0.0)),
-            ReferenceCheck("deepest overlap at any time", "m", each(deepest), 0.0, at_most(DEEPEST)),
-        ),
-        (experiment,),
+        measured("passed", "", lambda t: t.position[:, :, 1, 2].min(axis=0) < 0.0, at_most(0.0)),
+        measured("deepest overlap at any time", "m", deepest, at_most(DEEPEST)),
+        of=experiment,
     )
 
 
@@ -215,24 +198,14 @@ def unions(names):
         wrong = ((distance < 0.0) != inside[some]) & (np.abs(distance) > 1e-5)
         return mesh.volume, volume, np.abs(mesh.inertia - inertia).max() / np.abs(inertia).max(), wrong.sum()
 
-    return ValidationCase(
+    return case(
         "V73",
         "meshes of closed shells that overlap",
         "stratified points inside any of the shells, half-space tests in float64",
-        (
-            ReferenceCheck(
-                "volume", "m^3", lambda s: [row[0] for row in s], lambda s: [row[1] for row in s], relative(0.01), names
-            ),
-            ReferenceCheck(
-                "inertia error relative to the largest entry",
-                "",
-                lambda s: [row[2] for row in s],
-                0.0,
-                at_most(0.01),
-                names,
-            ),
-            ReferenceCheck("points with the wrong sign", "", lambda s: [row[3] for row in s], 0, absolute(0), names),
-        ),
+        Check("volume", "m^3", lambda s: [row[0] for row in s], relative(0.01), lambda s: [row[1] for row in s]),
+        Check("inertia error relative to the largest entry", "", lambda s: [row[2] for row in s], at_most(0.01)),
+        Check("points with the wrong sign", "", lambda s: [row[3] for row in s], absolute(0)),
         compute=compute,
+        labels=names,
         on_device=False,
     )

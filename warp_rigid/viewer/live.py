@@ -202,26 +202,21 @@ class LiveViewer:
     def option(self, name: str, value: Any) -> None:
         """Change what is displayed, and how."""
         self._options[name] = value
-        if name == "scene":
-            self.load(value)
-        elif name == "side_by_side":
-            self.load(self.session.source, compare=value and bool(self.session.plan.demo.variants))
-        elif name == "speed":
-            self.session.speed = value
-        elif name == "wireframe":
+        if name == "wireframe":
             self._instances.wire(value)
         elif name == "shadows":
             set_light(self.server, not value)
-        elif name in ("first_env", "shown_envs"):
-            first = int(self._options.get("first_env", self.rows[0]))
-            self.rows = self._some_rows(first, int(self._options.get("shown_envs", len(self.rows))))
-            self._show_scene()
         elif name in ("slice", "axis", "place"):
             self._cut()
-        elif name == "back":
-            self.rewind(-value)
-        elif name == "loop":
-            self.loop(value)
+
+    def compare(self, on: bool) -> None:
+        """Load the scene again, with all its variants side by side or alone."""
+        self.load(self.session.source, compare=on and bool(self.session.plan.demo.variants))
+
+    def show_envs(self, first: int, count: int) -> None:
+        """Show a number of environments from one on."""
+        self.rows = self._some_rows(first, count)
+        self._show_scene()
 
     def rewind(self, back: float) -> None:
         """Pause, and show the moment `back` seconds ago; running continues from there."""

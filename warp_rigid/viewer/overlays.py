@@ -1,5 +1,7 @@
 """Overlays of the simulator's data: boxes, cells, contacts, joints, samples and clusters."""
 
+from collections.abc import Callable
+
 import numpy as np
 import trimesh
 
@@ -7,7 +9,6 @@ from warp_rigid.engine.simulator import Simulator
 from warp_rigid.engine.step_reports import CONTACT_RECORD
 from warp_rigid.kernels.enums import Coordinate
 from warp_rigid.rotations import inverse, rotate
-from warp_rigid.scene.joints.joint import JointFrame
 from warp_rigid.scene.scene import Motion
 
 __all__ = ["CONTACTS", "JOINTS", "OVERLAYS", "Overlays"]
@@ -75,18 +76,17 @@ class Overlays:
         """
         if self._size is None:
             self._size = _typical_size(sim)
-        size = self._size
         draw = {
-            BOXES: lambda: self._boxes(sim, rows, offsets, size),
-            CELLS: lambda: self._cells(sim, rows, offsets, size),
-            CONTACTS: lambda: self._contacts(sim, rows, offsets, size),
-            JOINTS: lambda: self._joints(sim, rows, offsets, size),
-            SAMPLES: lambda: self._samples(sim, rows, offsets, size),
-            CLUSTERS: lambda: self._clusters(sim, rows, offsets, chosen),
+            BOXES: self._boxes,
+            CELLS: self._cells,
+            CONTACTS: self._contacts,
+            JOINTS: self._joints,
+            SAMPLES: self._samples,
+            CLUSTERS: lambda sim, rows, offsets, _: self._clusters(sim, rows, offsets, chosen),
         }
         for name, action in draw.items():
             if name in self.shown:
-                action()
+                action(sim, rows, offsets, self._size)
 
     def _boxes(self, sim, rows, offsets, size) -> None:
         boxes = sim.swept_boxes()[rows] + offsets[:, None, None]
@@ -182,41 +182,25 @@ class Overlays:
         )
 
     def _lines(self, name: str, segments: np.ndarray, color, size: float) -> None:
-        if not len(segments):
-            self._hide(name)
-        elif name in self._nodes:
-            self._nodes[name].points = segments.astype(np.float32)
-            self._nodes[name].visible = True
-        else:
-            node = f"/overlay/{name}"
-            self._nodes[name] = self._scene.add_line_segments(node, segments, color, thickness=0.012 * size)
+        self._draw(name, segments, self._scene.add_line_segments, color, thickness=0.012 * size)
 
     def _points(self, name: str, points: np.ndarray, color, size: float) -> None:
+        look = {"point_size": size, "point_shape": "circle", "precision": "float32"}
+        self._draw(name, points, self._scene.add_point_cloud, color, **look)
+
+    def _arrows(self, name: str, arrows: np.ndarray, size: float) -> None:
+        look = {"shaft_radius": 0.018 * size, "head_radius": 0.05 * size, "head_length": 0.12 * size}
+        self._draw(name, arrows, self._scene.add_arrows, CONTACT_COLOR, **look)
+
+    def _draw(self, name: str, points: np.ndarray, add: Callable, color, **look) -> None:
+        """Show points in the node of a name, which is added with the first ones; none hide it."""
         if not len(points):
             self._hide(name)
         elif name in self._nodes:
             self._nodes[name].points = points.astype(np.float32)
             self._nodes[name].visible = True
         else:
-            self._nodes[name] = self._scene.add_point_cloud(
-                f"/overlay/{name}", points, color, point_size=size, point_shape="circle", precision="float32"
-            )
-
-    def _arrows(self, name: str, arrows: np.ndarray, size: float) -> None:
-        if not len(arrows):
-            self._hide(name)
-        elif name in self._nodes:
-            self._nodes[name].points = arrows.astype(np.float32)
-            self._nodes[name].visible = True
-        else:
-            self._nodes[name] = self._scene.add_arrows(
-                f"/overlay/{name}",
-                arrows,
-                CONTACT_COLOR,
-                shaft_radius=0.018 * size,
-                head_radius=0.05 * size,
-                head_length=0.12 * size,
-            )
+            self._nodes[name] = add(f"/overlay/{name}", points, color, **look)
 
     def _hide(self, name: str) -> None:
         if name in self._nodes:
@@ -230,20 +214,15 @@ def joint_lines(sim: Simulator, rows: np.ndarray, size: float) -> tuple[np.ndarr
     """
     position, orientation = sim.get("position")[rows], sim.get("orientation")[rows]
 
-    def ends(body: int | None, frame: JointFrame) -> tuple[np.ndarray, np.ndarray]:
-        point, axis = np.array(frame.position), rotate(np.array(frame.orientation), np.array([1.0, 0, 0]))
-        if body is None:
-            return tuple(np.broadcast_to(some, (len(rows), 3)) for some in (point, axis))
-        return position[:, body] + rotate(orientation[:, body], point), rotate(orientation[:, body], axis)
-
     points = np.zeros((len(rows), len(sim.scene.joints), 2, 3))
     axes = points.copy()
     for k, entry in enumerate(sim.scene.joints):
-        (first, _), (second, axis) = ends(entry.body_a, entry.frame_a), ends(entry.body_b, entry.frame_b)
-        points[:, k] = np.stack([first, second], axis=1)
+        points[:, k] = np.stack(entry.anchors(position, orientation), axis=1)
+        axis = rotate(np.array(entry.frame_b.orientation), np.array([1.0, 0, 0]))
+        axis = axis if entry.body_b is None else rotate(orientation[:, entry.body_b], axis)
         turning = entry.joint.coordinate in (Coordinate.ANGLE, Coordinate.SLIDE)
         half = 0.5 * size * axis
-        axes[:, k] = np.stack([first - half, first + half], axis=1) if turning else points[:, k]
+        axes[:, k] = np.stack([points[:, k, 0] - half, points[:, k, 0] + half], axis=1) if turning else points[:, k]
     return points, axes
 
 

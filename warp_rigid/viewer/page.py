@@ -3,8 +3,10 @@
 import contextlib
 import io
 import math
+from collections.abc import Iterator
 
 import numpy as np
+import rich
 import viser
 
 from warp_rigid.render.camera import FIELD_OF_VIEW as FITTED_FIELD
@@ -47,7 +49,7 @@ def start_server(host: str, port: int) -> CheckedServer:
     Raises:
         ValueError: as CheckedServer.
     """
-    with contextlib.redirect_stdout(io.StringIO()):
+    with _silent_console():
         server = CheckedServer(host, port)
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(46, 110, 190))
     server.gui.main_panel.dock_right()
@@ -56,8 +58,19 @@ def start_server(host: str, port: int) -> CheckedServer:
 
 def stop_server(server: viser.ViserServer) -> None:
     """Close all pages, without console output."""
-    with contextlib.redirect_stdout(io.StringIO()):
+    with _silent_console():
         server.stop()
+
+
+@contextlib.contextmanager
+def _silent_console() -> Iterator[None]:
+    """Let viser, which prints with rich, print nothing: neither on stdout nor in a notebook."""
+    shown = rich.get_console()
+    before, shown.quiet = shown.quiet, True
+    try:
+        yield
+    finally:
+        shown.quiet = before
 
 
 def set_light(server: viser.ViserServer, fast: bool) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -27,11 +28,7 @@ VELOCITIES = ("linear_velocity", "angular_velocity")
 PARAMETER_SPAN = 3
 """Upper end of the slider for a parameter of a scene, as a multiple of its default."""
 
-SLIDERS = {
-    "collision_iterations": (0, 40, 1),
-    "contact_iterations": (0, 40, 1),
-    "shock_iterations": (0, 8, 1),
-}
+SLIDERS = {"collision_iterations": (0, 40, 1), "contact_iterations": (0, 40, 1), "shock_iterations": (0, 8, 1)}
 """Smallest value, largest value and step of the sliders for settings."""
 
 COEFFICIENT_STEPS = {name: 10.0 ** (math.floor(math.log10(c.typical_max)) - 2) for name, c in COEFFICIENTS.items()}
@@ -69,6 +66,7 @@ class Panel:
         self._gui = viewer.server.gui
         self._contact_iterations = 10
         self._widgets: dict[str, Any] = {}
+        self._actions: dict[str, Callable[[Any], None]] = {}
         self._waiting: Counter[str] = Counter()  # changes by the page that are queued, per control
         self._add_player()
         self.hud = Hud(viewer.server)
@@ -151,63 +149,79 @@ class Panel:
 
     def _add_player(self) -> None:
         viewer, gui = self._viewer, self._gui
-        self._add("scene", gui.add_dropdown("Scene", scenes.names(), hint="Keys 1 to 6 load the first six."))
-        self._add("variant", gui.add_dropdown("Variant", (CUSTOM,), hint="Settings to compare; restarts the scene."))
-        self._add("side_by_side", gui.add_checkbox("All variants side by side", False))
+        self._add(
+            "scene", gui.add_dropdown("Scene", scenes.names(), hint="Keys 1 to 6 load the first six."), viewer.load
+        )
+        variants = gui.add_dropdown("Variant", (CUSTOM,), hint="Settings to compare; restarts the scene.")
+        self._add("variant", variants, viewer.use_variant)
+        self._add("side_by_side", gui.add_checkbox("All variants side by side", False), viewer.compare)
         self._summary = gui.add_markdown("")
         buttons = gui.add_button_group("", ("Run / Pause", "Step", "Restart"))
         actions = {"Run / Pause": viewer.toggle, "Step": viewer.single_step, "Restart": viewer.restart}
         buttons.on_click(lambda event: viewer.ask(actions[event.target.value]))
-        self._add("speed", gui.add_slider("Speed", 0.05, 4.0, 0.05, 1.0, hint="Simulated time over wall-clock time."))
+        speed = gui.add_slider("Speed", 0.05, 4.0, 0.05, 1.0, hint="Simulated time over wall-clock time.")
+        self._add("speed", speed, lambda value: setattr(viewer.session, "speed", value))
         hint = "Shows the last 20 s; running continues from the moment that is shown."
-        self._add("back", gui.add_slider("Rewind [s]", -LENGTH, 0.0, 0.05, 0.0, hint=hint))
-        self._add("loop", gui.add_checkbox("Loop the last 20 s", False))
+        rewind = gui.add_slider("Rewind [s]", -LENGTH, 0.0, 0.05, 0.0, hint=hint)
+        self._add("back", rewind, lambda value: viewer.rewind(-value))
+        self._add("loop", gui.add_checkbox("Loop the last 20 s", False), viewer.loop)
         saves = gui.add_button_group("Save", ("Picture", "Film"), hint="Film: the last 20 s as a page of its own.")
         sending = {"Picture": viewer.send_picture, "Film": viewer.send_film}
         saves.on_click(lambda event: viewer.ask(sending[event.target.value], event.client_id))
 
     def _add_method(self) -> None:
-        gui = self._gui
-        self._add("contact_processing", gui.add_checkbox("Contact processing", True, hint="Off: no contact iterations"))
-        self._add("shock_propagation", gui.add_dropdown("Shock propagation", SHOCK_MODES))
-        for name in ("collision_iterations", "contact_iterations", "shock_iterations"):
-            self._add(name, gui.add_slider(_label(name), *SLIDERS[name], SLIDERS[name][0]))
+        gui, change = self._gui, self._viewer.change
+        processing = gui.add_checkbox("Contact processing", True, hint="Off: no contact iterations")
+        self._add("contact_processing", processing, lambda on: self._iterate_contacts(on * self._contact_iterations))
+        self._add(
+            "shock_propagation",
+            gui.add_dropdown("Shock propagation", SHOCK_MODES),
+            partial(change, "shock_propagation"),
+        )
+        for name, span in SLIDERS.items():
+            set_count = self._iterate_contacts if name == "contact_iterations" else partial(change, name)
+            slider = gui.add_slider(_label(name), *span, span[0])
+            self._add(name, slider, lambda value, set_count=set_count: set_count(int(value)))
         for name, label in SWITCHES.items():
-            self._add(name, gui.add_checkbox(label, False))
-        self._add("dt", gui.add_dropdown("Steps per second", STEP_RATES, initial_value="240"))
+            self._add(name, gui.add_checkbox(label, False), partial(change, name))
+        rates = gui.add_dropdown("Steps per second", STEP_RATES, initial_value="240")
+        self._add("dt", rates, lambda value: change("dt", 1.0 / float(value)))
 
     def _add_bodies(self) -> None:
-        gui = self._gui
+        gui, viewer = self._gui, self._viewer
         for name, coefficient in COEFFICIENTS.items():
             hint = f"{coefficient}. The slider sets all bodies to this value and shows the median."
             span = (coefficient.lower, coefficient.typical_max, COEFFICIENT_STEPS[name])
-            self._add(name, gui.add_slider(_label(name), *span, coefficient.lower, hint=hint))
-        self._add("gravity", gui.add_slider("Gravity [m/s2]", -5.0, 25.0, 0.01, 9.81))
-        self._add("first_env", gui.add_slider("First environment", 0, 2, 1, 0))
-        self._add("shown_envs", gui.add_slider("Environments shown", 1, 2, 1, 1))
+            slider = gui.add_slider(_label(name), *span, coefficient.lower, hint=hint)
+            self._add(name, slider, lambda value, name=name: viewer.change(name, float(value)))
+        gravity = gui.add_slider("Gravity [m/s2]", -5.0, 25.0, 0.01, 9.81)
+        self._add("gravity", gravity, lambda value: viewer.change("gravity", (0.0, 0.0, -float(value))))
+        self._add("first_env", gui.add_slider("First environment", 0, 2, 1, 0), self._show_envs)
+        self._add("shown_envs", gui.add_slider("Environments shown", 1, 2, 1, 1), self._show_envs)
         gui.add_markdown("Changes apply to the environments shown.")
 
+    def _show_envs(self, _: int) -> None:
+        self._viewer.show_envs(*(int(self._widgets[name].value) for name in ("first_env", "shown_envs")))
+
     def _add_show(self) -> None:
-        gui = self._gui
-        self._add("coloring", gui.add_dropdown("Colours", COLORINGS))
-        self._add("wireframe", gui.add_checkbox("Wireframe", False))
-        self._add("sleepers", gui.add_checkbox("Sleeping bodies transparent", True))
+        gui, viewer = self._gui, self._viewer
+        self._add("coloring", gui.add_dropdown("Colours", COLORINGS), partial(viewer.option, "coloring"))
+        self._add("wireframe", gui.add_checkbox("Wireframe", False), partial(viewer.option, "wireframe"))
+        sleepers = gui.add_checkbox("Sleeping bodies transparent", True)
+        self._add("sleepers", sleepers, partial(viewer.option, "sleepers"))
         for name in OVERLAYS:
-            self._add(name, gui.add_checkbox(name, False))
-        self._add(
-            "shadows", gui.add_checkbox("Shadows", not self._viewer.fast, hint="Switch off on slow graphics hardware.")
-        )
+            self._add(name, gui.add_checkbox(name, False), partial(viewer.overlay, name))
+        shadows = gui.add_checkbox("Shadows", not viewer.fast, hint="Switch off on slow graphics hardware.")
+        self._add("shadows", shadows, partial(viewer.option, "shadows"))
 
     def _add_touch(self) -> None:
         gui = self._gui
         gui.add_markdown("Click a body to push it away from you; drag it to pull it.")
-        self._add(
-            "strength",
-            gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint="Speed of a body that is hit at its centre."),
-        )
+        strength = gui.add_slider("Push [m/s]", 0.1, 20.0, 0.1, 2.0, hint="Speed of a body that is hit at its centre.")
+        self._add("strength", strength, partial(self._viewer.option, "strength"))
         self._said = gui.add_markdown("")
         self._inspected = gui.add_markdown("")
-        self._add("spawned", gui.add_dropdown("New body", SPAWNED))
+        self._add("spawned", gui.add_dropdown("New body", SPAWNED), partial(self._viewer.option, "spawned"))
         drop = gui.add_button_group("", ("Drop",), hint="Drops it above the others, into every environment.")
         drop.on_click(lambda event: self._viewer.ask(self._viewer.spawn, self._widgets["spawned"].value))
 
@@ -266,13 +280,13 @@ class Panel:
         self._set("loop", False)
 
     def _add_slice(self) -> None:
-        gui = self._gui
-        self._add("slice", gui.add_checkbox("Show the signed distance", False))
-        self._add("body", gui.add_dropdown("Body", ("0",), hint="Clicking a body also selects it."))
-        self._add("axis", gui.add_dropdown("Plane across", AXES, initial_value="y"))
-        self._add(
-            "place", gui.add_slider("Position", 0.0, 1.0, 0.01, 0.5, hint="From one end of the body to the other.")
-        )
+        gui, viewer = self._gui, self._viewer
+        self._add("slice", gui.add_checkbox("Show the signed distance", False), partial(viewer.option, "slice"))
+        bodies = gui.add_dropdown("Body", ("0",), hint="Clicking a body also selects it.")
+        self._add("body", bodies, lambda value: viewer.choose(int(value.split()[0])))
+        self._add("axis", gui.add_dropdown("Plane across", AXES, initial_value="y"), partial(viewer.option, "axis"))
+        place = gui.add_slider("Position", 0.0, 1.0, 0.01, 0.5, hint="From one end of the body to the other.")
+        self._add("place", place, partial(viewer.option, "place"))
         self._image = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="signed distance", visible=False)
 
     def _add_keys(self) -> None:
@@ -296,8 +310,9 @@ class Panel:
             command = self._gui.add_command(label, hotkey=key)
             command.on_trigger(lambda event, action=action: viewer.ask(action))
 
-    def _add(self, name: str, widget: Any) -> None:
-        self._widgets[name] = widget
+    def _add(self, name: str, widget: Any, action: Callable[[Any], None]) -> None:
+        """Add a control: `action` executes a change of its value, in the viewer's thread."""
+        self._widgets[name], self._actions[name] = widget, action
 
         # A coroutine is called before the program can set the control again; a function would be called later.
         @widget.on_update
@@ -320,30 +335,14 @@ class Panel:
             ValueError: The control does not offer the value, or no longer does: another scene may have come meanwhile.
         """
         check_value(self._widgets[name], value)
-        viewer = self._viewer
-        if name == "contact_processing":
-            self._set("contact_iterations", self._contact_iterations if value else 0)
-            viewer.change("contact_iterations", self._contact_iterations if value else 0)
-        elif name == "contact_iterations":
-            self._contact_iterations = int(value) or self._contact_iterations
-            self._set("contact_processing", value > 0)
-            viewer.change(name, int(value))
-        elif name in SLIDERS or name in COEFFICIENTS:
-            viewer.change(name, int(value) if name.endswith("_iterations") else float(value))
-        elif name in SWITCHES or name == "shock_propagation":
-            viewer.change(name, value)
-        elif name == "gravity":
-            viewer.change("gravity", (0.0, 0.0, -float(value)))
-        elif name == "dt":
-            viewer.change("dt", 1.0 / float(value))
-        elif name in OVERLAYS:
-            viewer.overlay(name, value)
-        elif name == "body":
-            viewer.choose(int(value.split()[0]))
-        elif name == "variant":
-            viewer.use_variant(value)
-        else:
-            viewer.option(name, value)
+        self._actions[name](value)
+
+    def _iterate_contacts(self, count: int) -> None:
+        """Set the contact iterations; 0 switches contact processing off."""
+        self._contact_iterations = count or self._contact_iterations
+        self._set("contact_iterations", count)
+        self._set("contact_processing", count > 0)
+        self._viewer.change("contact_iterations", count)
 
     def _set(self, name: str, value: Any) -> None:
         """Show a value, unless the page has changed it meanwhile: the change is queued and will take effect."""

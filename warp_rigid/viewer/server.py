@@ -23,11 +23,7 @@ PORTS = range(1, 65536)
 PORTS_TRIED = 1000
 MOST_REPORTED = 20
 """Kinds of refused connections that are logged; a page that keeps trying must not fill the log."""
-PRIVACY = {
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-    "X-Content-Type-Options": "nosniff",
-}
+PRIVACY = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"}
 """Headers of every answer: they keep the address, which contains the token, from other sites and from caches."""
 
 _STARTING = threading.Lock()

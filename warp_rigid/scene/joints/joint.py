@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from warp_rigid import rotations
 from warp_rigid.checks import LARGEST, finite_vector, number_in, numbers_of, shown
 from warp_rigid.kernels.enums import Coordinate
 
@@ -133,6 +134,16 @@ class JointEntry:
     collide: bool = False
     armature: float = 0.0
     drive: Drive | None = None
+
+    def anchors(self, position: np.ndarray, orientation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Both anchors in the world, (..., 3) [m], at poses (..., bodies, 3) [m] and (..., bodies, 4) of all bodies."""
+        first, second = (
+            np.broadcast_to(np.array(frame.position), (*position.shape[:-2], 3))
+            if body is None
+            else position[..., body, :] + rotations.rotate(orientation[..., body, :], np.array(frame.position))
+            for body, frame in ((self.body_a, self.frame_a), (self.body_b, self.frame_b))
+        )
+        return first, second
 
 
 def largest(name: str, value: Any) -> float:

@@ -144,10 +144,7 @@ class Heightfield(Shape):
     def bounds(self):
         """The rectangle, from the lowest to the highest height at any time; the solid extends further below."""
         half, swing = 0.5 * self.extent, np.abs(self.amplitude)
-        return (
-            np.array([*-half, (self.heights - swing).min()]),
-            np.array([*half, (self.heights + swing).max()]),
-        )
+        return (np.array([*-half, (self.heights - swing).min()]), np.array([*half, (self.heights + swing).max()]))
 
     def signed_distance(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Distance at time 0 to the solid below the triangles, and its direction.

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_rigid.checks import finite_number, finite_vector, shown
+from warp_rigid.checks import finite_vector, number_in, shown
 from warp_rigid.scene.shapes import mass_properties, tessellation
 from warp_rigid.scene.shapes.base import Part, PartKind, Shape, frozen_array
 from warp_rigid.scene.shapes.sampling import SampleList
@@ -35,7 +35,7 @@ class Plane(Shape):
             raise ValueError(f"normal: must have a length > 0, got {shown(normal)}")
         # A unit normal is not scaled again, so that it keeps its bits.
         self.normal = frozen_array(direction if abs(length - 1.0) <= 1e-15 else direction / length)
-        self.offset = finite_number("offset", offset)
+        self.offset = number_in("offset", offset)
 
     @cached_property
     def mass_properties(self):

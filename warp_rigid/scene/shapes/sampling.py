@@ -174,11 +174,7 @@ def split_segments(start: np.ndarray, end: np.ndarray, pieces: np.ndarray):
     step = np.arange(len(segment)) - first[segment]
     fraction = (step + 0.5) / pieces[segment]
     along = (end - start)[segment]
-    return (
-        start[segment] + fraction[:, None] * along,
-        0.5 * along / pieces[segment][:, None],
-        segment,
-    )
+    return (start[segment] + fraction[:, None] * along, 0.5 * along / pieces[segment][:, None], segment)
 
 
 def sample_mesh(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> SampleList:

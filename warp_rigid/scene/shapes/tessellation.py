@@ -124,11 +124,7 @@ def wheel(section: np.ndarray, sections: int) -> tuple[np.ndarray, np.ndarray]:
     angle = 2.0 * np.pi * np.arange(sections) / sections
     radius, height = section.T
     vertices = np.stack(
-        [
-            np.outer(np.cos(angle), radius),
-            np.outer(np.sin(angle), radius),
-            np.broadcast_to(height, (sections, count)),
-        ],
+        [np.outer(np.cos(angle), radius), np.outer(np.sin(angle), radius), np.broadcast_to(height, (sections, count))],
         axis=-1,
     )
     turn, corner = (index.reshape(-1) for index in np.indices((sections, count)))

@@ -1,0 +1,78 @@
+"""Surfaces that represent shapes in drawings and exports."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warp_rigid.scene.scene import Body
+from warp_rigid.scene.shapes import Shape
+from warp_rigid.scene.shapes.heightfield import moves
+
+__all__ = ["DrawnSurface", "drawn_surface", "surfaces_of"]
+
+
+def _no_swing() -> np.ndarray:
+    """The swing of a surface of constant shape."""
+    return np.zeros((2, 0), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnSurface:
+    """Triangles of a shape, in the shape's frame.
+
+    Attributes:
+        vertices: (n, 3) float32 [m].
+        faces: (m, 3) int32, counter-clockwise seen from outside.
+        endless: True for a plane, of which the triangles cover a finite part.
+        swing: (2, n) float32, sine and cosine amplitudes of the vertical vertex displacement about `vertices` [m];
+            empty for a surface of constant shape.
+        angular_frequency: of that displacement [rad/s].
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    endless: bool = False
+    swing: np.ndarray = field(default_factory=_no_swing)
+    angular_frequency: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the surface changes its shape over time."""
+        return self.swing.size > 0
+
+    def vertices_at(self, time: float) -> np.ndarray:
+        """Vertices at a time [s], (n, 3) float32 [m]."""
+        if not self.moves:
+            return self.vertices
+        angle = self.angular_frequency * time
+        rise = np.array([np.sin(angle), np.cos(angle)]) @ self.swing
+        return (self.vertices + rise[:, None] * [0.0, 0.0, 1.0]).astype(np.float32)
+
+
+def surfaces_of(bodies: Iterable[Body]) -> tuple[tuple[DrawnSurface, ...], np.ndarray]:
+    """The distinct surfaces of some bodies, and the index (bodies,) of the surface of each."""
+    surfaces, index_of = [], {}
+    for body in bodies:
+        if body.shape.key not in index_of:
+            index_of[body.shape.key] = len(surfaces)
+            surfaces.append(drawn_surface(body.shape))
+    return tuple(surfaces), np.array([index_of[body.shape.key] for body in bodies], dtype=np.int64)
+
+
+def drawn_surface(shape: Shape) -> DrawnSurface:
+    """The surface that represents a shape in drawings and exports."""
+    vertices, faces = shape.surface()
+    swing, frequency = _no_swing(), 0.0
+    if moves(shape):
+        vertices = vertices.copy()
+        vertices[:, 2] = shape.heights.reshape(-1)
+        parts = shape.amplitude * np.array([np.cos(shape.phase), np.sin(shape.phase)])
+        swing, frequency = parts.reshape(2, -1).astype(np.float32), shape.angular_frequency
+    return DrawnSurface(
+        np.asarray(vertices, dtype=np.float32),
+        np.asarray(faces, dtype=np.int32),
+        not np.isfinite(np.asarray(shape.bounds)).all(),
+        swing,
+        frequency,
+    )
