@@ -6,12 +6,23 @@ import numpy as np
 import warp as wp
 
 from warp_rigid import rotations
-from warp_rigid.checks import LARGEST, array_of, brief, flags, numbers_of_shape, shape_of, shown, suggestion, whole_in
+from warp_rigid.checks import (
+    LARGEST,
+    array_of,
+    brief,
+    flags,
+    numbers_of_shape,
+    refuse_others,
+    shape_of,
+    shown,
+    suggestion,
+    whole_in,
+)
 from warp_rigid.engine import field_values, joint_quantities
-from warp_rigid.engine.layout import spread_rows
+from warp_rigid.engine.layout import LACKING, spread_rows
 from warp_rigid.engine.model import mass_arrays
 from warp_rigid.engine.precision import check_mass_ratio
-from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_rows
+from warp_rigid.engine.selection import body_rows, env_indices, existing, joint_rows, rows_to_read
 from warp_rigid.engine.settings import PER_ENVIRONMENT, check_setting, setting_from_device
 from warp_rigid.engine.world import World
 from warp_rigid.scene.coefficients import COEFFICIENTS
@@ -55,12 +66,43 @@ def is_of_bodies(name: str) -> bool:
     return owner_of(name) == "bodies"
 
 
-def read(world: World, name: str) -> np.ndarray:
-    """A copy of a quantity; see Simulator.get."""
+def select(world: World, name: str, envs: Any, bodies: Any, joints: Any) -> np.ndarray:
+    """A copy of a quantity of chosen environments, bodies and joints; see Simulator.get."""
+    _check_readable(name)
+    check_owner(name, bodies, joints)
+    chosen = env_indices(world.num_envs, envs)
+    values, wanted, owner = read(world, name), bodies if joints is None else joints, owner_of(name)
+    if wanted is None:
+        return values if envs is None else values[chosen]
+    rows = rows_to_read(world.layout, chosen, wanted, owner)
+    index = rows - world.layout.starts[owner][chosen, None]
+    places = np.where(existing(rows), chosen[:, None] * values.shape[1] + index, LACKING)
+    return spread_rows(values.reshape(-1, *values.shape[2:]), places)
+
+
+def check_owner(name: str, bodies: Any, joints: Any) -> None:
+    """Refuse a choice of bodies or joints for a quantity that is not theirs.
+
+    Raises:
+        ValueError: bodies or joints are given for a quantity of something else.
+    """
+    owner = owner_of(name)
+    if bodies is not None and owner != "bodies":
+        owners = "joints" if owner == "joints" else "environments"
+        raise ValueError(f"bodies: must not be given for {name}, which is a quantity of {owners}")
+    if joints is not None and owner != "joints":
+        raise ValueError(f"joints: must not be given for {name}, which is no quantity of joints")
+
+
+def _check_readable(name: str) -> None:
     if not is_readable(name):
         _refuse_dt(name)
         known = suggestion(name, readable(), "help(Simulator.get)")
         raise ValueError(f"name: must be a quantity, got {shown(name)}{known}")
+
+
+def read(world: World, name: str) -> np.ndarray:
+    """A copy of a quantity of all environments, (envs, ...)."""
     if name in STATE_NAMES:
         return _rows(world, getattr(world.state, name))
     if name in COEFFICIENTS or name in SURFACE_VELOCITIES or name == "mass":
@@ -103,14 +145,9 @@ def write(world: World, name: str, value: Any, envs: Any, bodies: Any, joints: A
         _refuse_dt(name)
         known = suggestion(name, writable(), "help(Simulator.set)")
         raise ValueError(f"name: must be a quantity that can be set, got {shown(name)}{known}")
-    of_joints = name in joint_quantities.WRITABLE
-    if bodies is not None and not is_of_bodies(name):
-        owners = "joints" if of_joints else "environments"
-        raise ValueError(f"bodies: must not be given for {name}, which is a quantity of {owners}")
-    if joints is not None and not of_joints:
-        raise ValueError(f"joints: must not be given for {name}, which is no quantity of joints")
-    chosen = env_indices(world.layout, envs)
-    if of_joints:
+    check_owner(name, bodies, joints)
+    chosen = env_indices(world.num_envs, envs)
+    if name in joint_quantities.WRITABLE:
         rows = joint_rows(world.layout, chosen, joints)
         joint_quantities.write(world, name, value, rows)
         wake(world, chosen, joint_quantities.bodies_of(world, rows))
@@ -212,8 +249,8 @@ def check_vectors(name: str, value: Any) -> None:
 def _broadcast(name: str, value: Any, shape: tuple[int, ...], needed: np.ndarray | None = None) -> np.ndarray:
     """The value as float32 of a shape, each number finite in float32 where it is `needed`."""
     values = numbers_of_shape(name, value, shape)
-    if not (np.abs(values if needed is None else values[needed]) <= LARGEST).all():
-        raise ValueError(f"{name}: must be finite numbers")
+    checked = values if needed is None else values[needed]
+    refuse_others(name, checked, np.abs(checked) <= LARGEST, "finite numbers")
     return values.astype(np.float32)
 
 
@@ -341,7 +378,7 @@ def _check_mass_ratios(world: World, new: np.ndarray, targets: np.ndarray) -> No
 def apply_impulse(world: World, impulse: Any, point: Any, body: int | str, envs: Any) -> None:
     """Change velocities by an impulse at a world point; see Simulator.apply_impulse."""
     layout = world.layout
-    chosen = env_indices(layout, envs)
+    chosen = env_indices(layout.num_envs, envs)
     if not isinstance(body, str):
         whole_in("body", body, 0, layout.most_bodies - 1)
     if not len(chosen):

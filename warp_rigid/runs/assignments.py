@@ -187,4 +187,4 @@ def _value(text: str) -> Any:
     try:
         return ast.literal_eval(text)
     except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
-        return text
+        return float(text) if text.lower().lstrip("+-") in ("nan", "inf") else text

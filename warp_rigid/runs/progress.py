@@ -72,7 +72,7 @@ class Checkpoints:
             },
         }
         with plan.sim.in_use():
-            checkpoint.save(plan.sim._world, self.path, more, arrays)
+            checkpoint.save(plan.sim.internals, self.path, more, arrays)
 
     def resume(self, plan: Any, progress: Progress) -> bool:
         """Restore the simulator of the plan and the progress from the checkpoint.
@@ -106,7 +106,7 @@ class Checkpoints:
             progress.recorder.restore(arrays.below(FRAMES))
             vars(progress.outcome).update({k: _from_plain(v, arrays) for k, v in more["outcome"].items()})
             with plan.sim.in_use():
-                checkpoint.restore(plan.sim._world, header, arrays)
+                checkpoint.restore(plan.sim.internals, header, arrays)
         except archive.UNREADABLE as error:
             raise archive.unusable(self.path, checkpoint.KIND, error) from None
         return True

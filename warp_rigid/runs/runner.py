@@ -450,6 +450,7 @@ def _summary(
         "set": plan.parameters,
         "settings": asdict(sim.settings),
         "labels": list(plan.labels),
+        "variants": {label: plan.demo.variants[label] for label in plan.labels if label in plan.demo.variants},
         **{name: int(value) for name, value in sim.counts().items()},
         "penetration": _numbers(sim.penetration()),
         "deepest_penetration": _numbers(deepest),
@@ -477,8 +478,8 @@ def _verdict(verdict: Verdict, variants: tuple[str | None, ...]) -> dict[str, An
         "name": verdict.name,
         "limit": verdict.limit,
         "unit": verdict.unit,
-        "values": _numbers(verdict.values),
-        "passed": [bool(passed) for passed in verdict.passed],
+        "values": verdict.values.tolist() if verdict.values.dtype == bool else _numbers(verdict.values),
+        "passed": None if verdict.passed is None else [bool(passed) for passed in verdict.passed],
         "expected": [None if variant is None else verdict.expected.get(variant) for variant in variants],
     }
 

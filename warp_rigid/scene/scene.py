@@ -102,6 +102,7 @@ class Scene:
         filtered_pairs: pairs of bodies' indices, the smaller one first, that never touch.
         joints: list of JointEntry, in the order in which they were added.
         import_report: what import_usd left out or changed; None for a scene that was not imported.
+        parameters: with which the function scene() of a .py file was called, by name; {} for other scenes.
         gravity: as given.
         friction_combine: as given.
         restitution_combine: as given.
@@ -139,6 +140,7 @@ class Scene:
         self.joints: list[JointEntry] = []
         self.looks: dict[int, Look] = {}
         self.import_report: ImportReport | None = None
+        self.parameters: dict[str, Any] = {}
 
     def __repr__(self) -> str:
         """Return the number of bodies of each kind as text."""
